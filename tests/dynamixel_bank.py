@@ -12,7 +12,7 @@ import threading
 import time
 from dataclasses import dataclass, field
 
-MODEL = 1230  # XC330-M288
+MODEL = 1240  # XC330-M288
 
 
 def crc16(data: bytes) -> int:
@@ -46,12 +46,23 @@ class Servo:
     moved: float = field(default_factory=time.perf_counter)
     heard: float = field(default_factory=time.perf_counter)
 
+    limits_at_power: list[int] = field(default_factory=list)
+    """Goal current at each switching on of the torque."""
+
     def __post_init__(self) -> None:
         self.put(0, 2, MODEL)
         self.put(7, 1, self.number)
         self.put(11, 1, 3)  # position, as delivered
         self.put(38, 2, 1750)
         self.put(146, 1, 33)
+        self.restart()
+
+    def restart(self) -> None:
+        """Leave what a restart does in the memory that is not kept without power."""
+        self.put(64, 1, 0)
+        for address, value in ((80, 0), (82, 0), (84, 900), (102, self.get(38, 2))):
+            self.put(address, 2, value)
+        self.table[98] = 0
 
     def get(self, address: int, size: int) -> int:
         return int.from_bytes(self.table[address : address + size], "little", signed=size > 1)
@@ -96,6 +107,7 @@ class Servo:
             return 6  # data limit
         self.table[address : address + len(data)] = data
         if address == 64 and data[0]:
+            self.limits_at_power.append(self.get(102, 2))
             self.put(116, 4, round(self.position))
         return 0
 
@@ -209,7 +221,8 @@ class ServoBank:
         servo = self.servos[number]
         alert = 0x80 if servo.error else 0
         if instruction == 1:
-            return self._sent(packet(number, bytes([MODEL & 255, MODEL >> 8, 50]), alert))
+            model = bytes(servo.table[:2])
+            return self._sent(packet(number, model + b"\x32", alert))
         if instruction == 2:
             return self._sent(packet(number, bytes(servo.table[address : address + size]), alert))
         if instruction == 3:

@@ -12,7 +12,12 @@ from typing import ClassVar
 import numpy as np
 
 from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
-from smooth_operator.teleop.hardware.device import DeviceLostError, Reading, WrongAnswerError
+from smooth_operator.teleop.hardware.device import (
+    DeviceLostError,
+    Reading,
+    Setting,
+    WrongAnswerError,
+)
 from smooth_operator.teleop.hardware.hardware_sink import HardwareSink
 
 
@@ -39,6 +44,8 @@ class FakeHand:
         self.hung = threading.Event()
         self.wrong = 0  # exchanges that fail from now on
         self.wrong_openings = 0
+        self.limit = 0.0  # what the hand has in place of the 500 that are set with every opening
+        self.limits_once: list[float | None] = []  # answered in place of it; None: a wrong answer
         self.slow_s = 0.0
 
     def _bus(self, what: str, commands: Sequence[float] | np.ndarray = ()) -> None:
@@ -60,6 +67,14 @@ class FakeHand:
         if self.wrong_openings:
             self.wrong_openings -= 1
             raise WrongAnswerError("a wrong checksum")
+        self.limit = 500.0
+
+    def settings(self) -> tuple[Setting, ...]:
+        self._bus("settings")
+        answer = self.limits_once.pop(0) if self.limits_once else self.limit
+        if answer is None:
+            raise WrongAnswerError("an unknown register")
+        return (Setting("limit", np.full(1, 500.0), np.full(1, answer)),)
 
     def read(self) -> Reading:
         self._bus("read")

@@ -27,7 +27,7 @@ class WujiWorld:
         self.faults = Faults()
         self.plugged_in = True
         self.handedness = handedness
-        self.effort_limit: np.ndarray | None = None
+        self.effort_limit = np.full((5, 4), 1.5)
         self.codes = np.zeros((5, 4), np.uint32)
         self.switched: list[bool] = []
         self.module = types.ModuleType("wujihandpy")
@@ -105,6 +105,10 @@ class WujiHand:
         self.world.touch()
         return self.world.codes
 
+    def read_joint_effort_limit(self, timeout: float = 0.5) -> np.ndarray:
+        self.world.touch()
+        return self.world.effort_limit.copy()
+
     def write_joint_effort_limit(self, value_array: Any, timeout: float = 0.5) -> None:
         self.world.touch()
         self.world.effort_limit = np.asarray(value_array, float)
@@ -158,6 +162,7 @@ class StarkWorld:
         self.number = 0x7E if left else 0x7F
         self.type = HandType.Left if left else HandType.Right
         self.unit: FingerUnitMode | None = None
+        self.units: list[FingerUnitMode | None] = []  # in which positions came
         self.package, self.main_mod = (types.ModuleType(n) for n in ("bc_stark_sdk", "main_mod"))
         self.package.main_mod = self.main_mod  # type: ignore[attr-defined]
         for kind in (Baudrate, FingerUnitMode, HandType, MotorState):
@@ -207,6 +212,13 @@ class StarkContext:
 
         return answer()
 
+    def get_finger_unit_mode(self, slave_id: int) -> Any:
+        async def answer() -> FingerUnitMode | None:
+            await self.world.answer(slave_id)
+            return self.world.unit
+
+        return answer()
+
     def get_motor_status(self, slave_id: int) -> Any:
         async def answer() -> Any:
             await self.world.answer(slave_id)
@@ -230,8 +242,8 @@ class StarkContext:
     ) -> Any:
         async def answer() -> None:
             await self.world.answer(slave_id)
-            assert self.world.unit is FingerUnitMode.Normalized
             assert len(speeds) == 6
+            self.world.units.append(self.world.unit)
             self.world.servos.aim(positions)
 
         return answer()

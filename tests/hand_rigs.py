@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from ability_simulator import AbilityHand
 from allegro_simulator import AllegroHand
-from fake_hand_sdks import StarkWorld, WujiWorld
+from fake_hand_sdks import FingerUnitMode, StarkWorld, WujiWorld
 from hand_servos import Faults
 from inspire_simulator import InspireHand, RtuServer, TcpServer
 from linker_simulator import LinkerHand
@@ -95,6 +95,14 @@ class Rig:
         """Make the motors so slow that even a stalled machine can stop them on their way."""
         self.hand.servos.moves_when_looked_at(1e-4)
 
+    def limits(self) -> list[float]:
+        """What the driver set and a restart loses; empty if it sets nothing."""
+        return []
+
+    def restart(self) -> None:
+        """Leave in the hand's memory what a restart does, with everything else as it is."""
+        raise NotImplementedError
+
     def start(self) -> None:
         """Put the hand on its wire."""
         raise NotImplementedError
@@ -118,6 +126,12 @@ class InspireTcp(Rig):
         self.hand = self.hand or InspireHand()
         self.server: Any = TcpServer(self.hand)
         self.sink = f"inspire:127.0.0.1:{self.server.port}"
+
+    def limits(self) -> list[float]:
+        return [*self.hand.force_limit, *self.hand.speed]
+
+    def restart(self) -> None:
+        self.hand.force_limit, self.hand.speed = [1000] * 6, [1000] * 6
 
     def lose(self) -> None:
         self.faults.mute = True
@@ -154,6 +168,13 @@ class Linker(Rig):
         self.hand = LinkerHand(self.channel, self.model)
         self.sink = f"linker:virtual:{self.channel},model={self.model}"
 
+    def limits(self) -> list[float]:
+        settings = dict(self.hand.settings)  # the hand's thread may change it
+        return [value for kind in sorted(settings) for value in settings[kind]]
+
+    def restart(self) -> None:
+        self.hand.settings.clear()
+
     def lose(self) -> None:
         self.faults.mute = True
 
@@ -188,6 +209,9 @@ class Allegro(Rig):
 
     def targets(self) -> int:
         return int(self.hand.torque_frames) if any(self.hand.switched) else 0
+
+    def restart(self) -> None:
+        self.hand.period_s, self.hand.servo_on = 0.0, False
 
     def stick(self, motor: int) -> None:
         self.hand.stuck.add(motor)
@@ -236,6 +260,12 @@ class Wuji(Rig):
         self.sink = f"wuji:{self.folder.name}-{os.getpid()}"  # a serial number of its own
         self.monkeypatch.setitem(sys.modules, "wujihandpy", self.hand.module)
 
+    def limits(self) -> list[float]:
+        return self.hand.effort_limit.ravel().tolist()  # type: ignore[no-any-return]
+
+    def restart(self) -> None:
+        self.hand.effort_limit = np.full((5, 4), 1.5)
+
     def lose(self) -> None:
         self.hand.plugged_in = False
 
@@ -251,6 +281,12 @@ class Revo2(Rig):
         self.sink = f"revo2:{self.folder / 'ttyRevo2'}"
         self.monkeypatch.setitem(sys.modules, "bc_stark_sdk", self.hand.package)
         self.monkeypatch.setitem(sys.modules, "bc_stark_sdk.main_mod", self.hand.main_mod)
+
+    def limits(self) -> list[float]:
+        return [0.0 if self.hand.unit is None else float(self.hand.unit is FingerUnitMode.Physical)]
+
+    def restart(self) -> None:
+        self.hand.unit = FingerUnitMode.Physical
 
     def lose(self) -> None:
         self.hand.plugged_in = False
@@ -268,6 +304,12 @@ class Revo2Real(Rig):
         self.hand = self.hand or Revo2Hand()
         self.server = RtuServer(self.hand)
         self.sink = f"revo2:{_linked(self.folder / 'ttyRevo2', self.server.port)}"
+
+    def limits(self) -> list[float]:
+        return [float(self.hand.unit_mode or 0)]
+
+    def restart(self) -> None:
+        self.hand.unit_mode = 1 - int(self.hand.unit_mode or 0)
 
     def lose(self) -> None:
         self.server.close()

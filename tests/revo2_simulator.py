@@ -55,6 +55,8 @@ class Revo2Hand:
         """Words from an address; zeros where nothing is known."""
         if code == 3 and address == 901:
             return [2 if self.left else 1][:count]
+        if code == 3 and address == 937:
+            return [self.unit_mode or 0][:count]
         if code == 4 and address == 2000:
             load = self.servos.load()
             stall = [

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import pytest
@@ -16,6 +18,7 @@ from smooth_operator.errors import ConfigError, SinkError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.teleop import teleoperate
+from smooth_operator.teleop.hardware.device import WrongAnswerError
 from smooth_operator.teleop.hardware.hardware_sink import HardwareSink
 from smooth_operator.teleop.recording.log_reader import read_log
 from smooth_operator.teleop.sinks.registry import build_sink
@@ -31,6 +34,8 @@ from dynamixel_bank import Servo, ServoBank, crc16, packet
 from smooth_operator.teleop.hardware.drivers.dynamixel import LeapSink
 
 IDS = list(range(16))
+
+T = TypeVar("T")
 
 
 @pytest.fixture(scope="module")
@@ -55,6 +60,15 @@ def until(done: Callable[[], object], seconds: float = 10.0) -> None:
     while not done():
         assert time.perf_counter() < end, "it did not happen in time"
         time.sleep(0.005)
+
+
+def patiently(action: Callable[[], T], between: Callable[[], object] = int) -> T:
+    """What an action on the bus returns, tried again as a worker does: a busy machine is late."""
+    for _ in range(5):
+        with contextlib.suppress(WrongAnswerError):
+            return action()
+        between()
+    return action()
 
 
 def calm(sink: HardwareSink) -> bool:
@@ -150,6 +164,58 @@ def test_servos_that_stopped_themselves_follow_again(bank: ServoBank, hand: Hand
         run.until(lambda: run.sink.figures["device_lost"])
         assert "stopped themselves" in run.sink.note
         run.until(lambda: calm(run.sink) and run.at(0.6))
+
+
+@pytest.mark.parametrize("power", [True, False], ids=["of its power", "of nothing but its limit"])
+def test_a_servo_that_restarts_in_motion_is_lost_and_limited_again(
+    bank: ServoBank, hand: Hand, power: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("smooth_operator.teleop.hardware.settings_watch._EVERY_S", 0.05)
+    servo = bank.servos[3]
+    with Run(bank, hand) as run:
+        run.tick = tick_at(hand, 0.4)
+        run.until(lambda: calm(run.sink) and run.at(0.4))
+        cycles = run.sink.figures["cycles"]
+        run.until(lambda: run.sink.figures["cycles"] > cycles + 20)  # the limits were read back
+        assert run.sink.figures["device_lost"] == 0
+        if power:
+            servo.restart()
+        else:
+            servo.put(102, 2, 1750)
+        run.until(lambda: run.sink.figures["device_lost"])
+        assert "the hand restarted: goal current of index_dip is 1750, not 350" in run.sink.note
+        run.tick = tick_at(hand, 0.6)
+        run.until(lambda: calm(run.sink) and run.at(0.6))
+        assert servo.torque
+        assert [servo.get(102, 2), servo.get(84, 2), servo.table[98]] == [350, 600, 25]
+    assert set(servo.limits_at_power) == {350}
+
+
+def test_limits_are_back_before_torque_that_was_off(bank: ServoBank, hand: Hand) -> None:
+    sink = LeapSink(port=bank.path, baud=57600)
+    device = sink.device(sink.actuators("right"))
+    patiently(device.open, device.close)
+    start = patiently(device.read).positions
+    patiently(lambda: device.write(start))
+    until(lambda: all(servo.torque for servo in bank.servos.values()))
+    device.relax()
+    until(lambda: not bank.servos[3].torque)
+    bank.servos[3].restart()
+    powered = len(bank.servos[3].limits_at_power)
+    patiently(lambda: device.write(start))
+    until(lambda: all(servo.torque for servo in bank.servos.values()))
+    assert len(bank.servos[3].limits_at_power) > powered > 0
+    assert set(bank.servos[3].limits_at_power) == {350}
+    assert bank.servos[3].get(84, 2) == 600
+    device.close()
+
+
+def test_servos_with_another_control_table_are_refused(bank: ServoBank, hand: Hand) -> None:
+    bank.servos[7].put(0, 2, 350)  # XL-320
+    written = bytes(bank.servos[7].table[:126])  # what follows is measured
+    with pytest.raises(SinkError, match=r"servo 7 \(middle_dip\) is of model number 350.* XL330"):
+        Run(bank, hand).__enter__()
+    assert bytes(bank.servos[7].table[:126]) == written
 
 
 def test_goals_stay_within_the_makers_range(bank: ServoBank, hand: Hand) -> None:
@@ -357,6 +423,10 @@ def test_what_can_not_be_opened(bank: ServoBank, hand: Hand, tmp_path: Path) -> 
         ("rad", "", "", "every servo needs an id"),
         ("rad", "settings={baut=1}", "id=1\n", "no setting 'baut'"),
         ("rad", "settings={watchdog=9}", "id=1\n", "watchdog must be"),
+        ("rad", "settings={watchdog=inf}", "id=1\n", "watchdog must be finite"),
+        ("rad", "settings={current_unit=0}", "id=1\n", "current_unit must be over 0"),
+        ("rad", "limit=inf", "id=1\n", "expected a finite number, not inf"),
+        ("rad", "", "id=1\nlimit=-1\n", "limit must be over 0 and finite, not -1"),
     ):
         path = tmp_path / "x.toml"
         path.write_text(text.format(unit, head) + row.format(each))

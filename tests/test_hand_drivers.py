@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,9 +17,11 @@ from ticks import make_tick
 from smooth_operator.errors import SinkError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
+from smooth_operator.teleop.hardware import bus_lock
 from smooth_operator.teleop.hardware.actuator_map import ActuatorMap, BoundMap
 from smooth_operator.teleop.hardware.device import HandDevice, WrongAnswerError
 from smooth_operator.teleop.hardware.hardware_sink import HardwareSink
+from smooth_operator.teleop.hardware.settings_watch import SettingsWatch
 from smooth_operator.teleop.hardware.table_file import built_in_tables, read_table
 from smooth_operator.teleop.sinks.tick import Mode, Tick
 from smooth_operator.types import JointCommand
@@ -37,7 +38,7 @@ def rig(
     monkeypatch.setattr("smooth_operator.teleop.hardware.worker._RETRY_S", 0.02)
     # Locks of buses are files there. A pty that another run of the tests has lost, and still has
     # locked, gives its name to the next one.
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setattr(bus_lock, "lock_folder", lambda: tmp_path)
     made = RIGS[request.param](tmp_path, monkeypatch)
     made.patience(3.0)  # the machine may be busy
     yield made
@@ -70,8 +71,8 @@ def within(table: ActuatorMap, share: float) -> np.ndarray:
 class Opened:
     """A device of a rig, open; and its table, bound to the model of the hand."""
 
-    def __init__(self, rig: Rig, patient: bool = True) -> None:
-        sink = rig.build()
+    def __init__(self, rig: Rig, patient: bool = True, **settings: object) -> None:
+        sink = rig.build(**settings)
         self.table = sink.actuators("right")
         self.bound = BoundMap(self.table, hand_of(self.table))
         self.device: HandDevice = sink.device(self.table)
@@ -304,6 +305,77 @@ def test_a_stop_while_an_inspire_hand_has_no_angles(
         cycles = driven.statistics()["cycles"]
         until(lambda: driven.statistics()["cycles"] > cycles + 5, "the hold")
     assert np.abs(rig.positions() - wanted).max() <= 2 * rig.unit
+
+
+WITH_LIMITS = ("inspire", "inspire-rtu", "linker-l20", "linker-l10", "wuji", "revo2", "revo2-sdk")
+"""Hands in which the driver sets what a restart loses."""
+
+
+@pytest.mark.parametrize("rig", [*WITH_LIMITS, "allegro-v5", "allegro-v4"], indirect=True)
+def test_a_hand_that_restarts_in_motion_is_lost_and_limited_again(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    readings: list[float] = []
+    look = SettingsWatch.look
+
+    def counted(watch: SettingsWatch) -> None:
+        look(watch)
+        readings.append(time.perf_counter())
+
+    monkeypatch.setattr("smooth_operator.teleop.hardware.settings_watch._EVERY_S", 0.0)
+    monkeypatch.setattr(SettingsWatch, "look", counted)
+    if rig.reports:
+        rig.patience(0.2)
+    with Driven(rig, **LIMITED.get(rig.driver, {})) as driven:
+        goal = driven.ask(0.3)
+        until(lambda: np.abs(rig.positions() - goal).max() <= 2 * rig.unit, "the start")
+        limits, some = rig.limits(), len(readings) + 3
+        until(lambda: len(readings) > some, "reading the limits back")
+        before = driven.statistics()["device_lost"]
+        rig.restart()
+        assert rig.limits() != limits or not limits
+        until(lambda: driven.statistics()["device_lost"] > before, "the loss")
+        goal = driven.ask(0.6)
+        until(lambda: np.abs(rig.positions() - goal).max() <= 2 * rig.unit, "the return")
+        assert rig.limits() == limits
+    assert rig.outside() == 0
+
+
+LIMITED: dict[str, dict[str, object]] = {"linker": {"limit": 60.0}, "wuji": {"limit": 300.0}}
+
+
+@pytest.mark.parametrize("rig", WITH_LIMITS, indirect=True)
+def test_limits_are_back_before_a_hand_moves_again(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    at_targets: list[list[float]] = []
+    aim = rig.hand.servos.aim
+
+    def noted(target: Sequence[float]) -> None:
+        at_targets.append(rig.limits())
+        aim(target)
+
+    monkeypatch.setattr(rig.hand.servos, "aim", noted)
+    with Opened(rig, **LIMITED.get(rig.driver, {})) as opened:
+        start = opened.device.read().positions
+        opened.device.write(start)
+        opened.device.read()
+        limits = at_targets[-1]
+        opened.device.relax()
+        opened.device.read()  # it has received that, too
+        rig.restart()
+        assert rig.limits() != limits
+        count = len(at_targets)
+        opened.device.write(start)
+        opened.device.read()
+        assert len(at_targets) > count
+        assert all(there == limits for there in at_targets[count:])
+
+
+def test_a_hand_in_which_the_driver_sets_nothing_has_nothing_to_lose(rig: Rig) -> None:
+    with Opened(rig) as opened:
+        names = [setting.name for setting in opened.device.settings()]
+    assert bool(names) == bool(rig.limits())
 
 
 def test_wrong_answers_move_nothing_and_pass(rig: Rig) -> None:

@@ -294,7 +294,6 @@ def test_wuji_limits_efforts_and_knows_its_side(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setitem(sys.modules, "wujihandpy", world.module)
     device = WujiDevice(table("wuji_right"), "", 10.0)
     device.open()
-    assert world.effort_limit is not None
     assert (world.effort_limit == 1.0).all()  # ampere, of the table's 1000 mA
     assert world.switched == []
     world.codes[1, 2] = 0x20

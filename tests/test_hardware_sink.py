@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import subprocess
 import sys
-import tempfile
 import textwrap
 import threading
 import time
@@ -21,10 +21,13 @@ from ticks import make_tick
 from smooth_operator.errors import ConfigError, SinkError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
+from smooth_operator.teleop.hardware import bus_lock
+from smooth_operator.teleop.hardware.actuator_mover import ActuatorMover
 from smooth_operator.teleop.hardware.bus_lock import BusLock
 from smooth_operator.teleop.hardware.guard import GuardSettings
 from smooth_operator.teleop.hardware.hardware_sink import HardwareSink
 from smooth_operator.teleop.hardware.worker import HandWorker
+from smooth_operator.teleop.sinks.registry import build_sink
 from smooth_operator.teleop.sinks.runner import SinkRunner
 from smooth_operator.teleop.sinks.tick import Mode, Tick
 from smooth_operator.types import JointCommand
@@ -292,6 +295,97 @@ def test_a_wrong_answer_while_it_opens_is_asked_for_again(
         make(prepare=damage(10**9), lost_s=0.05).open({"right": hand}, {})
 
 
+def test_a_limit_that_is_gone_is_a_lost_device_and_one_wrong_reading_is_not(
+    make: Callable[..., FakeHandSink], hand: Hand, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("smooth_operator.teleop.hardware.settings_watch._EVERY_S", 0.02)
+    monkeypatch.setattr("smooth_operator.teleop.hardware.worker._RETRY_S", 0.02)
+    sink = make(approach=10.0)
+    with Driven(sink, hand) as driven:
+        driven.tick = tick_at(hand, 10.0)
+        until(lambda: calm(sink) and driven.fake.count("settings") > 2)
+        driven.fake.limits_once = [900.0]
+        until(lambda: not driven.fake.limits_once)
+        count = driven.fake.count("settings")
+        until(lambda: driven.fake.count("settings") > count + 2)
+        assert sink.figures["device_lost"] == 0
+        driven.fake.limit = 900.0
+        until(lambda: sink.figures["device_lost"] == 1)
+        assert "the hand restarted: limit of no. 1 is 900, not 500; it is tried" in sink.note
+        until(lambda: calm(sink))
+        assert driven.fake.limit == 500.0
+
+
+@pytest.mark.parametrize("answer", [900.0, None], ids=["another value", "a wrong answer"])
+def test_a_limit_that_the_hand_never_read_back_is_a_warning_and_no_loss(
+    make: Callable[..., FakeHandSink],
+    hand: Hand,
+    monkeypatch: pytest.MonkeyPatch,
+    answer: float | None,
+) -> None:
+    monkeypatch.setattr("smooth_operator.teleop.hardware.settings_watch._EVERY_S", 0.02)
+    sink = make(approach=10.0, prepare=lambda fake: setattr(fake, "limits_once", [answer] * 3))
+    with Driven(sink, hand) as driven:
+        driven.tick = tick_at(hand, 10.0)
+        warning = (
+            "its limits can't be read back" if answer is None else "limit of no. 1 is 900, not"
+        )
+        until(lambda: warning in sink.note)
+        until(lambda: not driven.fake.limits_once)
+        cycles, readings = sink.figures["cycles"], driven.fake.count("settings")
+        until(lambda: sink.figures["cycles"] > cycles + 10)
+        # it can't tell, and is not asked again
+        assert driven.fake.count("settings") == readings == 3
+        assert warning in sink.note
+        assert sink.figures["device_lost"] == 0
+
+
+def test_a_lost_limit_ends_hardware_check(
+    make: Callable[..., FakeHandSink], hand: Hand, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("smooth_operator.teleop.hardware.settings_watch._EVERY_S", 0.02)
+    sink = make()
+    table = sink.actuators("right")
+    device = sink.device(table)
+    assert isinstance(device, FakeHand)
+    with ActuatorMover(device, table) as mover:
+        until(lambda: device.count("settings") > 2)
+        device.limit = 900.0
+        with pytest.raises(SinkError, match="the hand restarted: limit"):
+            until(lambda: mover.reading is None)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_a_command_that_is_not_finite_holds_the_last_one(
+    make: Callable[..., FakeHandSink], hand: Hand, value: float
+) -> None:
+    sink = make(approach=20.0)
+    with Driven(sink, hand) as driven:
+        broken = tick_at(hand, 10.0)
+        positions = broken.command.positions.copy()
+        positions[0] = value
+        broken = replace(broken, command=JointCommand(positions, hand.joint_names))
+        driven.tick = broken
+        until(lambda: sink.figures["commands_not_finite"] > 3)
+        assert driven.fake.count("write") == 0  # there is no last one
+        driven.tick = tick_at(hand, 10.0)
+        until(lambda: driven.fake.count("write") and calm(sink))
+        until(lambda: driven.fake.commands()[-1, 0] == pytest.approx(190.0))
+        before, count = sink.figures["commands_not_finite"], driven.fake.count("write")
+        driven.tick = broken
+        until(lambda: sink.figures["commands_not_finite"] > before + 80)  # longer than a silence
+        assert driven.fake.commands()[count:] == pytest.approx(
+            np.broadcast_to(driven.fake.commands()[count - 1], driven.fake.commands()[count:].shape)
+        )
+        assert "commands not finite" in sink.note
+        driven.tick = replace(broken, mode=Mode.STOPPED)
+        until(lambda: driven.fake.count("hold"))
+        driven.tick = tick_at(hand, -10.0)
+        until(lambda: driven.fake.commands()[-1, 0] == pytest.approx(170.0))
+        assert not driven.errors
+        assert sink.figures["device_lost"] == sink.figures["wrong_answers"] == 0
+
+
 def test_a_slow_bus_is_counted_and_a_hanging_one_delays_nobody(
     make: Callable[..., FakeHandSink], tmp_path: Path, hand: Hand
 ) -> None:
@@ -418,21 +512,120 @@ def test_a_bus_is_free_while_its_device_is_lost(
         until(lambda: driven.sink.state("right"))
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="links need a privilege there")
-def test_a_link_in_place_of_the_lock_is_not_followed(
+SAME_HANDS = [
+    ("inspire:127.0.0.1:6001", "inspire:localhost:6001"),
+    ("inspire:127.0.0.1", "inspire:127.0.0.1:6000"),
+    ("linker:can0", "allegro:can0"),
+    ("linker:can0", "allegro:socketcan:can0"),
+    ("linker:virtual:x,model=l20", "linker:Virtual:x,model=l10"),
+    ("linker:slcan:{port}", "ability:{port}"),
+    ("ability:{port}", "revo2:{link}"),
+    ("inspire:{port}", "leap:{folder}/../{name}/port"),
+    ("ability:COM3", "revo2:com3"),
+    ("wuji:12345", "wuji"),
+    ("wuji", "wuji:12345"),
+    ("orca", "ability:{port}"),
+]
+"""Two texts of sinks that may be one hand, or one bus."""
+
+
+@pytest.mark.parametrize(("one", "other"), SAME_HANDS)
+def test_one_hand_has_one_lock_whatever_it_is_called(
+    one: str, other: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if sys.platform != "linux" and "can0" in one:
+        pytest.skip("another interface is the default there")
+    if sys.platform == "win32" and "{" in one:
+        pytest.skip("links need a privilege there")
+    (tmp_path / "locks").mkdir()
+    monkeypatch.setattr(bus_lock, "lock_folder", lambda: tmp_path / "locks")
+    (tmp_path / "port").touch()
+    if "{link}" in other:
+        (tmp_path / "by-id").symlink_to(tmp_path / "port")
+    places = {
+        "port": tmp_path / "port",
+        "link": tmp_path / "by-id",
+        "folder": tmp_path,
+        "name": tmp_path.name,
+    }
+    first, second = (build_sink(text.format(**places)) for text in (one, other))
+    assert isinstance(first, HardwareSink)
+    assert isinstance(second, HardwareSink)
+    lock = BusLock(first.bus)
+    with pytest.raises(SinkError, match=f"is in use by .*process {os.getpid()}|hand that may be"):
+        BusLock(second.bus)
+    lock.release()
+    BusLock(second.bus).release()
+
+
+def test_other_hands_have_other_locks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bus_lock, "lock_folder", lambda: tmp_path)
+    buses = (
+        "wuji:1", "wuji:2", "tcp:127.0.0.1:6000", "tcp:127.0.0.1:6001", "tcp:127.0.0.2:6000",
+        "can:virtual:a", "can:virtual:b", "COM3", "COM4", str(tmp_path / "a"), str(tmp_path / "b"),
+    )  # fmt: skip
+    locks = [BusLock(bus) for bus in buses]
+    for lock in locks:
+        lock.release()
+        lock.release()
+
+
+def test_the_lock_is_the_same_with_another_folder_of_temporary_files(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(tempfile, "gettempdir", lambda: str(tmp_path))
-    bus = "some bus"
-    BusLock(bus).release()
-    (lock,) = (tmp_path / "smooth-operator-buses").iterdir()
+    bus = f"any:{tmp_path.name}-{os.getpid()}"
+    lock = BusLock(bus)
+    (tmp_path / "other").mkdir()
+    code = f"from smooth_operator.teleop.hardware.bus_lock import BusLock; BusLock({bus!r})"
+    other = subprocess.run(
+        [sys.executable, "-c", code],
+        env=os.environ | dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(tmp_path / "other")),
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    lock.release()
+    assert f"in use by another run of smooth-operator (process {os.getpid()})" in other.stderr
+    assert not list((tmp_path / "other").iterdir())
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="links need a privilege there")
+@pytest.mark.parametrize("kind", ["link", "hard link", "pipe"])
+def test_what_stands_in_place_of_a_lock_is_not_touched(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    monkeypatch.setattr(bus_lock, "lock_folder", lambda: tmp_path)
+    BusLock("some bus").release()
+    (lock,) = tmp_path.iterdir()
     lock.unlink()
     mine = tmp_path / "mine.txt"
     mine.write_text("keep this")
-    lock.symlink_to(mine)
-    with pytest.raises(SinkError, match="can't make the lock file"):
-        BusLock(bus)
+    if kind == "pipe":
+        os.mkfifo(lock)
+    else:
+        lock.symlink_to(mine) if kind == "link" else lock.hardlink_to(mine)
+    with pytest.raises(SinkError, match="can't use the lock file"):
+        BusLock("some bus")
     assert mine.read_text() == "keep this"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="of POSIX permissions")
+def test_the_lock_of_another_user_holds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The file may be one that can only be read."""
+    monkeypatch.setattr(bus_lock, "lock_folder", lambda: tmp_path)
+    lock, real = BusLock("some bus"), os.open
+    assert [path.stat().st_mode & 0o777 for path in tmp_path.iterdir()] == [0o666]
+
+    def of_another(path: str, flags: int, mode: int = 0o777) -> int:
+        if flags & os.O_RDWR and not flags & os.O_EXCL:
+            raise PermissionError(13, "Permission denied")
+        return real(path, flags, mode)
+
+    monkeypatch.setattr(os, "open", of_another)
+    with pytest.raises(SinkError, match=f"process {os.getpid()}"):
+        BusLock("some bus")
+    lock.release()
+    BusLock("some bus").release()
 
 
 def test_what_can_not_be_opened_is_said_when_it_is_opened(
@@ -460,7 +653,17 @@ def test_what_can_not_be_opened_is_said_when_it_is_opened(
 
 
 @pytest.mark.parametrize(
-    "settings", [{"approach": 0.0}, {"speed": 99.0}, {"contact": 2.0}, {"rate": 0}, {"limit": 0}]
+    "settings",
+    [
+        {"approach": 0.0},
+        {"speed": 99.0},
+        {"contact": 2.0},
+        {"rate": 0},
+        {"limit": 0},
+        {"limit": float("inf")},
+        {"limit": float("nan")},
+        {"limit": -1},
+    ],
 )
 def test_settings_out_of_range(settings: dict[str, float]) -> None:
     with pytest.raises(ConfigError, match="fake:"):

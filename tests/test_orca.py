@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 import time
+import types
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -92,3 +94,64 @@ def test_a_hand_that_is_not_calibrated_is_refused(
     monkeypatch.setattr(core, "load_hand", uncalibrated)
     with pytest.raises(SinkError, match="is not calibrated"):
         OrcaSink(mock=True).open({"right": hand}, {})
+
+
+class _Hand:
+    """What the driver calls of a hand of orca-core, with the current of its motors [mA]."""
+
+    last_read_ok, calibrated, absent_joints = True, True, ()
+
+    def __init__(self, names: tuple[str, ...]) -> None:
+        wired = {name: k + 1 for k, name in enumerate(names)}
+        self.config = types.SimpleNamespace(
+            joint_ids=list(names),
+            motor_ids=list(wired.values()),
+            joint_to_motor_map=wired,
+            max_current=400.0,
+        )
+        self.current = 1750.0
+        self.at_power: list[float] = []
+
+    def connect(self, interactive: bool) -> tuple[bool, str]:
+        return True, "connected"
+
+    def init_joints(self, move_to_neutral: bool) -> None:
+        self.current = self.config.max_current
+
+    def set_max_current(self, current: float) -> None:
+        self.current = current
+
+    def enable_torque(self) -> list[int]:
+        self.at_power.append(self.current)
+        return []
+
+    def disable_torque(self) -> None:
+        pass
+
+    def set_joint_positions(self, pose: dict[str, float]) -> None:
+        pass
+
+    def disconnect(self) -> None:
+        pass
+
+
+@pytest.mark.parametrize(("limit", "current"), [(150.0, 150.0), (None, 400.0)])
+def test_the_limit_is_back_before_torque_that_was_off(
+    monkeypatch: pytest.MonkeyPatch, limit: float | None, current: float
+) -> None:
+    table = read_table(built_in_tables() / "orca_right.toml")
+    first = replace(table.actuators[0], limit=limit)
+    table = replace(table, limit=None, actuators=(first, *table.actuators[1:]))
+    hand = _Hand(table.names)
+    core = types.ModuleType("orca_core")
+    core.load_hand = lambda **_: hand  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "orca_core", core)
+    device = OrcaSink().device(table)
+    device.open()
+    commands = np.zeros(len(table.names))
+    device.write(commands)
+    device.relax()
+    hand.current = 1750.0  # as a motor that restarted has it
+    device.write(commands)
+    assert hand.at_power == [current, current]
+    device.close()

@@ -145,6 +145,16 @@ class ActuatorMap:
             for k, value in enumerate(values):
                 if value is not None and value in values[:k]:
                     raise ConfigError(f"{self.file}: two actuators have the {what} {value!r}")
+        for limit in (self.limit, *(a.limit for a in self.actuators)):
+            if limit is not None and not 0.0 < limit < np.inf:
+                raise ConfigError(
+                    f"{self.file}: limit must be over 0 and finite, not {limit:g}; leave it out to "
+                    "have the device's own"
+                )
+        for settings in (self.settings, *(a.settings for a in self.actuators)):
+            for name, value in settings.items():
+                if isinstance(value, float) and not np.isfinite(value):
+                    raise ConfigError(f"{self.file}: {name} must be finite, not {value:g}")
         if not 1.0 <= self.rate <= 1000.0:
             raise ConfigError(f"{self.file}: rate must be 1 to 1000 Hz, not {self.rate:g}")
 

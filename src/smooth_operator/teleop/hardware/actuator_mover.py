@@ -14,6 +14,7 @@ from smooth_operator.errors import SinkError
 from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
 from smooth_operator.teleop.hardware.agreed_reading import agreed_reading
 from smooth_operator.teleop.hardware.device import HandDevice, Reading, WrongAnswerError
+from smooth_operator.teleop.hardware.settings_watch import SettingsWatch
 
 _CONTACT: Final = 0.8
 """Share of the limit of current from which an actuator counts as blocked."""
@@ -48,6 +49,7 @@ class ActuatorMover:
     def __init__(self, device: HandDevice, actuators: ActuatorMap, seconds: float = 6.0) -> None:
         self.names = actuators.names
         self._device, self._period, self._table = device, 1.0 / actuators.rate, actuators
+        self._watch = SettingsWatch(device, actuators.names)
         ranges = np.array([high - low for low, high in (a.ends for a in actuators.actuators)])
         self._speeds = ranges / seconds
         self._levels = _CONTACT * actuators.limits
@@ -143,6 +145,7 @@ class ActuatorMover:
                     self._at += np.clip(self._goal - self._at, -step, step)
                     self._device.write(self._at)
                     self._feel(self._device.read())
+                    self._watch.look()
                     answered, missed = time.monotonic(), False
                     self._cycles += 1
                 except WrongAnswerError:

@@ -2,26 +2,89 @@
 
 from __future__ import annotations
 
-import contextlib
+import errno
 import hashlib
 import os
+import socket
+import stat
 import sys
-import tempfile
+import zlib
 from pathlib import Path
-from typing import IO
+from typing import Final
 
 from smooth_operator.errors import SinkError
+from smooth_operator.teleop.hardware.serial_port import is_serial
 from smooth_operator.terminal import printable
+
+_FLAGS: Final = sum(getattr(os, f"O_{name}", 0) for name in ("NOFOLLOW", "NONBLOCK", "BINARY"))
+"""In a folder that all users write to, a link could lead to any file, and a pipe could hang."""
+
+_SLOTS: Final = 1 << 16
+"""Bytes that a lock covers on Windows, one of them where it is shared."""
+
+
+def bus_name(bus: str) -> str:
+    """The one name of a bus, however it is written.
+
+    Args:
+        bus: a serial port (links are followed); ``tcp:HOST:PORT``; ``can:INTERFACE:CHANNEL``; or
+            any ``KIND:PLACE``. A ``KIND`` alone may be any place of that kind.
+
+    Returns:
+        ``KIND:PLACE``, or ``KIND``.
+    """
+    kind, _, place = bus.partition(":")
+    if kind == "tcp":
+        host, _, port = place.rpartition(":")
+        return f"tcp:{_address(host)}:{port.lstrip('0')}"
+    if kind == "can":
+        interface, _, channel = place.partition(":")
+        adapter = channel.partition("@")[0]  # slcan's baud rate follows
+        return serial if (serial := _serial(adapter)) else f"can:{interface.lower()}:{channel}"
+    return _serial(bus) or bus
+
+
+def _serial(port: str) -> str:
+    """Name of a serial port; empty for anything else."""
+    if not is_serial(port):
+        return ""
+    if "/" not in port:
+        return "serial:" + port.upper().removeprefix("\\\\.\\")
+    path = os.path.realpath(port)
+    return "serial:" + (path.replace("/dev/tty.", "/dev/cu.") if sys.platform == "darwin" else path)
+
+
+def _address(host: str) -> str:
+    """Network address of a host, IPv4 if it has one; the host itself if it has none."""
+    try:
+        answers = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)
+    except (OSError, UnicodeError):
+        return host.lower()
+    addresses = sorted((family != socket.AF_INET, str(to[0])) for family, _, _, _, to in answers)
+    return addresses[0][1]
+
+
+def lock_folder() -> Path:
+    """The folder of the locks: the same for all users, and whatever ``TMPDIR`` is."""
+    if sys.platform == "win32":
+        return Path(os.environ.get("PROGRAMDATA", r"C:\ProgramData"))
+    shared = Path("/run/lock")  # which systemd's PrivateTmp leaves as it is
+    try:
+        mode = shared.stat().st_mode
+    except OSError:
+        mode = 0
+    return shared if mode & stat.S_ISVTX and mode & stat.S_IWOTH else Path("/tmp")
 
 
 class BusLock:
     """The right to use a bus, until ``release``; the system takes it back when the process dies.
 
-    It holds among programs of this package on this machine. Drivers open serial ports exclusively,
-    too, which keeps others out.
+    It holds among programs of this package on this machine, for all users. Drivers open serial
+    ports exclusively, too, which keeps others out.
 
     Args:
-        bus: what is locked: the path of a port, links followed, or an address.
+        bus: what is locked; see ``bus_name``. A kind without a place is locked against every place
+            of that kind.
 
     Raises:
         SinkError: another program, or this one, has it.
@@ -29,61 +92,95 @@ class BusLock:
 
     def __init__(self, bus: str) -> None:
         self.bus = bus
-        name = os.path.realpath(bus) if bus.startswith(os.sep) else bus
-        folder = Path(tempfile.gettempdir()) / "smooth-operator-buses"
-        path = folder / f"{hashlib.sha256(name.encode()).hexdigest()[:16]}.lock"
+        self._files: list[int] = []
+        name = bus_name(bus)
+        kind, _, place = name.partition(":")
         try:
-            folder.mkdir(exist_ok=True)
-            with contextlib.suppress(OSError):
-                folder.chmod(0o1777)  # other users lock their buses here, too
-            # In a folder that all users write to, a link could point at anybody's file.
-            flags = (
-                os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
-            )
-            self._file: IO[bytes] | None = os.fdopen(os.open(path, flags, 0o666), "r+b")
-            with contextlib.suppress(OSError):
-                path.chmod(0o666)
-        except OSError as error:
-            raise SinkError(f"can't make the lock file {path}: {error.strerror}") from error
-        try:
-            _lock(self._file)
-        except OSError as error:
-            self._file.seek(1)
-            owner = printable(self._file.read(20).decode(errors="replace").strip())
-            self._file.close()
-            raise SinkError(
-                f"{bus} is in use by another run of smooth-operator"
-                + (f" (process {owner})" if owner else "")
-                + "; end that one first: two programs on one bus would fight over the hand"
-            ) from error
-        self._file.truncate(1)
-        self._file.seek(1)
-        self._file.write(str(os.getpid()).encode())
-        self._file.flush()
+            self._lock(kind, name if place else "")
+            if place:
+                self._lock(name, "")
+        except SinkError:
+            self.release()
+            raise
 
     def release(self) -> None:
         """Give the bus back; a second call does nothing."""
-        file, self._file = self._file, None
-        if file is not None:
-            file.close()  # the lock ends with it
+        while self._files:
+            os.close(self._files.pop())  # the lock ends with it
+
+    def _lock(self, name: str, sharer: str) -> None:
+        """Lock the file of a name, without waiting; with ``sharer`` together with others."""
+        path = lock_folder() / (
+            f"smooth-operator-{hashlib.sha256(name.encode()).hexdigest()[:16]}.lock"
+        )
+        try:
+            file = _open(path)
+        except OSError as error:
+            raise SinkError(
+                f"can't use the lock file {path}: {error.strerror}; remove it if no program uses "
+                f"{self.bus}"
+            ) from error
+        self._files.append(file)
+        try:
+            _lock_file(file, sharer)
+        except OSError as error:
+            os.lseek(file, 1, os.SEEK_SET)
+            owner = printable(os.read(file, 20).decode(errors="replace").strip())
+            process = f" (process {owner})" if owner else ""
+            raise SinkError(
+                f"{self.bus} is in use by another run of smooth-operator{process}; end that one "
+                "first: two programs on one bus would fight over the hand"
+                if ":" in name
+                else f"another run of smooth-operator{process} has a hand that may be {self.bus}; "
+                "name the port or serial number of both, or end that one first"
+            ) from error
+        try:
+            os.lseek(file, 0, os.SEEK_SET)
+            os.write(file, b" " if sharer else f" {os.getpid()}".encode())
+            os.ftruncate(file, os.lseek(file, 0, os.SEEK_CUR))
+        except OSError:  # another user's, which can be locked but not written to
+            return
 
 
-def _lock(file: IO[bytes]) -> None:
-    """Lock the first byte, without waiting.
+def _open(path: Path) -> int:
+    """The descriptor of a lock file, made if there is none.
+
+    Linux may refuse ``O_CREAT`` for another user's file in a folder of all (its sysctl
+    ``fs.protected_regular``).
 
     Raises:
-        OSError: somebody has it.
+        OSError: it can't be opened or made, or is no plain file.
     """
-    file.seek(0, os.SEEK_END)
-    if file.tell() == 0:
-        file.write(b" ")
-        file.flush()
-    file.seek(0)
+    try:
+        file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | _FLAGS, 0o666)
+        if hasattr(os, "fchmod"):
+            os.fchmod(file, 0o666)  # whatever the umask is: other users lock it, too
+    except FileExistsError:
+        try:
+            file = os.open(path, os.O_RDWR | _FLAGS)
+        except PermissionError:
+            file = os.open(path, os.O_RDONLY | _FLAGS)
+    status = os.fstat(file)
+    if not stat.S_ISREG(status.st_mode) or status.st_nlink > 1:
+        os.close(file)
+        raise OSError(errno.EINVAL, "it is a link or no file")
+    return file
+
+
+def _lock_file(file: int, sharer: str) -> None:
+    """Lock a file, without waiting; ``sharer`` does so together with those of other names.
+
+    Raises:
+        OSError: another program has it.
+    """
     if sys.platform == "win32":
         import msvcrt
 
-        msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+        # Bytes far behind the process number: a locked one can't be read there.
+        slot = zlib.crc32(sharer.encode()) % _SLOTS if sharer else 0
+        os.lseek(file, _SLOTS + slot, os.SEEK_SET)
+        msvcrt.locking(file, msvcrt.LK_NBLCK, 1 if sharer else _SLOTS)
     else:
         import fcntl
 
-        fcntl.flock(file.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(file, (fcntl.LOCK_SH if sharer else fcntl.LOCK_EX) | fcntl.LOCK_NB)

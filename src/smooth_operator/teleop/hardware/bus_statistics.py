@@ -18,11 +18,13 @@ class BusStatistics:
         slow: cycles that took longer than their period.
         lost: how often the device was gone.
         silences: how often commands stopped.
+        not_finite: commands with a NaN or an infinity, in whose place the last one was held.
         latest: the last failure, a sentence; empty if there was none.
     """
 
     def __init__(self) -> None:
         self.cycles = self.wrong = self.slow = self.lost = self.silences = 0
+        self.not_finite = 0
         self.latest = ""
         self._times = np.full(_KEPT, np.nan, np.float32)
 
@@ -41,6 +43,7 @@ class BusStatistics:
             "slow_cycles": self.slow,
             "device_lost": self.lost,
             "silences": self.silences,
+            "commands_not_finite": self.not_finite,
         }
         if len(times):
             p50, p99 = np.percentile(times, (50, 99))

@@ -6,6 +6,7 @@ approach, watchdog and retries are those of ``HardwareSink``, which is the same 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -49,6 +50,21 @@ class Reading:
     touch: Float[np.ndarray, " k"] | None = None
 
 
+@dataclass(frozen=True, eq=False)
+class Setting:
+    """A setting that a hand forgets when it restarts, as the hand reads it back.
+
+    Attributes:
+        name: what it is, for messages: ``goal current``.
+        expected: (k,) what the driver wrote last, in the unit of the wire.
+        measured: (k,) what the hand answers.
+    """
+
+    name: str
+    expected: Float[np.ndarray, " k"]
+    measured: Float[np.ndarray, " k"]
+
+
 class HandDevice(Protocol):
     """A real hand on its bus. All methods are called from one thread and may wait for the bus.
 
@@ -79,9 +95,14 @@ class HandDevice(Protocol):
 
         They are finite and within the table's ends, or, during a slow approach, between the ends
         and where the hand is. The first call after ``open`` or ``relax`` switches the motors on;
-        its commands are where the hand is. To hold, the same commands, where the hand was, come in
-        every cycle, so that a device with a watchdog of its own is kept alive.
+        its commands are where the hand is. Whatever switches motors on writes the hand's limits
+        before: a hand that restarted has forgotten them. To hold, the same commands, where the hand
+        was, come in every cycle, so that a device with a watchdog of its own is kept alive.
         """
+
+    def settings(self) -> Sequence[Setting]:
+        """Read back what the hand forgets when it restarts, or a part of it that tells; about once
+        a second (``SettingsWatch``). Empty where the protocol reads nothing back."""
 
     def relax(self) -> None:
         """Switch the motors' torque off. Called in every cycle while it lasts.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -74,8 +75,11 @@ class HardwareSink(Sink):
             raise ConfigError(f"{self.driver}: {error}") from None
         if self.rate is not None and not 1.0 <= self.rate <= 1000.0:
             raise ConfigError(f"{self.driver}: rate must be 1 to 1000 Hz, not {self.rate}")
-        if self.limit is not None and not self.limit > 0.0:
-            raise ConfigError(f"{self.driver}: limit must be positive, not {self.limit}")
+        if self.limit is not None and not 0.0 < self.limit < math.inf:
+            raise ConfigError(
+                f"{self.driver}: limit must be over 0 and finite, not {self.limit:g}; leave it out "
+                "to have the table's"
+            )
         if not (0.02 <= self.silence_s <= 5.0 and 0.05 <= self.lost_s <= 60.0):
             raise ConfigError(
                 f"{self.driver}: silence_s must be 0.02 to 5 s and lost_s 0.05 to 60 s, not "
@@ -93,7 +97,7 @@ class HardwareSink(Sink):
 
     @property
     def bus(self) -> str:
-        """What only one program may use at a time: the port."""
+        """What only one program may use at a time, in a form of ``bus_name``: here the port."""
         return self.port or self.driver
 
     @property

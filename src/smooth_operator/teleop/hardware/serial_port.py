@@ -2,7 +2,14 @@
 
 from __future__ import annotations
 
+import re
+
 from smooth_operator.errors import MissingExtraError, SinkError
+
+
+def is_serial(port: str) -> bool:
+    """Whether a name is one of a serial port, a path or ``COM3``, and not an address."""
+    return "/" in port or bool(re.fullmatch(r"(\\\\\.\\)?COM\d+", port, re.IGNORECASE))
 
 
 def serial_ports() -> dict[str, str]:

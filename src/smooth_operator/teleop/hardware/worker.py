@@ -6,7 +6,7 @@ import contextlib
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, TypeVar
 
 import numpy as np
@@ -23,9 +23,10 @@ from smooth_operator.teleop.hardware.device import (
     WrongAnswerError,
 )
 from smooth_operator.teleop.hardware.guard import CommandGuard, GuardSettings
+from smooth_operator.teleop.hardware.settings_watch import SettingsWatch
 from smooth_operator.teleop.sinks.hand_state import HandState
 from smooth_operator.teleop.sinks.tick import Mode, Tick
-from smooth_operator.types import Side
+from smooth_operator.types import JointCommand, Side
 
 _T = TypeVar("_T")
 
@@ -112,7 +113,9 @@ class HandWorker:
         self.side = side
         self._hand, self._settings = hand, settings
         self._guard = CommandGuard(actuators, settings.guard)
+        self._watch = SettingsWatch(device, actuators.table.names)
         self._tick: tuple[Tick, float] | None = None
+        self._finite: JointCommand | None = None  # the last command that was
         self._error: Exception | None = None  # why the thread gave up
         self._trouble = ""  # why the device is being opened again
         self._doing = "opening"
@@ -145,11 +148,22 @@ class HandWorker:
     def post(self, tick: Tick) -> None:
         """Leave a command; returns immediately, whatever the bus does.
 
+        One that is not finite is counted, and the last finite one is held in its place; before
+        there is one nothing moves.
+
         Raises:
             SinkError: the thread gave up, with its reason.
         """
         if self._error is not None:
             raise SinkError(f"{self._label}: {self._error}") from self._error
+        if np.isfinite(tick.command.positions).all():
+            self._finite = tick.command
+        else:
+            self.statistics.not_finite += 1
+            if self._finite is not None:
+                tick = replace(tick, command=self._finite)
+            elif tick.mode is not Mode.STOPPED:
+                return
         self._tick = (tick, time.perf_counter())
         # If the thread has the lock it is awake. Waiting for it would cost the loop a time slice.
         if self._change.acquire(blocking=False):
@@ -186,13 +200,18 @@ class HandWorker:
             said += self._warnings(reading)
         count = self.statistics
         slow = count.slow if count.slow > _MANY * count.cycles else 0
-        counted = {"wrong answers": count.wrong, "slow cycles": slow, "losses": count.lost}
+        counted = {
+            "wrong answers": count.wrong,
+            "slow cycles": slow,
+            "losses": count.lost,
+            "commands not finite": count.not_finite,
+        }
         said += [f"{number} {what}" for what, number in counted.items() if number]
         return "; ".join(said)
 
     def _warnings(self, reading: Reading) -> list[str]:
         names = self._map.table.names
-        said = list(reading.errors)
+        said = [*reading.errors, *self._watch.warnings]
         held = [name for name, way in zip(names, self._guard.squeezing, strict=True) if way]
         if held:
             said.append(f"squeezes no further: {', '.join(held)}")
@@ -273,6 +292,7 @@ class HandWorker:
                 begun, answered = cycle, now()
                 if (np.isnan(before.positions) > np.isnan(reading.positions)).any():
                     moving = False  # an actuator is back, from wherever it was meanwhile
+                self._call(self._watch.look)
             except WrongAnswerError as error:
                 self.statistics.wrong += 1
                 self.statistics.latest = str(error)

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import struct
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Final
 
@@ -22,7 +23,12 @@ from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError, SinkError, require
 from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
-from smooth_operator.teleop.hardware.device import DeviceLostError, Reading, WrongAnswerError
+from smooth_operator.teleop.hardware.device import (
+    DeviceLostError,
+    Reading,
+    Setting,
+    WrongAnswerError,
+)
 from smooth_operator.teleop.hardware.hardware_sink import HardwareSink
 
 MOTORS: Final = 6
@@ -75,7 +81,8 @@ class AbilitySink(HardwareSink):
 class AbilityDevice:
     """An Ability Hand on its line; see ``HandDevice``.
 
-    The hand has no limit of current that can be set; ``limit`` [mA] is the contact guard's.
+    The hand has no limit of current that can be set; ``limit`` [mA] is the contact guard's. So the
+    driver sets nothing that a restart could lose, and the protocol has nothing to read back.
 
     Args:
         table: of the hand.
@@ -135,6 +142,10 @@ class AbilityDevice:
             errors=tuple(f"{name}: too hot" for name in hot),
             touch=np.stack([words & 0xFFF, words >> 12], axis=1).ravel().astype(float),
         )
+
+    def settings(self) -> Sequence[Setting]:
+        """None: the driver sets nothing in the hand."""
+        return ()
 
     def write(self, commands: Float[np.ndarray, " 6"]) -> None:
         """Send the positions [deg]; see ``HandDevice``."""

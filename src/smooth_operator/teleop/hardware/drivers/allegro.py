@@ -15,6 +15,7 @@ import math
 import struct
 import threading
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Final
 
@@ -23,8 +24,13 @@ from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError, SinkError, require
 from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
-from smooth_operator.teleop.hardware.device import DeviceLostError, Reading, WrongAnswerError
-from smooth_operator.teleop.hardware.drivers.can_bus import CanBus
+from smooth_operator.teleop.hardware.device import (
+    DeviceLostError,
+    Reading,
+    Setting,
+    WrongAnswerError,
+)
+from smooth_operator.teleop.hardware.drivers.can_bus import CanBus, can_port
 from smooth_operator.teleop.hardware.hardware_sink import HardwareSink
 
 MOTORS: Final = 16
@@ -98,6 +104,11 @@ class AllegroSink(HardwareSink):
 
     port: str = "can0"
 
+    @property
+    def bus(self) -> str:
+        """The CAN channel, with its interface."""
+        return "can:" + ":".join(can_port(self.port))
+
     def device(self, actuators: ActuatorMap) -> AllegroDevice:
         """The hand, not yet open; see ``HardwareSink``."""
         require("an Allegro Hand", "allegro", "can")
@@ -110,6 +121,10 @@ class AllegroDevice:
     A thread of its own answers each set of angles with torques, as often as the hand reports.
     The hand measures no currents; ``Reading.currents`` is what the thread asks of motors that
     stand, 0 for those that move: a motor at full torque on its way touches nothing.
+
+    Limits and gains are this computer's, in every torque that is sent; the hand keeps the period of
+    its reports and whether its motors are on. A hand that restarted reports nothing until it is
+    given a period, and without angles for 0.1 s it is lost. The protocol reads neither back.
 
     Args:
         table: of the hand. Its settings have ``version`` (``v4`` or ``v5``) and may have ``gain``,
@@ -195,6 +210,10 @@ class AllegroDevice:
         return tuple(
             f"hand: {text}" for b, text in _STATUS.items() if status and status[0] >> b & 1
         )
+
+    def settings(self) -> Sequence[Setting]:
+        """None: a hand that restarted ends its reports, which is noticed sooner."""
+        return ()
 
     def write(self, commands: Float[np.ndarray, " 16"]) -> None:
         """Aim the controller [rad]; the first call switches the motors on. See ``HandDevice``."""

@@ -16,6 +16,12 @@ BITRATE: Final = 1_000_000
 _INTERFACES: Final = {"linux": "socketcan", "win32": "pcan", "darwin": "slcan"}
 
 
+def can_port(port: str) -> tuple[str, str]:
+    """Interface and channel of a port of ``CanBus``."""
+    interface, colon, channel = port.partition(":")
+    return (interface, channel) if colon else (_INTERFACES.get(sys.platform, "socketcan"), port)
+
+
 class CanBus:
     """One CAN bus at 1 Mbit/s, with 11-bit identifiers; several threads may send.
 
@@ -32,9 +38,7 @@ class CanBus:
     def __init__(self, port: str, driver: str) -> None:
         import can
 
-        interface, colon, channel = port.partition(":")
-        if not colon:
-            interface, channel = _INTERFACES.get(sys.platform, "socketcan"), port
+        interface, channel = can_port(port)
         self._can, self._driver, self._port = can, driver, port
         self._sending = threading.Lock()  # frames of two threads must not mix on a serial adapter
         try:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Final
 
@@ -13,7 +14,12 @@ from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
-from smooth_operator.teleop.hardware.device import DeviceLostError, Reading, WrongAnswerError
+from smooth_operator.teleop.hardware.device import (
+    DeviceLostError,
+    Reading,
+    Setting,
+    WrongAnswerError,
+)
 from smooth_operator.teleop.hardware.drivers.dynamixel_bus import (
     BUS_WATCHDOG,
     CURRENT_BASED_POSITION,
@@ -23,11 +29,13 @@ from smooth_operator.teleop.hardware.drivers.dynamixel_bus import (
     GOAL_POSITION,
     HARDWARE_ERROR,
     OPERATING_MODE,
+    POWER,
     PRESENT,
     STEPS,
     TEMPERATURE,
     TORQUE,
     VELOCITY_UNIT,
+    VOLATILE,
     DynamixelBus,
     errors_of,
     gains_of,
@@ -42,7 +50,7 @@ _SETTINGS: Final = ("baud", "current_unit", "watchdog", "kp", "ki", "kd")
 _SLOW_EVERY: Final = 25
 """Cycles between two looks at what changes slowly."""
 
-_SLOW: Final = (HARDWARE_ERROR, BUS_WATCHDOG, TEMPERATURE)
+_SLOW: Final = (HARDWARE_ERROR, TEMPERATURE)
 """What is looked at in turns."""
 
 _STRUCK: Final = 255
@@ -115,9 +123,13 @@ class DynamixelHand:
             raise ConfigError(f"{actuators.file}: every servo needs an id of 0 to 252")
         self._scale = _PER_UNIT[actuators.unit]
         self._current_unit = float(settings.get("current_unit", 1.0))
+        if not self._current_unit > 0.0:
+            raise ConfigError(f"{actuators.file}: current_unit must be over 0 mA")
         self._watchdog = float(settings.get("watchdog", 0.5))
         if not 0.02 <= self._watchdog <= 2.5:
             raise ConfigError(f"{actuators.file}: watchdog must be 0.02 to 2.5 s")
+        self._watchdog_steps = max(1, round(self._watchdog / 0.02))
+        self._currents = np.zeros(len(ids), int)
         self._bus = DynamixelBus(
             port, int(baud or settings.get("baud", 57600)), ids, actuators.names
         )
@@ -139,24 +151,67 @@ class DynamixelHand:
         for index, mode in enumerate(modes):
             if mode != CURRENT_BASED_POSITION:  # kept without power, and wears out when written
                 bus.set_one(index, OPERATING_MODE, CURRENT_BASED_POSITION)
+        most = np.array(bus.get_numbers(CURRENT_LIMIT), float)
+        limits = self._table.limits / self._current_unit
+        self._currents = np.where(np.isfinite(limits), np.minimum(limits, most), most).astype(int)
+        self._limit()
+        self._look(HARDWARE_ERROR)
+        self._look(TEMPERATURE)
+
+    def _limit(self) -> None:
+        """Write gains and currents, and see that the currents have arrived: no servo confirms what
+        is written to all of them.
+
+        Raises:
+            WrongAnswerError: a servo has another current than it was sent.
+        """
+        bus = self._bus
         everywhere = gains_of(self._table.settings)
+        rows = [{**everywhere, **gains_of(a.settings)} for a in self._table.actuators]
         for name, register in GAINS.items():
-            rows = [{**everywhere, **gains_of(a.settings)} for a in self._table.actuators]
             if all(name in row for row in rows):
                 bus.set(register, [row[name] for row in rows])
             elif any(name in row for row in rows):
                 for index, row in enumerate(rows):
                     if name in row:
                         bus.set_one(index, register, row[name])
-        most = np.array(bus.get_numbers(CURRENT_LIMIT), float)
-        limits = self._table.limits / self._current_unit
-        wanted = np.where(np.isfinite(limits), np.minimum(limits, most), most)
-        bus.set(GOAL_CURRENT, [int(value) for value in wanted])
-        self._look(HARDWARE_ERROR)
-        self._look(TEMPERATURE)
+        bus.set(GOAL_CURRENT, self._currents.tolist())
+        if bus.get_numbers(GOAL_CURRENT) != self._currents.tolist():
+            raise WrongAnswerError(f"{bus.port}: a servo did not take its goal current")
+
+    def _switch_on(self, goals: list[int]) -> None:
+        """Limits, torque and goals. A servo that restarted since the last time has no limit."""
+        self._bus.set(BUS_WATCHDOG, 0)  # one that has struck refuses currents and goals
+        self._limit()
+        self._bus.set(TORQUE, 1)
+        self._bus.set(GOAL_POSITION, goals)
+        self._bus.set(BUS_WATCHDOG, self._watchdog_steps)
+        if not self._torque().all():
+            raise WrongAnswerError(f"{self._bus.port}: a servo did not switch its torque on")
+        self._powered = True
+
+    def _torque(self) -> Float[np.ndarray, " a"]:
+        """1 for each servo with torque, or with an error, for which it switches its torque off."""
+        return np.array([row[0] or row[-1] > 0 for row in self._bus.get(POWER)], int)
+
+    def settings(self) -> Sequence[Setting]:
+        """Goal current; with power watchdog and torque, too."""
+        rows = self._bus.get(VOLATILE)
+        currents = np.array([int.from_bytes(row[4:], "little") for row in rows])
+        limits = Setting("goal current", self._currents, currents)
+        if not self._powered:
+            return (limits,)
+        watchdogs = [row[0] for row in rows]
+        self._refuse_struck(watchdogs)
+        every = np.ones(len(rows), int)
+        return (
+            limits,
+            Setting("watchdog", self._watchdog_steps * every, np.array(watchdogs)),
+            Setting("torque", every, self._torque()),
+        )
 
     def read(self) -> Reading:
-        """Positions, velocities and currents; temperatures, errors and watchdogs in turns."""
+        """Positions, velocities and currents; temperatures and errors in turns."""
         if self._cycle % _SLOW_EVERY == _SLOW_EVERY - 1:
             self._look(_SLOW[self._cycle // _SLOW_EVERY % len(_SLOW)])
         self._cycle += 1
@@ -184,15 +239,11 @@ class DynamixelHand:
         goals = [round(value * self._scale) for value in commands.tolist()]
         before, self._written = self._written, time.perf_counter()
         if self._powered and self._written - before > 0.5 * self._watchdog:
-            self._look(BUS_WATCHDOG)
-        if not self._powered:
-            self._bus.set(BUS_WATCHDOG, 0)  # one that has struck refuses goals
-            self._bus.set(TORQUE, 1)
+            self._refuse_struck(self._bus.get_numbers(BUS_WATCHDOG))
+        if self._powered:
             self._bus.set(GOAL_POSITION, goals)
-            self._bus.set(BUS_WATCHDOG, max(1, round(self._watchdog / 0.02)))
         else:
-            self._bus.set(GOAL_POSITION, goals)
-        self._powered = True
+            self._switch_on(goals)
 
     def relax(self) -> None:
         """Torque off."""
@@ -211,14 +262,14 @@ class DynamixelHand:
         if register == TEMPERATURE:
             self._temperatures = np.array(values, float)
             return
-        if register == BUS_WATCHDOG:
-            if self._powered and _STRUCK in values:
-                raise DeviceLostError(
-                    f"the servos stopped themselves: nothing reached them for {self._watchdog:g} s"
-                )
-            return
         self._errors = tuple(
             f"{name}: {errors_of(bits)}; switch its power off and on"
             for name, bits in zip(self._table.names, values, strict=True)
             if bits
         )
+
+    def _refuse_struck(self, watchdogs: Sequence[int]) -> None:
+        if _STRUCK in watchdogs:
+            raise DeviceLostError(
+                f"the servos stopped themselves: nothing reached them for {self._watchdog:g} s"
+            )

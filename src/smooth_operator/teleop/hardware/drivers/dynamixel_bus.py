@@ -20,6 +20,10 @@ HARDWARE_ERROR: Final = (70, 1)
 GAINS: Final = {"kd": (80, 2), "ki": (82, 2), "kp": (84, 2)}
 BUS_WATCHDOG: Final = (98, 1)
 GOAL_CURRENT: Final = (102, 2)
+VOLATILE: Final = (98, 6)
+"""Watchdog (1), and goal current (2) in the last two bytes: gone after a restart."""
+POWER: Final = (64, 7)
+"""Torque in the first byte, hardware error in the last."""
 GOAL_POSITION: Final = (116, 4)
 PRESENT: Final = (126, 10)
 """Current (2), velocity (4), position (4)."""
@@ -27,6 +31,12 @@ TEMPERATURE: Final = (146, 1)
 
 CURRENT_BASED_POSITION: Final = 5
 """The operating mode in which the goal current limits the force."""
+
+MODELS: Final = frozenset(
+    (1000, 1001, 1010, 1011, 1020, 1030, 1040, 1050, 1100, 1101, 1110, 1111, 1120, 1130, 1140, 1150,
+     1170, 1180, 1190, 1200, 1210, 1220, 1230, 1240, 1270, 1280, 1310)
+)  # fmt: skip
+"""Model numbers of the X series with a goal current: XL330, XC330, and all of XM, XH, XD and XW."""
 
 STEPS: Final = 4096
 """Steps of a turn."""
@@ -80,20 +90,18 @@ class DynamixelBus:
         self._readers: dict[_Register, Any] = {}
 
     def open(self) -> None:
-        """Open the port, and check that every servo answers.
+        """Open the port, and check that every servo answers and has the X series' control table.
 
         Raises:
-            SinkError: there is no such port, it is in use, or servos do not answer.
+            SinkError: there is no such port, it is in use, servos do not answer or are others.
         """
         try:
             self._handler = _port_handler(self._sdk, self.port, self.baud)
         except (OSError, ValueError) as error:
             raise SinkError(_cant_open(self.port, error)) from error
-        silent = [
-            f"{number} ({name})"
-            for number, name in zip(self.ids, self.names, strict=True)
-            if not self._answers(number)
-        ]
+        named = [f"{n} ({name})" for n, name in zip(self.ids, self.names, strict=True)]
+        models = [self._model(number) for number in self.ids]
+        silent = [servo for servo, model in zip(named, models, strict=True) if model is None]
         if silent:
             raise SinkError(
                 f"{self.port}: no answer from the servos {', '.join(silent)} at {self.baud} baud; "
@@ -102,6 +110,13 @@ class DynamixelBus:
                 else f"{self.port}: no servo answers at {self.baud} baud; check power, cable, baud "
                 "rate and ids"
             )
+        for servo, model in zip(named, models, strict=True):
+            if model not in MODELS:  # the same address may mean something else there
+                raise SinkError(
+                    f"{self.port}: the servo {servo} is of model number {model}, whose control "
+                    "table is another one; expected an X series servo with a goal current: XL330, "
+                    "XC330, XM, XH, XD or XW"
+                )
 
     def close(self) -> None:
         """Give the port back; a second call does nothing."""
@@ -175,13 +190,14 @@ class DynamixelBus:
         """The same as whole numbers without sign."""
         return [int.from_bytes(data, "little") for data in self.get(register)]
 
-    def _answers(self, number: int) -> bool:
+    def _model(self, number: int) -> int | None:
+        """Model number of a servo; None if it does not answer."""
         with self._lost():
             for _ in range(_TRIES):
-                _, result, _ = self._packets.ping(self._open(), number)
+                model, result, _ = self._packets.ping(self._open(), number)
                 if result == self._sdk.COMM_SUCCESS:
-                    return True
-        return False
+                    return int(model)
+        return None
 
     def _open(self) -> Any:
         if self._handler is None:

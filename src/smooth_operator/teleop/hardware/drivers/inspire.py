@@ -14,6 +14,7 @@ import contextlib
 import logging
 import struct
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Final
 
@@ -22,8 +23,14 @@ from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError, SinkError, require
 from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
-from smooth_operator.teleop.hardware.device import DeviceLostError, Reading, WrongAnswerError
+from smooth_operator.teleop.hardware.device import (
+    DeviceLostError,
+    Reading,
+    Setting,
+    WrongAnswerError,
+)
 from smooth_operator.teleop.hardware.hardware_sink import HardwareSink
+from smooth_operator.teleop.hardware.serial_port import is_serial
 
 MOTORS: Final = 6
 PORT: Final = 6000
@@ -68,6 +75,12 @@ class InspireSink(HardwareSink):
 
     port: str = "192.168.11.210"
 
+    @property
+    def bus(self) -> str:
+        """The serial port, or the network address with its port."""
+        host, _, number = self.port.partition(":")
+        return self.port if is_serial(self.port) else f"tcp:{host}:{number or PORT}"
+
     def device(self, actuators: ActuatorMap) -> InspireDevice:
         """The hand, not yet open; see ``HardwareSink``."""
         require("an Inspire hand", "inspire", "pymodbus", "serial")
@@ -96,19 +109,16 @@ class InspireDevice:
             )
         self._table, self._port = table, port
         number = port.partition(":")[2]
-        if not self.serial and number and not (number.isdigit() and int(number) < 65536):
+        self._serial = is_serial(port)
+        if not self._serial and number and not (number.isdigit() and int(number) < 65536):
             raise ConfigError(f"inspire: {port!r} is not ADDRESS, ADDRESS:PORT or a serial port")
         self._device_id = _whole(table, "device_id", 1, 1, 254)
         self._speed = _whole(table, "speed", 1000, 0, 1000)
         self._force = _whole(table, "force", 500, 0, 3000)
         self._client: Any = None
         self._turn = 0
+        self._limited = False
         self._slow: dict[int, np.ndarray] = {}
-
-    @property
-    def serial(self) -> bool:
-        """Whether it is reached by a serial line, and not by TCP."""
-        return "/" in self._port or self._port.upper().startswith("COM")
 
     def open(self) -> None:
         """Connect, check that the hand answers, and set its limits; see ``HandDevice``."""
@@ -116,7 +126,7 @@ class InspireDevice:
 
         # Without a handler of its own, each lost answer would be a line in the user's terminal.
         logging.getLogger("pymodbus").addHandler(logging.NullHandler())
-        if self.serial:
+        if self._serial:
             self._client = ModbusSerialClient(
                 self._port, baudrate=BAUD, timeout=_TIMEOUT, retries=0
             )
@@ -126,27 +136,29 @@ class InspireDevice:
                 host, port=int(number or PORT), timeout=_TIMEOUT, retries=0
             )
         self._turn, self._slow = 0, {}
+        self._limited = False
         try:
             if not self._client.connect():
                 raise DeviceLostError(f"inspire: nothing answers at {self._port}")
             self._angles()
             if _bytes(self._ask(_ERROR, 3)).any():
                 self._tell(_CLEAR_ERROR, [1])
-            self._tell(_SPEED_SET, [self._speed] * MOTORS)
-            self._tell(_FORCE_SET, [self._force] * MOTORS)
-            self._limit_currents()
+            self._limit()
         except SinkError as error:
             self.close()
             way = (
                 f"the adapter's port and the {BAUD} baud of the hand"
-                if self.serial
+                if self._serial
                 else "power, cable, and that this computer is in the hand's network"
             )
             raise type(error)(
                 f"{error}; check {way}, and that no other program has the hand"
             ) from error
 
-    def _limit_currents(self) -> None:
+    def _limit(self) -> None:
+        """Speed, force and current, which the hand forgets when it restarts."""
+        self._tell(_SPEED_SET, [self._speed] * MOTORS)
+        self._tell(_FORCE_SET, [self._force] * MOTORS)
         limits = self._table.limits
         if not np.isfinite(limits).any():
             return
@@ -182,12 +194,26 @@ class InspireDevice:
             found += [f"{name}: {text}" for text in words]
         return tuple(found)
 
+    def settings(self) -> Sequence[Setting]:
+        """Force and speed; see ``HandDevice``."""
+        pairs = (("force", _FORCE_SET, self._force), ("speed", _SPEED_SET, self._speed))
+        return [
+            Setting(name, np.full(MOTORS, value), _signed(self._ask(address, MOTORS)))
+            for name, address, value in pairs
+        ]
+
     def write(self, commands: Float[np.ndarray, " 6"]) -> None:
-        """Send the angles, 0 (closed) to 1000 (open); see ``HandDevice``."""
+        """Send the angles, 0 (closed) to 1000 (open), the first time after the limits; see
+        ``HandDevice``."""
+        if not self._limited:
+            self._limit()
+            self._limited = True
         self._tell(_ANGLE_SET, np.clip(np.rint(commands), 0, 1000).astype(int).tolist())
 
     def relax(self) -> None:
-        """Nothing: the screws can't be turned from outside; see ``HandDevice``."""
+        """Nothing on the bus: the screws can't be turned from outside. The next command follows the
+        limits; see ``HandDevice``."""
+        self._limited = False
 
     def close(self) -> None:
         """Give the line back; the hand keeps its last target. See ``HandDevice``."""
@@ -245,7 +271,7 @@ class InspireDevice:
 
     def _clear(self) -> None:
         """Drop what may still come: the connection, or what is on the serial line."""
-        if not self.serial:
+        if not self._serial:
             self._client.close()  # the next request opens it again
             return
         line = self._client.socket

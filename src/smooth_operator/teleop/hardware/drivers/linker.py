@@ -12,6 +12,7 @@ roll of the thumb 0x03 (first value), tips 0x04; speed 0x05, current 0x06, fault
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Final, Literal
 
@@ -20,8 +21,13 @@ from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError, SinkError, require
 from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
-from smooth_operator.teleop.hardware.device import DeviceLostError, Reading, WrongAnswerError
-from smooth_operator.teleop.hardware.drivers.can_bus import CanBus
+from smooth_operator.teleop.hardware.device import (
+    DeviceLostError,
+    Reading,
+    Setting,
+    WrongAnswerError,
+)
+from smooth_operator.teleop.hardware.drivers.can_bus import CanBus, can_port
 from smooth_operator.teleop.hardware.hardware_sink import HardwareSink
 
 
@@ -32,6 +38,7 @@ class Model:
     Attributes:
         positions: kind of frame -> how many motors, in the order of the table.
         width: values in each of those frames.
+        speeds: kinds of the frames of speeds, five motors each.
         limits: kinds of the frames that limit torque or current, five motors each.
         temperatures: kinds of the frames of temperatures, five motors each.
         faults: kinds of the frames of faults; five motors each, or five fingers.
@@ -39,6 +46,7 @@ class Model:
 
     positions: dict[int, int]
     width: dict[int, int]
+    speeds: tuple[int, ...]
     limits: tuple[int, ...]
     temperatures: tuple[int, ...]
     faults: tuple[int, ...]
@@ -50,14 +58,19 @@ class Model:
 
 
 MODELS: Final = {
-    "l10": Model({1: 6, 4: 4}, {1: 6, 4: 4}, (0x02, 0x03), (0x33, 0x34), (0x35, 0x36)),
-    "l20": Model({1: 5, 2: 5, 3: 1, 4: 5}, {1: 5, 2: 5, 3: 5, 4: 5}, (0x06,), (), (0x07,)),
+    "l10": Model(
+        {1: 6, 4: 4}, {1: 6, 4: 4}, (0x05, 0x06), (0x02, 0x03), (0x33, 0x34), (0x35, 0x36)
+    ),
+    "l20": Model({1: 5, 2: 5, 3: 1, 4: 5}, {1: 5, 2: 5, 3: 5, 4: 5}, (0x05,), (0x06,), (), (0x07,)),
 }
 """Name of a model -> its frames."""
 
 _FINGERS: Final = ("thumb", "index", "middle", "ring", "little")
 _IDENTIFIERS: Final = {"right": 0x28, "left": 0x27}
-_SPEED: Final = 0x05
+_SPEED: Final = 250
+"""Speed unless the table says another one: not 255, which a hand may have after a restart, so that
+one is noticed."""
+
 _TIMEOUT: Final = 0.05
 """How long an answer may take [s]."""
 
@@ -80,6 +93,11 @@ class LinkerSink(HardwareSink):
         super().__post_init__()
         if not self.table:
             object.__setattr__(self, "table", f"linker_{self.model}")
+
+    @property
+    def bus(self) -> str:
+        """The CAN channel, with its interface."""
+        return "can:" + ":".join(can_port(self.port))
 
     def device(self, actuators: ActuatorMap) -> LinkerDevice:
         """The hand, not yet open; see ``HardwareSink``."""
@@ -110,7 +128,7 @@ class LinkerDevice:
                 f"{table.file}: a LinkerHand {model.upper()} has {self._model.motors} actuators, "
                 f"not {len(table.actuators)}"
             )
-        speed, gap = table.settings.get("speed", 255), table.settings.get("gap_ms", 1.0)
+        speed, gap = table.settings.get("speed", _SPEED), table.settings.get("gap_ms", 1.0)
         if not isinstance(speed, int) or not 1 <= speed <= 255:
             raise ConfigError(f"{table.file}: speed must be 1 to 255, not {speed!r}")
         if not isinstance(gap, int | float) or not 0.0 <= gap <= 20.0:
@@ -119,16 +137,23 @@ class LinkerDevice:
             raise ConfigError(f"{table.file}: limit must be 1 to 255, the hand's own unit")
         self._table, self._port, self._name = table, port, model.upper()
         self._identifier = _IDENTIFIERS[table.side]
-        self._speed, self._gap = speed, float(gap) / 1000
+        self._gap = float(gap) / 1000
+        self._settings = {kind: [speed] * 5 for kind in self._model.speeds}
+        if np.isfinite(table.limits).any():
+            limits = np.nan_to_num(table.limits, nan=255.0).astype(int).tolist()
+            for k, kind in enumerate(self._model.limits):
+                self._settings[kind] = limits[5 * k : 5 * k + 5]
         self._bus: CanBus | None = None
         self._answers: dict[int, bytes] = {}
         self._turn = 0
+        self._limited = False
         self._sent = 0.0
 
     def open(self) -> None:
         """Open the bus, check that every motor answers, set limits; see ``HandDevice``."""
         self._bus = CanBus(self._port, "linker")
         self._answers, self._turn = {}, 0
+        self._limited = False
         try:
             self.read()
         except SinkError as error:
@@ -138,11 +163,33 @@ class LinkerDevice:
                 f"{error}; check power and cable, and that it is not a {other} hand, whose "
                 f"identifier is 0x{_IDENTIFIERS[other]:X}"
             ) from error
-        self._send(_SPEED, [self._speed] * 5)
-        limits = np.nan_to_num(self._table.limits, nan=255.0)
-        if np.isfinite(self._table.limits).any():
-            for k, kind in enumerate(self._model.limits):
-                self._send(kind, [int(x) for x in limits[5 * k : 5 * k + 5]])
+        self._limit()
+
+    def _limit(self) -> None:
+        """Speed, and torque or current, which the hand forgets when it restarts."""
+        for kind, values in self._settings.items():
+            self._send(kind, values)
+
+    def settings(self) -> Sequence[Setting]:
+        """What the hand answers of speed, and torque or current; see ``HandDevice``.
+
+        Raises:
+            WrongAnswerError: it answers nothing of them.
+        """
+        bus = self._open_bus()
+        self._collect(bus, time.perf_counter())  # echoes of what was set before
+        for kind in self._settings:
+            self._answers.pop(kind, None)
+            self._send(kind, [])
+        self._collect(bus, time.perf_counter() + _TIMEOUT, list(self._settings))
+        answers = {kind: list(self._answers.pop(kind, b"")) for kind in self._settings}
+        if not any(answers.values()):
+            raise WrongAnswerError("linker: the hand reads no limit back")
+        return [
+            Setting(f"frame 0x{kind:02X}", np.array(values), np.array(answer[: len(values)]))
+            for kind, values in self._settings.items()
+            if len(answer := answers[kind]) >= len(values)
+        ]
 
     def read(self) -> Reading:
         """Positions, and in turns temperatures and faults; see ``HandDevice``."""
@@ -203,7 +250,10 @@ class LinkerDevice:
         return tuple(f"{name}: fault 0x{code:02X}" for name, code in pairs if code)
 
     def write(self, commands: Float[np.ndarray, " a"]) -> None:
-        """Send the positions, 0 to 255; see ``HandDevice``."""
+        """Send the positions, 0 to 255, the first time after the limits; see ``HandDevice``."""
+        if not self._limited:
+            self._limit()
+            self._limited = True
         values = np.clip(np.rint(commands), 0, 255).astype(int).tolist()
         bus = self._open_bus()
         self._collect(bus, time.perf_counter())
@@ -213,7 +263,9 @@ class LinkerDevice:
             self._send(kind, mine + [0] * (self._model.width[kind] - motors))
 
     def relax(self) -> None:
-        """Nothing: the hand has no command for it; see ``HandDevice``."""
+        """Nothing on the bus: the hand has no command for it. The next command follows the
+        limits; see ``HandDevice``."""
+        self._limited = False
 
     def close(self) -> None:
         """Give the bus back; the hand keeps its last target. See ``HandDevice``."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Final
 
@@ -13,7 +13,12 @@ from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError, MissingExtraError, SinkError
 from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
-from smooth_operator.teleop.hardware.device import DeviceLostError, Reading, WrongAnswerError
+from smooth_operator.teleop.hardware.device import (
+    DeviceLostError,
+    Reading,
+    Setting,
+    WrongAnswerError,
+)
 from smooth_operator.teleop.hardware.hardware_sink import HardwareSink
 
 _SETTINGS: Final = ("model_version", "model_name", "config_path")
@@ -37,6 +42,11 @@ class OrcaSink(HardwareSink):
 
     config: str = ""
     mock: bool = False
+
+    @property
+    def bus(self) -> str:
+        """The serial port; without one it may be any, as orca-core asks them all."""
+        return "orca:mock" if self.mock else self.port or "serial"
 
     def device(self, actuators: ActuatorMap) -> OrcaDevice:
         """The hand, not yet connected."""
@@ -112,8 +122,6 @@ class OrcaDevice:
             )
         with self._bus("starting"):
             hand.init_joints(move_to_neutral=False)  # modes and currents; powers where it is
-            if np.isfinite(self._table.limits).all():
-                hand.set_max_current(float(self._table.limits.min()))
             hand.disable_torque()
         ids = list(hand.config.motor_ids)
         wired = hand.config.joint_to_motor_map
@@ -149,11 +157,22 @@ class OrcaDevice:
         pose = dict(zip(self._table.names, commands.tolist(), strict=True))
         with self._bus("writing"):
             if not self._powered:
-                silent = hand.enable_torque()
-                if silent:
-                    raise WrongAnswerError(f"orca: the motors {silent} do not switch on")
+                self._switch_on(hand)
             hand.set_joint_positions(pose)
         self._powered = True
+
+    def _switch_on(self, hand: Any) -> None:
+        """Limit and torque: a motor that restarted since the last time has no limit."""
+        limits = self._table.limits[np.isfinite(self._table.limits)]
+        hand.set_max_current(float(limits.min()) if len(limits) else hand.config.max_current)
+        silent = hand.enable_torque()
+        if silent:
+            raise WrongAnswerError(f"orca: the motors {silent} do not switch on")
+
+    def settings(self) -> Sequence[Setting]:
+        """None: orca-core reads no setting back. A motor that restarted is without torque until the
+        hand is switched on again, and gets its limit before that."""
+        return ()
 
     def relax(self) -> None:
         """Torque off."""

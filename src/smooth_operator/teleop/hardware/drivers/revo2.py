@@ -9,7 +9,7 @@ thumb, thumb's rotation, index, middle, ring, little; 0 is open and 1000 closed,
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Final, TypeVar
 
@@ -18,7 +18,12 @@ from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError, SinkError, require
 from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
-from smooth_operator.teleop.hardware.device import DeviceLostError, Reading, WrongAnswerError
+from smooth_operator.teleop.hardware.device import (
+    DeviceLostError,
+    Reading,
+    Setting,
+    WrongAnswerError,
+)
 from smooth_operator.teleop.hardware.hardware_sink import HardwareSink
 
 MOTORS: Final = 6
@@ -91,12 +96,13 @@ class Revo2Device:
         self._sdk: Any = None
         self._context: Any = None
         self._loop: asyncio.AbstractEventLoop | None = None
+        self._limited = False
 
     def open(self) -> None:
         """Open the port, check the hand's side, set the unit; see ``HandDevice``."""
         from bc_stark_sdk import main_mod
 
-        self._sdk = main_mod
+        self._sdk, self._limited = main_mod, False
         self._loop = asyncio.new_event_loop()
         try:
             baud = getattr(main_mod.Baudrate, _baud_name(self._baud))
@@ -107,7 +113,7 @@ class Revo2Device:
             if not information.uses_revo2_motor_api():
                 raise SinkError(f"revo2: the hand is a {information.hardware_type}, not a Revo2")
             self._check_side(information.hand_type)
-            self._call("set_finger_unit_mode", main_mod.FingerUnitMode.Normalized)
+            self._set_unit()
             self.read()
         except SinkError as error:
             self.close()
@@ -147,13 +153,29 @@ class Revo2Device:
             ),
         )
 
+    def _set_unit(self) -> None:
+        self._call("set_finger_unit_mode", self._sdk.FingerUnitMode.Normalized)
+
+    def settings(self) -> Sequence[Setting]:
+        """The unit of positions, 1 for thousandths; see ``HandDevice``. Speeds go with each
+        command, and the driver sets nothing else."""
+        unit = self._call("get_finger_unit_mode")
+        thousandths = float(unit == self._sdk.FingerUnitMode.Normalized)
+        return (Setting("unit mode", np.ones(1), np.array([thousandths])),)
+
     def write(self, commands: Float[np.ndarray, " 6"]) -> None:
-        """Send the positions, 0 (open) to 1000 (closed); see ``HandDevice``."""
+        """Send the positions, 0 (open) to 1000 (closed), the first time after their unit; see
+        ``HandDevice``."""
+        if not self._limited:
+            self._set_unit()
+            self._limited = True
         target = np.clip(np.rint(commands), 0, 1000).astype(int).tolist()
         self._call("set_finger_positions_and_speeds", target, self._speeds)
 
     def relax(self) -> None:
-        """Nothing: the hand has no command for it; see ``HandDevice``."""
+        """Nothing on the bus: the hand has no command for it. The next command follows the
+        unit; see ``HandDevice``."""
+        self._limited = False
 
     def close(self) -> None:
         """Give the port back; the hand keeps its last target. See ``HandDevice``."""

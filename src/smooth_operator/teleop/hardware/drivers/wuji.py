@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Final
 
@@ -19,7 +20,12 @@ from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError, SinkError, require
 from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
-from smooth_operator.teleop.hardware.device import DeviceLostError, Reading, WrongAnswerError
+from smooth_operator.teleop.hardware.device import (
+    DeviceLostError,
+    Reading,
+    Setting,
+    WrongAnswerError,
+)
 from smooth_operator.teleop.hardware.hardware_sink import HardwareSink
 
 MOTORS: Final = 20
@@ -51,6 +57,11 @@ class WujiSink(HardwareSink):
         if not 0.5 <= self.cutoff <= 100.0:
             raise ConfigError(f"wuji: cutoff must be 0.5 to 100 Hz, not {self.cutoff}")
 
+    @property
+    def bus(self) -> str:
+        """The hand of that serial number; without one it may be any."""
+        return f"wuji:{self.port}" if self.port else "wuji"
+
     def device(self, actuators: ActuatorMap) -> WujiDevice:
         """The hand, not yet open; see ``HardwareSink``."""
         require("a Wuji Hand", "wuji", "wujihandpy")
@@ -78,6 +89,7 @@ class WujiDevice:
         self._hand: Any = None
         self._controller: Any = None
         self._cycle = 0
+        self._limits = table.limits
         self._temperatures: Float[np.ndarray, " 20"] | None = None
         self._codes = np.zeros(MOTORS, int)
 
@@ -90,9 +102,11 @@ class WujiDevice:
         try:
             self._hand = wujihandpy.Hand(serial_number=self._port or None)
             self._check_side(int(self._hand.read_handedness()))
-            limits = self._table.limits
-            if np.isfinite(limits).all():
-                self._hand.write_joint_effort_limit(limits.reshape(_SHAPE) / 1000.0)
+            self._limits, missing = self._table.limits, ~np.isfinite(self._table.limits)
+            if missing.any():  # the hand's own
+                own = 1000.0 * _flat(self._hand.read_joint_effort_limit())
+                self._limits = np.where(missing, own, self._limits)
+            self._limit()
             self.read()
         except SinkError:
             self.close()
@@ -104,6 +118,16 @@ class WujiDevice:
                 f"wuji: no Wuji Hand {which} answers ({error}); check its power and cable"
                 + (", and the udev rule of the maker" if sys.platform == "linux" else "")
             ) from error
+
+    def _limit(self) -> None:
+        """The joints' currents, which the hand forgets when it restarts."""
+        self._hand.write_joint_effort_limit(self._limits.reshape(_SHAPE) / 1000.0)
+
+    def settings(self) -> Sequence[Setting]:
+        """The joints' limits of current; see ``HandDevice``."""
+        with _Speaking(self._hand):
+            measured = 1000.0 * _flat(self._hand.read_joint_effort_limit())
+        return (Setting("limit of current", self._limits, measured),)
 
     def _check_side(self, handedness: int) -> None:
         side = ("right", "left")[handedness] if handedness in (0, 1) else None
@@ -148,6 +172,7 @@ class WujiDevice:
             if self._controller is None:
                 import wujihandpy
 
+                self._limit()
                 # The first target is where the hand is. It is set before the motors go on, and the
                 # filter gets the time to reach it: from wherever that starts, nothing moves.
                 self._hand.write_joint_target_position(target)
