@@ -17,7 +17,7 @@ from smooth_operator.errors import SinkError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.teleop.hardware.actuator_map import BoundMap
-from smooth_operator.teleop.hardware.device import Reading, WrongAnswerError
+from smooth_operator.teleop.hardware.device import Reading, Setting, WrongAnswerError
 from smooth_operator.teleop.hardware.guard import CommandGuard, GuardSettings
 from smooth_operator.teleop.hardware.table_file import read_table
 from smooth_operator.teleop.hardware.worker import HandWorker, WorkerSettings
@@ -89,6 +89,9 @@ class Bus:
         if not self._lost(self.deaf):
             self.goal, self._powered = radians(commands), True
             self.written.append((self.clock.now, self.goal, self.angles.copy()))
+
+    def settings(self) -> tuple[Setting, ...]:
+        return ()
 
     def relax(self) -> None:
         self._wait(0.001)
