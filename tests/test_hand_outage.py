@@ -58,6 +58,7 @@ class Bus:
         self.deaf = self.mute = (math.inf, math.inf)
         self.wrong: Callable[[int, np.ndarray], np.ndarray] = lambda number, positions: positions
         self.reads = 0
+        self.settings_s = 0.001  # how long it takes to read the settings back
         self.written: list[tuple[float, np.ndarray, np.ndarray]] = []
         self.relaxed: list[float] = []
         self._moved = clock.now
@@ -91,7 +92,9 @@ class Bus:
             self.written.append((self.clock.now, self.goal, self.angles.copy()))
 
     def settings(self) -> tuple[Setting, ...]:
-        return ()
+        self._wait(self.settings_s)
+        limit = np.full(len(self.angles), 300.0)
+        return (Setting("limit", limit, limit),)
 
     def relax(self) -> None:
         self._wait(0.001)
@@ -136,7 +139,7 @@ class Run:
         self.wish: Callable[[float], float] = lambda now: 0.0
         self.mode: Callable[[float], Mode] = lambda now: Mode.TRACKING
         self.lock = str(folder / "port")
-        for module in ("worker", "agreed_reading"):
+        for module in ("worker", "agreed_reading", "settings_watch"):
             monkeypatch.setattr(f"smooth_operator.teleop.hardware.{module}.time", self.clock)
         monkeypatch.setattr("smooth_operator.teleop.hardware.worker._RETRY_S", 0.0)
         self.patch = monkeypatch
@@ -218,6 +221,14 @@ def test_one_or_two_answers_that_are_missing_cost_no_approach_and_no_jump(
     for at, commands, _ in run.since(105.0):
         assert np.abs(commands - before[1]).max() <= SPEED * (at - before[0]) + 1e-9
     assert all(abs(sine(at) - row[0]) < 0.1 for at, row, _ in run.since(105.2))
+
+
+def test_settings_that_are_slow_to_read_back_cost_no_approach(run: Run) -> None:
+    """Two questions on a serial adapter that holds bytes back for 16 ms: once a second."""
+    run.wish = sine
+    run.bus.settings_s = 0.06
+    run(8.0)
+    assert all(abs(sine(at) - row[0]) < 0.25 for at, row, _ in run.since(104.0)[:-1])
 
 
 def test_a_finger_that_an_object_blocks_keeps_its_grasp(run: Run) -> None:
@@ -308,9 +319,11 @@ def test_a_stop_in_an_outage_holds_where_the_hand_is_by_then(run: Run) -> None:
     run.wish = lambda now: 0.4 * (now - 100.0)
     run.mode = lambda now: Mode.STOPPED if now > 102.0 else Mode.TRACKING
     run.bus.deaf = (101.9, 102.2)
+    falls: list[int] = []
 
     def fallen(count: int, angles: np.ndarray) -> np.ndarray:
-        if run.bus.deaf[1] <= run.clock.now < run.bus.deaf[1] + 0.01:
+        if not falls and run.clock.now > run.bus.deaf[1]:
+            falls.append(count)
             run.bus.angles = run.bus.goal = np.full(16, -0.5)
         return run.bus.angles.copy()
 

@@ -293,6 +293,7 @@ class HandWorker:
                 if (np.isnan(before.positions) > np.isnan(reading.positions)).any():
                     moving = False  # an actuator is back, from wherever it was meanwhile
                 self._call(self._watch.look)
+                answered = now()  # however long that took
             except WrongAnswerError as error:
                 self.statistics.wrong += 1
                 self.statistics.latest = str(error)
