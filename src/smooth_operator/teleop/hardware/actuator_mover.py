@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 from types import TracebackType
@@ -30,7 +31,7 @@ class ActuatorMover:
 
     A thread keeps talking to the device, whatever the person does meanwhile, since devices have
     watchdogs of their own. An actuator whose current stays high stops where it is. Use as a context
-    manager: at the end, after an error and after Ctrl-C the hand is relaxed.
+    manager: at the end, after an error and after a signal the hand is relaxed.
 
     Args:
         device: the hand.
@@ -50,8 +51,8 @@ class ActuatorMover:
         ranges = np.array([high - low for low, high in (a.ends for a in actuators.actuators)])
         self._speeds = ranges / seconds
         self._levels = _CONTACT * actuators.limits
-        device.open()
         try:
+            device.open()
             self._reading = self._first()
         except BaseException:
             device.close()
@@ -64,7 +65,6 @@ class ActuatorMover:
         self._error: Exception | None = None
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._run, name="actuators", daemon=True)
-        self._thread.start()
 
     @property
     def reading(self) -> Reading:
@@ -104,6 +104,7 @@ class ActuatorMover:
         return not self._blocked[index]
 
     def __enter__(self) -> ActuatorMover:
+        self._thread.start()
         return self
 
     def __exit__(
@@ -113,6 +114,8 @@ class ActuatorMover:
         traceback: TracebackType | None,
     ) -> None:
         self._ending.set()
+        with contextlib.suppress(KeyboardInterrupt):  # a second one: the hand is relaxed first
+            self._thread.join(2.0)
         self._thread.join(2.0)
         self._device.close()
 
