@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -99,7 +102,9 @@ def test_nothing_confirmed_is_no_table(
         assert TableCheck(mover, hand, ask, lambda _: None).run(table) is None
 
 
-def test_ctrl_c_and_a_lost_hand_relax_and_close(table: ActuatorMap, hand: Hand) -> None:
+def test_ctrl_c_and_a_lost_hand_relax_and_close(
+    table: ActuatorMap, hand: Hand, monkeypatch: pytest.MonkeyPatch
+) -> None:
     fake = FakeHand(table)
 
     def interrupted(_: str) -> str:
@@ -115,10 +120,25 @@ def test_ctrl_c_and_a_lost_hand_relax_and_close(table: ActuatorMap, hand: Hand) 
     with pytest.raises(SinkError, match="the cable was pulled"):
         ActuatorMover(fake, table)
     fake.gone.clear()
+    with monkeypatch.context() as patch:
+        patch.setattr(fake, "open", lambda: interrupted(""))
+        with pytest.raises(KeyboardInterrupt):
+            ActuatorMover(fake, table)
+    assert fake.calls[-1][0] == "close"
     with ActuatorMover(fake, table, seconds=0.05) as mover:
         fake.gone.set()
         with pytest.raises(SinkError, match="the hand was lost: the cable was pulled"):
             mover.move(0, 200.0)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGINT to send to one process")
+def test_a_second_ctrl_c_does_not_leave_the_hand_powered(table: ActuatorMap) -> None:
+    fake = FakeHand(table)
+    mover = ActuatorMover(fake, table, seconds=0.05).__enter__()
+    fake.slow_s = 0.3  # so that the hand is not relaxed yet when the second one comes
+    threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGINT)).start()
+    mover.__exit__(KeyboardInterrupt, KeyboardInterrupt(), None)
+    assert [what for what, _ in fake.calls[-2:]] == ["relax", "close"]
 
 
 def test_a_blank_table_has_the_ids(hand: Hand) -> None:

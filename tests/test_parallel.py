@@ -201,20 +201,22 @@ SCRIPT = """
 import sys
 from pathlib import Path
 from smooth_operator.parallel import run_tasks
+from smooth_operator.signals import ended_by_signals
 from test_parallel import wait_and_clean_up
 
 if __name__ == "__main__":
     folder = Path(sys.argv[1])
     try:
-        list(run_tasks(wait_and_clean_up, [folder / "a", folder / "b"], workers=2))
+        with ended_by_signals():
+            list(run_tasks(wait_and_clean_up, [folder / "a", folder / "b"], workers=2))
     except KeyboardInterrupt:
         print("interrupted")
 """
 
 
 @needs_signals
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
-def test_ctrl_c_and_a_killed_parent_leave_no_process(tmp_path: Path, how: signal.Signals) -> None:
+@pytest.mark.parametrize("how", ["SIGINT", "SIGHUP", "SIGKILL"])
+def test_signals_and_a_killed_parent_leave_no_process(tmp_path: Path, how: str) -> None:
     script, folder = tmp_path / "script.py", tmp_path / "folder"
     script.write_text(SCRIPT, encoding="utf-8")
     folder.mkdir()
@@ -224,11 +226,12 @@ def test_ctrl_c_and_a_killed_parent_leave_no_process(tmp_path: Path, how: signal
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
-        env={**os.environ, "PYTHONPATH": str(Path(__file__).parent)},
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path])},
     ) as process:
         wait_for(lambda: len(list(folder.iterdir())) == 2)
-        if how == signal.SIGINT:
-            os.killpg(process.pid, how)  # as a terminal does: the workers get it as well
+        if how != "SIGKILL":
+            # as a terminal does: the workers get it as well
+            os.killpg(process.pid, getattr(signal, how))
             out, err = process.communicate(timeout=20)
             assert (out, err, process.returncode) == ("interrupted\n", "", 0)
             assert list(folder.iterdir()) == []

@@ -115,7 +115,7 @@ def test_a_run_ends_with_torque_off_and_a_whole_recording(
     assert powered(bank) == 0
     assert not read_log(log).truncated
     if how != "closed":
-        assert re.search(r"\d+ frames in ", terminal.output), terminal.output
+        until(lambda: re.search(r"\d+ frames in ", terminal.output))
         terminal.close()
 
 
@@ -139,7 +139,7 @@ def test_a_run_that_has_not_begun_ends_too(bank: ServoBank, tmp_path: Path, how:
     terminal.shows("compiling")
     assert terminal.end(how) == 130, terminal.output
     assert "Traceback" not in terminal.output
-    assert terminal.output.endswith("smooth-operator: stopped\r\n")
+    until(lambda: terminal.output.endswith("smooth-operator: stopped\r\n"))
     assert powered(bank) == 0
     assert bank.goals == []
     terminal.close()
@@ -156,7 +156,7 @@ def test_a_progress_bar_leaves_the_cursor_and_no_file(tmp_path: Path, how: str) 
     assert HIDDEN in terminal.output
     assert terminal.end(how) == 130, terminal.output
     until(lambda: "stopped" in terminal.output)
-    assert terminal.output.rfind(SHOWN) > terminal.output.rfind(HIDDEN)
+    until(lambda: terminal.output.rfind(SHOWN) > terminal.output.rfind(HIDDEN))
     assert "Traceback" not in terminal.output
     assert [path.name for path in tmp_path.iterdir()] == ["long.npz"]
     terminal.close()
@@ -242,7 +242,7 @@ def test_a_closed_window_of_windows_is_an_ending_signal(monkeypatch: pytest.Monk
     handlers: list[Any] = []
 
     class Kernel:
-        def SetConsoleCtrlHandler(self, handler: Any, add: bool) -> None:  # noqa: N802
+        def SetConsoleCtrlHandler(self, handler: Any, add: bool) -> None:
             handlers.append(handler) if add else handlers.remove(handler)
 
     import ctypes

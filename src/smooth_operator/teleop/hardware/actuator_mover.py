@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import threading
 import time
 from types import TracebackType
@@ -63,7 +62,7 @@ class ActuatorMover:
         self._blocked = np.zeros(len(self._goal), bool)
         self._cycles = 0
         self._error: Exception | None = None
-        self._ending = threading.Event()
+        self._ending, self._relaxed = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._run, name="actuators", daemon=True)
 
     @property
@@ -114,9 +113,10 @@ class ActuatorMover:
         traceback: TracebackType | None,
     ) -> None:
         self._ending.set()
-        with contextlib.suppress(KeyboardInterrupt):  # a second one: the hand is relaxed first
-            self._thread.join(2.0)
-        self._thread.join(2.0)
+        try:
+            self._relaxed.wait(2.0)
+        except KeyboardInterrupt:  # a second one: the hand is relaxed first
+            self._relaxed.wait(2.0)
         self._device.close()
 
     def _first(self) -> Reading:
@@ -154,6 +154,7 @@ class ActuatorMover:
                 self._device.relax()
             except Exception as error:
                 self._error = self._error or error
+            self._relaxed.set()
 
     def _feel(self, reading: Reading) -> None:
         """Stop an actuator whose current stays high."""
