@@ -300,19 +300,49 @@ def test_a_function_that_workers_can_not_import() -> None:
         run_tasks(lambda x: x, [1], workers=1)
 
 
-def test_workers_that_do_not_start_are_an_error(tmp_path: Path) -> None:
-    script = tmp_path / "unguarded.py"
-    script.write_text(
-        "from smooth_operator.parallel import run_tasks\n"
-        "print([r.value for r in run_tasks(abs, [-1], workers=1)])\n",
-        encoding="utf-8",
-    )
+UNGUARDED = """
+from smooth_operator.parallel import run_tasks
+print([r.value for r in run_tasks(abs, [-1], workers=WORKERS)])
+"""
+GUARDED = """
+import os, sys
+from smooth_operator.parallel import run_tasks
+if __name__ == "__main__":
+    print([r.value for r in run_tasks(abs, [-1] * 9, workers=WORKERS)])
+else:
+    """
+GUARD = "if __name__ =="
+
+
+@pytest.mark.parametrize(
+    ("code", "reason", "written"),
+    [
+        (UNGUARDED, "(exit status 1); a script that starts workers needs 'if __name__ ==", ""),
+        (
+            GUARDED + "raise ImportError('no such name\\n\\nin the new version')",
+            "(exit status 1); in the new version",
+            "ImportError: no such name",
+        ),
+        (GUARDED + "sys.exit(7)", "(exit status 7); each worker needs memory", ""),
+        (GUARDED + "os.write(2, b'x' * 5000); sys.exit(7)", "(exit status 7); xxx", "x" * 4096),
+    ],
+)
+@pytest.mark.parametrize("workers", [1, 5])
+def test_workers_that_do_not_start_say_why(
+    tmp_path: Path, code: str, reason: str, written: str, workers: int
+) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(code.replace("WORKERS", str(workers)), encoding="utf-8")
     done = subprocess.run(
-        [sys.executable, str(script)], capture_output=True, text=True, check=False, timeout=60
+        [sys.executable, str(script)], capture_output=True, text=True, check=False, timeout=120
     )
     assert done.returncode != 0
-    assert WorkerError.__name__ in done.stderr
-    assert "if __name__ ==" in done.stderr
+    message = done.stderr.strip().splitlines()[-1]
+    assert WorkerError.__name__ in message
+    assert reason in message
+    assert len(message) < 500
+    assert (GUARD in message) == (code == UNGUARDED)
+    assert done.stderr.count(written) >= 4  # of each that died
 
 
 def test_without_ray_the_message_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:

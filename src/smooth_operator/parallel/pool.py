@@ -8,7 +8,10 @@ from __future__ import annotations
 
 import contextlib
 import multiprocessing
+import os
 import signal
+import sys
+import tempfile
 import threading
 import time
 from collections import deque
@@ -28,6 +31,11 @@ R = TypeVar("R")
 
 _GRACE_S: Final = 5.0
 """How long a worker may clean up before it is killed; compiling can't be interrupted."""
+
+
+_START_S: Final = 60.0
+_TAIL: Final = 4096
+"""Bytes of a dead worker's standard error that are read."""
 
 
 @dataclass
@@ -171,8 +179,7 @@ class Pool:
             if self._false_starts > max(2, self._retries):
                 raise WorkerError(
                     f"{self._false_starts} workers in a row ended before their first task ({how}); "
-                    "a script that starts workers needs 'if __name__ == \"__main__\":' around what "
-                    "it does, and each worker needs memory for its own libraries"
+                    + self._reason()
                 )
         if worker.task is not None:
             index = worker.task
@@ -183,6 +190,28 @@ class Pool:
                 self._waiting.appendleft(index)
         if self._waiting:
             self._start(worker.slot)
+
+    def _reason(self) -> str:
+        """Why workers die at their start, by what one more of them writes to standard error."""
+        with tempfile.TemporaryFile() as errors:
+            with _standard_error(errors.fileno()):
+                self._start(0)
+            worker = self._workers.pop()
+            connection.wait([worker.link], _START_S)
+            worker.link.close()
+            worker.process.join(_GRACE_S)
+            worker.process.kill()
+            errors.seek(max(0, errors.seek(0, os.SEEK_END) - _TAIL))
+            text = errors.read().decode(errors="replace")
+        print(text, end="", file=sys.stderr)
+        if "bootstrapping phase" in text:  # multiprocessing's own words
+            return (
+                "a script that starts workers needs 'if __name__ == \"__main__\":' around what it "
+                "does"
+            )
+        lines = text.split("\n")
+        last = next((line.strip() for line in reversed(lines) if line.strip()), "")
+        return last[-300:] or "each worker needs memory for its own libraries: use fewer workers"
 
 
 def _since(worker: _Worker) -> float:
@@ -195,6 +224,18 @@ def _how(process: SpawnProcess) -> str:
         with contextlib.suppress(ValueError):
             return f"signal {signal.Signals(-code).name}"
     return f"exit status {code}"
+
+
+@contextlib.contextmanager
+def _standard_error(target: int) -> Iterator[None]:
+    """What starts in this block writes its standard error to a file."""
+    before = os.dup(2)
+    os.dup2(target, 2)
+    try:
+        yield
+    finally:
+        os.dup2(before, 2)
+        os.close(before)
 
 
 @contextlib.contextmanager
