@@ -38,7 +38,7 @@ class Ending:
 
     def __init__(self) -> None:
         self.came = False
-        self.quit: Callable[[], None] | None = None
+        self.quit: Callable[[], object] | None = None
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
         """Handle a signal."""
@@ -94,21 +94,21 @@ def _leave_closed_terminal() -> None:
 @contextlib.contextmanager
 def _closed_window() -> Iterator[None]:
     """Have Windows' events of a closing console handled as SIGBREAK; elsewhere nothing."""
-    if sys.platform != "win32":
-        yield
-        return
-    import ctypes
+    if sys.platform == "win32":
+        import ctypes
 
-    @ctypes.WINFUNCTYPE(ctypes.c_int, ctypes.c_uint)
-    def handle(event: int) -> int:
-        if event not in _CLOSING:
-            return False
-        _thread.interrupt_main(signal.SIGBREAK)
-        time.sleep(30.0)  # the process ends when this returns, or after the system's own 5 s
-        return True
+        @ctypes.WINFUNCTYPE(ctypes.c_int, ctypes.c_uint)
+        def handle(event: int) -> int:
+            if event not in _CLOSING:
+                return False
+            _thread.interrupt_main(signal.SIGBREAK)
+            time.sleep(30.0)  # the process ends when this returns, or after the system's own 5 s
+            return True
 
-    ctypes.windll.kernel32.SetConsoleCtrlHandler(handle, True)
-    try:
+        ctypes.windll.kernel32.SetConsoleCtrlHandler(handle, True)
+        try:
+            yield
+        finally:
+            ctypes.windll.kernel32.SetConsoleCtrlHandler(handle, False)
+    else:
         yield
-    finally:
-        ctypes.windll.kernel32.SetConsoleCtrlHandler(handle, False)
