@@ -294,6 +294,26 @@ def test_a_lost_wrist_is_held_and_latched_again() -> None:
     assert np.array_equal(stage.commands[-1].pose, held)
 
 
+@pytest.mark.parametrize(("age", "valid"), [(1.0, True), (1.1, False)])
+def test_a_wrist_counts_for_stale_s_and_no_longer(age: float, valid: bool) -> None:
+    stage, stale_s = engaged(), 0.125
+    stage.clutch.configure(LoopConfig(safety=SafetyConfig(stale_s=stale_s)))
+    stage.tick(wrist(), dt=0.25 - stage.time)
+    command = stage.tick(dt=age * stale_s)
+    assert command is not None
+    assert (command.valid, command.engaged) == (valid, valid)
+
+
+def test_the_robot_does_not_go_on_without_frames() -> None:
+    stage, speed, frame_s = engaged(), 0.3, 0.03
+    for k in range(1, 61):  # a tracker that delivers every third tick, and then falls silent
+        stage.tick(wrist(speed * k / HZ) if k % 3 == 0 else None)
+    last = HOME[0] + speed * 60 / HZ
+    beyond = [stage.tick().pose[0] - last for _ in range(40)]  # type: ignore[union-attr]
+    assert 0.9 * frame_s < max(beyond) / speed < 1.5 * frame_s  # brakes before the second is missed
+    assert beyond[-1] / speed <= 1.1 * frame_s
+
+
 @pytest.mark.parametrize(
     ("change", "why"),
     [
