@@ -319,8 +319,8 @@ def test_the_robot_does_not_go_on_without_frames() -> None:
     [
         ({"session": 1}, "the tracker was started again"),
         ({"world": "elsewhere"}, "the tracker was started again"),
-        ({"pose": wrist(0.4)}, "the wrist jumped"),
-        ({"pose": wrist(turn=(0, 0, 2))}, "the wrist jumped"),
+        ({"pose": wrist(0.09)}, "the wrist jumped"),
+        ({"pose": wrist(turn=(0, 0, 0.9))}, "the wrist jumped"),
     ],
 )
 def test_a_jump_of_the_tracker_does_not_move_the_robot(change: dict, why: str) -> None:
@@ -363,6 +363,38 @@ def test_an_arm_that_was_pushed_is_met_slowly_before_it_engages() -> None:
     apart = poses.separation(stage.commands[-1].pose, arm)
     assert (apart <= (0.02, 0.1)).all()
     assert max(stage.excess().values()) < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("arm", "near"),
+    [
+        (wrist(0.019), True),
+        (wrist(0.025), False),
+        (wrist(turn=(0, 0, 0.09)), True),
+        (wrist(turn=(0, 0, 0.12)), False),
+    ],
+)
+def test_it_engages_where_the_arm_is_near(arm: np.ndarray, near: bool) -> None:
+    stage = engaged()
+    stage.clutch.released = True
+    stage.tick(wrist())
+    stage.clutch.released = False
+    turned = poses.multiply(arm[3:], HOME[3:])
+    stage.clutch.measured = lambda: np.concatenate([HOME[:3] + arm[:3], turned])
+    stage.tick(wrist())
+    assert stage.commands[-1].engaged == near
+
+
+def test_an_arm_that_was_turned_is_met_slowly() -> None:
+    stage, arm = engaged(), wrist(*HOME[:3], turn=(0, 0, 1.0))
+    stage.clutch.released = True
+    stage.tick(wrist())
+    stage.clutch.released = False
+    stage.clutch.measured = lambda: arm
+    begun = stage.time
+    while not stage.commands[-1].engaged:
+        stage.tick(wrist())
+    assert stage.time - begun > 0.9 / (0.2 * WristConfig().turn_velocity)
 
 
 def test_without_a_wrist_there_is_no_command() -> None:

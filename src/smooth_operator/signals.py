@@ -97,18 +97,18 @@ def _closed_window() -> Iterator[None]:
     if sys.platform == "win32":
         import ctypes
 
-        @ctypes.WINFUNCTYPE(ctypes.c_int, ctypes.c_uint)
-        def handle(event: int) -> int:
+        def closed(event: int) -> bool:
             if event not in _CLOSING:
                 return False
             _thread.interrupt_main(signal.SIGBREAK)
             time.sleep(30.0)  # the process ends when this returns, or after the system's own 5 s
             return True
 
-        ctypes.windll.kernel32.SetConsoleCtrlHandler(handle, True)
+        handler = ctypes.WINFUNCTYPE(ctypes.c_int, ctypes.c_uint)(closed)
+        ctypes.windll.kernel32.SetConsoleCtrlHandler(handler, True)
         try:
             yield
         finally:
-            ctypes.windll.kernel32.SetConsoleCtrlHandler(handle, False)
+            ctypes.windll.kernel32.SetConsoleCtrlHandler(handler, False)
     else:
         yield

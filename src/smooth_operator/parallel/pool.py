@@ -25,6 +25,7 @@ from typing import Any, Final, TypeVar
 from smooth_operator.errors import WorkerError
 from smooth_operator.parallel.results import TaskResult, death, describe
 from smooth_operator.parallel.worker import READY, serve
+from smooth_operator.signals import ENDING
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -240,13 +241,14 @@ def _standard_error(target: int) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _no_interrupt() -> Iterator[None]:
-    """Ctrl-C waits until the block is over, and the child that starts in it never sees it."""
+    """Signals of a terminal wait until the block is over; the child that starts in it never sees
+    them."""
     if not hasattr(signal, "pthread_sigmask") or threading.current_thread() is not (
         threading.main_thread()
     ):
         yield
         return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {*ENDING} - {signal.SIGTERM})
     try:
         yield
     finally:
