@@ -141,6 +141,16 @@ def test_a_second_ctrl_c_does_not_leave_the_hand_powered(table: ActuatorMap) -> 
     assert [what for what, _ in fake.calls[-2:]] == ["relax", "close"]
 
 
+@pytest.mark.parametrize(("current", "free"), [(380.0, True), (420.0, False)])
+def test_a_check_stops_at_four_fifths_of_the_limit(
+    table: ActuatorMap, current: float, free: bool
+) -> None:
+    fake = FakeHand(table)
+    fake.blocked[0], fake.stall = 200.0, current  # of 500 mA
+    with ActuatorMover(fake, table, seconds=0.05) as mover:
+        assert mover.move(0, 230.0) == free
+
+
 def test_a_blank_table_has_the_ids(hand: Hand) -> None:
     made = blank_table("dynamixel", hand, [3, 5], "step", (1000.0, 3000.0), 200.0)
     assert [a.id for a in made.actuators] == [3, 5]
