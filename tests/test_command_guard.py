@@ -58,13 +58,16 @@ def test_no_step_is_faster_than_the_speed_nor_on_the_way_there_than_the_approach
 def test_a_way_beyond_an_end_is_closed_behind_a_hand_that_comes_in(
     tmp_path: Path, start: float, back: float
 ) -> None:
-    play, outward = Play(tmp_path, start, approach=1.0), 10.0 * np.sign(start - 180.0)
+    play = Play(tmp_path, start, approach=1.0)
     first = [play.step(180.0, start) for _ in range(5)]
     assert abs(first[-1] - back) < abs(first[0] - back) < abs(start - back)
-    assert play.step(back + outward, first[-1]) == pytest.approx(first[-1], abs=1.0)
-    for _ in range(40):
-        play.step(180.0, 180.0)
-    assert [play.step(back + outward, 180.0) for _ in range(200)][-1] == back
+    while first[-1] != pytest.approx(180.0):
+        first.append(play.step(180.0, first[-1]))
+    pushed = back + 0.8 * (start - back)  # something holds it beyond the end
+    for _ in range(60):
+        command = play.step(180.0, pushed, 450.0)
+    assert play.squeezes
+    assert command == back  # and not near to where it is held
 
 
 def test_contact_is_a_high_current_for_contact_s_without_motion(tmp_path: Path) -> None:

@@ -53,11 +53,13 @@ def program() -> int:
     A daemon thread that is still within compiled code (a driver that does not answer, a library)
     asks for the interpreter while that ends, and is unwound through frames that do not expect it:
     the process aborts, though its work is done. So where one is left, nothing is torn down. What
-    compiles a method while a run answers early is not waited for, either.
+    compiles a method while a run answers early is not waited for, either. Neither is anything torn
+    down after a signal: Python would end the process by SIGINT if that came in an ``exec``.
     """
     status = main()
     left = [thread for thread in threading.enumerate() if thread is not threading.current_thread()]
-    if not any(thread.daemon or thread.name == _COMPILES for thread in left):
+    daemons = any(thread.daemon or thread.name == _COMPILES for thread in left)
+    if not daemons and status != INTERRUPTED:
         return status
     for thread in left:
         if not thread.daemon and thread.name != _COMPILES:
