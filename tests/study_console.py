@@ -208,11 +208,11 @@ class ConsoleProcess:
         os.kill(self._process.pid, signal.SIGKILL)
         self._process.wait(PATIENCE_S)
 
-    def end(self) -> int:
-        """As Ctrl-C does."""
+    def end(self, how: int = signal.SIGINT) -> int:
+        """As Ctrl-C does, or another signal."""
         assert self._process is not None
         if self._process.poll() is None:
-            self._process.send_signal(signal.SIGINT)
+            self._process.send_signal(how)
         return self._process.wait(PATIENCE_S)
 
     def _answers(self) -> bool:

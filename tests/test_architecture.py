@@ -39,6 +39,7 @@ CORE = {
 """Core: module -> level. It imports nothing of what follows."""
 
 SHARED = {
+    "signals": 0,
     "atomic_files": 3,
     "formats": 3,
     "parallel": 3,

@@ -333,15 +333,15 @@ def test_nobody_reading_is_no_error() -> None:
 
 LEFT = """
 import atexit, sys, threading, time
-from smooth_operator.cli import app
+from smooth_operator.cli import process
 atexit.register(lambda: print("tidied up"))
 def done() -> int:
     threading.Thread(target=time.sleep, args=(600,), daemon=True).start()  # does not answer
     threading.Thread(target=lambda: (time.sleep(0.3), print("written"))).start()
     print("done")
     return 130
-app.main = done
-sys.exit(app.program())
+process.main = done
+sys.exit(process.program())
 """
 
 

@@ -294,13 +294,33 @@ def test_a_lost_wrist_is_held_and_latched_again() -> None:
     assert np.array_equal(stage.commands[-1].pose, held)
 
 
+@pytest.mark.parametrize(("age", "valid"), [(1.0, True), (1.1, False)])
+def test_a_wrist_counts_for_stale_s_and_no_longer(age: float, valid: bool) -> None:
+    stage, stale_s = engaged(), 0.125
+    stage.clutch.configure(LoopConfig(safety=SafetyConfig(stale_s=stale_s)))
+    stage.tick(wrist(), dt=0.25 - stage.time)
+    command = stage.tick(dt=age * stale_s)
+    assert command is not None
+    assert (command.valid, command.engaged) == (valid, valid)
+
+
+def test_the_robot_does_not_go_on_without_frames() -> None:
+    stage, speed, frame_s = engaged(), 0.3, 0.03
+    for k in range(1, 61):  # a tracker that delivers every third tick, and then falls silent
+        stage.tick(wrist(speed * k / HZ) if k % 3 == 0 else None)
+    last = HOME[0] + speed * 60 / HZ
+    beyond = [stage.tick().pose[0] - last for _ in range(40)]  # type: ignore[union-attr]
+    assert 0.9 * frame_s < max(beyond) / speed < 1.5 * frame_s  # brakes before the second is missed
+    assert beyond[-1] / speed <= 1.1 * frame_s
+
+
 @pytest.mark.parametrize(
     ("change", "why"),
     [
         ({"session": 1}, "the tracker was started again"),
         ({"world": "elsewhere"}, "the tracker was started again"),
-        ({"pose": wrist(0.4)}, "the wrist jumped"),
-        ({"pose": wrist(turn=(0, 0, 2))}, "the wrist jumped"),
+        ({"pose": wrist(0.09)}, "the wrist jumped"),
+        ({"pose": wrist(turn=(0, 0, 0.9))}, "the wrist jumped"),
     ],
 )
 def test_a_jump_of_the_tracker_does_not_move_the_robot(change: dict, why: str) -> None:
@@ -343,6 +363,38 @@ def test_an_arm_that_was_pushed_is_met_slowly_before_it_engages() -> None:
     apart = poses.separation(stage.commands[-1].pose, arm)
     assert (apart <= (0.02, 0.1)).all()
     assert max(stage.excess().values()) < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("arm", "near"),
+    [
+        (wrist(0.019), True),
+        (wrist(0.025), False),
+        (wrist(turn=(0, 0, 0.09)), True),
+        (wrist(turn=(0, 0, 0.12)), False),
+    ],
+)
+def test_it_engages_where_the_arm_is_near(arm: np.ndarray, near: bool) -> None:
+    stage = engaged()
+    stage.clutch.released = True
+    stage.tick(wrist())
+    stage.clutch.released = False
+    turned = poses.multiply(arm[3:], HOME[3:])
+    stage.clutch.measured = lambda: np.concatenate([HOME[:3] + arm[:3], turned])
+    stage.tick(wrist())
+    assert stage.commands[-1].engaged == near
+
+
+def test_an_arm_that_was_turned_is_met_slowly() -> None:
+    stage, arm = engaged(), wrist(*HOME[:3], turn=(0, 0, 1.0))
+    stage.clutch.released = True
+    stage.tick(wrist())
+    stage.clutch.released = False
+    stage.clutch.measured = lambda: arm
+    begun = stage.time
+    while not stage.commands[-1].engaged:
+        stage.tick(wrist())
+    assert stage.time - begun > 0.9 / (0.2 * WristConfig().turn_velocity)
 
 
 def test_without_a_wrist_there_is_no_command() -> None:

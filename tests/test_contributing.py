@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 import subprocess
+import sys
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -137,7 +139,7 @@ def test_a_workflow_is_whole(name: str) -> None:
     workflow = parsed(f".github/workflows/{name}.yml")
     assert workflow["permissions"] == {"contents": "read"}
     for job in workflow["jobs"].values():
-        assert job["timeout-minutes"] <= 30
+        assert job["timeout-minutes"] <= 90
         assert job.get("needs", name) in {name, *workflow["jobs"]}
         for step in job["steps"]:
             assert ("uses" in step) != ("run" in step)
@@ -185,6 +187,35 @@ def test_only_what_was_tried_is_published() -> None:
     assert names == {"dist"}
     assert jobs["publish"]["steps"][-1] == {"uses": "pypa/gh-action-pypi-publish@release/v1"}
     assert "secrets." not in read(".github/workflows/release.yml")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="needs bash")
+def test_a_tag_that_is_not_the_version_of_all_three_is_refused(tmp_path: Path) -> None:
+    steps = parsed(".github/workflows/release.yml")["jobs"]["build"]["steps"]
+    (check,) = [step["run"] for step in steps if "TAG" in step.get("env", {})]
+    files = [path.relative_to(PROJECT) for path in PROJECT.glob("packages/*/pyproject.toml")]
+    files.append(Path("pyproject.toml"))
+    version = tomllib.loads(read("pyproject.toml"))["project"]["version"]
+    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+
+    def run(tag: str) -> str:
+        environment = {**os.environ, "PATH": path, "TAG": tag}
+        command = ["bash", "-e", "-c", check]
+        done = subprocess.run(
+            command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+        )
+        assert (done.returncode == 0) == (done.stderr == "")
+        return done.stderr
+
+    for file in files:
+        (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / file).write_text(read(str(file)))
+    assert run(f"v{version}") == ""
+    assert "but pyproject.toml has" in run("v9.9.9")
+    for file in files:
+        (tmp_path / file).write_text(read(str(file)).replace(f'"{version}"', '"9.9.9"'))
+        assert f"but {file} has 9.9.9" in run(f"v{version}")
+        (tmp_path / file).write_text(read(str(file)))
 
 
 def test_the_published_distribution_is_ours() -> None:

@@ -261,12 +261,12 @@ def test_a_process_may_end_while_it_compiles(tmp_path: Path) -> None:
 def test_a_command_does_not_wait_for_what_it_no_longer_needs() -> None:
     code = (
         "import threading\n"
-        "from smooth_operator.cli import app\n"
+        "from smooth_operator.cli import process\n"
         "def main():\n"
         "    threading.Thread(target=threading.Event().wait, name='compile').start()\n"
         "    return 3\n"
-        "app.main = main\n"
-        "app.program()\n"
+        "process.main = main\n"
+        "process.program()\n"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False, timeout=LONG).returncode == 3
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
 import threading
 import time
 from collections.abc import Callable
@@ -146,7 +148,9 @@ def test_an_actuator_goes_on_from_where_it_is_after_answers_that_are_missing(
     assert (steps < -15.0).sum() == 1  # to where it fell, and on from there
 
 
-def test_ctrl_c_and_a_lost_hand_relax_and_close(table: ActuatorMap, hand: Hand) -> None:
+def test_ctrl_c_and_a_lost_hand_relax_and_close(
+    table: ActuatorMap, hand: Hand, monkeypatch: pytest.MonkeyPatch
+) -> None:
     fake = FakeHand(table)
 
     def interrupted(_: str) -> str:
@@ -162,10 +166,35 @@ def test_ctrl_c_and_a_lost_hand_relax_and_close(table: ActuatorMap, hand: Hand) 
     with pytest.raises(SinkError, match="the cable was pulled"):
         ActuatorMover(fake, table)
     fake.gone.clear()
+    with monkeypatch.context() as patch:
+        patch.setattr(fake, "open", lambda: interrupted(""))
+        with pytest.raises(KeyboardInterrupt):
+            ActuatorMover(fake, table)
+    assert fake.calls[-1][0] == "close"
     with ActuatorMover(fake, table, seconds=0.05) as mover:
         fake.gone.set()
         with pytest.raises(SinkError, match="the hand was lost: the cable was pulled"):
             mover.move(0, 200.0)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGINT to send to one process")
+def test_a_second_ctrl_c_does_not_leave_the_hand_powered(table: ActuatorMap) -> None:
+    fake = FakeHand(table)
+    mover = ActuatorMover(fake, table, seconds=0.05).__enter__()
+    fake.slow_s = 0.3  # so that the hand is not relaxed yet when the second one comes
+    threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGINT)).start()
+    mover.__exit__(KeyboardInterrupt, KeyboardInterrupt(), None)
+    assert [what for what, _ in fake.calls[-2:]] == ["relax", "close"]
+
+
+@pytest.mark.parametrize(("current", "free"), [(380.0, True), (420.0, False)])
+def test_a_check_stops_at_four_fifths_of_the_limit(
+    table: ActuatorMap, current: float, free: bool
+) -> None:
+    fake = FakeHand(table)
+    fake.blocked[0], fake.stall = 200.0, current  # of 500 mA
+    with ActuatorMover(fake, table, seconds=0.05) as mover:
+        assert mover.move(0, 230.0) == free
 
 
 def test_a_blank_table_has_the_ids(hand: Hand) -> None:

@@ -13,7 +13,7 @@ import headset_apps as app
 import numpy as np
 import pytest
 
-from smooth_operator.cli.app import main
+from smooth_operator.cli import main
 from smooth_operator.errors import RecordingError, SmoothOperatorError
 from smooth_operator.formats.checks import reading_notes
 from smooth_operator.formats.readers import read_recording

@@ -37,6 +37,9 @@ def test_plugins_are_installed_under_the_names_that_lerobot_looks_for(tmp_path: 
         assert Path(where).is_relative_to(tmp_path / "venv")
         assert version == MAIN["version"]
         assert "lerobot>=0.4.4" in needs
+        ours = [need for need in needs if need.startswith(MAIN["name"])]
+        assert ours
+        assert all(f"]~={version.rpartition('.')[0]}" in need for need in ours)
         assert modules == len(list((PACKAGES / name / name).glob("*.py")))
         licence = (PACKAGES / name / "LICENSE").read_text()
         assert licence == (PACKAGES.parent / "LICENSE").read_text()

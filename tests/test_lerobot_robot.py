@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -17,6 +18,7 @@ from lerobot_stand_in import REAL, ROBOT, use_plugins
 
 from smooth_operator import load_hand
 from smooth_operator.hands.hand import Hand
+from smooth_operator.signals import ENDING
 
 
 @pytest.fixture
@@ -105,6 +107,23 @@ def test_a_simulated_hand_goes_slowly_to_the_first_action_and_is_measured(
     assert not device.is_connected
     with pytest.raises(plugin.errors.DeviceNotConnectedError):
         device.send_action(start)
+
+
+def test_a_signal_is_ctrl_c_while_it_is_connected(robot: Callable[..., Any]) -> None:
+    """After which LeRobot disconnects: the hand comes to rest."""
+    before = [signal.getsignal(number) for number in ENDING]
+    device = robot()
+    device.connect()
+    with pytest.raises(KeyboardInterrupt):
+        signal.raise_signal(signal.SIGTERM)
+    device.disconnect()
+    assert [signal.getsignal(number) for number in ENDING] == before
+    handler = signal.signal(signal.SIGTERM, signal.SIG_IGN)  # the program's own
+    try:
+        device.connect()
+        assert signal.getsignal(signal.SIGTERM) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGTERM, handler)
 
 
 def test_both_hands_have_keys_of_their_own_and_joints_may_be_chosen(

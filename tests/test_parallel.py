@@ -201,20 +201,22 @@ SCRIPT = """
 import sys
 from pathlib import Path
 from smooth_operator.parallel import run_tasks
+from smooth_operator.signals import ended_by_signals
 from test_parallel import wait_and_clean_up
 
 if __name__ == "__main__":
     folder = Path(sys.argv[1])
     try:
-        list(run_tasks(wait_and_clean_up, [folder / "a", folder / "b"], workers=2))
+        with ended_by_signals():
+            list(run_tasks(wait_and_clean_up, [folder / "a", folder / "b"], workers=2))
     except KeyboardInterrupt:
         print("interrupted")
 """
 
 
 @needs_signals
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
-def test_ctrl_c_and_a_killed_parent_leave_no_process(tmp_path: Path, how: signal.Signals) -> None:
+@pytest.mark.parametrize("how", ["SIGINT", "SIGHUP", "SIGKILL"])
+def test_signals_and_a_killed_parent_leave_no_process(tmp_path: Path, how: str) -> None:
     script, folder = tmp_path / "script.py", tmp_path / "folder"
     script.write_text(SCRIPT, encoding="utf-8")
     folder.mkdir()
@@ -224,11 +226,12 @@ def test_ctrl_c_and_a_killed_parent_leave_no_process(tmp_path: Path, how: signal
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
-        env={**os.environ, "PYTHONPATH": str(Path(__file__).parent)},
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path])},
     ) as process:
         wait_for(lambda: len(list(folder.iterdir())) == 2)
-        if how == signal.SIGINT:
-            os.killpg(process.pid, how)  # as a terminal does: the workers get it as well
+        if how != "SIGKILL":
+            # as a terminal does: the workers get it as well
+            os.killpg(process.pid, getattr(signal, how))
             out, err = process.communicate(timeout=20)
             assert (out, err, process.returncode) == ("interrupted\n", "", 0)
             assert list(folder.iterdir()) == []
@@ -297,19 +300,49 @@ def test_a_function_that_workers_can_not_import() -> None:
         run_tasks(lambda x: x, [1], workers=1)
 
 
-def test_workers_that_do_not_start_are_an_error(tmp_path: Path) -> None:
-    script = tmp_path / "unguarded.py"
-    script.write_text(
-        "from smooth_operator.parallel import run_tasks\n"
-        "print([r.value for r in run_tasks(abs, [-1], workers=1)])\n",
-        encoding="utf-8",
-    )
+UNGUARDED = """
+from smooth_operator.parallel import run_tasks
+print([r.value for r in run_tasks(abs, [-1], workers=WORKERS)])
+"""
+GUARDED = """
+import os, sys
+from smooth_operator.parallel import run_tasks
+if __name__ == "__main__":
+    print([r.value for r in run_tasks(abs, [-1] * 9, workers=WORKERS)])
+else:
+    """
+GUARD = "if __name__ =="
+
+
+@pytest.mark.parametrize(
+    ("code", "reason", "written"),
+    [
+        (UNGUARDED, "(exit status 1); a script that starts workers needs 'if __name__ ==", ""),
+        (
+            GUARDED + "raise ImportError('no such name\\n\\nin the new version')",
+            "(exit status 1); in the new version",
+            "ImportError: no such name",
+        ),
+        (GUARDED + "sys.exit(7)", "(exit status 7); each worker needs memory", ""),
+        (GUARDED + "os.write(2, b'x' * 5000); sys.exit(7)", "(exit status 7); xxx", "x" * 4096),
+    ],
+)
+@pytest.mark.parametrize("workers", [1, 5])
+def test_workers_that_do_not_start_say_why(
+    tmp_path: Path, code: str, reason: str, written: str, workers: int
+) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(code.replace("WORKERS", str(workers)), encoding="utf-8")
     done = subprocess.run(
-        [sys.executable, str(script)], capture_output=True, text=True, check=False, timeout=60
+        [sys.executable, str(script)], capture_output=True, text=True, check=False, timeout=120
     )
     assert done.returncode != 0
-    assert WorkerError.__name__ in done.stderr
-    assert "if __name__ ==" in done.stderr
+    message = done.stderr.strip().splitlines()[-1]
+    assert WorkerError.__name__ in message
+    assert reason in message
+    assert len(message) < 500
+    assert (GUARD in message) == (code == UNGUARDED)
+    assert done.stderr.count(written) >= 4  # of each that died
 
 
 def test_without_ray_the_message_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -126,6 +126,17 @@ def test_frames_that_were_held_up_do_not_hold_up_the_next() -> None:
     assert played(arrivals, 2.0).ages().max() < SLACK
 
 
+def test_of_a_stall_half_a_turn_is_made_up_for() -> None:
+    pace, left = RateLimiter(1.0), []
+    pace.begin(0.0)
+    for now in (0.0, 10.0):  # a stall of ten turns, and then as many commands as may leave
+        pace.take(now)
+    for _ in range(5):
+        left.append(pace.opens - 10.0)
+        pace.take(pace.opens)
+    assert left == [0.25, 0.75, 1.75, 2.75, 3.75]
+
+
 @pytest.mark.parametrize("excess", [0.0, 0.0005, 0.005])
 @pytest.mark.parametrize("stall", [0.7, 1.2, 3.0])
 def test_a_wait_that_a_stall_left_behind_does_not_stay(stall: float, excess: float) -> None:

@@ -367,6 +367,22 @@ def test_an_emergency_stop_stands_at_once_until_released(
     assert modes(stage.play(frames[160:260])) == [Mode.BLENDING, Mode.TRACKING]
 
 
+@pytest.mark.parametrize("switch", ["stop", "pause"])
+def test_a_release_moves_nothing_before_a_frame_comes(
+    retargeter: Retargeter, motion: HandRecording, switch: str
+) -> None:
+    stage, frames = Stage(retargeter), list(motion)
+    stage.play(frames[:100])
+    getattr(stage.pipeline.supervisor, switch)()
+    stopped = stage.play(frames[100:150])[-1]
+    getattr(stage.pipeline.supervisor, {"stop": "release", "pause": "resume"}[switch])()
+    released = stage.play([None] * 50)
+    assert modes(released) == [Mode.WAITING]
+    for tick in released:
+        np.testing.assert_array_equal(tick.command.positions, stopped.command.positions)
+    assert modes(stage.play(frames[150:152])) == [Mode.BLENDING]
+
+
 def test_what_a_method_remembers_ends_with_the_loss_of_the_hand(
     retargeter: Retargeter, motion: HandRecording, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -21,7 +21,7 @@ import numpy as np
 import pytest
 from live_time import Kept, until
 
-from smooth_operator.cli.app import main
+from smooth_operator.cli import main
 from smooth_operator.errors import (
     ConfigError,
     MissingExtraError,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -13,6 +14,7 @@ import pytest
 
 from smooth_operator.errors import ConfigError, SourceError
 from smooth_operator.teleop import teleoperate
+from smooth_operator.teleop.runtime import stop_input
 from smooth_operator.teleop.runtime.stop_input import StopInput, stopped_by
 from smooth_operator.teleop.sinks.sink import Sink
 from smooth_operator.teleop.sinks.tick import Mode, Tick
@@ -78,6 +80,32 @@ def test_a_heartbeat_that_ends_is_a_stop(monkeypatch: pytest.MonkeyPatch) -> Non
             StopInput(f"udp:{port}")
     pressed.close()
     assert pressed()
+
+
+def test_a_heartbeat_counts_for_0_3_s_and_from_this_machine_alone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    now = [100.0]
+    monkeypatch.setattr(stop_input, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    pressed = StopInput(f"udp:{port}")
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        if sys.platform == "linux":  # where all of 127.0.0.0/8 is there
+            sender.sendto(b"1", ("127.0.0.2", port))
+            assert pressed()
+        sender.sendto(b"1", ("127.0.0.1", port))
+        until(lambda: not pressed())
+        now[0] += 0.29
+        assert not pressed()
+        now[0] += 0.02
+        assert pressed()
+        sender.sendto(b"1", ("127.0.0.1", port))
+        until(lambda: not pressed())
+        sender.sendto(b"0", ("127.0.0.1", port))
+        until(pressed)  # though the beat before it would still count
+    pressed.close()
 
 
 def test_a_serial_line(monkeypatch: pytest.MonkeyPatch) -> None:

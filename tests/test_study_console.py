@@ -6,6 +6,8 @@ import contextlib
 import http
 import json
 import re
+import signal
+import sys
 import threading
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -801,7 +803,9 @@ def test_a_tablet_can_read_the_code(tmp_path: Path) -> None:
 # -- the command ------------------------------------------------------------------------------
 
 
-def test_the_command_serves_and_ends_on_ctrl_c(tmp_path: Path) -> None:
+@pytest.mark.parametrize("how", ["SIGINT", "SIGHUP"])
+@pytest.mark.skipif(sys.platform == "win32", reason="sends POSIX signals")
+def test_the_command_serves_and_ends_on_a_signal(tmp_path: Path, how: str) -> None:
     folder = tmp_path / "study"
     folder.mkdir()
     write_plan_files(console_plan(), folder)
@@ -811,7 +815,7 @@ def test_the_command_serves_and_ends_on_ctrl_c(tmp_path: Path) -> None:
     assert tab.until(lambda s: s["now"])["now"]["operator"] == "P02"
     enrol = command_of({"token": "y" * 16, "do": "enrol", "operator": "P07"}, "experimenter")
     assert tab.ask(enrol)["type"] == "done"
-    assert console.end() == 0
+    assert console.end(getattr(signal, how)) == 0
     assert f"http://localhost:{console.port}/operator" in console.log.read_text()
     assert read_plan(folder).codes == ("P01", "P02", "P07")
     assert "P07" in (folder / "schedule.txt").read_text()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import signal
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, cast
 
@@ -14,6 +15,7 @@ from lerobot_robot_smooth_hand.hand_port import FACTORS, HandPort
 from lerobot_robot_smooth_hand.wrist_port import KINDS
 from smooth_operator.errors import require
 from smooth_operator.hands.registry import load_hand
+from smooth_operator.signals import ended_by_signals
 from smooth_operator.teleop.arm.settings import read_arm
 from smooth_operator.teleop.sinks.registry import build_sink
 from smooth_operator.teleop.sinks.sink import Sink
@@ -29,7 +31,9 @@ class SmoothHand(Robot):
     Actions and observations have the same keys, ``JOINT.pos``, one for each joint; with ``wrist``
     actions also have ``tcp.x`` and so on. An action is followed within the limits of position,
     velocity and acceleration; the first one, and one after half a second of silence, is approached
-    slowly. Real hands rest when no action comes for 0.2 s (``docs/robots`` says how).
+    slowly. Real hands rest when no action comes for 0.2 s (``docs/robots`` says how). While it is
+    connected, SIGTERM and a closed terminal (SIGHUP) act as Ctrl-C does, unless the program handles
+    signals itself: LeRobot's commands then disconnect, and the hand comes to rest.
 
     Args:
         config: settings.
@@ -49,6 +53,7 @@ class SmoothHand(Robot):
         self._hands = _hand_ports(config, self._arms)
         self._sinks: list[Sink] = [build_sink(text) for text in config.sinks]
         self._connected = False
+        self._opened = contextlib.ExitStack()
         for hand in self._hands:
             hand.currents(self._sinks)  # a driver without them is found out now
         self.cameras: dict[str, Any] = _cameras(config)
@@ -97,6 +102,8 @@ class SmoothHand(Robot):
         hands = {hand.side: hand.hand for hand in self._hands}
         about = {"program": "lerobot", "hand": self.config.hand, "sinks": list(self.config.sinks)}
         with contextlib.ExitStack() as opened:
+            if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:  # the program has no handlers
+                opened.enter_context(ended_by_signals())
             for sink in self._sinks:
                 sink.use_arms({side: arm.carried for side, arm in self._arms.items()})
                 sink.open(hands, about)
@@ -106,7 +113,7 @@ class SmoothHand(Robot):
             for camera in self.cameras.values():
                 camera.connect()
                 opened.callback(camera.disconnect)
-            opened.pop_all()
+            self._opened = opened.pop_all()
         self._connected = True
 
     def get_observation(self) -> dict[str, Any]:
@@ -148,9 +155,7 @@ class SmoothHand(Robot):
         """
         self._check()
         self._connected = False
-        with contextlib.ExitStack() as closing:  # all of them, whatever one raises
-            for thing in (*self._sinks, *self.cameras.values()):
-                closing.callback(thing.close if isinstance(thing, Sink) else thing.disconnect)
+        self._opened.close()
 
     def _check(self) -> None:
         if not self._connected:

@@ -3,5 +3,5 @@
 What is heavy (JAX, MuJoCo, matplotlib, viser) is imported inside the command that needs it.
 """
 
-from smooth_operator.cli.app import main as main
-from smooth_operator.cli.app import program as program
+from smooth_operator.cli.process import main as main
+from smooth_operator.cli.process import program as program

@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-import _thread
-import atexit
 import contextlib
 import io
 import os
-import signal
 import sys
-import threading
-import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 from smooth_operator.cli.options import Command, parse
 from smooth_operator.errors import SmoothOperatorError
@@ -19,55 +14,13 @@ from smooth_operator.terminal import print_note
 
 OK = 0
 USER_ERROR = 2
-INTERRUPTED = 130  # what shells report for SIGINT
-BROKEN_PIPE = 141  # and for SIGPIPE
-_COMPILES = "compile"  # name of the thread of ``smooth_operator.compilation.early_answers``
+BROKEN_PIPE = 141  # what shells report for SIGPIPE
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Runs one command.
-
-    Args:
-        argv: the arguments; None for those of the process.
-
-    Returns:
-        The exit status: 0 done, 1 done but for some recordings or cells (a folder, a benchmark),
-        2 the user can mend it (the reason is on standard error), 130 stopped by Ctrl-C, 141 nobody
-        reads standard output any more.
-
-    Raises:
-        SmoothOperatorError: what would have been a message, with ``--debug`` or
-            ``SMOOTH_OPERATOR_DEBUG=1``; its traceback then shows where it came from.
-    """
-    arguments = list(sys.argv[1:] if argv is None else argv)
+def run(argv: Sequence[str]) -> int:
+    """Runs one command; see ``main`` in ``process.py``."""
     _never_fail_on_a_character()
-    with _no_interrupt_lost():
-        return _run(arguments)
-
-
-def program() -> int:
-    """The process of a command: ``main``, and an end that no thread can spoil.
-
-    A daemon thread that is still within compiled code (a driver that does not answer, a library)
-    asks for the interpreter while that ends, and is unwound through frames that do not expect it:
-    the process aborts, though its work is done. So where one is left, nothing is torn down. What
-    compiles a method while a run answers early is not waited for, either.
-    """
-    status = main()
-    left = [thread for thread in threading.enumerate() if thread is not threading.current_thread()]
-    if not any(thread.daemon or thread.name == _COMPILES for thread in left):
-        return status
-    for thread in left:
-        if not thread.daemon and thread.name != _COMPILES:
-            thread.join()
-    atexit._run_exitfuncs()
-    for stream in (sys.stdout, sys.stderr):
-        with contextlib.suppress(OSError, ValueError):  # nobody reads it any more
-            stream.flush()
-    os._exit(status)
-
-
-def _run(arguments: list[str]) -> int:
+    arguments = list(argv)
     command: Command | None = None
     try:
         try:
@@ -86,50 +39,11 @@ def _run(arguments: list[str]) -> int:
     except BrokenPipeError:
         _drop_output()
         return BROKEN_PIPE
-    except KeyboardInterrupt:
-        _complain("stopped")
-        return INTERRUPTED
     except SmoothOperatorError as error:
         if _debugging(command):
             raise
         _complain(str(error))
         return USER_ERROR
-
-
-@contextlib.contextmanager
-def _no_interrupt_lost() -> Iterator[None]:
-    """Have Ctrl-C come again where it was swallowed.
-
-    JAX has the garbage collector call it back, and Python drops whatever is raised in there: a
-    Ctrl-C at such a moment would go unheard.
-    """
-    before, busy = sys.unraisablehook, threading.Lock()
-
-    def later() -> None:
-        with busy:  # not in the hook, where it would be dropped as well
-            pass
-        time.sleep(0.02)
-        _interrupt()
-
-    def again(what: sys.UnraisableHookArgs) -> None:
-        if what.exc_type is KeyboardInterrupt:
-            with busy:
-                _thread.start_new_thread(later, ())
-        else:
-            before(what)
-
-    sys.unraisablehook = again
-    try:
-        yield
-    finally:
-        sys.unraisablehook = before
-
-
-def _interrupt() -> None:
-    if hasattr(signal, "pthread_kill"):  # a real signal ends a sleep, too
-        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
-    else:
-        _thread.interrupt_main()
 
 
 def _debugging(command: Command | None) -> bool:

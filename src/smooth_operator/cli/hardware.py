@@ -99,9 +99,9 @@ def monitor_hardware(options: Monitor) -> None:
         SmoothOperatorError: it can't be opened.
     """
     sink, _, hand = opened(options.device, options.side, options.hand)
-    sink.open({options.side: hand}, {})
-    end = None if options.seconds is None else time.monotonic() + options.seconds
     try:
+        sink.open({options.side: hand}, {})
+        end = None if options.seconds is None else time.monotonic() + options.seconds
         if options.json:
             _print_lines(sink, options.side, end)
         else:

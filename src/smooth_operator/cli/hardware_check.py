@@ -23,7 +23,7 @@ def check_hardware(options: Check) -> None:
 
     Raises:
         SmoothOperatorError: it can't be opened, or was lost on the way; nothing is written.
-        KeyboardInterrupt: Ctrl-C; the hand is relaxed and nothing is written.
+        KeyboardInterrupt: a signal; the hand is relaxed and nothing is written.
     """
     table: ActuatorMap
     if options.ids is None:

@@ -48,7 +48,7 @@ class Check(_OneDevice):
     work: ClassVar[str] = "smooth_operator.cli.hardware_check:check_hardware"
     details: ClassVar[str] = """For each actuator: which joint moved, how far it goes each way, and
 the joint's angle at both ends. Enter keeps what the table says. An actuator whose current stays
-high stops by itself. Ctrl-C relaxes the hand and writes nothing.
+high stops by itself. Ctrl-C, SIGTERM and a closed terminal relax the hand; nothing is written.
 
 Examples:
   smooth-operator hardware check leap:/dev/ttyUSB0

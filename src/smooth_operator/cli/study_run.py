@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
-import signal
+import functools
 import socket
 from collections.abc import Callable
 from dataclasses import replace
@@ -12,6 +11,7 @@ from pathlib import Path
 
 from smooth_operator.cli.study_run_options import Run
 from smooth_operator.errors import ConfigError, UnknownNameError
+from smooth_operator.signals import Ending, ended_by_signals
 from smooth_operator.study.console.access import auth_for
 from smooth_operator.study.console.server import Console, check_installed
 from smooth_operator.study.console.session_service import SessionService
@@ -64,16 +64,19 @@ def run_study(options: Run) -> None:
             if options.open:
                 open_page(links["experimenter"])
 
-        asyncio.run(_serve(console, listening, ready))
+        with ended_by_signals() as ending:
+            asyncio.run(_serve(console, listening, ready, ending))
 
 
-async def _serve(console: Console, listening: socket.socket, ready: Callable[[], None]) -> None:
+async def _serve(
+    console: Console, listening: socket.socket, ready: Callable[[], None], ending: Ending
+) -> None:
     stop = asyncio.Event()
-    loop = asyncio.get_running_loop()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        with contextlib.suppress(NotImplementedError, ValueError, RuntimeError):  # Windows, threads
-            loop.add_signal_handler(number, stop.set)
-    await console.serve(listening, stop, ready)
+    ending.quit = functools.partial(asyncio.get_running_loop().call_soon_threadsafe, stop.set)
+    try:
+        await console.serve(listening, stop, ready)
+    finally:
+        ending.quit = None
 
 
 def _listening(options: Run) -> socket.socket:

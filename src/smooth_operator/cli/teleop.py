@@ -17,7 +17,7 @@ def teleop(options: Teleop) -> None:
     Raises:
         SmoothOperatorError: something can't be opened; nothing has moved then.
         SystemExit: 1, a sink failed on the way.
-        KeyboardInterrupt: Ctrl-C; everything is closed and what it came to is printed.
+        KeyboardInterrupt: a signal; everything is closed and what it came to is printed.
     """
     if options.no_view and options.model is not None:
         raise ConfigError(

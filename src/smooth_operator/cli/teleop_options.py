@@ -36,13 +36,14 @@ whatever the method asks for.
 
 Keys in the terminal: space, Esc and x always stop the robot, and no other key does; u
 releases an emergency stop, p pauses and resumes, c releases and engages the wrist alone, q ends.
-They are the same on the page. Ctrl-C ends too; the recording is complete.
+They are the same on the page. Ctrl-C, SIGTERM and a closed terminal end too; the recording is
+complete.
 
 The clutch: with a tracker that has a wrist, the robot's wrist moves as the operator's has moved
 since it was engaged. Pause, move back, resume: the reach has no end, and nothing jumps.
 
 Exit status: 0 done, 1 a sink failed (the summary says which), 2 something can't be opened,
-130 stopped by Ctrl-C.
+130 stopped by Ctrl-C or another signal.
 
 Examples:
   smooth-operator teleop

@@ -8,7 +8,10 @@ from __future__ import annotations
 
 import contextlib
 import multiprocessing
+import os
 import signal
+import sys
+import tempfile
 import threading
 import time
 from collections import deque
@@ -22,12 +25,18 @@ from typing import Any, Final, TypeVar
 from smooth_operator.errors import WorkerError
 from smooth_operator.parallel.results import TaskResult, death, describe
 from smooth_operator.parallel.worker import READY, serve
+from smooth_operator.signals import ENDING
 
 T = TypeVar("T")
 R = TypeVar("R")
 
 _GRACE_S: Final = 5.0
 """How long a worker may clean up before it is killed; compiling can't be interrupted."""
+
+
+_START_S: Final = 60.0
+_TAIL: Final = 4096
+"""Bytes of a dead worker's standard error that are read."""
 
 
 @dataclass
@@ -171,8 +180,7 @@ class Pool:
             if self._false_starts > max(2, self._retries):
                 raise WorkerError(
                     f"{self._false_starts} workers in a row ended before their first task ({how}); "
-                    "a script that starts workers needs 'if __name__ == \"__main__\":' around what "
-                    "it does, and each worker needs memory for its own libraries"
+                    + self._reason()
                 )
         if worker.task is not None:
             index = worker.task
@@ -183,6 +191,28 @@ class Pool:
                 self._waiting.appendleft(index)
         if self._waiting:
             self._start(worker.slot)
+
+    def _reason(self) -> str:
+        """Why workers die at their start, by what one more of them writes to standard error."""
+        with tempfile.TemporaryFile() as errors:
+            with _standard_error(errors.fileno()):
+                self._start(0)
+            worker = self._workers.pop()
+            connection.wait([worker.link], _START_S)
+            worker.link.close()
+            worker.process.join(_GRACE_S)
+            worker.process.kill()
+            errors.seek(max(0, errors.seek(0, os.SEEK_END) - _TAIL))
+            text = errors.read().decode(errors="replace")
+        print(text, end="", file=sys.stderr)
+        if "bootstrapping phase" in text:  # multiprocessing's own words
+            return (
+                "a script that starts workers needs 'if __name__ == \"__main__\":' around what it "
+                "does"
+            )
+        lines = text.split("\n")
+        last = next((line.strip() for line in reversed(lines) if line.strip()), "")
+        return last[-300:] or "each worker needs memory for its own libraries: use fewer workers"
 
 
 def _since(worker: _Worker) -> float:
@@ -198,14 +228,27 @@ def _how(process: SpawnProcess) -> str:
 
 
 @contextlib.contextmanager
+def _standard_error(target: int) -> Iterator[None]:
+    """What starts in this block writes its standard error to a file."""
+    before = os.dup(2)
+    os.dup2(target, 2)
+    try:
+        yield
+    finally:
+        os.dup2(before, 2)
+        os.close(before)
+
+
+@contextlib.contextmanager
 def _no_interrupt() -> Iterator[None]:
-    """Ctrl-C waits until the block is over, and the child that starts in it never sees it."""
+    """Signals of a terminal wait until the block is over; the child that starts in it never sees
+    them."""
     if not hasattr(signal, "pthread_sigmask") or threading.current_thread() is not (
         threading.main_thread()
     ):
         yield
         return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {*ENDING} - {signal.SIGTERM})
     try:
         yield
     finally:

@@ -15,6 +15,7 @@ from typing import Any, Final
 
 from smooth_operator.parallel.results import describe, timed
 from smooth_operator.parallel.threads import one_thread
+from smooth_operator.signals import leave_to_parent
 
 READY: Final = "ready"
 """First message of a worker: the function is there."""
@@ -40,7 +41,7 @@ def serve(link: Connection[Any, Any], slot: int) -> None:
         link: to the parent.
         slot: number of this worker in its pool.
     """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to all; the parent decides
+    leave_to_parent()
     signal.signal(signal.SIGTERM, _stop)
     if hasattr(signal, "setitimer"):
         signal.signal(signal.SIGALRM, _stop)

@@ -20,12 +20,12 @@ from smooth_operator.methods.default import DEFAULT_METHOD
 from smooth_operator.methods.method import MethodConfig
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.planning import RetargetRequest, live_configuration, make_request, resolve
+from smooth_operator.signals import ended_by_signals
 from smooth_operator.teleop.arm.settings import ArmSettings, read_arm
 from smooth_operator.teleop.control.keyboard import keyboard
 from smooth_operator.teleop.control.method_switcher import MethodSwitcher
 from smooth_operator.teleop.control.reporter import LoggingReporter, Reporter
 from smooth_operator.teleop.control.rpc_handlers import RpcHandlers
-from smooth_operator.teleop.control.signals import ended_by_signals
 from smooth_operator.teleop.control.summary import summarise
 from smooth_operator.teleop.control.task_trials import TaskTrials, with_task
 from smooth_operator.teleop.run_page import PageSettings, begun_page, show_page
@@ -91,7 +91,8 @@ def teleoperate(
     """Drives a robot hand from a live source, and returns when the run has ended.
 
     All settings are checked and everything is opened before anything moves. A run ends when the
-    source ends, after ``duration``, on Ctrl-C or SIGTERM (if called on the main thread), or when
+    source ends, after ``duration``, on an ending signal (Ctrl-C, SIGTERM, SIGHUP of a closed
+    terminal, SIGQUIT; Windows' Ctrl-Break and closed window) if called on the main thread, or when
     another thread calls ``loop.controls.quit()``. Sources, sinks and recordings are then closed
     and whole. It needs no terminal and no browser.
 
@@ -145,6 +146,7 @@ def teleoperate(
 
     Raises:
         SmoothOperatorError: a setting is wrong or something can't be opened; nothing has moved.
+        KeyboardInterrupt: a signal came before the run began; nothing was opened.
     """
     said = LoggingReporter() if reporter is None else reporter
     parts = safety or SafetyConfig(), limits or LimitsConfig(), wrist or WristConfig()
@@ -167,7 +169,10 @@ def teleoperate(
     runner = SinkRunner(acting)
     carrier = read_arm(arm) if isinstance(arm, str) else arm
     settled, arms = _checked(asked, config, sides, source, runner, control, page, carrier)
-    with begun_page(page, asked, sides, acting, blind, carrier) as begun:
+    with (
+        ended_by_signals() as ending,
+        begun_page(page, asked, sides, acting, blind, carrier) as begun,
+    ):
         retargeters = _compiled(settled, asked, blind, said, early and not blind and task is None)
         pipelines = {
             side: HandPipeline(
@@ -214,12 +219,12 @@ def teleoperate(
         handlers = RpcHandlers(loop, switcher, lambda: tried.runner, blind=blind)
         granted = "normal"
         begin = time.perf_counter()
+        ending.quit = loop.controls.quit
         where = ", ".join(sink.label for sink in runner.health()) or "no sink"
         said.note(f"from {source.label} to {where}")
         with (
             contextlib.closing(switcher),
             low_jitter(),
-            ended_by_signals(loop.controls) as interrupted,
             keyboard(loop, said, tried.keys, tried.key_help)
             if attended
             else contextlib.nullcontext(),
@@ -241,7 +246,7 @@ def teleoperate(
             loop.run(duration, recorded, started=opened)
         seconds = time.perf_counter() - begin
         tried.end()
-        more = {"priority": granted, "interrupted": interrupted.is_set(), **tried.summary()}
+        more = {"priority": granted, "interrupted": ending.came, **tried.summary()}
         return summarise(loop, seconds, said, more)
 
 

@@ -87,4 +87,5 @@ def _reader() -> Iterator[Callable[[float], str]]:
             tty.setcbreak(terminal)  # Ctrl-C stays a signal
             yield read
         finally:
-            termios.tcsetattr(terminal, termios.TCSADRAIN, before)
+            with contextlib.suppress(termios.error):  # the terminal was closed
+                termios.tcsetattr(terminal, termios.TCSADRAIN, before)

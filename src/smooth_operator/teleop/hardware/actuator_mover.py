@@ -32,7 +32,7 @@ class ActuatorMover:
 
     A thread keeps talking to the device, whatever the person does meanwhile, since devices have
     watchdogs of their own. An actuator whose current stays high stops where it is. Use as a context
-    manager: at the end, after an error and after Ctrl-C the hand is relaxed.
+    manager: at the end, after an error and after a signal the hand is relaxed.
 
     Args:
         device: the hand.
@@ -53,8 +53,8 @@ class ActuatorMover:
         ranges = np.array([high - low for low, high in (a.ends for a in actuators.actuators)])
         self._speeds = ranges / seconds
         self._levels = _CONTACT * actuators.limits
-        device.open()
         try:
+            device.open()
             self._reading = self._first()
         except BaseException:
             device.close()
@@ -65,9 +65,8 @@ class ActuatorMover:
         self._blocked = np.zeros(len(self._goal), bool)
         self._cycles = 0
         self._error: Exception | None = None
-        self._ending = threading.Event()
+        self._ending, self._relaxed = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._run, name="actuators", daemon=True)
-        self._thread.start()
 
     @property
     def reading(self) -> Reading:
@@ -107,6 +106,7 @@ class ActuatorMover:
         return not self._blocked[index]
 
     def __enter__(self) -> ActuatorMover:
+        self._thread.start()
         return self
 
     def __exit__(
@@ -116,7 +116,10 @@ class ActuatorMover:
         traceback: TracebackType | None,
     ) -> None:
         self._ending.set()
-        self._thread.join(2.0)
+        try:
+            self._relaxed.wait(2.0)
+        except KeyboardInterrupt:  # a second one: the hand is relaxed first
+            self._relaxed.wait(2.0)
         self._device.close()
 
     def _first(self) -> Reading:
@@ -159,6 +162,7 @@ class ActuatorMover:
                 self._device.relax()
             except Exception as error:
                 self._error = self._error or error
+            self._relaxed.set()
 
     def _feel(self, reading: Reading) -> None:
         """Stop an actuator whose current stays high."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import signal
 import sys
 import threading
 import time
@@ -16,6 +15,7 @@ from smooth_operator.errors import SmoothOperatorError
 from smooth_operator.hand_files.menagerie import hand_with_meshes
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
+from smooth_operator.signals import leave_to_parent
 from smooth_operator.teleop.arm.settings import ArmSettings
 from smooth_operator.teleop.pages.hand_view import HandView
 from smooth_operator.teleop.pages.live.live_panel import LivePanel
@@ -38,7 +38,7 @@ def main() -> None:
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
     # viser warns of each message to a browser that has just left, which happens
     warnings.filterwarnings("ignore", message="Queued a", category=UserWarning)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to all; the loop's process decides
+    leave_to_parent()
     if hasattr(os, "nice"):
         with contextlib.suppress(OSError):
             os.nice(_NICE)

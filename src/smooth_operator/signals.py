@@ -1,0 +1,114 @@
+"""Signals of the operating system that end a program in order: Ctrl-C, kill, a closed terminal."""
+
+from __future__ import annotations
+
+import _thread
+import contextlib
+import os
+import signal
+import stat
+import sys
+import threading
+import time
+
+TYPE_CHECKING = False  # as typing's, whose import Ctrl-C would interrupt with a traceback
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from types import FrameType
+    from typing import Final
+
+_NAMES: Final = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGBREAK")
+ENDING: Final = tuple(getattr(signal, name) for name in _NAMES if hasattr(signal, name))
+"""Ctrl-C, kill, a closed terminal, Ctrl-\\, and Windows' Ctrl-Break and closed window."""
+
+_CLOSING: Final = (2, 5, 6)
+"""Windows' events CTRL_CLOSE, CTRL_LOGOFF and CTRL_SHUTDOWN."""
+
+
+class Ending:
+    """A handler of ending signals: raises KeyboardInterrupt in the main thread, or calls ``quit``.
+
+    A closed terminal sends several signals, and a clean-up that the first one began must not be
+    cut off by the next: after the first only another Ctrl-C raises.
+
+    Attributes:
+        came: whether there was a signal.
+        quit: called in place of the exception; None to raise.
+    """
+
+    def __init__(self) -> None:
+        self.came = False
+        self.quit: Callable[[], object] | None = None
+
+    def __call__(self, number: int, frame: FrameType | None) -> None:
+        """Handle a signal."""
+        if number == getattr(signal, "SIGHUP", None):
+            _leave_closed_terminal()
+        first, self.came = not self.came, True
+        if self.quit is not None:
+            self.quit()
+        elif first or number == signal.SIGINT:
+            raise KeyboardInterrupt
+
+
+@contextlib.contextmanager
+def ended_by_signals() -> Iterator[Ending]:
+    """Have ending signals handled while the block runs, if it runs on the main thread.
+
+    Those that the program was started with as ignored stay ignored (``nohup``), but for SIGINT.
+    """
+    ending = Ending()
+    if threading.current_thread() is not threading.main_thread():  # which has its own way to end
+        yield ending
+        return
+    before = {
+        number: signal.signal(number, ending)
+        for number in ENDING
+        if number == signal.SIGINT or signal.getsignal(number) is not signal.SIG_IGN
+    }
+    try:
+        with _closed_window():
+            yield ending
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def leave_to_parent() -> None:
+    """In a child process: ignore what goes to all processes of a terminal; the parent decides."""
+    for number in ENDING:
+        if number != signal.SIGTERM:
+            signal.signal(number, signal.SIG_IGN)
+
+
+def _leave_closed_terminal() -> None:
+    """Writing to a terminal that is gone raises; from now on it is written to nothing."""
+    for stream in (0, 1, 2):
+        with contextlib.suppress(OSError):
+            if stat.S_ISCHR(os.fstat(stream).st_mode) and not os.isatty(stream):
+                nothing = os.open(os.devnull, os.O_RDWR)
+                os.dup2(nothing, stream)
+                os.close(nothing)
+
+
+@contextlib.contextmanager
+def _closed_window() -> Iterator[None]:
+    """Have Windows' events of a closing console handled as SIGBREAK; elsewhere nothing."""
+    if sys.platform == "win32":
+        import ctypes
+
+        def closed(event: int) -> bool:
+            if event not in _CLOSING:
+                return False
+            _thread.interrupt_main(signal.SIGBREAK)
+            time.sleep(30.0)  # the process ends when this returns, or after the system's own 5 s
+            return True
+
+        handler = ctypes.WINFUNCTYPE(ctypes.c_int, ctypes.c_uint)(closed)
+        ctypes.windll.kernel32.SetConsoleCtrlHandler(handler, True)
+        try:
+            yield
+        finally:
+            ctypes.windll.kernel32.SetConsoleCtrlHandler(handler, False)
+    else:
+        yield

@@ -1,0 +1,269 @@
+"""Signals end programs in order: torque off, recordings whole, the terminal as it was."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import select
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from dynamixel_bank import ServoBank
+from live_time import until
+
+from smooth_operator import signals
+from smooth_operator.signals import ENDING, ended_by_signals
+from smooth_operator.synthetic import SyntheticOperator
+from smooth_operator.teleop.recording import read_log
+
+LONG_S = 120.0
+HIDDEN, SHOWN = "\x1b[?25l", "\x1b[?25h"
+posix = pytest.mark.skipif(os.name == "nt", reason="POSIX signals and pseudo-terminals")
+
+ON_TERMINAL = """
+import os, signal, sys
+for stream in (0, 1, 2):
+    os.dup2(os.open(sys.argv[1], os.O_RDWR), stream)  # the first one becomes the session's own
+os.execv(sys.executable, [sys.executable, *sys.argv[2:]])
+"""
+
+
+class Terminal:
+    """A command on a pseudo-terminal of its own, which it controls.
+
+    Args:
+        arguments: of Python.
+        environment: more variables.
+    """
+
+    def __init__(self, *arguments: str, **environment: str) -> None:
+        self._ours, theirs = os.openpty()
+        self.output = ""
+        self.process = subprocess.Popen(
+            [sys.executable, "-c", ON_TERMINAL, os.ttyname(theirs), *arguments],
+            start_new_session=True,
+            env={**os.environ, "TERM": "xterm", "COLUMNS": "200", **environment},
+        )
+        os.close(theirs)
+        self._reading = True
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def _read(self) -> None:
+        while self._reading:
+            with contextlib.suppress(OSError):  # EIO: it has ended
+                if select.select([self._ours], [], [], 0.05)[0]:
+                    self.output += os.read(self._ours, 65536).decode(errors="replace")
+
+    def shows(self, text: str) -> None:
+        """Wait for a text."""
+
+        def there() -> bool:
+            assert self.process.poll() is None, self.output
+            return text in self.output
+
+        until(there, LONG_S)
+
+    def close(self) -> None:
+        """Close the window."""
+        self._reading = False
+        self._reader.join()
+        os.close(self._ours)
+
+    def end(self, how: str) -> int:
+        """Close the window, or send a signal; the exit status."""
+        if how == "closed":
+            self.close()
+        else:
+            self.process.send_signal(getattr(signal, how))
+        return self.process.wait(LONG_S)
+
+
+@pytest.fixture
+def bank() -> Iterator[ServoBank]:
+    bank = ServoBank(list(range(16)))
+    yield bank
+    bank.unplug()
+
+
+def powered(bank: ServoBank) -> int:
+    return sum(servo.torque for servo in bank.servos.values())
+
+
+TELEOP = ("-m", "smooth_operator", "teleop", "--hand", "leap_hand", "--method", "joint_angle")
+
+
+@posix
+@pytest.mark.parametrize("how", ["closed", "SIGTERM", "SIGQUIT"])
+def test_a_run_ends_with_torque_off_and_a_whole_recording(
+    bank: ServoBank, tmp_path: Path, how: str
+) -> None:
+    log = tmp_path / "take.mcap"
+    sinks = ("--sink", f"leap:{bank.path},baud=57600", f"record:{log}")
+    terminal = Terminal(*TELEOP, "--no-view", *sinks)
+    until(lambda: len(bank.goals) > 50, LONG_S)
+    assert powered(bank) == 16
+    assert terminal.end(how) == 130, terminal.output
+    assert powered(bank) == 0
+    assert not read_log(log).truncated
+    if how != "closed":
+        until(lambda: re.search(r"\d+ frames in ", terminal.output))
+        terminal.close()
+
+
+@posix
+@pytest.mark.parametrize("how", ["closed", "SIGTERM"])
+def test_a_check_of_a_hand_ends_with_torque_off(bank: ServoBank, how: str) -> None:
+    device = f"leap:{bank.path},baud=57600"
+    terminal = Terminal("-m", "smooth_operator", "hardware", "check", device)
+    until(lambda: powered(bank) == 16, LONG_S)
+    assert terminal.end(how) == 130, terminal.output
+    assert powered(bank) == 0
+    if how != "closed":
+        terminal.close()
+
+
+@posix
+@pytest.mark.parametrize("how", ["SIGINT", "SIGTERM", "SIGHUP"])
+def test_a_run_that_has_not_begun_ends_too(bank: ServoBank, tmp_path: Path, how: str) -> None:
+    sink = ("--sink", f"leap:{bank.path},baud=57600")
+    terminal = Terminal(*TELEOP, "--method", "smooth", "--no-browser", "--port", "0", *sink)
+    terminal.shows("compiling")
+    assert terminal.end(how) == 130, terminal.output
+    assert "Traceback" not in terminal.output
+    until(lambda: terminal.output.endswith("smooth-operator: stopped\r\n"))
+    assert powered(bank) == 0
+    assert bank.goals == []
+    terminal.close()
+
+
+@posix
+@pytest.mark.parametrize("how", ["SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT"])
+def test_a_progress_bar_leaves_the_cursor_and_no_file(tmp_path: Path, how: str) -> None:
+    motion = SyntheticOperator().record(300.0)
+    np.savez(tmp_path / "long.npz", landmarks=motion.landmarks, timestamps=motion.stamps)
+    command = ("retarget", str(tmp_path / "long.npz"), "--method", "joint_angle")
+    terminal = Terminal("-m", "smooth_operator", *command, "--output", str(tmp_path / "new/a.npz"))
+    terminal.shows("retargeting")
+    assert HIDDEN in terminal.output
+    assert terminal.end(how) == 130, terminal.output
+    until(lambda: "stopped" in terminal.output)
+    until(lambda: terminal.output.rfind(SHOWN) > terminal.output.rfind(HIDDEN))
+    assert "Traceback" not in terminal.output
+    assert [path.name for path in tmp_path.iterdir()] == ["long.npz"]
+    terminal.close()
+
+
+IMPORTING = """
+import os, signal, sys
+where, how = sys.argv[1:]
+
+class Signals:
+    def find_spec(self, name, path=None, target=None):
+        if name == where:
+            exec("os.kill(os.getpid(), signal.Signals[how])")  # as in dataclasses
+
+sys.meta_path.insert(0, Signals())
+sys.argv[1:] = ["retarget", "none.npz", "--output", "a.npz"]
+from smooth_operator.cli import program
+sys.exit(program())
+"""
+
+
+@posix
+@pytest.mark.parametrize("how", ["SIGINT", "SIGTERM"])
+@pytest.mark.parametrize("where", ["smooth_operator.errors", "tyro", "numpy"])
+def test_a_signal_in_the_midst_of_the_imports_is_no_traceback(
+    tmp_path: Path, where: str, how: str
+) -> None:
+    (tmp_path / "importing.py").write_text(IMPORTING, encoding="utf-8")
+    command = [sys.executable, "-m", "importing", where, how]
+    done = subprocess.run(
+        command, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=LONG_S
+    )
+    assert (done.returncode, done.stderr) == (130, "smooth-operator: stopped\n")
+
+
+@posix
+def test_what_a_program_was_told_to_ignore_stays_ignored() -> None:
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # as nohup does
+    try:
+        with ended_by_signals() as ending:
+            signal.raise_signal(signal.SIGHUP)
+        assert not ending.came
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+@pytest.mark.parametrize("number", ENDING)
+def test_the_first_signal_raises_and_those_after_it_do_not(number: signal.Signals) -> None:
+    before = [signal.getsignal(other) for other in ENDING]
+    with ended_by_signals() as ending:
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(number)
+        assert ending.came
+        for other in ENDING:  # a clean-up is not cut off
+            if other != signal.SIGINT:
+                signal.raise_signal(other)
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+    assert [signal.getsignal(other) for other in ENDING] == before
+
+
+def test_a_loop_is_asked_to_quit() -> None:
+    with ended_by_signals() as ending:
+        quits: list[int] = []
+        ending.quit = lambda: quits.append(1)
+        signal.raise_signal(signal.SIGTERM)
+        signal.raise_signal(signal.SIGINT)
+        assert quits == [1, 1]
+
+
+def test_another_thread_changes_nothing() -> None:
+    before = [signal.getsignal(number) for number in ENDING]
+    inside: list[Any] = []
+
+    def run() -> None:
+        with ended_by_signals():
+            inside.extend(signal.getsignal(number) for number in ENDING)
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    thread.join()
+    assert inside == before
+
+
+@posix
+def test_a_closed_window_of_windows_is_an_ending_signal(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the system's part made up: its handlers, and that it ends the process afterwards."""
+    handlers: list[Any] = []
+
+    class Kernel:
+        def SetConsoleCtrlHandler(self, handler: Any, add: bool) -> None:
+            handlers.append(handler) if add else handlers.remove(handler)
+
+    import ctypes
+
+    windll = type("windll", (), {"kernel32": Kernel()})
+    monkeypatch.setattr(ctypes, "windll", windll, raising=False)
+    monkeypatch.setattr(ctypes, "WINFUNCTYPE", lambda *_: lambda f: f, raising=False)
+    monkeypatch.setattr(signal, "SIGBREAK", signal.SIGTERM, raising=False)
+    monkeypatch.setattr(signals.sys, "platform", "win32")
+    slept: list[float] = []
+    monkeypatch.setattr(signals.time, "sleep", slept.append)
+    with ended_by_signals() as ending:
+        ending.quit = lambda: None
+        assert not handlers[0](0)  # Ctrl-C is Python's own
+        assert not ending.came
+        assert handlers[0](2)
+        assert ending.came
+        assert slept == [30.0]  # the system would end the process when the handler returns
+    assert handlers == []
