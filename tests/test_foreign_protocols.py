@@ -154,8 +154,10 @@ def test_a_web_page_moves_no_hand(text: str, chromium: Any) -> None:
     """A page of another origin needs no permission for a plain POST with a body of its choice."""
     frame = SOURCES[text]
     posts = 8
-    with listening(text) as (source, mailbox, where), served(
-        f"""<script>
+    with (
+        listening(text) as (source, mailbox, where),
+        served(
+            f"""<script>
         const bodies = {json.dumps([list(frame(k)) for k in range(posts)])}.map((numbers) =>
           Uint8Array.from(numbers));
         const post = async (body) => {{
@@ -170,7 +172,8 @@ def test_a_web_page_moves_no_hand(text: str, chromium: Any) -> None:
           document.title = "done";
         }})();
         </script>"""
-    ) as url:
+        ) as url,
+    ):
         page, _ = new_page(chromium)
         try:
             page.goto(url)
