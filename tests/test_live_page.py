@@ -577,6 +577,7 @@ def socket_status(port: int, path: str = "/", **headers: str) -> int:
         "Connection": "Upgrade",
         "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ==",
         "Sec-WebSocket-Version": "13",
+        "Sec-WebSocket-Protocol": f"viser-v{viser.__version__}",
     }
     return fetch(port, path, **upgrade, **headers)[0]
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import http
 import json
-import logging
 import socket
 import ssl
 from collections.abc import Callable
@@ -21,6 +20,7 @@ from smooth_operator.web.files import answer_with, page_files, shielded
 from smooth_operator.web.listening import LimitedListener
 from smooth_operator.web.listening import listen as web_listen
 from smooth_operator.web.origin import same_origin
+from smooth_operator.web.quiet import quiet_options
 
 if TYPE_CHECKING:
     from websockets.asyncio.server import ServerConnection
@@ -33,10 +33,6 @@ MOST_OF_ONE_ADDRESS: Final = 24
 _HANDSHAKE_S: Final = 5.0
 """How long each of TLS, the request and the greeting may take [s]."""
 _LOOK_EVERY: Final = 0.05  # [s]
-
-# Browsers try, give up, and come with plain HTTP; none of that is the operator's concern.
-_LOGGER: Final = logging.getLogger("smooth_operator.webxr")
-_LOGGER.addHandler(logging.NullHandler())
 
 
 def listen(host: str, port: int) -> socket.socket:
@@ -94,7 +90,6 @@ async def serve(
         sock=listening,
         ssl=context,
         process_request=shielded(answer),
-        server_header=None,
         compression=None,  # it would cost more time than the bytes that it saves
         max_size=MAX_BYTES + 64,
         ssl_handshake_timeout=_HANDSHAKE_S,
@@ -102,7 +97,7 @@ async def serve(
         close_timeout=1.0,
         ping_interval=2.0,
         ping_timeout=5.0,
-        logger=_LOGGER,
+        **quiet_options("smooth_operator.webxr"),  # browsers try, give up, come with plain HTTP
     ):
         while watch():
             await asyncio.sleep(_LOOK_EVERY)
