@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import http
 import json
-import socket
 import ssl
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final
@@ -29,20 +28,23 @@ if TYPE_CHECKING:
 SOCKET_PATH: Final = "/link"
 MOST_CONNECTIONS: Final = 64
 MOST_OF_ONE_ADDRESS: Final = 24
+MOST_WAITING: Final = 12
 """A page takes seven at most, and a connection whose TLS is not yet agreed on 0.3 MB."""
 _HANDSHAKE_S: Final = 5.0
 """How long each of TLS, the request and the greeting may take [s]."""
 _LOOK_EVERY: Final = 0.05  # [s]
 
 
-def listen(host: str, port: int) -> socket.socket:
+def listen(host: str, port: int) -> LimitedListener:
     """A socket that listens.
 
     Raises:
         SourceError: the address is not one of this machine's, or the port is taken.
     """
     try:
-        return LimitedListener(web_listen(host, port), MOST_CONNECTIONS, MOST_OF_ONE_ADDRESS)
+        return LimitedListener(
+            web_listen(host, port), MOST_CONNECTIONS, MOST_OF_ONE_ADDRESS, MOST_WAITING
+        )
     except OSError as error:
         raise SourceError(
             f"can't listen on {host!r} port {port}: {error.strerror or error}; name another port "
@@ -51,7 +53,7 @@ def listen(host: str, port: int) -> socket.socket:
 
 
 async def serve(
-    listening: socket.socket,
+    listening: LimitedListener,
     certificate: Certificate,
     context: ssl.SSLContext,
     link: Link,
@@ -76,6 +78,7 @@ async def serve(
     site["/certificate.crt"] = (certificate.public, "application/x-x509-ca-cert")
 
     def answer(connection: ServerConnection, request: Request) -> Response | None:
+        listening.served(connection.remote_address)
         path = urlsplit(request.path).path
         if path == SOCKET_PATH:
             if not same_origin(request):
