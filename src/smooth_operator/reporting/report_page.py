@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from smooth_operator.atomic_files import atomic_write, output_error
+from smooth_operator.atomic_files import atomic_write, file_name, output_error
 from smooth_operator.reporting.drawing import write_figure
 from smooth_operator.reporting.html import Html, element, escape, figure, join
 
@@ -104,11 +105,15 @@ class Plots:
     def element(self, drawn: Figure | None, stem: str, caption: str) -> Html:
         """A figure with its caption, written as ``STEM.png`` and ``STEM.svg``; nothing for None.
 
+        A stem that holds the path of a hand becomes a name that is harmless as a file's.
+
         Raises:
             OutputError: a file can't be written.
         """
         if drawn is None:
             return Html("")
+        if not re.fullmatch(r"[\w.-]+", stem):
+            stem = file_name(stem, (stem,))
         return figure(write_figure(drawn, self.folder / stem), caption, caption)
 
 
