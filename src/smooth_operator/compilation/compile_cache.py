@@ -10,6 +10,7 @@ import contextlib
 import os
 import warnings
 from collections.abc import Iterator
+from multiprocessing import parent_process
 from pathlib import Path
 from typing import Any, Final
 
@@ -36,10 +37,11 @@ def enable_cache() -> Path | None:
     folder = own_folder(user_cache() / machine())
     if folder is None:
         return None
-    try:
-        remove_foreign(folder)  # JAX opens them by their names, and waits for a pipe
-    except OSError:
-        return None
+    if parent_process() is None:  # a worker's entries may be on their way
+        try:
+            remove_foreign(folder)  # JAX opens them by their names, and waits for a pipe
+        except OSError:
+            return None
     config.update("jax_compilation_cache_dir", str(folder))
     config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     config.update("jax_persistent_cache_min_entry_size_bytes", -1)
@@ -57,10 +59,12 @@ def healing(folder: Path | None) -> Iterator[None]:
     """
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("default")
-        yield
-    for entry in [] if folder is None else folder.glob("*-cache"):
-        with contextlib.suppress(OSError):
-            entry.chmod(0o600)
+        try:
+            yield
+        finally:
+            for entry in [] if folder is None else folder.glob("*-cache"):
+                with contextlib.suppress(OSError):
+                    entry.chmod(0o600)
     for warning in caught:
         if folder is not None and str(warning.message).startswith(_DAMAGED):
             for entry in folder.glob("*-cache"):

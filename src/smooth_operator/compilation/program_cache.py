@@ -178,5 +178,5 @@ def remove_foreign(folder: Path) -> None:
         if not stat.S_ISDIR(status.st_mode) and (
             problem := file_problem(status, MOST_BYTES_OF_ONE)
         ):
-            LOGGER.warning("%s was removed: %s", entry, problem)
+            LOGGER.info("%s was removed: %s", entry, problem)
             entry.unlink(missing_ok=True)
