@@ -17,12 +17,13 @@ import pytest
 from metrics_cases import human_motion, make_trace
 
 from smooth_operator import Hand, Retargeter, SyntheticOperator, load_hand
+from smooth_operator.atomic_files import file_name
 from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError, HandModelError, UnknownNameError
 from smooth_operator.formats.commands import read_commands
 from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.lab.benchmark import compare, latency, read_results, suite
-from smooth_operator.lab.benchmark.cells import cells_of, file_name, fingerprint
+from smooth_operator.lab.benchmark.cells import cells_of, fingerprint
 from smooth_operator.lab.benchmark.clips import make_clip
 from smooth_operator.lab.benchmark.comparison import verdict
 from smooth_operator.lab.benchmark.machine import Watch
@@ -41,6 +42,7 @@ from smooth_operator.methods.sbr import SbrConfig
 from smooth_operator.metrics import METRICS, Metric, evaluate
 from smooth_operator.parallel import run_tasks
 from smooth_operator.plugins import Entry
+from smooth_operator.reporting.report_page import Plots
 from smooth_operator.solvers.sampling import SamplingConfig
 
 # The smallest SBR there is: it compiles in a second.
@@ -483,6 +485,17 @@ def test_comparison_on_terminal_and_page(
     assert "Comparison" in page
     assert "+0.1 ▲" in page
     assert "gone:tiny" in page
+
+
+def test_the_path_of_a_hand_in_a_plots_name_is_no_folder(tmp_path: Path) -> None:
+    from matplotlib.figure import Figure
+
+    for stem in ("latency-/hands/my hand.toml", "latency-../../other.toml", "latency-leap_hand"):
+        Plots(tmp_path / "plots").element(Figure(), stem, "a figure")
+    names = sorted(each.name for each in (tmp_path / "plots").glob("*.svg"))
+    assert [name[:24] for name in names] == [
+        "latency-..-..-other.toml", "latency-hands-my-hand.to", "latency-leap_hand.svg"
+    ]  # fmt: skip
 
 
 def test_a_benchmark_is_the_same_as_itself(done: Bench) -> None:

@@ -259,6 +259,8 @@ def test_a_second_headset_is_not_used_while_the_first_sends() -> None:
     def take(host: bytes, received: float) -> list[Any]:
         return [r for line in (wrist, points) for r in source.read((line, host), received)]
 
+    with pytest.raises(RecordingError, match="must begin with"):  # and does not choose the sender
+        source.read((b"x", b"192.168.1.7"), 0.0)
     assert len(take(b"192.168.1.5", 0.0)) == 1
     with pytest.raises(RecordingError, match=r"192\.168\.1\.7 sends too.*192\.168\.1\.5"):
         take(b"192.168.1.7", 0.5)

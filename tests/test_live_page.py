@@ -21,6 +21,7 @@ import numpy as np
 import pytest
 import viser
 from browser_page import new_page
+from hostile_texts import ATTACK, guarded_page, hostile_hand
 
 from smooth_operator import HandFrame, Retargeter, load_hand
 from smooth_operator.calibration.operator_file import read_operator
@@ -34,6 +35,8 @@ from smooth_operator.teleop.pages.live.calibration_wizard import CalibrationWiza
 from smooth_operator.teleop.pages.live.config_controls import ConfigControls
 from smooth_operator.teleop.pages.live.fields import changed, config_fields, field_docs
 from smooth_operator.teleop.pages.live.live_page import LivePage, PageSetup
+from smooth_operator.teleop.pages.live.live_panel import LivePanel
+from smooth_operator.teleop.pages.live.live_scene import LiveScene
 from smooth_operator.teleop.pages.live.live_session import LiveSession
 from smooth_operator.teleop.pages.live.pace import period_for
 from smooth_operator.teleop.pages.live.process import _Page
@@ -577,6 +580,7 @@ def socket_status(port: int, path: str = "/", **headers: str) -> int:
         "Connection": "Upgrade",
         "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ==",
         "Sec-WebSocket-Version": "13",
+        "Sec-WebSocket-Protocol": f"viser-v{viser.__version__}",
     }
     return fetch(port, path, **upgrade, **headers)[0]
 
@@ -713,6 +717,67 @@ def test_the_page_shows_the_loop_and_stops_it(
     page.close()
     stage.session.do("method", "joint_angle")
     eventually(lambda: stage.session.switcher.used.method == "joint_angle")
+
+
+WORDED = {"label", "detail", "message", "building", "recording", "world", "title", "instruction"}
+
+
+def worded_by_others(seen: Any) -> Any:
+    """What is shown, with an attack wherever a person, a file or a program may put words."""
+    if isinstance(seen, list):
+        return [worded_by_others(each) for each in seen]
+    if not isinstance(seen, dict):
+        return seen
+    replaced = {
+        "events": [[0.0, f"{ATTACK} event"]],
+        "refused": {"right": {f"{ATTACK} reason": 3}},
+        "latched": [f"{ATTACK} latched"],
+        "stages": {f"{ATTACK} stage": {"p50": 1.0, "p99": 2.0}, "total": {"p50": 1.0, "p99": 2.0}},
+        "sinks": [{"label": f"{ATTACK} sink", "state": "open", "sent": 1, "failed": 0,
+                   "detail": f"{ATTACK} of a sink"}],
+    }  # fmt: skip
+    return {
+        key: replaced[key]
+        if key in replaced
+        else f"{ATTACK} {key}"
+        if key in WORDED
+        else worded_by_others(value)
+        for key, value in seen.items()
+    }
+
+
+@pytest.mark.browser
+@pytest.mark.skipif(sys.platform == "win32", reason="names of files can't hold markup")
+def test_what_others_worded_is_shown_and_never_run(
+    chromium: Any, stage: Stage, tmp_path: Path
+) -> None:
+    seen = worded_by_others(stage.see())
+    seen["trial"] = {
+        "phase": "waiting", "number": 1, "count": 3, "elapsed_s": 0.0, "limit_s": 60.0,
+        "title": f"{ATTACK} title", "instruction": f"{ATTACK} instruction",
+    }  # fmt: skip
+    seen["hands"]["right"]["wrist"] = {
+        "engaged": True, "released": False, "operator": None, "world": f"{ATTACK} world"
+    }  # fmt: skip
+    hands: dict[Side, Any] = {"right": load_hand(hostile_hand(tmp_path / ATTACK))}
+    server = open_server("127.0.0.1", 0)
+    try:
+        server.scene.configure_environment_map(None)
+        link: Any = SimpleNamespace(do=lambda *_: None)
+        panel = LivePanel(server, hands, link, LiveScene(server, hands, False), lambda: None)
+        panel.show(seen)
+        panel.show_meshes(False, f"{ATTACK} note")
+        with guarded_page(chromium) as page:
+            page.goto(page_url("127.0.0.1", server))
+            shown = ("label", "detail", "message", "title", "instruction", "world", "latched")
+            for word in shown:
+                page.get_by_text(f"{ATTACK} {word}").first.wait_for()
+            for word in ("event", "reason", "stage", "sink", "of a sink"):
+                assert page.get_by_text(f"{ATTACK} {word}").count() >= 1
+            page.get_by_role("tab", name="View").click()
+            page.get_by_text(f"{ATTACK} note").first.wait_for()
+    finally:
+        close_server(server)
 
 
 @pytest.mark.browser

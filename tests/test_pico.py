@@ -198,12 +198,9 @@ def test_a_headset_connects_repeats_itself_and_comes_back() -> None:
         source.stop()
 
 
-def test_another_program_on_the_port_is_counted() -> None:
+def test_a_frame_without_a_stamp_is_of_the_time_of_receipt() -> None:
     source, mailbox, where = started("pico:port=0,side=right")
     try:
-        with socket.create_connection(where, timeout=5) as browser:
-            browser.sendall(b"GET / HTTP/1.1\r\n\r\n")
-            until(lambda: "0x3F" in source.health().detail)
         with socket.create_connection(where, timeout=5) as headset:
             headset.sendall(app.pico_tracking(both()["hands"], None))
             until(lambda: mailbox.received == 1)  # the right hand alone
@@ -211,6 +208,15 @@ def test_another_program_on_the_port_is_counted() -> None:
         assert source.health().state == "running"
     finally:
         source.stop()
+
+
+def test_what_is_no_packet_does_not_choose_the_sender() -> None:
+    source = PicoSource(port=0)
+    source.connect().close()
+    data = app.pico_tracking(both()["hands"], STAMP)
+    with pytest.raises(RecordingError, match="0x3F"):
+        source.read((b"x", b"192.168.1.7", b"1"), 0.0)
+    assert len(source.read((data, b"192.168.1.5", b"2"), 0.1)) == 2
 
 
 def test_what_can_t_be_listened_on_is_said() -> None:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import hashlib
 import os
+import re
 import secrets
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import IO
 
@@ -120,6 +122,13 @@ def write_json(path: Path, content: object, indent: int | None = None) -> None:
     text = to_json(content, indent=indent)
     with atomic_write(path) as file:
         file.write(text.encode() + b"\n")
+
+
+def file_name(readable: str, words: Iterable[str]) -> str:
+    """A name of a file that is readable, harmless anywhere, and differs where the words do."""
+    unique = hashlib.sha256("\n".join(words).encode()).hexdigest()[:8]
+    harmless = re.sub(r"[^A-Za-z0-9.]+", "-", readable).strip("-.")
+    return f"{harmless[:100]}-{unique}"
 
 
 @contextlib.contextmanager

@@ -69,7 +69,7 @@ def _advice(found: Mapping[str, object], starts: list[StartTimes], frames: Frame
     if str(found["programs"]).startswith("not kept"):
         said.append(
             f"compiled programs are {found['programs']}, so each start compiles; give "
-            "SMOOTH_OPERATOR_CACHE a folder that you can write, or unset it"
+            "SMOOTH_OPERATOR_CACHE a folder that only you can write, or unset it"
         )
     elif starts[1].total > _START_S and starts[1].first_frame > starts[1].total / 2:
         said.append(

@@ -10,10 +10,11 @@ import contextlib
 import os
 import warnings
 from collections.abc import Iterator
+from multiprocessing import parent_process
 from pathlib import Path
 from typing import Any, Final
 
-from smooth_operator.compilation.program_cache import is_own_folder, machine
+from smooth_operator.compilation.program_cache import machine, own_folder, remove_foreign
 from smooth_operator.result_cache.user_cache import OFF, SWITCH, user_cache
 
 _DAMAGED: Final = "Error reading persistent compilation cache"
@@ -23,8 +24,8 @@ def enable_cache() -> Path | None:
     """Lets JAX keep its compiled programs; call it before anything is compiled.
 
     Returns:
-        The folder; None if it is switched off (``SWITCH``), can't be written, or the user has
-        already given JAX a folder.
+        The folder; None if it is switched off (``SWITCH``), can't be written or is open to other
+        users (``own_folder``), or the user has already given JAX a folder.
     """
     if os.environ.get(SWITCH, "").strip().lower() in OFF:
         return None
@@ -33,9 +34,14 @@ def enable_cache() -> Path | None:
     config: Any = jax.config  # its attributes are made at run time
     if config.jax_compilation_cache_dir:
         return None
-    folder = user_cache() / machine()
-    if not is_own_folder(folder):
+    folder = own_folder(user_cache() / machine())
+    if folder is None:
         return None
+    if parent_process() is None:  # a worker's entries may be on their way
+        try:
+            remove_foreign(folder)  # JAX opens them by their names, and waits for a pipe
+        except OSError:
+            return None
     config.update("jax_compilation_cache_dir", str(folder))
     config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     config.update("jax_persistent_cache_min_entry_size_bytes", -1)
@@ -46,12 +52,19 @@ def enable_cache() -> Path | None:
 def healing(folder: Path | None) -> Iterator[None]:
     """Around compiling: a damaged entry is thrown away, where JAX would warn of it for ever.
 
+    JAX makes files by the umask of the process; afterwards only this user can write them.
+
     Args:
         folder: of ``enable_cache``.
     """
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("default")
-        yield
+        try:
+            yield
+        finally:
+            for entry in [] if folder is None else folder.glob("*-cache"):
+                with contextlib.suppress(OSError):
+                    entry.chmod(0o600)
     for warning in caught:
         if folder is not None and str(warning.message).startswith(_DAMAGED):
             for entry in folder.glob("*-cache"):

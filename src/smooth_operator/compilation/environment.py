@@ -12,6 +12,7 @@ from typing import Any, Final
 
 from smooth_operator.compilation.program_cache import program_cache
 from smooth_operator.errors import DISTRIBUTION
+from smooth_operator.result_cache.own_files import folder_problem
 from smooth_operator.result_cache.user_cache import OFF, SWITCH, user_cache
 
 _LIBRARIES: Final = ("jax", "jaxlib", "mujoco", "numpy", "scipy", "nlopt")
@@ -24,7 +25,7 @@ def environment() -> dict[str, Any]:
 
     cache = program_cache()
     off = os.environ.get(SWITCH, "").strip().lower() in OFF
-    reason = f"{SWITCH} is off" if off else f"{str(user_cache())!r} can't be written"
+    reason = f"{SWITCH} is off" if off else _why_not_kept()
     count, size = (0, 0) if cache is None else cache.size()
     return {
         "system": platform.system(),
@@ -43,6 +44,14 @@ def environment() -> dict[str, Any]:
         "programs_kept": count,
         "programs_mb": round(size / 1e6),
     }
+
+
+def _why_not_kept() -> str:
+    try:
+        problem = folder_problem(user_cache() / "programs")
+    except OSError:
+        problem = ""
+    return problem or f"{str(user_cache())!r} can't be written"
 
 
 def _version(name: str) -> str | None:

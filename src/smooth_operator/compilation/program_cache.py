@@ -1,8 +1,9 @@
 """Compiled programs in a folder of this user: the second process neither traces nor compiles.
 
 The library uses it by itself; no setting of JAX or of the process changes. An entry holds machine
-code, so it is only read from a folder that belongs to this user, and its name says the processor,
-the versions and the settings that it was made for. Any number of processes may use the folder.
+code, so it is read only where no other user can have written it (``own_files``), and its name says
+the processor, the versions and the settings that it was made for. Any number of processes may use
+the folder.
 Figures: docs/reference/benchmarks.md, *Start*.
 """
 
@@ -14,14 +15,22 @@ import hashlib
 import logging
 import os
 import platform
-import secrets
-from collections.abc import Iterable
+import stat
+import tempfile
+from collections.abc import Iterator
 from importlib.metadata import version
+from multiprocessing import parent_process
 from pathlib import Path
 from typing import Final
 
 from smooth_operator.atomic_files import atomic_write
-from smooth_operator.errors import OutputError
+from smooth_operator.errors import DocumentError, OutputError
+from smooth_operator.result_cache.own_files import (
+    file_problem,
+    folder_problem,
+    make_private,
+    read_own_file,
+)
 from smooth_operator.result_cache.user_cache import OFF, SWITCH, user_cache
 
 LOGGER: Final = logging.getLogger("smooth_operator.programs")
@@ -29,6 +38,7 @@ LOGGER: Final = logging.getLogger("smooth_operator.programs")
 _DIGEST: Final = 32
 MOST_BYTES: Final = 512 << 20
 """What a folder holds at most; programs that were used last stay. One is of about 2 MB."""
+MOST_BYTES_OF_ONE: Final = 256 << 20
 
 
 class ProgramCache:
@@ -43,11 +53,14 @@ class ProgramCache:
         self.folder, self.most_bytes = folder, most_bytes
 
     def find(self, name: str) -> bytes | None:
-        """What was kept under a name; None if there is nothing, or it is damaged."""
+        """What was kept under a name; None if there is nothing, or it is not as it was kept."""
         file = self.folder / name
         try:
-            content = file.read_bytes()
-        except OSError:
+            content = read_own_file(file, MOST_BYTES_OF_ONE)
+        except FileNotFoundError:
+            return None
+        except (OSError, DocumentError) as error:
+            self.drop(name, error)
             return None
         digest, data = content[:_DIGEST], content[_DIGEST:]
         if _digest(data) != digest:
@@ -61,6 +74,7 @@ class ProgramCache:
         """Writes an entry, and removes those unused the longest; a full disk costs time only."""
         with contextlib.suppress(OutputError, OSError):
             with atomic_write(self.folder / name) as stream:
+                os.chmod(stream.name, 0o600)
                 stream.write(_digest(data) + data)
             self._make_room()
 
@@ -72,16 +86,18 @@ class ProgramCache:
 
     def size(self) -> tuple[int, int]:
         """Number of entries, and their bytes."""
-        sizes = [each.stat().st_size for each in self._files()]
+        sizes = [status.st_size for _, status in self._files()]
         return len(sizes), sum(sizes)
 
-    def _files(self) -> Iterable[Path]:
-        return (each for each in self.folder.iterdir() if each.is_file())
+    def _files(self) -> Iterator[tuple[Path, os.stat_result]]:
+        for each in self.folder.iterdir():
+            status = each.lstat()
+            if stat.S_ISREG(status.st_mode):
+                yield each, status
 
     def _make_room(self) -> None:
         left = self.most_bytes
-        found = [(each.stat(), each) for each in self._files()]
-        for status, each in sorted(found, key=lambda pair: -pair[0].st_mtime):
+        for each, status in sorted(self._files(), key=lambda pair: -pair[1].st_mtime):
             left -= status.st_size
             if left < 0:
                 each.unlink(missing_ok=True)
@@ -93,7 +109,7 @@ def _digest(data: bytes) -> bytes:
 
 
 def program_cache() -> ProgramCache | None:
-    """The cache of this user; None if it is switched off (``SWITCH``) or can't be written."""
+    """The cache of this user; None if it is switched off (``SWITCH``), or see ``own_folder``."""
     if os.environ.get(SWITCH, "").strip().lower() in OFF:
         return None
     return _opened(user_cache() / "programs")
@@ -101,7 +117,8 @@ def program_cache() -> ProgramCache | None:
 
 @functools.cache
 def _opened(folder: Path) -> ProgramCache | None:
-    return ProgramCache(folder) if is_own_folder(folder) else None
+    own = own_folder(folder)
+    return None if own is None else ProgramCache(own)
 
 
 @functools.cache
@@ -119,15 +136,47 @@ def machine() -> str:
     return hashlib.sha256("\n".join(features).encode()).hexdigest()[:16]
 
 
-def is_own_folder(folder: Path) -> bool:
-    """Whether a folder, which is made if there is none, belongs to this user and can be written."""
-    probe = folder / f".{secrets.token_hex(4)}"
+def own_folder(folder: Path) -> Path | None:
+    """A folder for machine code, its links resolved; it is made if there is none.
+
+    Returns:
+        None if it can't be written, or if another user can write it, which is logged.
+    """
     try:
-        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-        if hasattr(os, "getuid") and folder.stat().st_uid != os.getuid():
-            return False  # what someone else put there is not run
-        probe.touch()
-        probe.unlink()
+        make_private(folder)
+        problem = folder_problem(folder)
+        if not problem:
+            with tempfile.TemporaryFile(dir=folder):
+                return folder.resolve()
     except OSError:
-        return False
-    return True
+        return None
+    _warn(problem)
+    return None
+
+
+@functools.cache  # the programs of frames and JAX's own may be under the same folder
+def _warn(problem: str) -> None:
+    if parent_process() is None:  # or each worker would say it again
+        LOGGER.warning(
+            "compiled programs are not kept, so each start compiles: %s; %s may name another "
+            "folder that only you can write",
+            problem,
+            SWITCH,
+        )
+
+
+def remove_foreign(folder: Path) -> None:
+    """Removes files of a folder for machine code that another user can have written.
+
+    For a reader that opens them by itself: nobody can exchange them in a closed folder.
+
+    Raises:
+        OSError: one can't be removed.
+    """
+    for entry in folder.iterdir():
+        status = entry.lstat()
+        if not stat.S_ISDIR(status.st_mode) and (
+            problem := file_problem(status, MOST_BYTES_OF_ONE)
+        ):
+            LOGGER.info("%s was removed: %s", entry, problem)
+            entry.unlink(missing_ok=True)

@@ -37,6 +37,7 @@ MAX_LINE: Final = 4096
 
 Kind: TypeAlias = Literal["wrist", "landmarks", "pose"]
 
+_BEGINNINGS: Final = ("right wrist", "right landmarks", "left wrist", "left landmarks", "head pose")
 _LINE: Final = re.compile(
     r"\s*(?P<who>right|left|head)\s+(?P<kind>wrist|landmarks|pose)\s*(?P<meta>\|[^:]{0,200})?"
     r":\s*,?(?P<values>[^:]*)",
@@ -66,6 +67,15 @@ class HtsLine:
     values: Float[np.ndarray, " n"]
     number: int | None = None
     stamp: float | None = None
+
+
+def begins_line(data: bytes | bytearray) -> bool:
+    """Whether bytes, however few, can be the begin of a line of the app.
+
+    ``HEAD`` is an HTTP request, too, so the kind of the line counts as well.
+    """
+    words = " ".join(data.decode("ascii", "replace").lower().split(None, 2)[:2])
+    return any(each.startswith(words) or words.startswith(each) for each in _BEGINNINGS)
 
 
 def parse_line(data: bytes | str) -> HtsLine:

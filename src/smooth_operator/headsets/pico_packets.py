@@ -87,7 +87,12 @@ def split_packets(buffer: bytearray) -> list[bytes]:
     return found
 
 
-def _size(buffer: bytearray) -> int | None:
+def begins_packet(data: bytes | bytearray) -> bool:
+    """Whether bytes, one at the least, can be the begin of a packet."""
+    return _size(data) is not None
+
+
+def _size(buffer: bytes | bytearray) -> int | None:
     """Bytes of the first packet; 0 if that is not known yet; None if there is none."""
     if buffer[0] != HEAD:
         return None
@@ -119,7 +124,7 @@ def read_packet(data: bytes, axes: Axes = "openxr") -> PicoHands:
     Raises:
         RecordingError: it is none, or its hands can't be read.
     """
-    size = _size(bytearray(data)) if data else None
+    size = _size(data) if data else None
     if size is None or size != len(data):
         raise RecordingError(
             "a packet must begin with 0x3F and end with 0xA5 after its length, not "

@@ -9,7 +9,7 @@ from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from smooth_operator.atomic_files import atomic_write, output_error
+from smooth_operator.atomic_files import atomic_write, file_name, output_error
 from smooth_operator.reporting.drawing import write_figure
 from smooth_operator.reporting.html import Html, element, escape, figure, join
 
@@ -105,13 +105,16 @@ class Plots:
     def element(self, drawn: Figure | None, stem: str, caption: str) -> Html:
         """A figure with its caption, written as ``STEM.png`` and ``STEM.svg``; nothing for None.
 
+        A stem that holds the path of a hand becomes a name that is harmless as a file's.
+
         Raises:
             OutputError: a file can't be written.
         """
         if drawn is None:
             return Html("")
-        name = re.sub(r"[^\w.-]+", "-", stem)[-120:]  # a hand may be named by a file's path
-        return figure(write_figure(drawn, self.folder / name), caption, caption)
+        if not re.fullmatch(r"[\w.-]+", stem):
+            stem = file_name(stem, (stem,))
+        return figure(write_figure(drawn, self.folder / stem), caption, caption)
 
 
 def _text(part: Traversable | str) -> str:

@@ -7,6 +7,8 @@ from collections.abc import Callable, Mapping
 from importlib import resources
 from typing import TYPE_CHECKING, Final
 
+from smooth_operator.web.origin import well_formed
+
 if TYPE_CHECKING:
     from websockets.asyncio.server import ServerConnection
     from websockets.http11 import Request, Response
@@ -74,7 +76,7 @@ def answer_with(
 def shielded(
     answer: Callable[[ServerConnection, Request], Response | None], policy: str = _BARE
 ) -> Callable[[ServerConnection, Request], Response | None]:
-    """A server's answers with the headers that keep other pages from framing them.
+    """A server's answers to well-formed requests, with headers that keep pages from framing them.
 
     In a frame, a page of another origin could lay its own picture over ours and have the operator
     click our buttons.
@@ -85,7 +87,10 @@ def shielded(
     """
 
     def shield(connection: ServerConnection, request: Request) -> Response | None:
-        response = answer(connection, request)
+        if well_formed(request):
+            response = answer(connection, request)
+        else:
+            response = connection.respond(http.HTTPStatus.BAD_REQUEST, "malformed request\n")
         if response is not None:
             for name, value in {**_HEADERS, "Content-Security-Policy": policy}.items():
                 if name not in response.headers:

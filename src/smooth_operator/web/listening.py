@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import socket
 import threading
 from collections import Counter
@@ -38,21 +39,27 @@ class LimitedListener(socket.socket):
 
     Those beyond the limits are closed before anything is read or allocated for them, TLS included.
     What counts is what is open at a time; it makes no difference what a connection is used for.
+    A connection waits until the server calls ``served``; of those of one address that wait, the
+    oldest makes room for the newest, so that connections left half-open don't lock an address out.
 
     Args:
         listening: a socket that listens; it is taken over.
         most: connections at a time.
         most_of_one: the same from one address, so that it can't take the place of all others.
+        most_waiting: of these, how many may wait.
     """
 
-    def __init__(self, listening: socket.socket, most: int, most_of_one: int) -> None:
+    def __init__(
+        self, listening: socket.socket, most: int, most_of_one: int, most_waiting: int
+    ) -> None:
         timeout = listening.gettimeout()
         super().__init__(
             listening.family, listening.type, listening.proto, fileno=listening.detach()
         )
         self.settimeout(timeout)
-        self._most, self._most_of_one = most, most_of_one
+        self._most, self._most_of_one, self._most_waiting = most, most_of_one, most_waiting
         self._open: Counter[str] = Counter()
+        self._waiting: dict[Any, socket.socket] = {}  # by their addresses, the oldest first
         self._change = threading.Lock()
 
     def accept(self) -> tuple[socket.socket, Any]:
@@ -69,12 +76,29 @@ class LimitedListener(socket.socket):
                 if room:
                     self._open[host] += 1
             if room:
-                return _Counted(connection, partial(self._leave, host)), address
+                counted = _Counted(connection, partial(self._leave, address))
+                self._wait(counted, address)
+                return counted, address
             connection.close()
         raise BlockingIOError
 
-    def _leave(self, host: str) -> None:
+    def served(self, address: Any) -> None:
+        """A whole request has come on the connection from an address (host, port, ...)."""
         with self._change:
+            self._waiting.pop(address, None)
+
+    def _wait(self, connection: socket.socket, address: Any) -> None:
+        with self._change:
+            waiting = [each for each in self._waiting if each[0] == address[0]]
+            if len(waiting) >= self._most_waiting:
+                with contextlib.suppress(OSError):  # the server, which owns it, sees its end
+                    self._waiting.pop(waiting[0]).shutdown(socket.SHUT_RDWR)
+            self._waiting[address] = connection
+
+    def _leave(self, address: Any) -> None:
+        host = str(address[0])
+        with self._change:
+            self._waiting.pop(address, None)
             self._open[host] -= 1
             if not self._open[host]:
                 del self._open[host]

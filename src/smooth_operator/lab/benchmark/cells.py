@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import re
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -14,6 +13,7 @@ from types import ModuleType
 from typing import Any
 
 import smooth_operator
+from smooth_operator.atomic_files import file_name
 from smooth_operator.errors import SmoothOperatorError
 from smooth_operator.formats.jsonable import to_json
 from smooth_operator.hands.registry import load_hand
@@ -68,13 +68,6 @@ class Cell:
         path = self.source.request.path
         place = "" if path is None else str(path.absolute())
         return file_name("-".join(self.key), (place, *self.key))
-
-
-def file_name(readable: str, words: Iterable[str]) -> str:
-    """A name of a file that is readable, harmless anywhere, and differs where the words do."""
-    unique = hashlib.sha256("\n".join(words).encode()).hexdigest()[:8]
-    harmless = re.sub(r"[^A-Za-z0-9.]+", "-", readable).strip("-.")
-    return f"{harmless[:100]}-{unique}"
 
 
 def cells_of(

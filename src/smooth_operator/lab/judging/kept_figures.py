@@ -8,10 +8,11 @@ from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
+from smooth_operator.atomic_files import file_name
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.alignment import align_recording
 from smooth_operator.lab.benchmark.built import built_for
-from smooth_operator.lab.benchmark.cells import Cell, file_name, hand_identity
+from smooth_operator.lab.benchmark.cells import Cell, hand_identity
 from smooth_operator.lab.judging.targets import HumanFigures, human_figures
 from smooth_operator.lab.judging.truth import (
     AgainstTruth,

@@ -17,6 +17,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
+from smooth_operator.errors import DocumentError
+from smooth_operator.result_cache.own_files import make_private, read_own_file
 from smooth_operator.result_cache.user_cache import OFF, SWITCH, user_cache
 from smooth_operator.study.console.commands import Role
 from smooth_operator.web.addresses import is_local, page_addresses
@@ -89,14 +91,10 @@ def _secret() -> bytes:
         return drawn
     file = user_cache() / "study" / "console.key"
     try:
-        file.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+        make_private(file.parent)
         _keep(file, drawn)
-        if os.name == "posix" and (
-            file.stat().st_mode & 0o077 or file.stat().st_uid != os.getuid()
-        ):
-            return drawn  # others may know it
-        kept = file.read_bytes()
-    except OSError:
+        kept = read_own_file(file, len(drawn), secret=True)
+    except (OSError, DocumentError):  # others may know it
         return drawn
     return kept if len(kept) == len(drawn) else drawn
 

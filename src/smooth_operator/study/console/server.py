@@ -28,6 +28,7 @@ from smooth_operator.study.console.access import HOME, LINK, ConsoleAuth, qr_cod
 from smooth_operator.study.console.commands import Command, Role, command_of
 from smooth_operator.study.console.session_service import SessionService, StoreFailedError
 from smooth_operator.web.files import answer_with, page_files, shielded
+from smooth_operator.web.quiet import quiet_options
 
 if TYPE_CHECKING:
     from websockets.asyncio.server import ServerConnection
@@ -46,7 +47,6 @@ _PLACES: Final[dict[Role, int]] = {"experimenter": 16, "operator": 48}
 """How many pages of each kind may be connected: a tablet's link takes no experimenter's place."""
 
 _LOGGER: Final = logging.getLogger("smooth_operator.study.console")
-_LOGGER.addHandler(logging.NullHandler())
 
 
 @dataclass(eq=False)
@@ -117,14 +117,13 @@ class Console:
                 self._talk,
                 sock=listening,
                 process_request=shielded(self._answering(site)),
-                server_header=None,
                 compression="deflate",
                 max_size=_LARGEST,
                 open_timeout=10.0,
                 close_timeout=1.0,
                 ping_interval=10.0,
                 ping_timeout=30.0,
-                logger=_LOGGER,
+                **quiet_options(_LOGGER.name),
             ):
                 ready()
                 await stop.wait()

@@ -7,6 +7,7 @@ viser listens, serves its files and speaks over a WebSocket; here it answers onl
 from __future__ import annotations
 
 import contextlib
+import http
 import secrets
 import threading
 from collections.abc import Callable, Iterator
@@ -18,6 +19,7 @@ from viser.infra import _infra
 from smooth_operator.web.addresses import is_local
 from smooth_operator.web.auth import TokenAuth
 from smooth_operator.web.files import shielded
+from smooth_operator.web.quiet import quiet_options
 
 _POLICY: Final = (
     "default-src 'self' data: blob: 'unsafe-inline' 'unsafe-eval'; "
@@ -82,9 +84,19 @@ class _Module:
 def _asking(auth: TokenAuth, patched: Patched, serve: Callable[..., Any]) -> Callable[..., Any]:
     def serve_and_ask(*args: Any, process_request: Callable[..., Any], **options: Any) -> Any:
         def answer(connection: Any, request: Any) -> Any:
-            return auth.refusal(connection, request) or process_request(connection, request)
+            refusal = auth.refusal(connection, request) or _not_a_client(connection, request)
+            return refusal or process_request(connection, request)
 
         patched.applied = True
+        options |= quiet_options("smooth_operator.page")
         return serve(*args, process_request=shielded(answer, _POLICY), **options)
 
     return serve_and_ask
+
+
+def _not_a_client(connection: Any, request: Any) -> Any:
+    """Refuses a WebSocket that is not of a page of viser, which would print a line for it."""
+    protocols = request.headers.get_all("Sec-WebSocket-Protocol")
+    if "Upgrade" not in request.headers or any("viser-v" in each for each in protocols):
+        return None
+    return connection.respond(http.HTTPStatus.BAD_REQUEST, "no client of this page\n")

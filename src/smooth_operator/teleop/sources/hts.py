@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Final, Literal, TypeAlias
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.headsets.hts_lines import HtsHands, parse_line
+from smooth_operator.headsets.hts_lines import HtsHands, begins_line, parse_line
 from smooth_operator.teleop.sources.message_receiver import Message
 from smooth_operator.teleop.sources.one_sender import OneSender
 from smooth_operator.teleop.sources.payload import Reading
@@ -80,7 +80,7 @@ class HtsSource(StreamSource):
         if self.transport != "udp":
             port = TCP_PORT if self.port is None else self.port
             try:
-                inboxes.append(TcpInbox(self.host, port, split_lines, "hts"))
+                inboxes.append(TcpInbox(self.host, port, split_lines, begins_line, "hts"))
             except Exception:
                 for inbox in inboxes:
                     inbox.close()
@@ -92,8 +92,9 @@ class HtsSource(StreamSource):
         data, host, *connection = message
         sender: OneSender = getattr(self, "_sender")  # noqa: B009  (set in connect())
         hands: HtsHands = getattr(self, "_hands")  # noqa: B009
+        line = parse_line(data)  # what is no line does not choose the sender
         sender.check(host, received)
-        frame = hands.add(parse_line(data), received)
+        frame = hands.add(line, received)
         if frame is None:
             return ()
         stamped = frame.stamp is not None

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Sequence
 from typing import Any, Final, TypeAlias
 
-from smooth_operator.errors import SmoothOperatorError
+from smooth_operator.errors import RecordingError, SmoothOperatorError
 from smooth_operator.teleop.sources.live import Running, SourceHealth
 from smooth_operator.teleop.sources.payload import Reading
 from smooth_operator.types import Side
 
 Message: TypeAlias = tuple[Any, ...]
-"""A message as it came, in one part or several: bytes, or what its library makes of them."""
+"""A message as it came, in one part or several: bytes, or what its library makes of them. Or an
+error alone, for a connection that the inbox has closed since it speaks another protocol."""
 Reader: TypeAlias = Callable[[Message, float], Sequence[Reading]]
 """The hands of a message that came at a time by the loop's clock [s]."""
 
@@ -47,11 +48,13 @@ class MessageReceiver:
     ) -> None:
         self.messages = 0
         self.unreadable = 0
+        self.refused = 0
         self._running = running
         self._where = where
         self._sides = frozenset(sides)
         self._read = read
         self._reason = ""
+        self._refusal = ""
         self._accepted = 0
         self._other_side = 0
         self._last: float | None = None
@@ -65,6 +68,12 @@ class MessageReceiver:
             message: as it came.
             received: when, by the loop's clock [s].
         """
+        if isinstance(message[0], RecordingError):
+            self.refused += 1
+            self._refusal = str(message[0])[:_MAX_REASON]
+            self._running.health = SourceHealth(self._running.health.state, self._detail())
+            self.silent()  # which such a connection does not end
+            return
         self.messages += 1
         self._last = received
         try:
@@ -88,8 +97,8 @@ class MessageReceiver:
             return
         silence = self._running.mailbox.clock() - self._last
         if silence > SILENCE_S:
-            text = f"no message on {self._where} for {silence:.0f} s"
-            self._running.health = SourceHealth("waiting", text)
+            facts = [f"no message on {self._where} for {silence:.0f} s", *self._refusals()]
+            self._running.health = SourceHealth("waiting", "; ".join(facts))
 
     def _post(self, reading: Reading, received: float) -> None:
         side = reading.frame.side
@@ -102,7 +111,7 @@ class MessageReceiver:
         self._running.mailbox.post(reading.frame, received=received, session=session)
 
     def _detail(self) -> str:
-        facts = []
+        facts = self._refusals()
         if self.unreadable:
             facts.append(
                 f"{self.unreadable} of {self.messages} messages could not be read: {self._reason}"
@@ -113,6 +122,11 @@ class MessageReceiver:
                 f"{' and '.join(sorted(self._sides))}"
             )
         return "; ".join(facts) or f"receiving on {self._where}"
+
+    def _refusals(self) -> list[str]:
+        if not self.refused:
+            return []
+        return [f"connections closed: {self.refused}; {self._refusal}"]
 
 
 class _Tracker:

@@ -7,7 +7,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.headsets.pico_packets import PORT, Axes, read_packet, split_packets
+from smooth_operator.headsets.pico_packets import (
+    PORT,
+    Axes,
+    begins_packet,
+    read_packet,
+    split_packets,
+)
 from smooth_operator.headsets.repeats import Repeats
 from smooth_operator.teleop.sources.message_receiver import Message
 from smooth_operator.teleop.sources.one_sender import OneSender
@@ -67,15 +73,15 @@ class PicoSource(StreamSource):
         """Take the port."""
         object.__setattr__(self, "_sender", OneSender())
         object.__setattr__(self, "_repeats", Repeats())
-        return TcpInbox(self.host, self.port, split_packets, "pico")
+        return TcpInbox(self.host, self.port, split_packets, begins_packet, "pico")
 
     def read(self, message: Message, received: float) -> Sequence[Reading]:
         """The hands of a packet."""
         data, host, connection = message
         sender: OneSender = getattr(self, "_sender")  # noqa: B009  (set in connect())
         repeats: Repeats = getattr(self, "_repeats")  # noqa: B009
+        found = read_packet(data, self.axes)  # what is no packet does not choose the sender
         sender.check(host, received)
-        found = read_packet(data, self.axes)
         frames = tuple(frame for frame in map(repeats.new, found.frames) if frame is not None)
         if found.stamp is None:
             frames = tuple(dataclasses.replace(frame, stamp=received) for frame in frames)

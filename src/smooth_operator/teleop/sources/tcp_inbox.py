@@ -1,4 +1,8 @@
-"""Messages over TCP from programs that connect, such as an app on a headset."""
+"""Messages over TCP from programs that connect, such as an app on a headset.
+
+A web page may connect to any port of its user's computer and send what it likes after the header of
+an HTTP request, so a connection whose first bytes are not of the protocol is closed.
+"""
 
 from __future__ import annotations
 
@@ -9,13 +13,15 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Final, Protocol, TypeAlias
 
-from smooth_operator.errors import SourceError
+from smooth_operator.errors import RecordingError, SourceError, brief
 from smooth_operator.teleop.sources.message_receiver import Message
 from smooth_operator.teleop.sources.payload import MAX_BYTES
 from smooth_operator.web.listening import listen
 
 Split: TypeAlias = Callable[[bytearray], Sequence[bytes]]
 """Takes whole messages from the front of a buffer, which keeps the rest."""
+Begins: TypeAlias = Callable[[bytearray], bool]
+"""Whether what has come on a connection so far can be the begin of its first message."""
 
 _CONNECTIONS: Final = 8  # at a time; beyond, the one that has been silent for the longest is closed
 _CHUNK: Final = 65_536
@@ -44,20 +50,22 @@ class Sockets(Protocol):
 class TcpInbox:
     """A listening socket and the connections to it.
 
-    A message is its bytes, the address that it came from, and the number of the connection.
+    A message is its bytes, the address that it came from, and the number of the connection; or, for
+    a connection that was closed since it speaks another protocol, the error that says so.
 
     Args:
         host: address to listen on.
         port: to listen on; 0 for any free one.
         split: takes messages out of what came.
+        begins: tells the protocol from others by the first bytes of a connection, however few.
         source: the word of the source, for messages.
 
     Raises:
         SourceError: the port is taken, or the address is not of this machine.
     """
 
-    def __init__(self, host: str, port: int, split: Split, source: str) -> None:
-        self._split = split
+    def __init__(self, host: str, port: int, split: Split, begins: Begins, source: str) -> None:
+        self._split, self._begins = split, begins
         self._clients: dict[socket.socket, _Client] = {}
         self._opened = 0
         self._listening = listening = _listen(host, port, source)
@@ -72,13 +80,18 @@ class TcpInbox:
         """See ``Inbox``."""
         ready = select.select(self.sockets(), [], [], timeout)[0]
         newest: deque[Message] = deque(maxlen=KEPT)
+        refusals: list[Message] = []
         if self._listening in ready:
             self._accept()
         for connection in ready:
             client = self._clients.get(connection)
             if client is not None:
-                newest.extend(self._read(connection, client))
-        return list(newest)
+                try:
+                    newest.extend(self._read(connection, client))
+                except RecordingError as error:
+                    self._drop(connection)
+                    refusals.append((error,))
+        return [*refusals, *newest]
 
     def close(self) -> None:
         """Close all connections and give the port back."""
@@ -112,7 +125,14 @@ class TcpInbox:
                 self._drop(connection)
                 break
             client.buffer += chunk
+            if client.new and not self._begins(client.buffer):
+                raise RecordingError(
+                    f"a web page or another program at {client.mark[0].decode()} connected to this "
+                    f"port, closed: {brief(bytes(client.buffer[:24]))} begins no message of this "
+                    "source"
+                )
             found += [(data, *client.mark) for data in self._split(client.buffer)]
+            client.new = client.new and not found
             if len(client.buffer) > MAX_BYTES:
                 # No message ends: it is another protocol. What has come is refused where it is
                 # read, with its first bytes.
@@ -127,11 +147,12 @@ class TcpInbox:
 
 
 class _Client:
-    """A connection: where it is from, and what has come of its next message."""
+    """A connection: where it is from, its next message so far, and whether that is the first."""
 
     def __init__(self, host: str, number: int) -> None:
         self.mark = (host.encode(), str(number).encode())
         self.buffer = bytearray()
+        self.new = True
 
 
 class Together:

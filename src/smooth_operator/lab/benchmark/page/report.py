@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from smooth_operator.atomic_files import file_name
 from smooth_operator.lab.benchmark import figures, uses
 from smooth_operator.lab.benchmark.benchmark_folder import PLOTS, REPORT
-from smooth_operator.lab.benchmark.cells import file_name
 from smooth_operator.lab.benchmark.clips import make_clip
 from smooth_operator.lab.benchmark.comparison import Comparison
 from smooth_operator.lab.benchmark.page import tables

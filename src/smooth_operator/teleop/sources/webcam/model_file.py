@@ -15,6 +15,7 @@ from typing import Final, TypeAlias
 
 from smooth_operator.atomic_files import atomic_write, output_error
 from smooth_operator.errors import SourceError
+from smooth_operator.result_cache.own_files import make_private
 from smooth_operator.result_cache.user_cache import user_cache
 
 SWITCH: Final = "SMOOTH_OPERATOR_HAND_MODEL"
@@ -103,7 +104,7 @@ def _sha256_of(path: Path) -> str | None:
 def _fetch(url: str, sha256: str, target: Path, progress: Progress) -> None:
     """Download a file whole, or leave nothing."""
     try:
-        target.parent.mkdir(parents=True, exist_ok=True)
+        make_private(target.parent)
     except OSError as error:
         raise output_error(target, error) from error
     try:

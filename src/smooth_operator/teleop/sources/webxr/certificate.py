@@ -21,12 +21,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from smooth_operator.errors import MissingExtraError, SourceError
+from smooth_operator.result_cache.own_files import make_private, read_own_file
 from smooth_operator.result_cache.user_cache import OFF, SWITCH, user_cache
 
 if TYPE_CHECKING:
     from cryptography import x509
 
 VALID: Final = datetime.timedelta(days=365)  # Apple allows 825 days at most
+_MOST_BYTES: Final = 100_000
 _SPARE: Final = datetime.timedelta(days=1)  # one that runs out today would do so while it is used
 
 
@@ -100,7 +102,7 @@ def get_certificate(
 
 
 def _make_private(folder: Path) -> None:
-    folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+    make_private(folder)
     if hasattr(os, "getuid"):
         if folder.stat().st_uid != os.getuid():
             raise SourceError(f"{str(folder)!r} belongs to another user; set {SWITCH} to another")
@@ -113,9 +115,7 @@ def _read(file: Path, now: datetime.datetime) -> Certificate | None:
     from cryptography.hazmat.primitives import hashes, serialization
 
     try:
-        if os.name == "posix" and file.stat().st_mode & 0o077:
-            return None
-        text = file.read_bytes()
+        text = read_own_file(file, _MOST_BYTES, secret=True)
         serialization.load_pem_private_key(text, None)
         found = x509.load_pem_x509_certificate(text)
     except (FileNotFoundError, ValueError, TypeError):

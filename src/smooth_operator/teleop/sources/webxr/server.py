@@ -5,8 +5,6 @@ from __future__ import annotations
 import asyncio
 import http
 import json
-import logging
-import socket
 import ssl
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final
@@ -21,6 +19,7 @@ from smooth_operator.web.files import answer_with, page_files, shielded
 from smooth_operator.web.listening import LimitedListener
 from smooth_operator.web.listening import listen as web_listen
 from smooth_operator.web.origin import same_origin
+from smooth_operator.web.quiet import quiet_options
 
 if TYPE_CHECKING:
     from websockets.asyncio.server import ServerConnection
@@ -29,24 +28,23 @@ if TYPE_CHECKING:
 SOCKET_PATH: Final = "/link"
 MOST_CONNECTIONS: Final = 64
 MOST_OF_ONE_ADDRESS: Final = 24
+MOST_WAITING: Final = 12
 """A page takes seven at most, and a connection whose TLS is not yet agreed on 0.3 MB."""
 _HANDSHAKE_S: Final = 5.0
 """How long each of TLS, the request and the greeting may take [s]."""
 _LOOK_EVERY: Final = 0.05  # [s]
 
-# Browsers try, give up, and come with plain HTTP; none of that is the operator's concern.
-_LOGGER: Final = logging.getLogger("smooth_operator.webxr")
-_LOGGER.addHandler(logging.NullHandler())
 
-
-def listen(host: str, port: int) -> socket.socket:
+def listen(host: str, port: int) -> LimitedListener:
     """A socket that listens.
 
     Raises:
         SourceError: the address is not one of this machine's, or the port is taken.
     """
     try:
-        return LimitedListener(web_listen(host, port), MOST_CONNECTIONS, MOST_OF_ONE_ADDRESS)
+        return LimitedListener(
+            web_listen(host, port), MOST_CONNECTIONS, MOST_OF_ONE_ADDRESS, MOST_WAITING
+        )
     except OSError as error:
         raise SourceError(
             f"can't listen on {host!r} port {port}: {error.strerror or error}; name another port "
@@ -55,7 +53,7 @@ def listen(host: str, port: int) -> socket.socket:
 
 
 async def serve(
-    listening: socket.socket,
+    listening: LimitedListener,
     certificate: Certificate,
     context: ssl.SSLContext,
     link: Link,
@@ -80,6 +78,7 @@ async def serve(
     site["/certificate.crt"] = (certificate.public, "application/x-x509-ca-cert")
 
     def answer(connection: ServerConnection, request: Request) -> Response | None:
+        listening.served(connection.remote_address)
         path = urlsplit(request.path).path
         if path == SOCKET_PATH:
             if not same_origin(request):
@@ -94,7 +93,6 @@ async def serve(
         sock=listening,
         ssl=context,
         process_request=shielded(answer),
-        server_header=None,
         compression=None,  # it would cost more time than the bytes that it saves
         max_size=MAX_BYTES + 64,
         ssl_handshake_timeout=_HANDSHAKE_S,
@@ -102,7 +100,7 @@ async def serve(
         close_timeout=1.0,
         ping_interval=2.0,
         ping_timeout=5.0,
-        logger=_LOGGER,
+        **quiet_options("smooth_operator.webxr"),  # browsers try, give up, come with plain HTTP
     ):
         while watch():
             await asyncio.sleep(_LOOK_EVERY)

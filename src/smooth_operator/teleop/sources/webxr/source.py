@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import math
 import shutil
-import socket
 import ssl
 from dataclasses import dataclass, field
 
@@ -21,6 +20,7 @@ from smooth_operator.teleop.sources.webxr.link import Link, LinkState
 from smooth_operator.teleop.sources.webxr.pairing import Pairing, check_code
 from smooth_operator.teleop.sources.webxr.server import listen, secure_context, serve
 from smooth_operator.web.addresses import names_of, page_addresses
+from smooth_operator.web.listening import LimitedListener
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ class WebXr(ThreadedSource):
 class _Opened:
     """What a started source holds."""
 
-    listening: socket.socket
+    listening: LimitedListener
     certificate: Certificate
     context: ssl.SSLContext
     pairing: Pairing

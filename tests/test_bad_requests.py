@@ -1,0 +1,205 @@
+"""What comes to a page's port that is no request, or a wrong one, is refused in silence."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+import ssl
+import struct
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+import viser
+
+PAGE = """
+import sys
+from smooth_operator.teleop.pages.viser_server import close_server, open_server, page_url
+server = open_server(sys.argv[1], 0)
+token = page_url(sys.argv[1], server).partition("?token=")[2]
+print(server.get_port(), token, flush=True)
+sys.stdin.read()
+close_server(server)
+"""
+WEBXR = """
+import sys
+from smooth_operator.teleop.sources.live import Mailbox
+from smooth_operator.teleop.sources.webxr.source import WebXr
+source = WebXr(port=0, code="246810")
+source.start(Mailbox())
+print(source.addresses[0].rpartition(":")[2], flush=True)
+sys.stdin.read()
+source.stop()
+"""
+CONSOLE = """
+import asyncio, sys
+from pathlib import Path
+from smooth_operator.study.console.access import ConsoleAuth
+from smooth_operator.study.console.server import Console
+from smooth_operator.study.console.session_service import SessionService
+from smooth_operator.study.store.opening import open_study
+from smooth_operator.web.listening import listen
+sys.path.insert(0, sys.argv[2])
+from study_console import console_plan
+
+async def serve(listening, console):
+    stop = asyncio.Event()
+    port = listening.getsockname()[1]
+    loop = asyncio.get_running_loop()
+    loop.run_in_executor(None, lambda: (sys.stdin.read(), loop.call_soon_threadsafe(stop.set)))
+    await console.serve(listening, stop, lambda: print(port, flush=True))
+
+with open_study(Path(sys.argv[1]), console_plan()) as store:
+    listening = listen("127.0.0.1", 0)
+    auth = ConsoleAuth(None)
+    links = auth.links("127.0.0.1", listening.getsockname()[1])
+    asyncio.run(serve(listening, Console(SessionService(store), auth, links, local=True)))
+"""
+
+
+@dataclass
+class Server:
+    """A server in a process, all that it prints is kept."""
+
+    port: int
+    token: str
+    tls: bool
+    path: str
+
+    @contextlib.contextmanager
+    def connected(self) -> Iterator[socket.socket]:
+        with socket.create_connection(("127.0.0.1", self.port), timeout=20) as plain:
+            if not self.tls:
+                yield plain
+                return
+            context = ssl.create_default_context()
+            context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+            with context.wrap_socket(plain) as wrapped:
+                yield wrapped
+
+    def status(self, request: bytes) -> int:
+        """Of the answer; 0 if there is none."""
+        with self.connected() as one:
+            one.sendall(request)
+            with contextlib.suppress(ConnectionError, ssl.SSLError, TimeoutError):
+                words = one.recv(4096).split()
+                return int(words[1]) if len(words) > 1 else 0
+        return 0
+
+    def upgrade(self, *headers: bytes) -> bytes:
+        """A request that opens the WebSocket."""
+        return request(
+            f"{self.path}?token={self.token}".encode(),
+            b"Upgrade: websocket",
+            b"Connection: Upgrade",
+            b"Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==",
+            b"Sec-WebSocket-Version: 13",
+            b"Sec-WebSocket-Protocol: viser-v" + viser.__version__.encode(),
+            *headers,
+        )
+
+
+def request(path: bytes, *headers: bytes, host: bytes = b"localhost") -> bytes:
+    return b"\r\n".join((b"GET " + path + b" HTTP/1.1", b"Host: " + host, *headers, b"", b""))
+
+
+@pytest.fixture(scope="module", params=["page", "page elsewhere", "console", "webxr"])
+def server(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Server]:
+    """In a process; in the end it must have printed nothing."""
+    tmp_path = tmp_path_factory.mktemp("server")
+    tests = str(Path(__file__).parent)
+    words = {
+        "page": (PAGE, "127.0.0.1"),
+        "page elsewhere": (PAGE, "0.0.0.0"),
+        "console": (CONSOLE, str(tmp_path), tests),
+        "webxr": (WEBXR,),
+    }[request.param]
+    if request.param == "console":
+        pytest.importorskip("segno", reason="the extra 'study' is not installed")
+    errors = (tmp_path / "errors").open("w+b")
+    process = subprocess.Popen(
+        [sys.executable, "-c", *words],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=errors,
+        env={**os.environ, "SMOOTH_OPERATOR_CACHE": str(tmp_path / "cache")},
+    )
+    assert process.stdout is not None
+    line = process.stdout.readline().decode().split()
+    try:
+        assert line, (tmp_path / "errors").read_text()
+        path = {"console": "/link", "webxr": "/link"}.get(request.param, "/")
+        tls = request.param == "webxr"
+        yield Server(int(line[0]), "".join(line[1:]), tls, path)
+        printed = process.communicate(timeout=60)[0]
+        assert printed + (tmp_path / "errors").read_bytes() == b""
+    finally:
+        process.kill()
+        process.wait()
+        errors.close()
+
+
+WRONG = {
+    "two hosts": request(b"/", b"Host: localhost"),
+    "two other hosts": request(b"/", b"Host: elsewhere.example"),
+    "no host": b"GET / HTTP/1.1\r\n\r\n",
+    "host with a bracket": request(b"/", host=b"["),
+    "two origins": request(b"/", b"Origin: http://localhost", b"Origin: http://localhost"),
+    "origin with a bracket": request(b"/", b"Origin: http://["),
+    "two cookies": request(b"/", b"Cookie: a=b", b"Cookie: a=c"),
+    "cookie of bytes": request(b"/", b"Cookie: a=\xff"),
+    "two upgrades": request(b"/", b"Upgrade: websocket", b"Upgrade: h2c"),
+    "two encodings": request(b"/", b"Accept-Encoding: gzip", b"Accept-Encoding: br"),
+    "token of bytes": request(b"/?token=\xff\xfe"),
+    "path with a bracket": request(b"//["),
+    "post": b"POST / HTTP/1.1\r\nHost: localhost\r\nContent-Length: 3\r\n\r\nabc",
+    "no http": b"\x00\x01\x02\xff\r\n\r\n",
+    "long header": request(b"/", b"X: " + b"x" * 20_000),
+}
+UNFINISHED = [b"", b"G", b"GET / HTTP/1.1\r\nHost: local", b"\x16\x03\x01\xff\xff", b"\x80" * 3]
+
+
+def test_a_wrong_request_is_refused_and_prints_nothing(server: Server) -> None:
+    statuses = {name: server.status(data) for name, data in WRONG.items()}
+    # The files of a headset's page are for everyone; its link, below, looks at the origin.
+    files = {"host with a bracket", "origin with a bracket"} if server.tls else set()
+    assert {name for name, status in statuses.items() if status == 200} == files
+    assert 500 not in statuses.values()
+    assert {statuses[name] for name in WRONG if name.startswith("two")} == {400}
+    for data in UNFINISHED:
+        for reset in (False, True):
+            with socket.create_connection(("127.0.0.1", server.port), timeout=20) as one:
+                if reset:
+                    linger = struct.pack("ii", 1, 0)
+                    one.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, linger)
+                one.sendall(data)
+    for header in (b"Origin: http://[", b"Origin: null", b"Origin: http://elsewhere.example"):
+        assert server.status(server.upgrade(header)) == 403
+    assert server.status(server.upgrade(b"Origin: http://localhost")) == 101
+
+
+def test_messages_that_are_none_print_nothing(server: Server) -> None:
+    ping = b"\x89\x80\0\0\0\0"
+    messages = [
+        b"\x82\x85\0\0\0\0hello", b"\x81\x85\0\0\0\0hello", b"\x82\x83\0\0\0\0\xff\xff\xff",
+        b"\xf2\x80\0\0\0\0", b"\x8f\x80\0\0\0\0", b"\x82\x05hello", b"\x88\x82\0\0\0\0\x00\x01",
+        b"\x82\xff\x7f\xff\xff\xff\xff\xff\xff\xff",
+    ]  # fmt: skip
+    for message in (*messages, ping * 20_000, ping * 20_000):
+        with server.connected() as one:
+            one.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+            one.sendall(server.upgrade())
+            assert b"101" in one.recv(4096).split()
+            with contextlib.suppress(ConnectionError, ssl.SSLError, TimeoutError):
+                one.sendall(message)
+            if len(message) < 100:
+                time.sleep(0.1)
+    time.sleep(1.0)
+    assert server.status(server.upgrade()) == 101

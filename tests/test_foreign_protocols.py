@@ -1,0 +1,207 @@
+"""Sources that listen on TCP, and what reaches them that is not of their protocol."""
+
+from __future__ import annotations
+
+import http.server
+import json
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import headset_apps as app
+import pytest
+from browser_page import new_page
+from live_time import Kept, until
+
+from smooth_operator.teleop.sources.message_receiver import MessageReceiver
+from smooth_operator.teleop.sources.payload import Reading
+from smooth_operator.teleop.sources.registry import build_source
+from smooth_operator.types import HandFrame
+
+POSE = (0.4, -0.3, 1.1, 0.6, -0.48, 0.384, 0.512)
+JOINTS = app.hand("right")
+
+
+def hts(number: int) -> bytes:
+    pose = (POSE[0] + 0.001 * number, *POSE[1:])
+    return app.hts_packet("right", pose, app.landmarks(JOINTS)) + b"\n"
+
+
+def pico(number: int) -> bytes:
+    pose = (POSE[0] + 0.001 * number, *POSE[1:])
+    return app.pico_tracking({"rightHand": app.pico_hand(pose, JOINTS)}, number * 20_000_000)
+
+
+SOURCES: dict[str, Callable[[int], bytes]] = {
+    "hts:port=0,transport=tcp": hts,
+    "pico:port=0": pico,
+}
+pytestmark = pytest.mark.parametrize("text", SOURCES)
+
+HEADERS = [
+    b"POST / HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 5000\r\n\r\n",
+    b"GET /?Right%20wrist HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n",
+    b"HEAD / HTTP/1.1\r\n\r\n",
+    b"OPTIONS / HTTP/1.1\r\n\r\n",
+    b"PUT / HTTP/1.1\r\n\r\n",
+    b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n",
+    b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03",
+    b"\x00\x01\x00\x08",
+    b"\xff\x00\x00\x00\x00\x00\x00\x00\x01\x7f",
+]
+
+
+@contextmanager
+def listening(text: str) -> Iterator[tuple[Any, Kept, tuple[str, int]]]:
+    source: Any = build_source(text)
+    mailbox = Kept()
+    source.start(mailbox)
+    try:
+        host, _, port = source.endpoint.removeprefix("tcp://").rpartition(":")
+        yield source, mailbox, (host, int(port))
+    finally:
+        source.stop()
+
+
+def is_closed(one: socket.socket) -> bool:
+    """Whether the other end is."""
+    try:
+        return one.recv(1) == b""
+    except ConnectionError:
+        return True
+
+
+def works(mailbox: Kept, where: tuple[str, int], data: bytes) -> None:
+    """A headset, whose bytes arrive one by one."""
+    before = mailbox.received
+    with socket.create_connection(where, timeout=5) as headset:
+        headset.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        for byte in data[:40]:
+            headset.sendall(bytes([byte]))
+        headset.sendall(data[40:])
+        until(lambda: mailbox.received == before + 1)
+
+
+@pytest.mark.parametrize("apart", [False, True], ids=["together", "apart"])
+def test_another_protocol_is_closed_for_good(text: str, apart: bool) -> None:
+    frame = SOURCES[text]
+    with listening(text) as (source, mailbox, where):
+        for header in HEADERS:
+            with socket.create_connection(where, timeout=5) as one:
+                one.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                if apart:
+                    one.sendall(header)
+                    assert is_closed(one)
+                try:
+                    one.sendall(frame(1) if apart else header + frame(1))
+                    one.sendall(frame(2))
+                except ConnectionError:
+                    pass  # as it should be
+                assert is_closed(one)
+        detail = source.health().detail
+        assert f"connections closed: {len(HEADERS)}; a web page or another program at" in detail
+        assert r"127.0.0.1 connected to this port, closed: b'\xff" in detail
+        assert source.health().state == "waiting"
+        works(mailbox, where, frame(3))
+        assert mailbox.received == 1
+        until(lambda: source.health().state == "running")
+        assert "connections closed" in source.health().detail
+
+
+def test_another_protocol_whose_bytes_come_one_by_one(text: str) -> None:
+    frame = SOURCES[text]
+    with listening(text) as (source, mailbox, where):
+        for header in HEADERS:
+            with socket.create_connection(where, timeout=5) as one:
+                one.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                with pytest.raises(ConnectionError):  # noqa: PT012  (whichever byte is noticed)
+                    for byte in header[:9] * 20:
+                        one.sendall(bytes([byte]))
+                        time.sleep(0.005)
+        assert f"connections closed: {len(HEADERS)};" in source.health().detail
+        assert mailbox.received == 0
+        works(mailbox, where, frame(1))
+
+
+def test_a_refusal_ends_no_silence(text: str) -> None:
+    """A page that keeps on connecting does not make a silent headset look alive."""
+
+    class Running:
+        health: Any = None
+        mailbox = Kept(lambda: now)
+
+    def read(message: Any, received: float) -> list[Reading]:
+        return [Reading(HandFrame(app.landmarks(JOINTS), received, "right"))]
+
+    now, running = 0.0, Running()
+    receiver = MessageReceiver(running, text, ("right",), read)  # type: ignore[arg-type]
+    from smooth_operator.errors import RecordingError
+
+    receiver.take((b"",), now)
+    receiver.take((RecordingError("closed"),), now)
+    assert running.health.state == "running"
+    now = 3.0
+    receiver.take((RecordingError("closed"),), now)
+    assert running.health.state == "waiting"
+    assert running.health.detail.endswith("for 3 s; connections closed: 2; closed")
+
+
+@pytest.mark.browser
+def test_a_web_page_moves_no_hand(text: str, chromium: Any) -> None:
+    """A page of another origin needs no permission for a plain POST with a body of its choice."""
+    frame = SOURCES[text]
+    posts = 8
+    with (
+        listening(text) as (source, mailbox, where),
+        served(
+            f"""<script>
+        const bodies = {json.dumps([list(frame(k)) for k in range(posts)])}.map((numbers) =>
+          Uint8Array.from(numbers));
+        const post = async (body) => {{
+          const aborting = new AbortController();
+          setTimeout(() => aborting.abort(), 300);
+          await fetch("http://127.0.0.1:{where[1]}/", {{
+            method: "POST", mode: "no-cors", body, signal: aborting.signal}}).catch(() => 0);
+        }};
+        (async () => {{
+          for (const body of bodies) await post(body);
+          new WebSocket("ws://127.0.0.1:{where[1]}/");
+          document.title = "done";
+        }})();
+        </script>"""
+        ) as url,
+    ):
+        page, _ = new_page(chromium)
+        try:
+            page.goto(url)
+            page.wait_for_function("document.title === 'done'")
+            until(lambda: "b'GET / HTTP" in source.health().detail)  # of the WebSocket
+        finally:
+            page.close()
+        closed = int(source.health().detail.split("connections closed: ")[1].split(";")[0])
+        assert closed > posts
+        assert mailbox.received == 0
+        works(mailbox, where, frame(9))
+
+
+@contextmanager
+def served(page: str) -> Iterator[str]:
+    """A page of another origin."""
+
+    class Handler(http.server.BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            self.send_response(200)
+            self.send_header("Content-Type", "text/html")
+            self.end_headers()
+            self.wfile.write(page.encode())
+
+        def log_message(self, *words: object) -> None:
+            """Not into the output of the tests."""
+
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        yield f"http://127.0.0.1:{server.server_address[1]}/"
+        server.shutdown()

@@ -1,0 +1,272 @@
+"""Machine code is taken only from where no other user can have written it."""
+
+from __future__ import annotations
+
+import os
+import stat
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from smooth_operator.compilation import environment, program_cache
+from smooth_operator.compilation.program_cache import ProgramCache
+from smooth_operator.errors import DocumentError
+from smooth_operator.result_cache.own_files import folder_problem, make_private, read_own_file
+
+pytestmark = pytest.mark.skipif(not hasattr(os, "geteuid"), reason="no owners and modes here")
+
+OTHER = 1001
+as_root = pytest.mark.skipif(
+    not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root can make files of others"
+)
+
+
+@pytest.fixture
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """The user's cache folder, as a new process would look at it."""
+    folder = tmp_path / "above" / "cache"
+    monkeypatch.setenv("SMOOTH_OPERATOR_CACHE", str(folder))
+    program_cache._opened.cache_clear()
+    program_cache._warn.cache_clear()
+    yield folder
+    program_cache._opened.cache_clear()
+
+
+def with_an_entry(cache: Path) -> Path:
+    """A kept program."""
+    kept = program_cache.program_cache()
+    assert kept is not None
+    kept.keep("p", b"code")
+    assert kept.find("p") == b"code"
+    program_cache._opened.cache_clear()
+    return cache / "programs" / "p"
+
+
+def open_to_all(folder: Path) -> None:
+    folder.chmod(0o777)
+
+
+def open_to_the_group(folder: Path) -> None:
+    folder.chmod(0o2775)
+
+
+def sticky_but_open(folder: Path) -> None:
+    folder.chmod(0o1777)
+
+
+def of_another(path: Path) -> None:
+    os.chown(path, OTHER, -1, follow_symlinks=False)
+
+
+@pytest.mark.parametrize(
+    ("damage", "words"),
+    [
+        (open_to_all, "mode 0777; remove it"),
+        (open_to_the_group, "mode 2775; remove it"),
+        (sticky_but_open, "mode 1777; remove it"),
+        pytest.param(of_another, "belongs to another user (number 1001)", marks=as_root),
+    ],
+)
+def test_a_folder_of_others_is_not_used(
+    cache: Path,
+    damage: Callable[[Path], None],
+    words: str,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    entry = with_an_entry(cache)
+    jax_folder = cache / program_cache.machine()
+    jax_folder.mkdir()
+    for folder in (entry.parent, jax_folder):
+        damage(folder)
+    assert program_cache.program_cache() is None
+    assert program_cache.own_folder(jax_folder) is None
+    assert words in environment.environment()["programs"]
+    messages = [record.message for record in caplog.records]
+    assert [words in message for message in messages] == [True, True]
+    assert all("SMOOTH_OPERATOR_CACHE may name another" in message for message in messages)
+    assert program_cache.program_cache() is None
+    assert len(caplog.records) == 2
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [open_to_all, open_to_the_group, pytest.param(of_another, marks=as_root)],
+)
+@pytest.mark.parametrize("above", [1, 2])
+def test_a_folder_above_that_others_can_write_is_said_once(
+    cache: Path,
+    damage: Callable[[Path], None],
+    above: int,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    with_an_entry(cache)
+    folder = (cache / "programs").parents[above - 1]
+    damage(folder)
+    assert program_cache.program_cache() is None
+    assert program_cache.own_folder(cache / program_cache.machine()) is None
+    (message,) = [record.message for record in caplog.records]
+    assert str(folder) in message
+    folder.chmod(0o700)
+    os.chown(folder, os.geteuid(), -1)
+    program_cache._opened.cache_clear()
+    assert with_an_entry(cache).exists()
+
+
+def test_a_sticky_folder_above_is_as_good_as_tmp(cache: Path) -> None:
+    with_an_entry(cache)
+    cache.parent.chmod(0o1777)
+    assert program_cache.program_cache() is not None
+
+
+def test_a_link_to_an_open_folder_is_followed_and_refused(cache: Path, tmp_path: Path) -> None:
+    entry = with_an_entry(cache)
+    entry.parent.rename(tmp_path / "away")
+    target = tmp_path / "open"
+    target.mkdir()
+    target.chmod(0o777)
+    entry.parent.symlink_to(target)
+    assert program_cache.program_cache() is None
+    target.chmod(0o700)
+    program_cache._opened.cache_clear()
+    kept = program_cache.program_cache()
+    assert kept is not None
+    assert kept.folder == target  # and not through the link, which might be another one by then
+
+
+def by_another(entry: Path, elsewhere: Path) -> None:
+    of_another(entry)
+
+
+def by_all(entry: Path, elsewhere: Path) -> None:
+    entry.chmod(0o666)
+
+
+def linked(entry: Path, elsewhere: Path) -> None:
+    entry.rename(elsewhere)
+    entry.symlink_to(elsewhere)
+
+
+def device(entry: Path, elsewhere: Path) -> None:
+    entry.unlink()
+    entry.symlink_to("/dev/zero")
+
+
+def pipe(entry: Path, elsewhere: Path) -> None:
+    entry.unlink()
+    os.mkfifo(entry)
+
+
+def huge(entry: Path, elsewhere: Path) -> None:
+    with entry.open("r+b") as file:
+        file.truncate(program_cache.MOST_BYTES_OF_ONE + 1)
+
+
+ENTRIES = [
+    (by_all, "it can be written by other users"),
+    (linked, "symbolic link"),
+    (device, "symbolic link"),
+    (pipe, "it is not a plain file"),
+    (huge, "more than 268435456"),
+    pytest.param(by_another, "it belongs to another user", marks=as_root),
+]
+
+
+@pytest.mark.parametrize(("damage", "words"), ENTRIES)
+def test_an_entry_of_others_is_removed_and_compiled_again(
+    cache: Path,
+    tmp_path: Path,
+    damage: Callable[[Path, Path], None],
+    words: str,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    entry = with_an_entry(cache)
+    damage(entry, tmp_path / "elsewhere")
+    kept = ProgramCache(entry.parent)
+    assert kept.find("p") is None
+    assert words in caplog.text
+    assert not os.path.lexists(entry)
+    kept.keep("p", b"new")
+    assert kept.find("p") == b"new"
+
+
+@pytest.mark.parametrize(("damage", "words"), ENTRIES)
+def test_an_entry_of_others_is_not_left_to_jax(
+    cache: Path, tmp_path: Path, damage: Callable[[Path, Path], None], words: str
+) -> None:
+    folder = program_cache.own_folder(cache / program_cache.machine())
+    assert folder is not None
+    good, bad = folder / "jit-good-cache", folder / "jit-bad-cache"
+    for each in (good, bad):
+        each.write_bytes(b"x")
+        each.chmod(0o600)
+    damage(bad, tmp_path / "elsewhere")
+    program_cache.remove_foreign(folder)
+    assert [each.name for each in folder.iterdir()] == [good.name]
+
+
+def test_jax_itself_gets_a_closed_folder_only(tmp_path: Path) -> None:
+    """In processes of their own: with a umask for groups, what is kept is taken again."""
+    code = (
+        "import os, sys; os.umask(0o002)\n"
+        "import jax; from smooth_operator.compilation.compile_cache import enable_cache, healing\n"
+        "with healing(enable_cache()):\n"
+        "    jax.jit(lambda x: x * 3)(2.0)\n"
+        "print(jax.config.jax_compilation_cache_dir)\n"
+    )
+    settings = {k: v for k, v in os.environ.items() if not k.startswith("JAX_")}
+    settings |= {"SMOOTH_OPERATOR_CACHE": str(tmp_path / "a" / "b"), "JAX_PLATFORMS": "cpu"}
+
+    def run() -> tuple[str, str]:
+        done = subprocess.run(
+            [sys.executable, "-c", code], env=settings, capture_output=True, text=True, check=True
+        )
+        return done.stdout.strip(), done.stderr
+
+    used, _ = run()
+    folder = Path(used)
+    assert [stat.S_IMODE(each.stat().st_mode) for each in (folder, folder.parent)] == [0o700] * 2
+    entries = {each: each.stat().st_mtime_ns for each in folder.glob("*-cache")}
+    assert entries
+    assert {stat.S_IMODE(each.stat().st_mode) for each in entries} == {0o600}
+    os.mkfifo(folder / "jit-cache")
+    (folder / "jit-other-cache").write_bytes(b"x")
+    (folder / "jit-other-cache").chmod(0o664)
+    assert run() == (used, "")
+    assert {each: each.stat().st_mtime_ns for each in folder.glob("*-cache")} == entries
+    folder.parent.chmod(0o775)
+    used, errors = run()
+    assert used == "None"
+    assert errors.count("can be written by other users (mode 0775; chmod go-w)") == 1
+
+
+def test_a_secret_is_not_read_where_others_can(tmp_path: Path) -> None:
+    file = tmp_path / "key"
+    file.write_bytes(b"secret")
+    file.chmod(0o644)
+    assert read_own_file(file, 10) == b"secret"
+    with pytest.raises(DocumentError, match="can be read by other users"):
+        read_own_file(file, 10, secret=True)
+    file.chmod(0o600)
+    assert read_own_file(file, 10, secret=True) == b"secret"
+    with pytest.raises(DocumentError, match="6 bytes, more than 5"):
+        read_own_file(file, 5)
+    with pytest.raises(FileNotFoundError):
+        read_own_file(tmp_path / "none" / "x", 5)
+    with pytest.raises(DocumentError, match="not a plain file"):
+        read_own_file(tmp_path, 5)
+
+
+def test_folders_are_made_for_this_user_alone(tmp_path: Path) -> None:
+    before = os.umask(0o002)
+    try:
+        make_private(tmp_path / "a" / "b")
+    finally:
+        os.umask(before)
+    assert [stat.S_IMODE((tmp_path / x).stat().st_mode) for x in ("a", "a/b")] == [0o700] * 2
+    assert folder_problem(tmp_path / "a" / "b") == ""
+    (tmp_path / "file").touch()
+    with pytest.raises(OSError, match="exists"):
+        make_private(tmp_path / "file")
