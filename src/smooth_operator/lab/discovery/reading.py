@@ -12,6 +12,7 @@ import numpy as np
 
 from smooth_operator.errors import HandModelError
 from smooth_operator.hands.loading import load_model
+from smooth_operator.hands.model_assets import read_model_files
 from smooth_operator.hands.model_xml import read_model_xml
 from smooth_operator.lab.discovery.shapes import geom_points, urdf_mesh_points
 from smooth_operator.lab.discovery.skeleton import Skeleton
@@ -45,11 +46,16 @@ def read_skeleton(path: Path) -> tuple[Skeleton, tuple[str, ...]]:
     clouds = {b: list(shapes) for b, shapes in geom_points(model).items()}
     notes = []
     wanted = [m for m in root.iter("mesh") if m.get("filename") or m.get("file")]
-    if wanted and not model.nmesh:
+    if loaded.oversize:
+        notes.append(
+            f"{loaded.why}. They are left out; fingertips and wrist are surer with them, or with "
+            "--tip and --wrist"
+        )
+    elif wanted and not model.nmesh:
         found: dict[str, list[np.ndarray]] = {}
         missing = len(wanted)
         if root.tag == "robot":
-            found, missing = urdf_mesh_points(root, path)
+            found, missing = urdf_mesh_points(root, read_model_files(path).assets)
         for name, shapes in found.items():
             clouds.setdefault(_body(model, name), []).extend(shapes)
         if missing:

@@ -1,0 +1,290 @@
+"""The files that a model file names: what it includes, its meshes and its textures.
+
+ROS packages name meshes ``package://NAME/meshes/link.stl``, exporters by paths of the machine they
+ran on. Names are resolved here, once, for all that reads models; and what a small file can make
+large is counted before MuJoCo, which can't be interrupted, sees it.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+from urllib.parse import unquote
+
+from smooth_operator.errors import DocumentError, HandModelError, brief
+from smooth_operator.hands.model_xml import read_model_xml
+from smooth_operator.io.documents import check_plain_file
+
+MOST_BODIES: Final = 500
+"""Bodies of a model, copies included. A humanoid with two hands has 150; MuJoCo compiles a chain of
+1,000 in 4 s."""
+MOST_ELEMENTS: Final = 50_000
+"""XML elements of a model, copies included. Hands have 200 to 3,000."""
+MOST_NAMES: Final = 2_000
+"""Different files that a model names."""
+MOST_MESH_BYTES: Final = 50_000_000
+"""A larger mesh or texture is left out. Hands' have 0.01 to 10 MB; MuJoCo reads 4 MB a second."""
+_MOST_ROOM: Final = 10_000
+"""What ``_ROOM`` may ask for: MuJoCo allocates it, whatever it is."""
+_MOST_FACETS: Final = 512
+"""Resolution of a shape that MuJoCo makes; its facets are up to the square of it."""
+_ROOM: Final = ("nkey", "nuserdata", "width", "height")
+_DEEPEST: Final = 20  # files that include or attach each other
+_TAILS: Final = 8  # last parts of a path that are looked for near the model
+_NEAR: Final = 4  # folders above the model's in which a mesh is looked for by its own name alone
+_FILES: Final = ("file", "filename", "fileright", "fileleft", "fileup", "filedown", "filefront",
+                 "fileback")  # fmt: skip
+_FOLDERS: Final = ("meshdir", "texturedir", "assetdir")
+_DOCUMENTS: Final = ("include", "model")
+
+
+@dataclass(frozen=True)
+class ModelFiles:
+    """What a model consists of.
+
+    Attributes:
+        root: root element of the model file.
+        documents: the model file, and what it includes or attaches.
+        assets: mesh, texture or terrain as the model names it -> the file, where it is there.
+        attaches: whether the model attaches others, which have folders for their own names.
+    """
+
+    root: ElementTree.Element
+    documents: tuple[Path, ...]
+    assets: dict[str, Path]
+    attaches: bool
+
+
+def read_model_files(path: Path) -> ModelFiles:
+    """Reads a model file and finds the files that it names.
+
+    Args:
+        path: MJCF or URDF file.
+
+    Raises:
+        HandModelError: it is no such file, it names a pipe or a device, or it asks for more than
+            ``MOST_BODIES``, ``MOST_ELEMENTS`` or ``MOST_NAMES``.
+    """
+    reader = _Reader(Path(os.path.abspath(path)))
+    for document in reader.pending:  # grows while it is read
+        reader.read(document)
+    for name in reader.names:
+        reader.find(name)
+    for kind, most in (("bodies", MOST_BODIES), ("elements", MOST_ELEMENTS)):
+        reader.check(kind, reader.total(kind, reader.model, ()), most)
+    documents = reader.documents
+    return ModelFiles(
+        documents[reader.model].root, tuple(documents), reader.assets, bool(reader.models)
+    )
+
+
+@dataclass
+class _Document:
+    """A file, how much is in it, and how often it has which other one."""
+
+    root: ElementTree.Element
+    counts: dict[str, float]
+    inner: list[tuple[Path | str, float]]
+    """Files that it includes, and names of models that it attaches."""
+
+
+@dataclass
+class _Reader:
+    model: Path
+    documents: dict[Path, _Document] = field(default_factory=dict)
+    models: dict[str, Path] = field(default_factory=dict)
+    assets: dict[str, Path] = field(default_factory=dict)
+    names: set[str] = field(default_factory=set)
+    folders: dict[Path, None] = field(default_factory=dict)
+    totals: dict[tuple[str, Path], float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.pending = [self.model]
+
+    def read(self, path: Path) -> None:
+        if path in self.documents:
+            return
+        root = read_model_xml(path)
+        document = self.documents[path] = _Document(root, {"bodies": 0.0, "elements": 0.0}, [])
+        own = [c.get(key, "") for c in root.iter("compiler") for key in _FOLDERS]
+        self.folders |= {
+            base / folder: None
+            for folder in (*own, "")
+            for base in (self.model.parent, path.parent)
+        }
+        pending = [(root, 1.0)]
+        while pending:
+            element, times = pending.pop()
+            made = self._count(element, times, document)
+            for key in _FILES:
+                if name := element.get(key):
+                    self._name(element, name, path, times, document)
+            if element.tag == "attach":
+                document.inner.append((element.get("model", ""), times))
+            pending += [(child, made) for child in reversed(element)]
+
+    def total(self, kind: str, path: Path, above: tuple[Path, ...]) -> float:
+        """How many there are of a kind in a document, and in what it includes and attaches."""
+        if path in above or len(above) > _DEEPEST:
+            raise HandModelError(
+                f"{path} includes itself, or files include each other more than {_DEEPEST} deep; "
+                "write the model into one file"
+            )
+        if (kind, path) not in self.totals:
+            document = self.documents[path]
+            total = document.counts[kind]
+            for inner, times in document.inner:
+                file = inner if isinstance(inner, Path) else self.models.get(inner)
+                if file is not None:
+                    total += times * self.total(kind, file, (*above, path))
+            self.totals[kind, path] = total
+        return self.totals[kind, path]
+
+    def check(self, kind: str, count: float, most: int) -> None:
+        if count > most:
+            raise HandModelError(
+                f"{self.model} has more than {most} {kind}, with the copies that replicate, "
+                "composite, flexcomp and attach make; give a model of the hand alone"
+            )
+
+    def _name(
+        self, element: ElementTree.Element, name: str, path: Path, times: float, to: _Document
+    ) -> None:
+        """A file that an element names."""
+        if element.tag not in _DOCUMENTS:
+            self.names.add(name)
+            self.check("names of files", len(self.names), MOST_NAMES)
+            return
+        places = (self.model.parent / name, path.parent / name)
+        inner = next((p for p in places if self._is_plain(p, name)), None)
+        if inner is None:
+            return  # MuJoCo says that it is missing
+        inner = Path(os.path.normpath(inner))
+        self.pending.append(inner)
+        self.check("files that it includes", len(self.pending), MOST_NAMES)
+        if element.tag == "model":
+            self.models[element.get("name") or inner.stem] = inner
+        else:
+            to.inner.append((inner, times))
+
+    def _count(self, element: ElementTree.Element, times: float, document: _Document) -> float:
+        """Counts an element that is there so often; returns how often its children are."""
+        made, tag = 1.0, element.tag
+        if tag in ("replicate", "composite", "flexcomp"):
+            made = max(
+                _product(element.get("count", "1")), len(element.get("point", "").split()) / 3
+            )
+        document.counts["elements"] += times
+        if tag in ("body", "link"):
+            document.counts["bodies"] += times
+        elif tag in ("composite", "flexcomp"):
+            document.counts["bodies"] += times * made
+        self.check("elements", document.counts["elements"], MOST_ELEMENTS)
+        self._check_room(element)
+        if tag == "flexcomp" and element.get("file"):
+            raise HandModelError(
+                f"{self.model} has a flexcomp of a file, a body for each of its points; take it "
+                "out, a hand's joints need none"
+            )
+        return times * made
+
+    def _check_room(self, element: ElementTree.Element) -> None:
+        """Refuses what makes MuJoCo allocate or compute without bound."""
+        for key, text in element.items():
+            if key == "params" and element.tag == "mesh":
+                most = _MOST_FACETS
+            elif key in _ROOM or key.startswith("nuser_") or (key, element.tag) == (
+                "size", "numeric"
+            ):  # fmt: skip
+                most = _MOST_ROOM
+            else:
+                continue
+            if any(abs(number) > most for number in _numbers(text)):
+                raise HandModelError(
+                    f"{self.model}: {key}={brief(text)} of <{element.tag}> is too large; expected "
+                    f"at most {most}"
+                )
+
+    def find(self, name: str) -> None:
+        """Adds the file of that name to the assets, if it is there."""
+        for place in _places(name, self.model, self.folders):
+            if self._is_plain(place, name):
+                if place.stat().st_size <= MOST_MESH_BYTES:
+                    self.assets[name] = Path(os.path.normpath(place))
+                return
+
+    def _is_plain(self, place: Path, name: str) -> bool:
+        """Whether a file is there; opening a pipe or a device might never end."""
+        try:
+            check_plain_file(place)
+        except OSError:
+            return False
+        except ValueError as error:
+            if place.is_dir() or not isinstance(error, DocumentError):
+                return False
+            raise HandModelError(
+                f"{self.model} names {brief(name)}: {error}; expected a mesh, texture or model "
+                "file: put one there, or take the name out of the model"
+            ) from error
+        return True
+
+
+def _places(name: str, model: Path, folders: Iterable[Path]) -> Iterator[Path]:
+    """Where a file may be, likeliest first.
+
+    That is where MuJoCo looks for it; then the end of its path, the longest first, in the folders
+    above the model: ``package://NAME/rest`` is the folder of that name or, as it may be called
+    otherwise, what the model is in, and a path of another machine may have its end here. The same
+    again without percent escapes, and then with upper case taken for lower.
+    """
+    plain = re.sub(r"^[A-Za-z][A-Za-z0-9+.-]+:(//)?", "", name.replace("\\", "/"))
+    plain = re.sub(r"^/(?=[A-Za-z]:/)", "", plain)  # file:///C:/...
+    spellings = tuple(dict.fromkeys((name, plain, unquote(plain))))
+    near: list[tuple[Path, str]] = []
+    for text in spellings:
+        last = os.path.basename(text)
+        near += [(folder, each) for each in (text, last) for folder in folders]
+        parts = [p for p in os.path.normpath(text).split(os.sep) if p not in ("", ".", "..")]
+        for k in range(max(len(parts) - _TAILS, 0), len(parts)):
+            above = model.parents if len(parts) - k > 1 else model.parents[:_NEAR]
+            near += [(folder, os.path.join(*parts[k:])) for folder in above]
+    yield from (folder / text for folder, text in near)
+    listings: dict[Path, dict[str, str]] = {}
+    for folder, text in near:
+        if (spelled := _spelled(folder, text, listings)) is not None:
+            yield spelled
+
+
+def _spelled(folder: Path, text: str, listings: dict[Path, dict[str, str]]) -> Path | None:
+    """The entry that differs in upper and lower case only."""
+    for part in Path(text).parts:
+        if part != "..":
+            if folder not in listings:
+                try:
+                    listings[folder] = {name.casefold(): name for name in os.listdir(folder)}
+                except OSError:
+                    listings[folder] = {}
+            if part.casefold() not in listings[folder]:
+                return None
+            part = listings[folder][part.casefold()]
+        folder = folder / part
+    return folder
+
+
+def _numbers(text: str) -> list[float]:
+    try:
+        return [float(word) for word in text.split()]
+    except ValueError:
+        return []  # MuJoCo says what is wrong with it
+
+
+def _product(text: str) -> float:
+    out = 1.0
+    for number in _numbers(text):
+        out *= max(number, 1.0)
+    return out
