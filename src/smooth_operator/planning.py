@@ -10,8 +10,9 @@ from typing import Any, Final, Literal, TypeAlias
 from smooth_operator.calibration.operator_file import read_operator
 from smooth_operator.errors import ConfigError
 from smooth_operator.formats.environment import environment
+from smooth_operator.formats.readers import read_recording
 from smooth_operator.hands.hand import Hand
-from smooth_operator.hands.registry import load_hand
+from smooth_operator.hands.registry import default_side, load_hand
 from smooth_operator.hands.selection import parse_fingers
 from smooth_operator.hands.spec import HandSpec
 from smooth_operator.hands.spec_file import read_hand_spec
@@ -65,6 +66,26 @@ class RetargetRequest:
     def hand_name(self) -> str:
         """Name of the robot hand."""
         return self.hand.name if isinstance(self.hand, HandSpec) else self.hand
+
+    def read_recording(self, path: Path, rate: float | None) -> HandRecording:
+        """A recording of the side that is asked for.
+
+        One that does not say its side, where none is asked for, is taken for a right hand, or for a
+        left one if the robot hand is a left one only.
+
+        Args:
+            path: file of the recording.
+            rate: frames a second [Hz], for one without stamps.
+
+        Raises:
+            RecordingError: it can't be read, or is of the other side by its shape.
+        """
+        recording = read_recording(path, rate=rate, side=self.side, layout=self.layout)
+        if recording.meta.get("side_assumed") and default_side(self.hand) != recording.side:
+            recording = read_recording(
+                path, rate=rate, side=default_side(self.hand), layout=self.layout
+            )
+        return recording
 
     def load_hand(self, side: Side) -> Hand:
         """The robot hand of one side, with the fingers that are asked for.
