@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Final, Literal, TypeAlias
 
 from smooth_operator.calibration.operator_file import read_operator
-from smooth_operator.errors import ConfigError
+from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.formats.environment import environment
 from smooth_operator.formats.readers import read_recording
 from smooth_operator.hands.hand import Hand
@@ -80,12 +80,15 @@ class RetargetRequest:
         Raises:
             RecordingError: it can't be read, or is of the other side by its shape.
         """
-        recording = read_recording(path, rate=rate, side=self.side, layout=self.layout)
-        if recording.meta.get("side_assumed") and default_side(self.hand) != recording.side:
-            recording = read_recording(
-                path, rate=rate, side=default_side(self.hand), layout=self.layout
-            )
-        return recording
+        default = self.side or default_side(self.hand)
+        try:
+            recording = read_recording(path, rate=rate, side=self.side, layout=self.layout)
+            if recording.side == default or not recording.meta.get("side_assumed"):
+                return recording
+        except RecordingError:  # perhaps for the shape of a left hand, which was taken for a right
+            if default in ("right", self.side):
+                raise
+        return read_recording(path, rate=rate, side=default, layout=self.layout)
 
     def load_hand(self, side: Side) -> Hand:
         """The robot hand of one side, with the fingers that are asked for.
