@@ -24,7 +24,7 @@ from smooth_operator.hand_files.stand_ins import stand_in_note, stand_ins
 from smooth_operator.hands import loading
 from smooth_operator.hands.hand import load_hand_spec
 from smooth_operator.hands.loading import load_model, load_spec
-from smooth_operator.hands.model_assets import MOST_BODIES, MOST_ELEMENTS
+from smooth_operator.hands.model_assets import BODY, MOST_ELEMENTS
 from smooth_operator.lab.benchmark.settings import only_side
 from smooth_operator.lab.discovery import discover
 from smooth_operator.planning import make_request
@@ -181,13 +181,14 @@ WEDGE = '<asset><mesh name="w" builtin="wedge" params="20000 20000 30 30 0"/></a
 ENDLESS: dict[str, tuple[str, str]] = {
     "replicate": (
         world(f'<replicate count="100000000" offset="1 0 0">{GEOM}</replicate>'),
-        rf"more than {MOST_ELEMENTS} elements",
+        r"more than 500 bodies, 50000 elements",
     ),
     "replicate of bodies": (
         world(
-            f'<replicate count="{MOST_BODIES + 1}" offset="1 0 0"><body>{GEOM}</body></replicate>'
+            f'<replicate count="{MOST_ELEMENTS // BODY + 1}" offset="1 0 0"><body>{GEOM}</body>'
+            "</replicate>"
         ),
-        rf"more than {MOST_BODIES} bodies",
+        "bodies",
     ),
     "nested replicate": (
         world(3 * '<replicate count="1000" offset="1 0 0">' + GEOM + 3 * "</replicate>"),
@@ -197,7 +198,7 @@ ENDLESS: dict[str, tuple[str, str]] = {
     "flexcomp": (world(f"<body>{FLEX}</body>"), "bodies"),
     "points of a file": (
         world('<body><flexcomp name="f" type="mesh" file="a.obj" dim="2"/></body>'),
-        "flexcomp of a file",
+        "bodies",
     ),
     "composite": (
         world(f'<body><composite type="cable" count="1000 1 1">{GEOM}</composite></body>'),

@@ -222,16 +222,16 @@ def _compiled(path: Path, files: ModelFiles, mirror: bool) -> _Compiled:
 
     Kinematics needs no mesh, so one that can't be read is no reason to refuse a model.
     """
-    spec = _read(path, files, mirror)
-    every = frozenset(mesh.name for mesh in spec.meshes)
-    absent = {} if files.attaches else _absent(spec, files)
-    why = [
-        f"{len(absent)} mesh files are not where the model names them, or have over "
-        f"{MOST_MESH_BYTES / 1e6:.0f} MB ({brief(name)} the first): put them there, or correct the "
-        "names"
-        for name in list(absent.values())[:1]
-    ]
-    dropped = frozenset(absent) or None
+    names = {mesh.name: mesh.file for mesh in _read(path, files, mirror).meshes}
+    there = {"", *map(str, files.assets.values())}
+    absent = {} if files.attaches else {k: v for k, v in names.items() if v not in there}
+    why, dropped = [], frozenset(absent) or None
+    if absent:
+        why.append(
+            f"{len(absent)} mesh files are not where the model names them, or have over "
+            f"{MOST_MESH_BYTES / 1e6:.0f} MB ({brief(next(iter(absent.values())))} the first): put "
+            "them there, or correct the names"
+        )
     try:
         model, lost = _without(path, files, mirror, dropped)
     except _MUJOCO_ERRORS as error:
@@ -243,7 +243,7 @@ def _compiled(path: Path, files: ModelFiles, mirror: bool) -> _Compiled:
             model, lost = _without(path, files, mirror, dropped)
         except _MUJOCO_ERRORS:
             try:
-                dropped = unreadable = every
+                dropped = unreadable = frozenset(names)
                 model, lost = _without(path, files, mirror, dropped)
             except _MUJOCO_ERRORS as last:
                 raise _refused("compile without its meshes", path, last) from last
@@ -267,12 +267,6 @@ def _without(
     spec = _read(path, files, mirror)  # again: a spec that failed to compile can't be edited
     lost = () if meshes is None else _drop_meshes(spec, meshes)
     return spec.compile(), lost
-
-
-def _absent(spec: mujoco.MjSpec, files: ModelFiles) -> dict[str, str]:
-    """Name -> file of the meshes that are not there."""
-    there = {str(file) for file in files.assets.values()}
-    return {m.name: m.file for m in spec.meshes if m.file and m.file not in there}
 
 
 def _unreadable_meshes(
@@ -311,10 +305,8 @@ def _drop_meshes(spec: mujoco.MjSpec, meshes: frozenset[str]) -> tuple[str, ...]
             spec.delete(geom)
     for material in spec.materials:
         material.textures = [""] * len(material.textures)
-    for asset in [
-        *(m for m in spec.meshes if m.name in meshes),
-        *(*spec.skins, *spec.hfields, *spec.textures),
-    ]:
+    gone = [mesh for mesh in spec.meshes if mesh.name in meshes]
+    for asset in (*gone, *spec.skins, *spec.hfields, *spec.textures):
         spec.delete(asset)
     return tuple(dict.fromkeys(lost))
 

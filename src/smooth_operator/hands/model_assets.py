@@ -7,6 +7,7 @@ large is counted before MuJoCo, which can't be interrupted, sees it.
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import xml.etree.ElementTree as ElementTree
@@ -20,11 +21,11 @@ from smooth_operator.errors import DocumentError, HandModelError, brief
 from smooth_operator.hands.model_xml import read_model_xml
 from smooth_operator.io.documents import check_plain_file
 
-MOST_BODIES: Final = 500
-"""Bodies of a model, copies included. A humanoid with two hands has 150; MuJoCo compiles a chain of
-1,000 in 4 s."""
 MOST_ELEMENTS: Final = 50_000
-"""XML elements of a model, copies included. Hands have 200 to 3,000."""
+"""XML elements of a model, copies included, where a body counts as ``BODY``: hands have 2,000 to
+10,000, and 500 bodies are the most. A humanoid with two hands has 150; MuJoCo compiles a chain of
+1,000 in 4 s."""
+BODY: Final = 100
 MOST_NAMES: Final = 2_000
 """Different files that a model names."""
 MOST_MESH_BYTES: Final = 50_000_000
@@ -33,7 +34,7 @@ _MOST_ROOM: Final = 10_000
 """What ``_ROOM`` may ask for: MuJoCo allocates it, whatever it is."""
 _MOST_FACETS: Final = 512
 """Resolution of a shape that MuJoCo makes; its facets are up to the square of it."""
-_ROOM: Final = ("nkey", "nuserdata", "width", "height")
+_ROOM: Final = ("nkey", "nuserdata", "width", "height", "numeric size")
 _DEEPEST: Final = 20  # files that include or attach each other
 _TAILS: Final = 8  # last parts of a path that are looked for near the model
 _NEAR: Final = 4  # folders above the model's in which a mesh is looked for by its own name alone
@@ -68,15 +69,14 @@ def read_model_files(path: Path) -> ModelFiles:
 
     Raises:
         HandModelError: it is no such file, it names a pipe or a device, or it asks for more than
-            ``MOST_BODIES``, ``MOST_ELEMENTS`` or ``MOST_NAMES``.
+            ``MOST_ELEMENTS`` or ``MOST_NAMES``.
     """
     reader = _Reader(Path(os.path.abspath(path)))
     for document in reader.pending:  # grows while it is read
         reader.read(document)
     for name in reader.names:
         reader.find(name)
-    for kind, most in (("bodies", MOST_BODIES), ("elements", MOST_ELEMENTS)):
-        reader.check(kind, reader.total(kind, reader.model, ()), most)
+    reader.check(reader.total(reader.model, ()))
     documents = reader.documents
     return ModelFiles(
         documents[reader.model].root, tuple(documents), reader.assets, bool(reader.models)
@@ -85,12 +85,15 @@ def read_model_files(path: Path) -> ModelFiles:
 
 @dataclass
 class _Document:
-    """A file, how much is in it, and how often it has which other one."""
+    """A file, how much is in it, and how often it has which other one.
+
+    ``inner`` are files that it includes, and names of models that it attaches.
+    """
 
     root: ElementTree.Element
-    counts: dict[str, float]
-    inner: list[tuple[Path | str, float]]
-    """Files that it includes, and names of models that it attaches."""
+    count: float = 0.0
+    inner: list[tuple[Path | str, float]] = field(default_factory=list)
+    total: float | None = None
 
 
 @dataclass
@@ -99,9 +102,8 @@ class _Reader:
     documents: dict[Path, _Document] = field(default_factory=dict)
     models: dict[str, Path] = field(default_factory=dict)
     assets: dict[str, Path] = field(default_factory=dict)
-    names: set[str] = field(default_factory=set)
+    names: dict[str, None] = field(default_factory=dict)
     folders: dict[Path, None] = field(default_factory=dict)
-    totals: dict[tuple[str, Path], float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.pending = [self.model]
@@ -110,100 +112,72 @@ class _Reader:
         if path in self.documents:
             return
         root = read_model_xml(path)
-        document = self.documents[path] = _Document(root, {"bodies": 0.0, "elements": 0.0}, [])
+        document = self.documents[path] = _Document(root)
         own = [c.get(key, "") for c in root.iter("compiler") for key in _FOLDERS]
-        self.folders |= {
-            base / folder: None
-            for folder in (*own, "")
-            for base in (self.model.parent, path.parent)
-        }
+        bases = (self.model.parent, path.parent)
+        self.folders |= {base / folder: None for folder in (*own, "") for base in bases}
         pending = [(root, 1.0)]
         while pending:
             element, times = pending.pop()
-            made = self._count(element, times, document)
+            made = _copies(element)
+            body = element.tag in ("body", "link", "composite", "flexcomp")
+            document.count += times * (BODY * made if body else 1)
+            self.check(document.count)
+            self._check_room(element)
             for key in _FILES:
                 if name := element.get(key):
-                    self._name(element, name, path, times, document)
+                    self._name(element, name, path, times)
             if element.tag == "attach":
                 document.inner.append((element.get("model", ""), times))
-            pending += [(child, made) for child in reversed(element)]
+            pending += [(child, times * made) for child in reversed(element)]
 
-    def total(self, kind: str, path: Path, above: tuple[Path, ...]) -> float:
-        """How many there are of a kind in a document, and in what it includes and attaches."""
+    def total(self, path: Path, above: tuple[Path, ...]) -> float:
+        """How much is in a document, and in what it includes and attaches."""
         if path in above or len(above) > _DEEPEST:
             raise HandModelError(
                 f"{path} includes itself, or files include each other more than {_DEEPEST} deep; "
                 "write the model into one file"
             )
-        if (kind, path) not in self.totals:
-            document = self.documents[path]
-            total = document.counts[kind]
+        document = self.documents[path]
+        if document.total is None:
+            document.total = document.count
             for inner, times in document.inner:
                 file = inner if isinstance(inner, Path) else self.models.get(inner)
                 if file is not None:
-                    total += times * self.total(kind, file, (*above, path))
-            self.totals[kind, path] = total
-        return self.totals[kind, path]
+                    document.total += times * self.total(file, (*above, path))
+        return document.total
 
-    def check(self, kind: str, count: float, most: int) -> None:
-        if count > most:
+    def check(self, count: float) -> None:
+        if count > MOST_ELEMENTS or len(self.names) > MOST_NAMES:
             raise HandModelError(
-                f"{self.model} has more than {most} {kind}, with the copies that replicate, "
+                f"{self.model} has more than {MOST_ELEMENTS // BODY} bodies, {MOST_ELEMENTS} "
+                f"elements or {MOST_NAMES} names of files, with the copies that replicate, "
                 "composite, flexcomp and attach make; give a model of the hand alone"
             )
 
-    def _name(
-        self, element: ElementTree.Element, name: str, path: Path, times: float, to: _Document
-    ) -> None:
+    def _name(self, element: ElementTree.Element, name: str, path: Path, times: float) -> None:
         """A file that an element names."""
         if element.tag not in _DOCUMENTS:
-            self.names.add(name)
-            self.check("names of files", len(self.names), MOST_NAMES)
+            self.names[name] = None
             return
-        places = (self.model.parent / name, path.parent / name)
-        inner = next((p for p in places if self._is_plain(p, name)), None)
-        if inner is None:
-            return  # MuJoCo says that it is missing
-        inner = Path(os.path.normpath(inner))
-        self.pending.append(inner)
-        self.check("files that it includes", len(self.pending), MOST_NAMES)
-        if element.tag == "model":
-            self.models[element.get("name") or inner.stem] = inner
-        else:
-            to.inner.append((inner, times))
-
-    def _count(self, element: ElementTree.Element, times: float, document: _Document) -> float:
-        """Counts an element that is there so often; returns how often its children are."""
-        made, tag = 1.0, element.tag
-        if tag in ("replicate", "composite", "flexcomp"):
-            made = max(
-                _product(element.get("count", "1")), len(element.get("point", "").split()) / 3
-            )
-        document.counts["elements"] += times
-        if tag in ("body", "link"):
-            document.counts["bodies"] += times
-        elif tag in ("composite", "flexcomp"):
-            document.counts["bodies"] += times * made
-        self.check("elements", document.counts["elements"], MOST_ELEMENTS)
-        self._check_room(element)
-        if tag == "flexcomp" and element.get("file"):
-            raise HandModelError(
-                f"{self.model} has a flexcomp of a file, a body for each of its points; take it "
-                "out, a hand's joints need none"
-            )
-        return times * made
+        for place in (self.model.parent / name, path.parent / name):
+            if self._is_plain(place, name):  # else MuJoCo says that it is missing
+                inner = Path(os.path.normpath(place))
+                self.pending.append(inner)
+                if element.tag == "model":
+                    self.models[element.get("name") or inner.stem] = inner
+                else:
+                    self.documents[path].inner.append((inner, times))
+                return
 
     def _check_room(self, element: ElementTree.Element) -> None:
         """Refuses what makes MuJoCo allocate or compute without bound."""
         for key, text in element.items():
+            most = math.inf
             if key == "params" and element.tag == "mesh":
                 most = _MOST_FACETS
-            elif key in _ROOM or key.startswith("nuser_") or (key, element.tag) == (
-                "size", "numeric"
-            ):  # fmt: skip
+            elif key in _ROOM or key.startswith("nuser_") or f"{element.tag} {key}" in _ROOM:
                 most = _MOST_ROOM
-            else:
-                continue
             if any(abs(number) > most for number in _numbers(text)):
                 raise HandModelError(
                     f"{self.model}: {key}={brief(text)} of <{element.tag}> is too large; expected "
@@ -263,17 +237,23 @@ def _places(name: str, model: Path, folders: Iterable[Path]) -> Iterator[Path]:
 def _spelled(folder: Path, text: str, listings: dict[Path, dict[str, str]]) -> Path | None:
     """The entry that differs in upper and lower case only."""
     for part in Path(text).parts:
-        if part != "..":
-            if folder not in listings:
-                try:
-                    listings[folder] = {name.casefold(): name for name in os.listdir(folder)}
-                except OSError:
-                    listings[folder] = {}
-            if part.casefold() not in listings[folder]:
-                return None
-            part = listings[folder][part.casefold()]
-        folder = folder / part
+        if folder not in listings:
+            entries = os.listdir(folder) if os.access(folder, os.R_OK) and folder.is_dir() else ()
+            listings[folder] = {name.casefold(): name for name in entries} | {"..": ".."}
+        if part.casefold() not in listings[folder]:
+            return None
+        folder = folder / listings[folder][part.casefold()]
     return folder
+
+
+def _copies(element: ElementTree.Element) -> float:
+    """How often what is in an element is there."""
+    if element.tag not in ("replicate", "composite", "flexcomp"):
+        return 1.0
+    if element.tag == "flexcomp" and element.get("file"):
+        return MOST_ELEMENTS  # a body for each point of the file
+    counts = [max(number, 1.0) for number in _numbers(element.get("count", ""))]
+    return max(math.prod(counts), len(element.get("point", "").split()) / 3)
 
 
 def _numbers(text: str) -> list[float]:
@@ -281,10 +261,3 @@ def _numbers(text: str) -> list[float]:
         return [float(word) for word in text.split()]
     except ValueError:
         return []  # MuJoCo says what is wrong with it
-
-
-def _product(text: str) -> float:
-    out = 1.0
-    for number in _numbers(text):
-        out *= max(number, 1.0)
-    return out
