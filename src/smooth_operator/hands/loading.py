@@ -222,7 +222,8 @@ def _compiled(path: Path, files: ModelFiles, mirror: bool) -> _Compiled:
 
     Kinematics needs no mesh, so one that can't be read is no reason to refuse a model.
     """
-    names = {mesh.name: mesh.file for mesh in _read(path, files, mirror).meshes}
+    spec = _read(path, files, mirror)
+    names = {mesh.name: mesh.file for mesh in spec.meshes}
     there = {"", *map(str, files.assets.values())}
     absent = {} if files.attaches else {k: v for k, v in names.items() if v not in there}
     why, dropped = [], frozenset(absent) or None
@@ -233,18 +234,18 @@ def _compiled(path: Path, files: ModelFiles, mirror: bool) -> _Compiled:
             "them there, or correct the names"
         )
     try:
-        model, lost = _without(path, files, mirror, dropped)
-    except _MUJOCO_ERRORS as error:
+        model, lost = _without(spec, dropped)
+    except _MUJOCO_ERRORS as error:  # a spec that failed to compile can't be edited: read again
         if not _is_missing_asset(error):
             raise _refused("compile", path, error) from error
         unreadable = _unreadable_meshes(path, files, mirror, absent)
         try:
             dropped = frozenset(absent) | unreadable
-            model, lost = _without(path, files, mirror, dropped)
+            model, lost = _without(_read(path, files, mirror), dropped)
         except _MUJOCO_ERRORS:
             try:
                 dropped = unreadable = frozenset(names)
-                model, lost = _without(path, files, mirror, dropped)
+                model, lost = _without(_read(path, files, mirror), dropped)
             except _MUJOCO_ERRORS as last:
                 raise _refused("compile without its meshes", path, last) from last
         if unreadable:
@@ -256,15 +257,14 @@ def _compiled(path: Path, files: ModelFiles, mirror: bool) -> _Compiled:
     if large:
         dropped = (dropped or frozenset()) | large
         why.append(text)
-        model, lost = _without(path, files, mirror, dropped)
+        model, lost = _without(_read(path, files, mirror), dropped)
     return _Compiled(model, dropped, lost, tuple(why), bool(large))
 
 
 def _without(
-    path: Path, files: ModelFiles, mirror: bool, meshes: frozenset[str] | None
+    spec: mujoco.MjSpec, meshes: frozenset[str] | None
 ) -> tuple[mujoco.MjModel, tuple[str, ...]]:
     """The model without these meshes, and the bodies that lost a shape that collides."""
-    spec = _read(path, files, mirror)  # again: a spec that failed to compile can't be edited
     lost = () if meshes is None else _drop_meshes(spec, meshes)
     return spec.compile(), lost
 
@@ -339,8 +339,8 @@ def _oversize(model: mujoco.MjModel) -> tuple[frozenset[str], str]:
     return frozenset(model.mesh(int(m)).name for m in model.geom_dataid[large]), (
         f"meshes are about {factor:,.0f} times as large as the links (that of "
         f"{model.body(int(bodies[first])).name!r} is {length[first]:.3g} m long, its whole chain "
-        f"{(up + down)[bodies[first]]:.2g} m): in the model, write scale {scale / factor:.3g} "
-        f"where it has {scale:.3g}"
+        f"{(up + down)[bodies[first]]:.2g} m): in the model, write scale {scale / factor:g} "
+        f"where it has {scale:g}"
     )
 
 

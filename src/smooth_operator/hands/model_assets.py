@@ -21,11 +21,11 @@ from smooth_operator.errors import DocumentError, HandModelError, brief
 from smooth_operator.hands.model_xml import read_model_xml
 from smooth_operator.io.documents import check_plain_file
 
-MOST_ELEMENTS: Final = 50_000
-"""XML elements of a model, copies included, where a body counts as ``BODY``: hands have 2,000 to
-10,000, and 500 bodies are the most. A humanoid with two hands has 150; MuJoCo compiles a chain of
-1,000 in 4 s."""
-BODY: Final = 100
+MOST_ELEMENTS: Final = 20_000
+"""XML elements of a model, copies included, where a body counts as ``BODY``: hands have 1,000 to
+4,000. So 500 bodies are the most; a humanoid with two hands has 150. MuJoCo takes 4 s for a chain
+of 1,000 bodies, and 20 s for 50,000 shapes."""
+BODY: Final = 40
 MOST_NAMES: Final = 2_000
 """Different files that a model names."""
 MOST_MESH_BYTES: Final = 50_000_000
