@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
+import os
 import random
 import re
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -155,10 +156,13 @@ def test_mutants_are_read_or_refused(kind: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.shared
-def test_what_once_crashed_is_sound(shared: Path, tmp_path: Path) -> None:
-    files = sorted((shared / "findings" / "crashers").glob("discoverhand_*"))
+@pytest.mark.skipif(sys.platform == "win32", reason="no named pipes")
+def test_what_once_hung_is_refused(shared: Path, tmp_path: Path) -> None:
+    files = sorted((shared / "findings" / "crashers").glob("hands_add_HANG_*"))
     assert files
-    for file in files:
-        (copy := tmp_path / f"hand{file.suffix}").write_bytes(file.read_bytes())
-        with contextlib.suppress(HandModelError):
-            load_hand_spec(discover(copy, name="crasher").spec)
+    os.mkfifo(tmp_path / "fifo.stl")
+    with ReaderProcess([str(Path(__file__).parent)]) as reader:
+        for file in files:
+            (copy := tmp_path / f"hand{file.suffix}").write_bytes(file.read_bytes())
+            verdict = reader.read("hostile_files:discovery", copy)
+            assert (verdict.sound, verdict.outcome) == (True, "refused"), (file, verdict)

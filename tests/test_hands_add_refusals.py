@@ -112,6 +112,26 @@ REFUSED: dict[str, tuple[str, str, str, tuple[str, ...]]] = {
         r"turn without limits \(.*need their limits in the file",
         (),
     ),
+    "equal limits": (
+        "h.urdf",
+        re.sub(r'upper="1.6"', 'upper="-0.1"', TEXT),
+        r"of a finger can't move: lower = upper = -?[\d.]+ in the file.*give them their range",
+        (),
+    ),
+    "all limits equal": (
+        "h.urdf",
+        re.sub(r'lower="[^"]*" upper="[^"]*"', 'lower="0.105" upper="0.105"', TEXT),
+        r"5 whose joints can't move, with lower = upper in the file",
+        (),
+    ),
+    "links at one point": (
+        "h.urdf",
+        re.sub(
+            r"<collision>.*?</collision>", "", re.sub(r'xyz="[^"]*" rpy', 'xyz="0 0 0" rpy', TEXT)
+        ),
+        r"all at one point \(.*\): a placeholder, whose joints lack their origins\. A hand",
+        (),
+    ),
     "millimetres": ("h.urdf", scaled("xyz", 1000.0), r"a model that is not in metres", ()),
     "a tip link twice": (
         "h.urdf",

@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import Any, Final, Literal, TypeAlias
 
 from smooth_operator.calibration.operator_file import read_operator
-from smooth_operator.errors import ConfigError
+from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.formats.environment import environment
+from smooth_operator.formats.readers import read_recording
 from smooth_operator.hands.hand import Hand
-from smooth_operator.hands.registry import load_hand
+from smooth_operator.hands.registry import default_side, load_hand
 from smooth_operator.hands.selection import parse_fingers
 from smooth_operator.hands.spec import HandSpec
 from smooth_operator.hands.spec_file import read_hand_spec
@@ -65,6 +66,29 @@ class RetargetRequest:
     def hand_name(self) -> str:
         """Name of the robot hand."""
         return self.hand.name if isinstance(self.hand, HandSpec) else self.hand
+
+    def read_recording(self, path: Path, rate: float | None) -> HandRecording:
+        """A recording of the side that is asked for.
+
+        One that does not say its side, where none is asked for, is taken for a right hand, or for a
+        left one if the robot hand is a left one only.
+
+        Args:
+            path: file of the recording.
+            rate: frames a second [Hz], for one without stamps.
+
+        Raises:
+            RecordingError: it can't be read, or is of the other side by its shape.
+        """
+        default = self.side or default_side(self.hand)
+        try:
+            recording = read_recording(path, rate=rate, side=self.side, layout=self.layout)
+            if recording.side == default or not recording.meta.get("side_assumed"):
+                return recording
+        except RecordingError:  # perhaps for the shape of a left hand, which was taken for a right
+            if default in ("right", self.side):
+                raise
+        return read_recording(path, rate=rate, side=default, layout=self.layout)
 
     def load_hand(self, side: Side) -> Hand:
         """The robot hand of one side, with the fingers that are asked for.

@@ -27,6 +27,7 @@ from smooth_operator.lab.benchmark import (
 )
 from smooth_operator.lab.benchmark.benchmark_folder import REPORT, RESULTS
 from smooth_operator.lab.benchmark.cells import Cell
+from smooth_operator.lab.benchmark.settings import only_side
 from smooth_operator.lab.benchmark.suite import Advance
 from smooth_operator.lab.offline.finished import claimed
 
@@ -64,7 +65,7 @@ def bench(options: Bench) -> None:
         frames=options.frames,
         rate=options.rate,
         layout=options.layout,
-        side=options.side,
+        side=options.side or only_side(_words(options.hands)),
         seed=options.seed,
         definition=options.definition,
         metrics=_words(options.metrics),

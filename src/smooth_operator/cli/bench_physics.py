@@ -14,6 +14,7 @@ from smooth_operator.cli.console import Progressing, output_console, plain_table
 from smooth_operator.cli.outputs import folder_for
 from smooth_operator.errors import ConfigError
 from smooth_operator.lab.benchmark.benchmark_folder import REPORT
+from smooth_operator.lab.benchmark.settings import only_side
 from smooth_operator.lab.benchmark.suite import Advance
 from smooth_operator.lab.offline.finished import claimed
 from smooth_operator.lab.physics.files import write_files
@@ -50,7 +51,7 @@ def bench_physics(
         measures=tuple(dict.fromkeys(options.physics)),
         hands=_words(options.hands),
         methods=_words(options.methods),
-        side=options.side or "right",
+        side=options.side or only_side(_words(options.hands)) or "right",
         recordings=options.recordings,
         frames=options.frames,
         rate=options.rate,

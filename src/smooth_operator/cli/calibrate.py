@@ -47,7 +47,7 @@ def calibrate_recording(options: Calibrate) -> None:
         recording = _read(options, progress)
         hand = load_hand(options.hand, recording.side, fingers=fingers)
     else:
-        hand = load_hand(options.hand, options.side or "right", fingers=fingers)
+        hand = load_hand(options.hand, options.side, fingers=fingers)
         recording, segments = ask(build_source(options.source, hand.spec.side), hand, progress)
     with progress.waiting("looking for poses"):
         found = calibrate(recording, hand, segments, apply=apply)

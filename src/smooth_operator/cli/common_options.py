@@ -97,8 +97,8 @@ class Synthetic:
     duration: Annotated[float, arg(metavar="SECONDS")] = 20.0
     """How long the operator moves [s]."""
 
-    side: HandSide = "right"
-    """Which hand."""
+    side: Annotated[HandSide | None, arg(metavar="right|left")] = None
+    """Which hand; the right one, or the robot hand's only side, if left out."""
 
     rate: Annotated[float, arg(metavar="HZ")] = 100.0
     """Frames a second of the operator's tracker [Hz]."""

@@ -15,6 +15,7 @@ from smooth_operator.cli.synthetic import synthetic_operator
 from smooth_operator.formats.commands import write_commands
 from smooth_operator.formats.jsonable import to_json
 from smooth_operator.hand_files.menagerie import drawn_on
+from smooth_operator.hands.registry import default_side
 from smooth_operator.lab.offline import Outcome
 from smooth_operator.metrics import Trace
 from smooth_operator.planning import configuration, plan
@@ -32,7 +33,7 @@ def demo(options: Demo) -> None:
     progress = Progressing(options.quiet)
     check_demo_folder(options.output, options.overwrite)
     asked = requested(options, side=options.side)
-    operator = synthetic_operator(options, options.seed)
+    operator = synthetic_operator(options, options.seed, default_side(asked.hand))
     todo = plan(operator.record(options.duration), asked)
     if options.model is not None:
         drawn_on(todo.hand, options.model)  # what can't be drawn is said before any work
@@ -42,7 +43,7 @@ def demo(options: Demo) -> None:
         config = configuration("demo", todo, operator=operator, duration=options.duration)
         with progress.waiting("writing"), staged(options.output) as folder:
             _write(folder, todo.recording, outcome, trace, metrics, config)
-    title = f"{todo.hand.name} {options.side}: {todo.method} {todo.preset}"
+    title = f"{todo.hand.name} {todo.hand.spec.side}: {todo.method} {todo.preset}"
     print_metrics(f"the built-in operator on {title}", metrics)
     progress.note(f"wrote {options.output}")
     if not options.no_view:

@@ -11,7 +11,6 @@ from smooth_operator.formats.checks import reading_notes
 from smooth_operator.formats.commands import write_commands
 from smooth_operator.formats.frames import frame_slice
 from smooth_operator.formats.jsonable import to_json
-from smooth_operator.formats.readers import read_recording
 from smooth_operator.planning import configuration, plan
 from smooth_operator.types import Status
 
@@ -42,9 +41,7 @@ def retarget(options: Retarget) -> None:
         layout=options.layout,
         frames=options.frames,
     )
-    recording = read_recording(
-        options.recording, rate=options.rate, side=options.side, layout=options.layout
-    )
+    recording = asked.read_recording(options.recording, options.rate)
     for note in reading_notes(recording, str(options.recording)):
         progress.note(note, matters=True)
     total = len(recording)

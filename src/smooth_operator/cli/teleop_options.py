@@ -76,8 +76,9 @@ Examples:
     hand: Annotated[str, arg(metavar="NAME")] = "mimic_p050"
     """Robot hand, by its catalogue name."""
 
-    side: Literal["right", "left", "both"] = "right"
-    """Which hand; both drives two robots from the operator's two."""
+    side: Annotated[Literal["right", "left", "both"] | None, arg(metavar="right|left|both")] = None
+    """Which hand; both drives two robots from the operator's two. The right one, or the robot
+    hand's only side, if left out."""
 
     method: Annotated[str, arg(metavar="NAME", help=METHOD_HELP)] = DEFAULT_METHOD
 

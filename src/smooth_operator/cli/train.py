@@ -18,7 +18,7 @@ from smooth_operator.errors import ConfigError
 from smooth_operator.formats.checks import reading_notes
 from smooth_operator.formats.frames import frame_slice
 from smooth_operator.formats.readers import read_recording
-from smooth_operator.hands.registry import load_hand
+from smooth_operator.hands.registry import default_side, load_hand
 from smooth_operator.lab.training import (
     LOSSES,
     GeortTrainer,
@@ -98,7 +98,7 @@ def _recordings(
                 "of that name is ./synthetic)"
             )
         with progress.waiting("recording the synthetic operators"):
-            return synthetic_recordings(options.side or "right", options.seed)
+            return synthetic_recordings(options.side or default_side(options.hand), options.seed)
     found = []
     for path in options.recordings:
         recording = read_recording(

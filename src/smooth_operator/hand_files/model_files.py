@@ -5,24 +5,19 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
-import xml.etree.ElementTree as ElementTree
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
 from smooth_operator.atomic_files import output_error
 from smooth_operator.errors import HandModelError
 from smooth_operator.hands.loading import load_model
-from smooth_operator.hands.model_xml import is_file, read_model_xml
+from smooth_operator.hands.model_assets import read_model_files
 
 MOST_BYTES: Final = 500_000_000
 """Models with their meshes have 0.1 to 100 MB; what is larger is left where it is."""
-_DEEPEST: Final = 20  # files that include each other
 _HIGHEST: Final = 4
 """Folders above the model's own from which files are taken; what lies further away is not part of
 the model's package, and stays where it is."""
-_FILES: Final = ("file", "filename", "fileright", "fileleft", "fileup", "filedown", "filefront",
-                 "fileback")  # fmt: skip
 
 
 def model_files(path: Path) -> tuple[Path, ...]:
@@ -34,9 +29,8 @@ def model_files(path: Path) -> tuple[Path, ...]:
     Raises:
         HandModelError: the file is no model.
     """
-    found: dict[Path, None] = {}
-    _collect(path.absolute(), path.absolute().parent, (), found, 0)
-    return tuple(found)
+    files = read_model_files(path)
+    return tuple(dict.fromkeys([*files.documents, *files.assets.values()]))
 
 
 def copy_model(path: Path, folder: Path) -> Path | None:
@@ -95,62 +89,3 @@ def _same_model(one: Path, other: Path) -> bool:
         and ours.model.ngeom == theirs.model.ngeom
         and ours.unreadable == theirs.unreadable
     )
-
-
-def resolve_in_package(name: str, path: Path) -> Path | None:
-    """The file that a URDF means by a name: in its folder, or in a package above it.
-
-    Args:
-        name: relative or absolute path, or a ``package://`` or ``file://`` address.
-        path: of the URDF.
-    """
-    plain = Path(name.split("://", 1)[-1])
-    if plain.is_absolute() and is_file(plain):
-        return plain
-    for folder in path.resolve().parents:
-        # package://name/rest: the folder of that name, or the package is what the file is in
-        for tail in (plain.parts, plain.parts[1:]):
-            candidate = folder.joinpath(*tail)
-            if tail and is_file(candidate):
-                return candidate
-    return None
-
-
-def _collect(
-    path: Path, base: Path, above: tuple[str, ...], found: dict[Path, None], depth: int
-) -> None:
-    """Adds a file and what it names to the files that were found."""
-    if path in found or depth > _DEEPEST:
-        return
-    found[path] = None
-    root = read_model_xml(path)
-    folders = (*above, *_asset_folders(root))
-    for name in _named_files(root):
-        for folder in ("", *folders):
-            for last in (name, os.path.basename(name)):
-                candidate = Path(os.path.normpath(base / folder / last))
-                if is_file(candidate):
-                    found.setdefault(candidate)
-        if (packaged := resolve_in_package(name, path)) is not None:
-            found.setdefault(Path(os.path.normpath(packaged)))
-    for tag in ("include", "model"):
-        for element in root.iter(tag):
-            name = element.get("file", "")
-            if name and is_file(inner := Path(os.path.normpath(base / name))):
-                found.pop(inner, None)
-                _collect(inner, base, folders, found, depth + 1)
-
-
-def _asset_folders(root: ElementTree.Element) -> Iterator[str]:
-    for compiler in root.iter("compiler"):
-        for key in ("meshdir", "texturedir", "assetdir"):
-            if folder := compiler.get(key):
-                yield folder
-
-
-def _named_files(root: ElementTree.Element) -> Iterator[str]:
-    for element in root.iter():
-        if element.tag in ("mesh", "texture", "hfield", "skin"):
-            for key in _FILES:
-                if name := element.get(key):
-                    yield name

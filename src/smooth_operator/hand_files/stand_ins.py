@@ -68,8 +68,8 @@ def stand_in_note(hand: Hand) -> str:
     shown = ", ".join(links[:3]) + (f" and {len(links) - 3} more" if len(links) > 3 else "")
     return (
         f"{hand.name}: the collision shapes of {len(links)} links ({shown}) could not be read; "
-        "'smooth' keeps estimated capsules along their bones apart in their place. Put the mesh "
-        "files where the model file names them for the real shapes"
+        "'smooth' keeps estimated capsules along their bones apart in their place. For the real "
+        f"shapes: {hand.why or 'the model file names none, so give them to it'}"
     )
 
 

@@ -38,6 +38,7 @@ class Hand:
             of the identity for an actuated joint, gear ratios for a coupled one.
         coupling_offset: (n,) positions of all joints where the actuated ones are at zero [rad].
         unreadable: names of bodies whose shapes that collide could not be read.
+        why: what is wrong with meshes that were left out, and what to do; empty if none were.
     """
 
     spec: HandSpec
@@ -51,6 +52,7 @@ class Hand:
     coupling_matrix: Float[np.ndarray, "n m"]
     coupling_offset: Float[np.ndarray, " n"]
     unreadable: tuple[str, ...] = ()
+    why: str = ""
 
     def __repr__(self) -> str:
         return (
@@ -236,6 +238,7 @@ def load_hand_spec(spec: HandSpec) -> Hand:
         tree,
         *coupling,
         loaded.unreadable,
+        loaded.why,
     )
 
 

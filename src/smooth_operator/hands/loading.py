@@ -1,8 +1,9 @@
 """From an MJCF or URDF file to a compiled MuJoCo model, with the couplings that it declares.
 
 MuJoCo's own compiler reads both formats. What it leaves to us: URDF ``mimic`` (which it drops),
-models whose meshes are missing (kinematics needs none of them), inertias that no real body has,
-and mirroring a right hand into a left one.
+names of files that it does not know (``package://``), models whose meshes are missing or far too
+large (kinematics needs none of them), inertias that no real body has, and mirroring a right hand
+into a left one.
 """
 
 from __future__ import annotations
@@ -11,27 +12,40 @@ import logging
 import math
 import re
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Container
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.errors import HandModelError
+from smooth_operator.errors import HandModelError, brief
 from smooth_operator.hands.mirroring import mirror_spec
-from smooth_operator.hands.model_xml import decode_xml, read_model_xml
+from smooth_operator.hands.model_assets import MOST_MESH_BYTES, ModelFiles, read_model_files
+from smooth_operator.hands.model_xml import decode_xml
 
 NO_ROOM: Final = 0.25
 """A coupling that can use less of its joints' ranges, see ``shared_range``, is a mistake."""
 _ROOM: Final = 0.75
+_TIMES: Final = 5.0  # a mesh over its chain: it is of another unit
+_LONGEST: Final = 0.5  # [m], and no link of a hand is as long
+_TINY: Final = 1e-9
 _MUJOCO_ERRORS: Final = (ValueError, RuntimeError, MemoryError, mujoco.FatalError)
 
-# Without its own listener MuJoCo writes its warnings to a file in the working folder.
 _LOGGER: Final = logging.getLogger("smooth_operator.mujoco")
+
+
+@lru_cache(maxsize=256)  # a model is compiled up to four times, and warned of once
+def _warn(text: str) -> None:
+    _LOGGER.warning(text)
+
+
+# Without its own listener MuJoCo writes its warnings to a file in the working folder.
 if mujoco.get_mju_user_warning() is None:
-    mujoco.set_mju_user_warning(_LOGGER.warning)
+    mujoco.set_mju_user_warning(_warn)
 
 
 @dataclass(frozen=True)
@@ -58,12 +72,16 @@ class LoadedModel:
         couplings: of its joints, as the file has them but for signs that no pose within the limits
             allows.
         unreadable: names of bodies that lost shapes that collide, because their mesh files can't
-            be read.
+            be read or are far too large.
+        why: what is wrong with the meshes that were left out, and what to do; empty if none were.
+        oversize: whether meshes of another unit than the links are left out.
     """
 
     model: mujoco.MjModel
     couplings: tuple[Coupling, ...]
     unreadable: tuple[str, ...]
+    why: str = ""
+    oversize: bool = False
 
 
 def load_model(path: Path, *, mirror: bool = False) -> LoadedModel:
@@ -74,10 +92,12 @@ def load_model(path: Path, *, mirror: bool = False) -> LoadedModel:
         mirror: reflect the model across its x = 0 plane, right hand to left hand.
 
     Raises:
-        HandModelError: if there is no such file or MuJoCo can't compile it.
+        HandModelError: if there is no such file, it is too large (``read_model_files``), or MuJoCo
+            can't compile it.
     """
-    root = read_model_xml(path)
-    model, _, unreadable = _compiled(path, mirror)
+    files = read_model_files(path)
+    root = files.root
+    model, _, unreadable, why, large = _compiled(path, files, mirror)
     _check_finite(model, path)
     if root.tag == "robot":
         couplings = _urdf_mimics(root, path)
@@ -86,7 +106,7 @@ def load_model(path: Path, *, mirror: bool = False) -> LoadedModel:
         tendons = _tendons(model, {coupling.joint for coupling in equalities})
         couplings = (*equalities, *tendons)
     possible = tuple(_possible(model, coupling) for coupling in couplings)
-    return LoadedModel(model, possible, unreadable)
+    return LoadedModel(model, possible, unreadable, "; ".join(why), large)
 
 
 def _check_finite(model: mujoco.MjModel, path: Path) -> None:
@@ -106,12 +126,14 @@ def driven_joints(model: mujoco.MjModel) -> set[int]:
     return _actuated(model) | {joints[0] for joints, _ in _driven_tendons(model)}
 
 
-def _read(path: Path, mirror: bool) -> mujoco.MjSpec:
+def _read(path: Path, files: ModelFiles, mirror: bool) -> mujoco.MjSpec:
     try:
         spec = _parsed(path)
     except _MUJOCO_ERRORS as error:
         raise _refused("read", path, error) from error
     _name_all(spec)
+    if not files.attaches:
+        _name_assets(spec, files)
     # Links on fixed joints, such as a URDF's palm and fingertips, are to keep their names.
     spec.compiler.fusestatic = False
     # Vendors publish inertias that break the triangle inequality, and links without any.
@@ -121,6 +143,16 @@ def _read(path: Path, mirror: bool) -> mujoco.MjSpec:
     if mirror:
         mirror_spec(spec)
     return spec
+
+
+def _name_assets(spec: mujoco.MjSpec, files: ModelFiles) -> None:
+    """Gives files their full names, whatever the model calls them."""
+    spec.strippath = False
+    for asset in (*spec.meshes, *spec.textures, *spec.hfields, *spec.skins):
+        if file := files.assets.get(asset.file):
+            if not asset.name:  # MuJoCo would take the file's
+                asset.name = Path(asset.file).stem
+            asset.file = str(file)
 
 
 def _parsed(path: Path) -> mujoco.MjSpec:
@@ -165,45 +197,87 @@ def load_spec(path: Path, *, mirror: bool = False) -> mujoco.MjSpec:
     Raises:
         HandModelError: MuJoCo can't compile it.
     """
-    _, meshes, _ = _compiled(path, mirror)
+    files = read_model_files(path)
+    dropped = _compiled(path, files, mirror).dropped
     # again: compiling fills in what is then no longer derived
-    spec = _read(path, mirror)
-    if meshes:
-        _drop_meshes(spec, meshes)
+    spec = _read(path, files, mirror)
+    if dropped is not None:
+        _drop_meshes(spec, dropped)
     return spec
 
 
-def _compiled(path: Path, mirror: bool) -> tuple[mujoco.MjModel, frozenset[str], tuple[str, ...]]:
-    """The model with as many of its meshes as can be read, the names of the other meshes, and the
-    bodies that lost shapes that collide.
+class _Compiled(NamedTuple):
+    """A model; the meshes that it lacks, None if it is whole; bodies that lost a shape that
+    collides; why; whether meshes of another unit are among them."""
+
+    model: mujoco.MjModel
+    dropped: frozenset[str] | None
+    lost: tuple[str, ...]
+    why: tuple[str, ...]
+    oversize: bool
+
+
+def _compiled(path: Path, files: ModelFiles, mirror: bool) -> _Compiled:
+    """The model with as many of its meshes as can be used.
 
     Kinematics needs no mesh, so one that can't be read is no reason to refuse a model.
     """
+    spec = _read(path, files, mirror)
+    names = {mesh.name: mesh.file for mesh in spec.meshes}
+    there = {"", *map(str, files.assets.values())}
+    absent = {} if files.attaches else {k: v for k, v in names.items() if v not in there}
+    why, dropped = [], frozenset(absent) or None
+    if absent:
+        why.append(
+            f"{len(absent)} mesh files are not where the model names them, or have over "
+            f"{MOST_MESH_BYTES / 1e6:.0f} MB ({brief(next(iter(absent.values())))} the first): put "
+            "them there, or correct the names"
+        )
     try:
-        return _read(path, mirror).compile(), frozenset(), ()
-    except _MUJOCO_ERRORS as error:
+        model, lost = _without(spec, dropped)
+    except _MUJOCO_ERRORS as error:  # a spec that failed to compile can't be edited: read again
         if not _is_missing_asset(error):
             raise _refused("compile", path, error) from error
-    every = frozenset(mesh.name for mesh in _read(path, mirror).meshes)
-    some = _unreadable_meshes(path, mirror)
-    for meshes in dict.fromkeys((some, every)):
-        spec = _read(path, mirror)  # again: a spec that failed to compile can't be edited
-        lost = _drop_meshes(spec, meshes)
+        unreadable = _unreadable_meshes(path, files, mirror, absent)
         try:
-            return spec.compile(), meshes, lost
-        except _MUJOCO_ERRORS as error:
-            if meshes == every:
-                raise _refused("compile without its meshes", path, error) from error
-    raise AssertionError  # the last of them returns or raises
+            dropped = frozenset(absent) | unreadable
+            model, lost = _without(_read(path, files, mirror), dropped)
+        except _MUJOCO_ERRORS:
+            try:
+                dropped = unreadable = frozenset(names)
+                model, lost = _without(_read(path, files, mirror), dropped)
+            except _MUJOCO_ERRORS as last:
+                raise _refused("compile without its meshes", path, last) from last
+        if unreadable:
+            why.append(
+                f"MuJoCo can't read {len(unreadable)} meshes ({brief(min(unreadable))} the first): "
+                "export them as OBJ, or as binary STL of at most 200,000 triangles"
+            )
+    large, text = _oversize(model)
+    if large:
+        dropped = (dropped or frozenset()) | large
+        why.append(text)
+        model, lost = _without(_read(path, files, mirror), dropped)
+    return _Compiled(model, dropped, lost, tuple(why), bool(large))
 
 
-def _unreadable_meshes(path: Path, mirror: bool) -> frozenset[str]:
+def _without(
+    spec: mujoco.MjSpec, meshes: frozenset[str] | None
+) -> tuple[mujoco.MjModel, tuple[str, ...]]:
+    """The model without these meshes, and the bodies that lost a shape that collides."""
+    lost = () if meshes is None else _drop_meshes(spec, meshes)
+    return spec.compile(), lost
+
+
+def _unreadable_meshes(
+    path: Path, files: ModelFiles, mirror: bool, absent: Container[str]
+) -> frozenset[str]:
     """Names of the meshes that MuJoCo can't read, each tried in its own model."""
-    spec = _read(path, mirror)
+    spec = _read(path, files, mirror)
     out = set()
     for mesh in spec.meshes:
-        if not mesh.file:
-            continue  # its points are in the model file
+        if not mesh.file or mesh.name in absent:
+            continue  # its points are in the model file, or nowhere
         trial = mujoco.MjSpec()
         trial.modelfiledir, trial.meshdir = spec.modelfiledir, spec.meshdir
         trial.strippath = spec.strippath
@@ -217,7 +291,7 @@ def _unreadable_meshes(path: Path, mirror: bool) -> frozenset[str]:
 
 
 def _drop_meshes(spec: mujoco.MjSpec, meshes: frozenset[str]) -> tuple[str, ...]:
-    """Takes meshes, and every terrain and skin, out of a model.
+    """Takes meshes, and every terrain, skin and texture, out of a model.
 
     Returns:
         names of the bodies that lost a shape that collides.
@@ -229,9 +303,45 @@ def _drop_meshes(spec: mujoco.MjSpec, meshes: frozenset[str]) -> tuple[str, ...]
             if geom.contype or geom.conaffinity:
                 lost.append(geom.parent.name)
             spec.delete(geom)
-    for asset in [*(m for m in spec.meshes if m.name in meshes), *spec.skins, *spec.hfields]:
+    for material in spec.materials:
+        material.textures = [""] * len(material.textures)
+    gone = [mesh for mesh in spec.meshes if mesh.name in meshes]
+    for asset in (*gone, *spec.skins, *spec.hfields, *spec.textures):
         spec.delete(asset)
     return tuple(dict.fromkeys(lost))
+
+
+def _oversize(model: mujoco.MjModel) -> tuple[frozenset[str], str]:
+    """The meshes of another unit than the links: over ``_TIMES`` as long as their whole chain.
+
+    Returns:
+        their names, none where none is on a moving body; and what is wrong, in words.
+    """
+    parents = model.body_parentid
+    step = np.linalg.norm(model.body_pos, axis=1)
+    step[parents == 0] = 0.0  # where the model stands is no part of it
+    up, down = np.zeros(model.nbody), np.zeros(model.nbody)
+    for body in range(1, model.nbody):
+        up[body] = up[parents[body]] + step[body]
+    for body in range(model.nbody - 1, 0, -1):
+        down[parents[body]] = max(down[parents[body]], down[body] + step[body])
+    bodies = model.geom_bodyid
+    length = 2 * model.geom_aabb[:, 3:].max(axis=1, initial=0.0)
+    large = model.geom_type == mujoco.mjtGeom.mjGEOM_MESH
+    large &= length > np.maximum(_TIMES * (up + down)[bodies], _LONGEST)
+    moving = np.flatnonzero(large & (model.body_weldid[bodies] > 0))
+    if not len(moving):
+        return frozenset(), ""
+    links = np.array([max([step[b], *step[parents == b]]) for b in bodies[moving]])
+    factor = 10 ** round(np.log10(np.median(length[moving] / np.maximum(links, _TINY))))
+    first = moving[0]
+    scale = float(model.mesh_scale[model.geom_dataid[first], 0])
+    return frozenset(model.mesh(int(m)).name for m in model.geom_dataid[large]), (
+        f"meshes are about {factor:,.0f} times as large as the links (that of "
+        f"{model.body(int(bodies[first])).name!r} is {length[first]:.3g} m long, its whole chain "
+        f"{(up + down)[bodies[first]]:.2g} m): in the model, write scale {scale / factor:g} "
+        f"where it has {scale:g}"
+    )
 
 
 def _is_missing_asset(error: Exception) -> bool:

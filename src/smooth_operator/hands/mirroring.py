@@ -20,7 +20,8 @@ def mirror_spec(spec: mujoco.MjSpec) -> None:
     """
     if list(spec.meshes):
         raise HandModelError(
-            "a model with meshes can't be mirrored; give a model of the other side"
+            "a model with meshes can't be mirrored; name the side that it is of (--side left or "
+            "right, or a recording of that side), or add a model of the other side"
         )
     for element in [*spec.bodies, *spec.geoms, *spec.sites, *spec.cameras]:
         element.pos = element.pos * (-1, 1, 1)

@@ -47,6 +47,11 @@ class HandEntry:
     builtin: bool
 
     @property
+    def default_side(self) -> Side:
+        """The side where none is named: the right one, or the only one that is described."""
+        return "right" if "right" in self.files else "left"
+
+    @property
     def mirrored(self) -> tuple[Side, ...]:
         """The sides that have no separate description."""
         sides: tuple[Side, ...] = ("right", "left")
@@ -128,8 +133,8 @@ def load_hand(
         hand: name of a built-in hand, of a plugin's or of one in the user's folder, or
             ``package.module:attribute``; the path of a spec file (a text that ends in ``.toml`` is
             one); or a description of your own.
-        side: ``right`` or ``left``. Of a name it is ``right`` if left out. A spec file brings its
-            own side, and is mirrored if the other is asked for; a description keeps its own.
+        side: ``right`` or ``left``. If left out, ``default_side``. A spec file is mirrored if it is
+            of the other side; a description keeps its own.
         fingers: to drive fewer fingers, or by other human fingers; see
             ``select_fingers``.
 
@@ -143,11 +148,32 @@ def load_hand(
         spec = read_hand_spec(hand)
         spec = spec if side is None or as_side(side) == spec.side else spec.mirrored
     else:
-        wanted, entry = as_side(side or "right"), find_hand(hand)
+        entry = find_hand(hand)
+        wanted = as_side(side or entry.default_side)
         if entry.builtin and fingers is None:
             return _load_builtin(hand, wanted)
         spec = entry.spec(wanted)
     return load_hand_spec(spec if fingers is None else select_fingers(spec, fingers))
+
+
+def default_side(hand: str | Path | HandSpec) -> Side:
+    """The side of a hand where none is named.
+
+    Args:
+        hand: as for ``load_hand``.
+
+    Returns:
+        of a name ``right``, or the only side that it has; else the side of the description.
+
+    Raises:
+        UnknownNameError: if there is no hand of that name.
+        HandModelError: if the spec file can't be used.
+    """
+    if isinstance(hand, HandSpec):
+        return hand.side
+    if isinstance(hand, Path) or hand.endswith(".toml"):
+        return read_hand_spec(hand).side
+    return find_hand(hand).default_side
 
 
 @cache

@@ -15,6 +15,7 @@ from smooth_operator.compilation.building import build_retargeter
 from smooth_operator.errors import require
 from smooth_operator.hand_files.menagerie import drawn_on
 from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.registry import default_side
 from smooth_operator.hands.spec import HandSpec
 from smooth_operator.methods.default import DEFAULT_METHOD
 from smooth_operator.methods.method import MethodConfig
@@ -63,7 +64,7 @@ def teleoperate(
     sinks: Sequence[str | Sink] = (),
     *,
     hand: str | Path | HandSpec | Hand = "mimic_p050",
-    side: Side | Literal["both"] = "right",
+    side: Side | Literal["both"] | None = None,
     method: str = DEFAULT_METHOD,
     preset: str | None = None,
     seed: int = 0,
@@ -108,7 +109,8 @@ def teleoperate(
         sinks: where commands go: objects, or text such as ``zmq:tcp://127.0.0.1:5556``.
         hand: name of the robot hand, the path of a spec file, a description or a loaded hand.
         side: which hand; ``both`` drives two robots. The other side of a hand that is given as a
-            description is its mirror image.
+            description is its mirror image. None for the right one, or the only side of a hand that
+            is given by name.
         method: name of the retargeting method.
         preset: of the method; None for its default.
         seed: of all random numbers.
@@ -152,12 +154,15 @@ def teleoperate(
     parts = safety or SafetyConfig(), limits or LimitsConfig(), wrist or WristConfig()
     config = LoopConfig(rate, *parts)
     stop = StopInput(estop) if isinstance(estop, str) else estop
+    described = hand.spec if isinstance(hand, Hand) else hand
+    if side is None:
+        side = default_side(described) if isinstance(described, str) else "right"
     if isinstance(source, str):
         source = build_source(source, side)
     wanted = with_task(sinks, task)
     acting = [build_sink(sink) if isinstance(sink, str) else sink for sink in wanted]
     asked = make_request(
-        hand=hand.spec if isinstance(hand, Hand) else hand,
+        hand=described,
         method=method,
         preset=preset,
         seed=seed,

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from smooth_operator.errors import ConfigError, SmoothOperatorError, UnknownNameError
-from smooth_operator.hands.registry import hand_names, load_hand
+from smooth_operator.hands.registry import hand_names, known_hands, load_hand
 from smooth_operator.human.operator import OperatorProfile
 from smooth_operator.methods.method import MethodConfig
 from smooth_operator.methods.presets import PRESETS, loadable_presets, method_config
@@ -73,6 +73,17 @@ class Settings:
                 raise ConfigError(f"{name} must be 0 or more, not {value}")
         object.__setattr__(self, "hands", select_hands(self.hands))
         select_methods(self.methods)
+
+
+def only_side(hands: tuple[str, ...]) -> Side | None:
+    """``left`` if all these hands are left ones only, None otherwise.
+
+    Args:
+        hands: names; of one that is not known, ``select_hands`` says so.
+    """
+    known = known_hands()
+    sides = {known[name].default_side for name in select_hands(hands) if name in known}
+    return "left" if sides == {"left"} else None
 
 
 def select_hands(names: tuple[str, ...]) -> tuple[str, ...]:

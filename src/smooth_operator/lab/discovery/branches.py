@@ -12,6 +12,7 @@ from smooth_operator.errors import HandModelError, UnknownNameError
 from smooth_operator.lab.discovery.skeleton import Placement, Skeleton
 
 _LENGTHS: Final = (0.012, 0.36)  # [m] of a finger; the longest of robot hands measure 0.2
+_POINT: Final = 1e-6  # [m]: shorter, it is no length at all
 _SPREAD: Final = 3.0  # between finger bases, in finger lengths; a palm is smaller, two arms are not
 _UNLIKE: Final = 6.0  # longest over shortest finger
 _SHARED: Final = 2  # joints of the palm itself that two fingers may have in common
@@ -153,6 +154,8 @@ class Branches:
         for chain in chains:
             if self._skeleton.bounded[list(chain.joints)].any():
                 out.append(chain)
+            elif any(self._skeleton.joint_names[j] in self._skeleton.pinned for j in chain.joints):
+                left_out.append(f"{self._name(chain)} can't move: lower = upper in the file")
             else:
                 left_out.append(f"{self._name(chain)} turns without limits")
         out.sort(key=lambda c: (len(c.joints), c.length), reverse=True)
@@ -198,13 +201,16 @@ class Branches:
         """Why this is no hand; None if it may be one."""
         chains = hand.chains
         names = ", ".join(self._name(c) for c in chains[:6]) + (", …" if len(chains) > 6 else "")
-        wheels = sum("without limits" in text for text in hand.left_out)
+        wheels, pinned = (
+            sum(text in why for why in hand.left_out) for text in ("without limits", "can't move")
+        )
         if len(chains) < 2:
-            return f"{len(chains)} chains with limited joints" + (
-                f" and {wheels} that turn without limits (wheels? joints of fingers need their "
-                "limits in the file)"
-                if wheels
-                else ""
+            return (
+                f"{len(chains)} chains with limited joints"
+                + f" and {pinned} whose joints can't move, with lower = upper in the file"
+                * bool(pinned)
+                + f" and {wheels} that turn without limits (wheels? joints of fingers need their "
+                "limits in the file)" * bool(wheels)
             )
         if len(chains) > 5:
             return f"{len(chains)} chains ({names}), more than the fingers of a hand"
@@ -216,8 +222,16 @@ class Branches:
                 f"{len(chains)} limbs of {min(lengths):.2f} to {max(lengths):.2f} m ({names}), too "
                 "long for fingers: legs or arms, or a model that is not in metres"
             )
+        if max(lengths) < _POINT:
+            return (
+                f"{len(chains)} chains whose links are all at one point ({names}): a placeholder, "
+                "whose joints lack their origins"
+            )
         if max(lengths) < _LENGTHS[0]:
-            return f"{len(chains)} chains of at most {max(lengths) * 1e3:.1f} mm ({names}): wheels?"
+            return (
+                f"{len(chains)} chains of at most {max(lengths) * 1e3:.1f} mm ({names}), too short "
+                "for fingers: wheels, or a model that is not in metres"
+            )
         if max(lengths) > _UNLIKE * min(lengths):
             return (
                 f"{len(chains)} chains of {min(lengths):.3f} to {max(lengths):.3f} m ({names}), "

@@ -15,6 +15,8 @@ from smooth_operator.landmarks import FINGERS
 from smooth_operator.types import Side
 
 _CLEAR: Final = 0.12  # of a finger's length: thumb off the middle of the palm, for a clear side
+_BASE: Final = 0.04  # the same of its base, to the side of its reach; hands have 0.1 to 0.5
+_UNCLEAR: Final = 0.3  # confidence of a side that is not clear
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,13 +92,16 @@ def find_layout(
         f"{abs(sideways) * length * 1e3:.0f} mm to the {side}: its base "
         f"{by_base * length * 1e3:+.0f} mm, its reach {by_reach * length * 1e3:+.0f} mm"
     ]
-    if by_base * by_reach < 0 and min(abs(by_base), abs(by_reach)) > 0.03:
-        clear *= 0.6
-        evidence.append("the two disagree")
     sure = min(bends[i].clear for i in others)
     confidence = 0.4 + 0.45 * clear + 0.13 * min(sure / 0.2, 1.0)
+    if by_base * np.sign(by_reach) < _BASE:
+        confidence = _UNCLEAR
+        evidence.append(
+            "the two disagree: the fingers stand around the middle, it may be a gripper without a "
+            "side"
+        )
     if clear < 0.3:
-        confidence = 0.3
+        confidence = _UNCLEAR
         evidence = ["the thumb is opposite the middle of the palm: the hand may serve as either"]
         if side_said is not None:
             side = side_said

@@ -12,6 +12,7 @@ import numpy as np
 
 from smooth_operator.errors import HandModelError
 from smooth_operator.hands.loading import load_model
+from smooth_operator.hands.model_assets import read_model_files
 from smooth_operator.hands.model_xml import read_model_xml
 from smooth_operator.lab.discovery.shapes import geom_points, urdf_mesh_points
 from smooth_operator.lab.discovery.skeleton import Skeleton
@@ -34,7 +35,7 @@ def read_skeleton(path: Path) -> tuple[Skeleton, tuple[str, ...]]:
     """
     root = _parse(path)
     _check_names(root, path)
-    _check_limits(root, path)
+    pinned = _check_limits(root, path)
     loaded = load_model(path)
     model = loaded.model
     if not model.njnt:
@@ -45,11 +46,16 @@ def read_skeleton(path: Path) -> tuple[Skeleton, tuple[str, ...]]:
     clouds = {b: list(shapes) for b, shapes in geom_points(model).items()}
     notes = []
     wanted = [m for m in root.iter("mesh") if m.get("filename") or m.get("file")]
-    if wanted and not model.nmesh:
+    if loaded.oversize:
+        notes.append(
+            f"{loaded.why}. They are left out; fingertips and wrist are surer with them, or with "
+            "--tip and --wrist"
+        )
+    elif wanted and not model.nmesh:
         found: dict[str, list[np.ndarray]] = {}
         missing = len(wanted)
         if root.tag == "robot":
-            found, missing = urdf_mesh_points(root, path)
+            found, missing = urdf_mesh_points(root, read_model_files(path).assets)
         for name, shapes in found.items():
             clouds.setdefault(_body(model, name), []).extend(shapes)
         if missing:
@@ -78,7 +84,7 @@ def read_skeleton(path: Path) -> tuple[Skeleton, tuple[str, ...]]:
             "will not move as the real ones do; describe them with joint couplings instead"
         )
     shapes_of = {b: tuple(shapes) for b, shapes in clouds.items()}
-    return Skeleton(model, loaded.couplings, shapes_of), tuple(notes)
+    return Skeleton(model, loaded.couplings, shapes_of, pinned), tuple(notes)
 
 
 def _parse(path: Path) -> ElementTree.Element:
@@ -111,12 +117,14 @@ def _check_names(root: ElementTree.Element, path: Path) -> None:
             )
 
 
-def _check_limits(root: ElementTree.Element, path: Path) -> None:
+def _check_limits(root: ElementTree.Element, path: Path) -> dict[str, float]:
+    """The joints that can't move, as their limits are equal, and where they are."""
+    pinned = {}
     for joint in root.iter("joint"):
         limit = joint.find("limit")
         text = joint.get("range")
         try:
-            if limit is not None:
+            if limit is not None and (limit.get("lower") or limit.get("upper")):
                 low, high = float(limit.get("lower", 0)), float(limit.get("upper", 0))
             elif text:
                 low, high = (float(word) for word in text.split())
@@ -131,6 +139,9 @@ def _check_limits(root: ElementTree.Element, path: Path) -> None:
                 f"{path}: the limits of joint {joint.get('name')!r} are reversed, {low:g} to "
                 f"{high:g}; expected the lower one first: swap them in the file"
             )
+        if low == high and joint.get("type") not in ("continuous", "fixed"):
+            pinned[joint.get("name", "")] = low
+    return pinned
 
 
 def _body(model: mujoco.MjModel, name: str) -> int:

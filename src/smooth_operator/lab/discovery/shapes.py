@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
 from collections import defaultdict
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -12,7 +13,6 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.errors import require
-from smooth_operator.hand_files.model_files import resolve_in_package
 
 _RINGS: Final = 13  # along a cylinder or the edge of a box
 _COARSE: Final = 300  # vertices of a mesh
@@ -46,11 +46,13 @@ def geom_points(model: mujoco.MjModel) -> dict[int, list[Float[np.ndarray, "p 3"
 
 
 def urdf_mesh_points(
-    root: ElementTree.Element, path: Path
+    root: ElementTree.Element, files: Mapping[str, Path]
 ) -> tuple[dict[str, list[Float[np.ndarray, "p 3"]]], int]:
     """Points of the meshes of a URDF that MuJoCo could not load itself.
 
-    ``package://`` paths are looked for in the folders above the file.
+    Args:
+        root: of the URDF.
+        files: its mesh files, by the names that it has for them.
 
     Returns:
         link -> one (p, 3) array a mesh, in the link's frame [m]; and how many could not be read.
@@ -62,8 +64,8 @@ def urdf_mesh_points(
             mesh = part.find("geometry/mesh")
             if mesh is None:
                 continue
-            found = resolve_in_package(mesh.get("filename", ""), path)
-            vertices = _vertices(found) if found else None
+            file = files.get(mesh.get("filename", ""))
+            vertices = _vertices(file) if file else None
             if vertices is None:
                 missing += 1
                 continue

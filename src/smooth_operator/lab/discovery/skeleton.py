@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import mujoco
@@ -51,11 +51,14 @@ class Skeleton:
         model: the compiled model.
         couplings: joints that follow another.
         clouds: body -> its shapes, each (p, 3) points on it in the body's frame [m].
+        pinned: joint -> its limits, where the file has the upper equal to the lower; MuJoCo takes
+            it for a joint without limits.
     """
 
     model: mujoco.MjModel
     couplings: tuple[Coupling, ...]
     clouds: Mapping[int, tuple[np.ndarray, ...]]
+    pinned: Mapping[str, float] = field(default_factory=dict)
 
     @cached_property
     def joint_names(self) -> tuple[str, ...]:

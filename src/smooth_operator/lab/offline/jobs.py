@@ -14,8 +14,9 @@ from smooth_operator.errors import ConfigError
 from smooth_operator.formats.checks import stamps_from_rate
 from smooth_operator.formats.commands import encode_commands, write_encoded_commands
 from smooth_operator.formats.frames import frame_slice
-from smooth_operator.formats.readers import rated_if_unstamped, read_recording
+from smooth_operator.formats.readers import rated_if_unstamped
 from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.registry import default_side
 from smooth_operator.lab.offline.answers import answers, tools_of
 from smooth_operator.lab.offline.discovery import Found
 from smooth_operator.lab.offline.finished import digest, identity
@@ -64,9 +65,9 @@ def notes(asked: RetargetRequest) -> tuple[str, ...]:
 
 
 def _hand(asked: RetargetRequest) -> Hand:
-    """The robot hand of a request, of the side that it names; a right one if it names none."""
+    """The robot hand of a request, of the side that it names, or its operator is of."""
     operator = asked.operator
-    side = asked.side or ("right" if operator is None else operator.side)
+    side = asked.side or (default_side(asked.hand) if operator is None else operator.side)
     return asked.load_hand(side)
 
 
@@ -241,6 +242,6 @@ def _read(path: Path, asked: RetargetRequest) -> tuple[HandRecording, float | No
     """The recording, and the rate if it needed one: others of the folder may have their own."""
 
     def read(rate: float | None) -> HandRecording:
-        return read_recording(path, rate=rate, side=asked.side, layout=asked.layout)
+        return asked.read_recording(path, rate)
 
     return rated_if_unstamped(read, asked.rate)

@@ -111,13 +111,17 @@ def _draw_hand(
         flat.append(corners[front][:, :, :2] * 1e3)
         depths.append(corners[front][:, :, 2].mean(axis=1))
         colors.append(light[:, None] * color)
-    order = np.argsort(np.concatenate(depths))
-    shades = np.concatenate(colors)[order]
-    axes.add_collection(
-        PolyCollection(
-            list(np.concatenate(flat)[order]), facecolors=shades, edgecolors=shades, linewidths=0.3
+    if flat:  # else a hand so small that not even capsules stand in for its shapes
+        order = np.argsort(np.concatenate(depths))
+        shades = np.concatenate(colors)[order]
+        axes.add_collection(
+            PolyCollection(
+                list(np.concatenate(flat)[order]),
+                facecolors=shades,
+                edgecolors=shades,
+                linewidths=0.3,
+            )
         )
-    )
     points = view.landmarks(q) @ directions.T * 1e3
     bones = view.bones()
     axes.add_collection(

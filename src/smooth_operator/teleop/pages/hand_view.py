@@ -23,7 +23,8 @@ class HandView:
 
     Args:
         hand: the robot hand.
-        simple: draw simple shapes, though the model may have meshes.
+        simple: draw simple shapes, though the model may have meshes. A model without any shape is
+            drawn by estimated ones.
     """
 
     def __init__(self, hand: Hand, *, simple: bool = False) -> None:
@@ -31,8 +32,9 @@ class HandView:
         self._data = mujoco.MjData(hand.model)
         self._palm = hand.model.body(hand.spec.palm).id
         self.meshes: dict[int, trimesh.Trimesh] = (
-            simple_meshes(hand) if simple else body_meshes(hand.model, hand.bodies)
+            {} if simple else body_meshes(hand.model, hand.bodies)
         )
+        self.meshes = self.meshes or simple_meshes(hand)
         self.finger_of_body = self._owners()
 
     @property

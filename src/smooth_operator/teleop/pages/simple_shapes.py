@@ -19,15 +19,16 @@ from smooth_operator.teleop.pages.meshes import body_meshes
 def simple_meshes(hand: Hand) -> dict[int, trimesh.Trimesh]:
     """The surfaces of a hand's simple shapes, by body, each in its body's frame [m].
 
-    A model without meshes is drawn as it is. Of one with meshes, as a user's own, the capsules are
-    drawn that self-collision is judged by; each mesh is about one capsule.
+    A model without meshes is drawn as it is. Of one with meshes, as a user's own, or with links
+    that lack shapes, the capsules are drawn that self-collision is judged by; each mesh is about
+    one capsule.
 
     Args:
         hand: the robot hand.
     """
-    if not has_meshes(hand):
-        return body_meshes(hand.model, hand.bodies)
     estimated = stand_ins(hand)
+    if not has_meshes(hand) and not estimated.capsules:
+        return body_meshes(hand.model, hand.bodies)
     part = hand.model.body_weldid[hand.model.geom_bodyid]
     shapes = solid_shapes(hand) & ~np.isin(part, list(estimated.replaced))
     capsules = [
