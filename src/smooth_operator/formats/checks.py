@@ -13,16 +13,10 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from smooth_operator.errors import ConfigError, RecordingError
+from smooth_operator.io.anatomy import OF_A_PICTURE, PALM_RANGE_M, keeps_lengths, of_a_picture
 from smooth_operator.landmarks import WRIST, index
 from smooth_operator.settings import RATE_RANGE_HZ, check_frame_rate
 from smooth_operator.types import HandRecording, Side, as_side
-
-PALM_RANGE_M = (0.05, 0.14)
-"""Bounds [m] on the distance from the wrist to the middle finger's MCP.
-
-An adult's is near 0.095 m. The bounds leave room for children and for trackers that put the wrist
-a little off, and no hand in millimetres, centimetres, decimetres, inches or feet fits between them.
-"""
 
 _TYPICAL_PALM_M = 0.095
 _PALM_RATIO = 2.0  # of a frame's palm to the usual one, up or down: trackers stay within 1.3
@@ -70,7 +64,8 @@ def check_units(
 
     Raises:
         RecordingError: if the median distance from wrist to middle MCP lies outside
-            ``PALM_RANGE_M``, with the likely unit and factor; or if no frame has both.
+            ``PALM_RANGE_M``, with the likely unit and factor, or that they are image landmarks; or
+            if no frame has both.
     """
     if not valid.any():
         raise RecordingError(
@@ -89,9 +84,13 @@ def check_units(
     low, high = PALM_RANGE_M
     if low <= palm <= high:
         return
+    whole = landmarks[valid.all(axis=1)]
+    if of_a_picture(whole):
+        raise RecordingError(f"{where}: {OF_A_PICTURE.what}; {OF_A_PICTURE.mend}")
+    hint = _length_hint(palm) if keeps_lengths(whole) else "its bones change their lengths, too"
     raise RecordingError(
         f"{where}: the distance from the wrist to the middle finger's MCP is {palm:.4g} (median), "
-        f"but a hand in metres has {low} to {high}; {_length_hint(palm)}"
+        f"but a hand in metres has {low} to {high}; {hint}"
     )
 
 
@@ -119,9 +118,9 @@ def _length_hint(palm: float) -> str:
         likely = " or ".join(f"{unit} (multiply by {_LENGTH_UNITS[unit]:g})" for unit in units)
         return f"it looks like {likely}"
     return (
-        "no common unit fits. Landmarks that are normalised or in pixels must be scaled to the "
-        f"operator's hand (for a palm of {_TYPICAL_PALM_M} m: multiply by "
-        f"{_TYPICAL_PALM_M / palm:.3g}); otherwise look at the order of the landmarks"
+        "no common unit fits. Landmarks in shares of a hand must be scaled to the operator's (for "
+        f"a palm of {_TYPICAL_PALM_M} m: multiply by {_TYPICAL_PALM_M / palm:.3g}), those of a "
+        "picture can't be; otherwise look at the order of the landmarks"
     )
 
 
