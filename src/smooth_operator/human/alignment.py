@@ -117,11 +117,11 @@ def _validity(recording: HandRecording) -> Bool[np.ndarray, "T 21"]:
 
 
 def palm_range(hand: Hand) -> tuple[float, float]:
-    """Palms that may drive a hand [m]: those of people, and those near the robot's own, so that its
-    own landmarks can be retargeted."""
+    """Lengths [m] from wrist to middle MCP in a frame that may drive a hand: those of people and the
+    robot's own, and a quarter more, since cameras see a palm longer and shorter."""
     knuckles = reference_landmarks(hand)[list(BASES[1:])] - hand.wrist
     own = float(np.linalg.norm(knuckles, axis=1).max())
-    return min(PALM_RANGE_M[0], 0.8 * own), max(PALM_RANGE_M[1], 1.25 * own)
+    return 0.8 * min(PALM_RANGE_M[0], own), 1.25 * max(PALM_RANGE_M[1], own)
 
 
 def reference_landmarks(hand: Hand) -> Float[np.ndarray, "21 3"]:

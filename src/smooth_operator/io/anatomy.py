@@ -413,7 +413,7 @@ def _described(order: Sequence[int]) -> str:
     for k, at in enumerate(order):
         names[at] = "wrist" if k == 0 else FINGERS[(k - 1) // 4]
     runs = [name for i, name in enumerate(names) if i == 0 or names[i - 1] != name]
-    return ", ".join(runs) + (", each from tip to base" if order[4] < order[1] else "")
+    return ", ".join(runs) + (", each from tip to base" if order[4] + 1 == order[3] else "")
 
 
 def _unit(vectors: np.ndarray) -> np.ndarray:
