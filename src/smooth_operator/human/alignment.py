@@ -117,8 +117,8 @@ def _validity(recording: HandRecording) -> Bool[np.ndarray, "T 21"]:
 
 
 def palm_range(hand: Hand) -> tuple[float, float]:
-    """Lengths [m] from wrist to middle MCP in a frame that may drive a hand: those of people and the
-    robot's own, and a quarter more, since cameras see a palm longer and shorter."""
+    """Least and greatest length [m] from wrist to middle MCP in a frame that may drive a hand:
+    those of people and the robot's own, and a quarter more, since single frames scatter."""
     knuckles = reference_landmarks(hand)[list(BASES[1:])] - hand.wrist
     own = float(np.linalg.norm(knuckles, axis=1).max())
     return 0.8 * min(PALM_RANGE_M[0], own), 1.25 * max(PALM_RANGE_M[1], own)

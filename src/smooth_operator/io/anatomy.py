@@ -56,6 +56,7 @@ Over five frames recordings come to 0.6 at most, with 4 mm of noise too, the bui
 NO_HAND_FRAME: Final = 1.5
 """The same for a single frame, which one with 8 mm of noise stays under."""
 
+_LONGEST: Final = 2.0  # palm lengths of any length; 1.1 in hands and robot hands
 _UNSTEADY: Final = 0.3  # of the logarithms of bones; recordings 0.1, with 15 mm of noise 0.23
 _STRETCHES: Final = 6  # of frames, over which medians of bones are compared
 _FITS: Final = 0.9  # an order that deviates more is not named
@@ -187,7 +188,7 @@ def implausible(
     lengths = xp.sqrt((bones * bones).sum(axis=-1))
     palm = lengths[..., _PALM]
     sized = (palm >= palms[0]) & (palm <= palms[1])
-    shaped = _misfits(lengths) <= NO_HAND_FRAME
+    shaped = (_misfits(lengths) <= NO_HAND_FRAME) & (lengths.max(axis=-1) <= _LONGEST * palm)
     odd: AnyArray = (known[..., _PAIRS[_PALM]].all(axis=-1) & ~sized) | (
         known.all(axis=-1) & ~shaped
     )
