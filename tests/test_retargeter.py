@@ -301,7 +301,7 @@ def test_commands_are_within_the_limits(
     limits = retargeter.hand.joint_limits
     exaggerated = frames.copy()  # fingers that no robot of this size can follow
     for base in BASES:
-        exaggerated[:, base : base + 4] += 0.6 * (
+        exaggerated[:, base : base + 4] += 0.9 * (
             frames[:, base : base + 4] - frames[:, base, None]
         )
     at_limit = 0

@@ -21,6 +21,7 @@ from smooth_operator.types import HandRecording, Side, as_side
 _TYPICAL_PALM_M = 0.095
 _PALM_RATIO = 2.0  # of a frame's palm to the usual one, up or down: trackers stay within 1.3
 _REACH = 3.0  # palm lengths from the wrist; a straight middle finger ends at 2
+_FARTHEST_M = 1e7  # no tracker's world is larger, and float64 still has 2 nm there
 _TYPICAL_RATE_HZ = 60.0
 _LENGTH_UNITS = {
     "micrometres": 1e-6,
@@ -128,7 +129,8 @@ def without_outliers(recording: HandRecording) -> HandRecording:
     """A recording in which what no hand could do is flagged invalid; for one in metres.
 
     A frame is flagged whose palm is less than half or more than twice the usual length, such as one
-    in another unit; a landmark, that is more than three palm lengths from the wrist. How many
+    in another unit, or that is farther than 10,000 km from where the tracker counts from, and its
+    wrist with it; a landmark, that is more than three palm lengths from the wrist. How many
     frames are concerned is in ``meta["implausible_frames"]``, if any.
     """
     points, valid = recording.landmarks, recording.valid
@@ -141,12 +143,17 @@ def without_outliers(recording: HandRecording) -> HandRecording:
     usual = float(np.nanmedian(palms))
     with np.errstate(invalid="ignore"):
         frame = (palms < usual / _PALM_RATIO) | (palms > usual * _PALM_RATIO)
+        frame |= np.any(valid[..., None] & (np.abs(points) > _FARTHEST_M), axis=(1, 2))
         far = valid & (from_wrist > _REACH * usual) & valid[:, :1]
     wrong = valid & (frame[:, None] | far)
     if not wrong.any():
         return recording
     meta = {**recording.meta, "implausible_frames": int(wrong.any(axis=1).sum())}
-    return replace(recording, valid=valid & ~wrong, meta=meta)
+    wrist = recording.T_world_wrist
+    if wrist is not None:
+        lost = frame | (np.abs(wrist[:, :3]) > _FARTHEST_M).any(axis=1)
+        wrist = np.where(lost[:, None], np.nan, wrist)
+    return replace(recording, valid=valid & ~wrong, T_world_wrist=wrist, meta=meta)
 
 
 def reading_notes(recording: HandRecording, where: str) -> list[str]:
@@ -164,7 +171,8 @@ def reading_notes(recording: HandRecording, where: str) -> list[str]:
     if odd:
         notes.append(
             f"{where}: {odd} of {len(recording)} frames have a palm or a landmark that is too "
-            "large or too small for the hand; what is wrong in them counts as not seen"
+            "large, too small or too far away for the hand; what is wrong in them counts as not "
+            "seen"
         )
     return notes
 
