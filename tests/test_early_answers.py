@@ -127,6 +127,7 @@ def test_derivatives_are_those_of_the_kinematics() -> None:
     ("spoilt", "status"),
     [
         (lambda points: points[[WRIST]].repeat(21, 0), Status.DEGENERATE_PALM),
+        (lambda points: 1e3 * points, Status.IMPLAUSIBLE_HAND),
         (lambda points: np.where(np.arange(21)[:, None] == TIPS[1], np.nan, points),
          Status.INVALID_LANDMARKS),
     ],

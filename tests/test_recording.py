@@ -426,6 +426,22 @@ def test_all_nan_no_wrist_and_all_zero(tmp_path: Path) -> None:
     refused(path, "landmarks coincide", rate=30.0)
 
 
+def test_landmarks_out_of_this_world_are_refused_or_not_seen(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", hand() + 1e8)
+    refused(tmp_path / "a.npy", r"the wrist is 1e\+08 m from the origin", rate=30.0)
+    points = hand()
+    points[3] += 1e8
+    poses = np.tile([0.0, 0, 0, 1, 0, 0, 0], (FRAMES, 1))
+    poses[5, 0] = 1e15
+    arrays = {"landmarks": points, "timestamps": np.arange(FRAMES) / 30, "T_world_wrist": poses}
+    recording = read_recording(save(tmp_path / "b.npz", arrays))
+    assert recording.valid is not None
+    assert np.flatnonzero(~recording.valid.all(axis=1)).tolist() == [3]
+    assert recording.T_world_wrist is not None
+    assert np.flatnonzero(np.isnan(recording.T_world_wrist[:, 0])).tolist() == [5]
+    assert recording.meta["implausible_frames"] == 1
+
+
 def stamps_with(**changes: float) -> np.ndarray:
     stamps = np.arange(FRAMES) / 100.0
     for name, value in changes.items():

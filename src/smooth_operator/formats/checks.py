@@ -65,8 +65,8 @@ def check_units(
 
     Raises:
         RecordingError: if the median distance from wrist to middle MCP lies outside
-            ``PALM_RANGE_M``, with the likely unit and factor, or that they are image landmarks; or
-            if no frame has both.
+            ``PALM_RANGE_M``, with the likely unit and factor, or that they are image landmarks; if
+            the wrist is farther than 10,000 km from the origin; or if no frame has both.
     """
     if not valid.any():
         raise RecordingError(
@@ -78,6 +78,12 @@ def check_units(
         raise RecordingError(
             f"{where}: no frame has both the wrist and the middle finger's MCP, so neither the "
             "units nor the palm can be found; record again with the whole hand in view"
+        )
+    place = float(np.median(np.abs(landmarks[both, WRIST]).max(axis=1)))
+    if place > _FARTHEST_M:
+        raise RecordingError(
+            f"{where}: the wrist is {place:.3g} m from the origin (median), and no tracker's world "
+            f"is larger than {_FARTHEST_M:g} m; the numbers are damaged, or in another unit"
         )
     palm = float(
         np.median(np.linalg.norm(landmarks[both, middle] - landmarks[both, WRIST], axis=1))
@@ -129,9 +135,9 @@ def without_outliers(recording: HandRecording) -> HandRecording:
     """A recording in which what no hand could do is flagged invalid; for one in metres.
 
     A frame is flagged whose palm is less than half or more than twice the usual length, such as one
-    in another unit, or that is farther than 10,000 km from where the tracker counts from, and its
-    wrist with it; a landmark, that is more than three palm lengths from the wrist. How many
-    frames are concerned is in ``meta["implausible_frames"]``, if any.
+    in another unit, or that is farther than 10,000 km from the origin; a landmark, that is more
+    than three palm lengths from the wrist. How many frames are concerned is in
+    ``meta["implausible_frames"]``, if any. A wrist in the world as far away is NaN.
     """
     points, valid = recording.landmarks, recording.valid
     assert valid is not None  # filled in by HandRecording
@@ -145,15 +151,15 @@ def without_outliers(recording: HandRecording) -> HandRecording:
         frame = (palms < usual / _PALM_RATIO) | (palms > usual * _PALM_RATIO)
         frame |= np.any(valid[..., None] & (np.abs(points) > _FARTHEST_M), axis=(1, 2))
         far = valid & (from_wrist > _REACH * usual) & valid[:, :1]
+    wrist = recording.T_world_wrist
+    if wrist is not None:
+        gone = np.any(np.abs(wrist[:, :3]) > _FARTHEST_M, axis=1, keepdims=True)
+        recording = replace(recording, T_world_wrist=np.where(gone, np.nan, wrist))
     wrong = valid & (frame[:, None] | far)
     if not wrong.any():
         return recording
     meta = {**recording.meta, "implausible_frames": int(wrong.any(axis=1).sum())}
-    wrist = recording.T_world_wrist
-    if wrist is not None:
-        lost = frame | (np.abs(wrist[:, :3]) > _FARTHEST_M).any(axis=1)
-        wrist = np.where(lost[:, None], np.nan, wrist)
-    return replace(recording, valid=valid & ~wrong, T_world_wrist=wrist, meta=meta)
+    return replace(recording, valid=valid & ~wrong, meta=meta)
 
 
 def reading_notes(recording: HandRecording, where: str) -> list[str]:
