@@ -166,9 +166,9 @@ def brief(value: object, most: int = _SHOWN) -> str:
     return text if len(text) <= most else f"{text[: most - 3]}..."
 
 
-def reason(error: BaseException, most: int = 4 * _SHOWN) -> str:
-    """What another library's error says, cut where it quotes too much of a file."""
-    text = str(error)
+def reason(error: object, most: int = 2 * _SHOWN) -> str:
+    """What another library's error says, in one line, cut where it quotes too much of a file."""
+    text = " ".join(str(error).split())
     return text if len(text) <= most else f"{text[: most - 3]}..."
 
 

@@ -20,6 +20,7 @@ from smooth_operator.errors import (
     RecordingError,
     brief,
     listed,
+    reason,
 )
 from smooth_operator.formats.arm_track import ArmTrack
 from smooth_operator.formats.checks import (
@@ -107,7 +108,7 @@ def open_dataset(path: Path) -> Dataset:
         for name, feature in features.items():
             _names(_object(feature, f"feature {brief(name)}"))
     except (OSError, ValueError, KeyError) as error:
-        what = f"it has no {error}" if isinstance(error, KeyError) else str(error)[:300]
+        what = f"it has no {error}" if isinstance(error, KeyError) else reason(error)
         raise RecordingError(
             f"{where}: can't be read as the description of a LeRobot dataset ({what}); copy the "
             "dataset again"

@@ -98,7 +98,9 @@ def _of_csv(text: str, path: Path) -> Iterator[Row]:
             if filled:
                 yield _row(filled, f"{path}, line {table.line_num}")
     except csv.Error as error:
-        raise RecordingError(f"{path}, line {table.line_num}: {error}; expected a table") from error
+        raise RecordingError(
+            f"{path}, line {table.line_num}: {reason(error)}; expected a table"
+        ) from error
 
 
 def _row(values: Any, where: str) -> Row:
