@@ -9,17 +9,34 @@ import numpy as np
 import pytest
 
 from smooth_operator.errors import ConfigError, RecordingError, UnknownNameError
+from smooth_operator.formats.checks import check_palm, check_units
 from smooth_operator.formats.commands import read_commands, write_commands
 from smooth_operator.formats.readers import read_recording
-from smooth_operator.io.anatomy import FEWEST_FRAMES, Doubt, HandCheck, check_hand, chirality, doubt
-from smooth_operator.landmarks import LAYOUTS
+from smooth_operator.io.anatomy import (
+    FEWEST_FRAMES,
+    Doubt,
+    HandCheck,
+    check_hand,
+    chirality,
+    doubt,
+    implausible,
+    keeps_lengths,
+)
+from smooth_operator.landmarks import BONES, LAYOUTS
 from smooth_operator.synthetic import SyntheticOperator
+from smooth_operator.synthetic.hand_anatomy import couple, draw_anatomy
+from smooth_operator.synthetic.human_kinematics import pose_hand
+from smooth_operator.synthetic.poses import FIST, FLAT, SPREAD, pinch_postures
 from smooth_operator.teleop.recording import read_episode
 from smooth_operator.teleop.sources.payload import read_payload
 from smooth_operator.teleop.sources.registry import build_source
-from smooth_operator.types import CommandTrajectory, HandRecording
+from smooth_operator.types import CommandTrajectory, HandRecording, Side
 
 MIRROR = np.array([-1.0, 1.0, 1.0])
+RECORDINGS = [
+    "manus_right_subject-000_run-010.npz", "human_alex_21x3.npy", "wilor_test_long_21x3.npz",
+    "wilor_workspace_21x3.npz",
+]  # fmt: skip
 FOREIGN = [name for name in LAYOUTS if name not in ("mediapipe", "openpose")]
 
 
@@ -33,6 +50,11 @@ def in_layout(landmarks: np.ndarray, name: str) -> np.ndarray:
     points = np.empty_like(landmarks)
     points[..., LAYOUTS[name], :] = landmarks
     return points
+
+
+def real(shared: Path, name: str) -> np.ndarray:
+    path = shared / "recordings" / name
+    return read_recording(path, rate=None if name.startswith("manus") else 30.0).landmarks
 
 
 def saved(path: Path, landmarks: np.ndarray, **more: object) -> Path:
@@ -99,10 +121,8 @@ def test_a_mirror_image_is_the_other_hand(operator: HandRecording) -> None:
         check_hand(mirrored, "right", where="takes")
 
 
-def test_what_is_no_hand_or_too_little_is_not_judged(operator: HandRecording) -> None:
-    rng = np.random.default_rng(0)
-    assert doubt(rng.normal(size=(50, 21, 3)), "right") is None
-    assert doubt(np.zeros((50, 21, 3)), "right") is None
+def test_too_little_is_not_judged(operator: HandRecording) -> None:
+    assert doubt(np.zeros((50, 21, 3)), "right") is None  # no hand in view is no other order
     mirrored = operator.landmarks[: FEWEST_FRAMES + 3] * MIRROR
     assert doubt(mirrored, "right") is not None
     mirrored[:4, 7] = np.nan  # whole frames are too few now
@@ -132,15 +152,10 @@ def test_right_ones_are_never_refused(side: str) -> None:
 
 
 @pytest.mark.shared
-@pytest.mark.parametrize(
-    "name",
-    ["manus_right_subject-000_run-010.npz", "human_alex_21x3.npy", "wilor_test_long_21x3.npz",
-     "wilor_workspace_21x3.npz"],
-)  # fmt: skip
+@pytest.mark.parametrize("name", RECORDINGS)
 def test_real_recordings_pass_and_their_faults_do_not(shared: Path, name: str) -> None:
     """Half-second windows all over the recordings, of both sides."""
-    path = shared / "recordings" / name
-    landmarks = read_recording(path, rate=None if name.startswith("manus") else 30.0).landmarks
+    landmarks = real(shared, name)
     mirrored, noticed, windows = landmarks * MIRROR, 0, 0
     for first in range(0, len(landmarks) - 15, 97):
         cut = slice(first, first + 15)
@@ -153,6 +168,151 @@ def test_real_recordings_pass_and_their_faults_do_not(shared: Path, name: str) -
         windows += 1
     # a planar palm with straight fingers, as one of these trackers gives it, is no side's
     assert noticed >= (0.6 if "alex" in name else 1.0) * windows
+
+
+# What is no hand, or none in metres
+
+
+def turned(landmarks: np.ndarray, kind: str, size: float) -> tuple[np.ndarray, Side]:
+    if kind == "left":
+        return landmarks * MIRROR * size, "left"
+    return landmarks * size, "right"
+
+
+def test_random_orders_are_refused_in_a_few_frames(operator: HandRecording) -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(120):
+        first = int(rng.integers(0, 190))
+        order = rng.permutation(21)
+        found = doubt(operator.landmarks[first : first + FEWEST_FRAMES][:, order], "right")
+        assert found is not None
+        assert found.side is None
+        assert "no hand" in found.what or found.order is not None
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("name", RECORDINGS)
+def test_random_orders_of_real_recordings_are_refused(shared: Path, name: str) -> None:
+    landmarks = real(shared, name)
+    rng = np.random.default_rng(4)
+    for frames in (FEWEST_FRAMES, 10, 100):
+        for _ in range(60):
+            first = int(rng.integers(0, len(landmarks) - frames))
+            points = landmarks[first : first + frames][:, rng.permutation(21)]
+            assert doubt(points, "right") is not None
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("size", [0.6, 1.0, 1.25])
+@pytest.mark.parametrize("side", ["right", "left"])
+@pytest.mark.parametrize("name", RECORDINGS)
+def test_no_real_hand_of_any_size_is_refused(
+    shared: Path, name: str, side: str, size: float
+) -> None:
+    points, its = turned(real(shared, name), side, size)
+    for frames, step in ((len(points), len(points)), (1, 11), (10, 47), (100, 97)):
+        for first in range(0, len(points) - frames + 1, step):
+            window = points[first : first + frames]
+            known = np.ones(window.shape[:2], bool)
+            assert doubt(window, its) is None
+            check_units(window, known, name)
+            assert not implausible(window, known).any()
+
+
+@pytest.mark.parametrize("posture", [FLAT, FIST, SPREAD, *pinch_postures(0)])
+def test_still_poses_are_hands(posture: np.ndarray) -> None:
+    for seed in range(3):
+        pose = pose_hand(draw_anatomy(0.19, seed), couple(posture[None])).landmarks
+        points = np.repeat(pose, 12, axis=0)
+        for side in ("right", "left"):
+            for size in (0.6, 1.0, 1.25):
+                window, its = turned(points, side, size)
+                assert doubt(window, its) is None
+                assert not implausible(window, np.ones(window.shape[:2], bool)).any()
+
+
+def test_bones_that_change_their_lengths_are_no_hand(operator: HandRecording) -> None:
+    points, stretch = operator.landmarks.copy(), np.linspace(1.0, 3.0, 200)
+    assert doubt(points * stretch[:, None, None], "right") is None  # a size is no proportion
+    rng = np.random.default_rng(6)
+    for parent, child in BONES:  # each bone has another length in each tenth of the recording
+        bone = operator.landmarks[:, child] - operator.landmarks[:, parent]
+        factors = np.exp(rng.normal(0.0, 0.6, 10)).repeat(20)
+        points[:, child] = points[:, parent] + bone * factors[:, None]
+    assert keeps_lengths(operator.landmarks)
+    assert not keeps_lengths(points)
+    found = doubt(points, "right")
+    assert found is not None
+    assert "no hand" in found.what
+    known = np.ones((200, 21), bool)
+    with pytest.raises(RecordingError, match="change their lengths") as caught:
+        check_units(points / 0.3048, known, "here")
+    assert "multiply" not in str(caught.value)
+    with pytest.raises(RecordingError, match=r"feet \(multiply by 0\.3048\)"):
+        check_units(operator.landmarks / 0.3048, known, "here")
+
+
+@pytest.mark.parametrize("distance", [0.3, 0.5, 1.1, 2.0])
+@pytest.mark.parametrize("picture", [(640, 480), (1280, 720)])
+@pytest.mark.parametrize("pixels", [False, True])
+def test_image_landmarks_are_recognised(
+    tmp_path: Path,
+    operator: HandRecording,
+    distance: float,
+    picture: tuple[int, int],
+    pixels: bool,
+) -> None:
+    width, height = picture
+    points = operator.landmarks - operator.landmarks[:, :1]
+    points = points @ np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))[0]
+    focal, depth = 0.94 * width, distance + points[..., 2]
+    seen = np.stack(
+        [
+            focal * points[..., 0] / depth / width + 0.5,
+            focal * points[..., 1] / depth / height + 0.6,
+            focal * points[..., 2] / distance / width + 1e-9,
+        ],
+        axis=-1,
+    )
+    if pixels:
+        seen *= (width, height, width)
+    for landmarks in (seen, seen * 0.3048):
+        with pytest.raises(RecordingError, match=r"image landmarks.*world landmarks") as caught:
+            read_recording(saved(tmp_path / "a.npz", landmarks))
+        assert "multiply" not in str(caught.value)
+    if not 0.05 < np.linalg.norm(seen[0, 9] - seen[0, 0]) < 0.14:
+        with pytest.raises(RecordingError, match="image landmarks"):  # live, from the first frame
+            check_palm(seen[0], np.ones(21, bool), "the message")
+
+
+# The layout aria
+
+
+def test_aria_has_tips_first_and_the_centre_of_the_palm_last(
+    tmp_path: Path, operator: HandRecording
+) -> None:
+    names = [*(f"{f}4" for f in "TIMRP"), "W", "T2", "T3"]
+    names += [*(f"{f}{k}" for f in "IMRP" for k in (1, 2, 3)), "palm"]
+    ours = ["W", *(f"{f}{k}" for f in "TIMRP" for k in range(1, 5))]
+    assert [names[i] for i in LAYOUTS["aria"]] == [("palm" if n == "T1" else n) for n in ours]
+    points = in_layout(operator.landmarks, "aria")
+    points[:, 20] = (operator.landmarks[:, 0] + operator.landmarks[:, 9]) / 2
+    path = saved(tmp_path / "a.npz", points)
+    with pytest.raises(RecordingError, match=r"the order 'aria'.*say --layout aria"):
+        read_recording(path)
+    read = read_recording(path, layout="aria").landmarks
+    rest = [i for i in range(21) if i != 1]
+    np.testing.assert_array_equal(read[:, rest], operator.landmarks[:, rest])
+    off = np.linalg.norm(read[:, 1] - operator.landmarks[:, 1], axis=-1)
+    assert off.max() < 0.012
+    points[3, 6] = np.nan  # without the thumb's MCP there is no CMC either
+    valid = read_recording(saved(tmp_path / "b.npz", points), layout="aria").valid
+    assert valid is not None
+    assert np.argwhere(~valid).tolist() == [[3, 1], [3, 2]]
+    (reading,) = read_payload(
+        points[0].astype("<f8").tobytes(), side="right", received=1.0, layout="aria"
+    )
+    np.testing.assert_allclose(reading.frame.landmarks, read[0])
 
 
 # Reading files

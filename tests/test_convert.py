@@ -33,9 +33,9 @@ from smooth_operator.formats.episode import Episode
 from smooth_operator.formats.readers import read_recording
 from smooth_operator.landmarks import LAYOUTS
 from smooth_operator.synthetic import SyntheticOperator
-from smooth_operator.teleop.recording import read_episode, read_log, write_episode
+from smooth_operator.teleop.recording import LogWriter, read_episode, read_log, write_episode
 from smooth_operator.teleop.recording.convert import Format
-from smooth_operator.types import CommandTrajectory, HandRecording, Side, Status
+from smooth_operator.types import CommandTrajectory, HandFrame, HandRecording, Side, Status
 
 FRAMES = 40
 JOINTS = ("base", "middle", "tip")
@@ -297,6 +297,18 @@ def test_arrays_of_other_forms_beside_landmarks_are_left_alone(tmp_path: Path) -
     assert back.valid is not None
     assert back.valid[0].all()
     assert back.meta["ignored"] == ["valid", "orientations"]
+
+
+@pytest.mark.parametrize("stamps", [(0.0, 0.1, 0.1), (0.2, 0.3, 0.1)])
+def test_a_log_whose_stamps_do_not_increase_is_refused(
+    tmp_path: Path, stamps: tuple[float, ...]
+) -> None:
+    landmarks = SyntheticOperator(seed=1).record(1.0).landmarks
+    with LogWriter(tmp_path / "a.mcap", {}) as log:
+        for stamp, points in zip(stamps, landmarks, strict=False):
+            log.write_hand(HandFrame(points, stamp))
+    with pytest.raises(RecordingError, match=r"a\.mcap: .*(same stamp|go backwards)"):
+        read_episode(tmp_path / "a.mcap")
 
 
 def test_log_has_a_topic_each_and_carries_its_origin(tmp_path: Path) -> None:

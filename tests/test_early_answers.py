@@ -23,9 +23,10 @@ from smooth_operator.compilation.early_answers import MOST_STEP
 from smooth_operator.compilation.first_stage import FirstStage
 from smooth_operator.errors import ConfigError
 from smooth_operator.human.alignment import AlignmentConfig, reference_landmarks
-from smooth_operator.landmarks import FINGERS, TIPS, WRIST
+from smooth_operator.landmarks import TIPS, WRIST
 from smooth_operator.methods import shared
 from smooth_operator.planning import make_request
+from smooth_operator.synthetic.robot_landmarks import human_landmarks
 from smooth_operator.teleop import teleoperate
 from smooth_operator.teleop.pages.live.live_session import LiveSession
 from smooth_operator.teleop.pages.live.live_texts import modes
@@ -95,8 +96,7 @@ def test_fingertips_go_where_the_hand_can_have_them(name: str) -> None:
         share = 0.5 + 0.3 * np.sin(0.15 * k + np.arange(len(hand.limits)))
         q = hand.limits[:, 0] + share * np.ptp(hand.limits, axis=1)
         tips = hand.tips(hand.full_configuration(q))
-        human = reference_landmarks(hand)
-        human[[TIPS[FINGERS.index(finger)] for finger in hand.fingers]] = tips
+        human = human_landmarks(hand, q[None])[0]
         answer = stage(human + rng.normal(size=3), np.ones(21, bool), last, 0.02)
         assert answer.status == Status.OK
         assert answer.q is not None
@@ -127,6 +127,7 @@ def test_derivatives_are_those_of_the_kinematics() -> None:
     ("spoilt", "status"),
     [
         (lambda points: points[[WRIST]].repeat(21, 0), Status.DEGENERATE_PALM),
+        (lambda points: 1e3 * points, Status.IMPLAUSIBLE_HAND),
         (lambda points: np.where(np.arange(21)[:, None] == TIPS[1], np.nan, points),
          Status.INVALID_LANDMARKS),
     ],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import io
 import pickle
 import zipfile
@@ -14,19 +15,31 @@ from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.formats.checks import check_units
 from smooth_operator.formats.frames import frame_slice
 from smooth_operator.formats.readers import read_recording
-from smooth_operator.landmarks import FROM_MANUS_25, FROM_OPENXR_26, METACARPALS_MANUS_25
+from smooth_operator.landmarks import (
+    FROM_MANUS_25,
+    FROM_OPENXR_26,
+    METACARPALS_MANUS_25,
+    NODE_LAYOUTS,
+)
+from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.types import HandRecording
 
 FRAMES = 12
 
 
+@functools.cache
+def operator(seed: int) -> np.ndarray:
+    """Landmarks of a built-in operator, the wrist at zero and the palm 0.095 m long."""
+    points = SyntheticOperator(seed=seed).record(0.5).landmarks
+    points = points - points[:, :1]
+    return points * 0.095 / np.linalg.norm(points[:, 9:10], axis=-1, keepdims=True)
+
+
 def hand(frames: int = FRAMES, nodes: int = 21, seed: int = 0) -> np.ndarray:
-    """(frames, nodes, 3) of a rough hand: right palm size, every node at a place of its own."""
-    rng = np.random.default_rng(seed)
-    points = 0.02 * rng.normal(size=(frames, nodes, 3))
-    wrist, middle = {21: (0, 9), 25: (0, 11), 26: (1, 12)}[nodes]
-    points[:, wrist] = 0.0
-    points[:, middle] = (0.0, 0.0, 0.095)
+    """(frames, nodes, 3) of a right hand; nodes that the 21 leave out are between the others."""
+    own = operator(seed)[:frames].copy()
+    points = np.repeat(own.mean(axis=1, keepdims=True), nodes, axis=1)
+    points[:, list(NODE_LAYOUTS[nodes][0])] = own
     return points
 
 
@@ -178,7 +191,7 @@ def test_zero_quaternion_is_unknown(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("dtype", [np.float16, np.float32, np.float64])
 def test_npy_with_rate(tmp_path: Path, dtype: type) -> None:
-    points = hand().astype(dtype)
+    points = (hand() * (-1, 1, 1)).astype(dtype)
     np.save(tmp_path / "a.npy", points)
     recording = read_recording(tmp_path / "a.npy", rate=50.0, side="left")
     assert recording.landmarks.dtype == np.float64
@@ -201,10 +214,15 @@ def test_npz_of_landmarks(tmp_path: Path, key: str) -> None:
     stamps = np.arange(FRAMES) / 30.0
     path = save(
         tmp_path / "a.npz",
-        {key: hand(), "confidence": np.ones(FRAMES), "stamps": stamps, "side": np.array("Left")},
+        {
+            key: hand() * (-1, 1, 1),
+            "confidence": np.ones(FRAMES),
+            "stamps": stamps,
+            "side": np.array("Left"),
+        },
     )
     recording = read_recording(path)
-    np.testing.assert_array_equal(recording.landmarks, hand())
+    np.testing.assert_array_equal(recording.landmarks, hand() * (-1, 1, 1))
     np.testing.assert_array_equal(recording.stamps, stamps)
     assert recording.side == "left"
     assert recording.meta == {"format": "array", "side_assumed": False}
@@ -223,7 +241,7 @@ def test_side_is_assumed_right_and_recorded(tmp_path: Path) -> None:
 
 
 def test_side_as_bytes_and_per_frame(tmp_path: Path) -> None:
-    arrays = {"joints": hand(), "chirality": np.array([b"L"] * FRAMES)}
+    arrays = {"joints": hand() * (-1, 1, 1), "chirality": np.array([b"L"] * FRAMES)}
     assert read_recording(save(tmp_path / "a.npz", arrays), rate=30.0).side == "left"
 
 
@@ -235,6 +253,43 @@ def test_more_nodes_are_mapped(tmp_path: Path, nodes: int, picked: tuple[int, ..
     np.testing.assert_array_equal(recording.landmarks, points[:, picked])
     left_out = sorted(set(range(nodes)) - set(picked) - ({0} if nodes == 26 else set()))
     np.testing.assert_array_equal(recording.metacarpals, points[:, left_out])
+
+
+def test_transforms_and_27_joints_are_read_for_their_positions(tmp_path: Path) -> None:
+    points = hand(nodes=27)
+    np.save(tmp_path / "a.npy", points)
+    recording = read_recording(tmp_path / "a.npy", rate=30.0)
+    np.testing.assert_array_equal(recording.landmarks, hand())
+    assert recording.metacarpals is not None
+    transforms = np.tile(np.eye(4), (FRAMES, 27, 1, 1))
+    transforms[..., :3, 3] = points
+    np.save(tmp_path / "b.npy", transforms)
+    np.testing.assert_array_equal(
+        read_recording(tmp_path / "b.npy", rate=30.0).landmarks, recording.landmarks
+    )
+    np.save(tmp_path / "c.npy", transforms[0])
+    assert len(read_recording(tmp_path / "c.npy")) == 1
+    np.save(tmp_path / "d.npy", transforms.swapaxes(-1, -2))
+    refused(tmp_path / "d.npy", r"last row 0 0 0 1.*array\.swapaxes\(-1, -2\)", rate=30.0)
+    np.save(tmp_path / "e.npy", transforms[:, :16])
+    refused(tmp_path / "e.npy", r"of transforms, .*array\[\.\.\., :3, 3\] are pos", rate=30.0)
+    np.save(tmp_path / "f.npy", np.zeros((FRAMES, 2, 21, 3)))
+    refused(tmp_path / "f.npy", r"several hands in it, save one: array\[:, 0\]", rate=30.0)
+
+
+def test_hands_are_found_by_the_names_of_the_tracking_streamer(tmp_path: Path) -> None:
+    left = np.tile(np.eye(4), (FRAMES, 25, 1, 1))
+    left[..., :3, 3] = hand(nodes=25) * (-1, 1, 1)
+    right = left.copy()
+    right[..., :3, 3] = hand(nodes=25)
+    path = save(tmp_path / "a.npz", {"left_fingers": left, "head": np.ones((FRAMES, 4, 4))})
+    recording = read_recording(path, rate=30.0)
+    assert (recording.side, recording.meta["side_assumed"]) == ("left", False)
+    refused(path, "a recording of a left hand, but side 'right'", rate=30.0, side="right")
+    both = save(tmp_path / "b.npz", {"left_fingers": left, "right_fingers": right})
+    refused(both, "both hands; say --side right or --side left", rate=30.0)
+    recording = read_recording(both, rate=30.0, side="right")
+    np.testing.assert_array_equal(recording.landmarks, hand())
 
 
 @pytest.mark.parametrize("form", ["npy", "npz"])
@@ -369,6 +424,22 @@ def test_all_nan_no_wrist_and_all_zero(tmp_path: Path) -> None:
     refused(path, "no frame has both the wrist and the middle finger's MCP", rate=30.0)
     np.save(path, np.ones((FRAMES, 21, 3)))
     refused(path, "landmarks coincide", rate=30.0)
+
+
+def test_landmarks_out_of_this_world_are_refused_or_not_seen(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", hand() + 1e8)
+    refused(tmp_path / "a.npy", r"the wrist is 1e\+08 m from the origin", rate=30.0)
+    points = hand()
+    points[3] += 1e8
+    poses = np.tile([0.0, 0, 0, 1, 0, 0, 0], (FRAMES, 1))
+    poses[5, 0] = 1e15
+    arrays = {"landmarks": points, "timestamps": np.arange(FRAMES) / 30, "T_world_wrist": poses}
+    recording = read_recording(save(tmp_path / "b.npz", arrays))
+    assert recording.valid is not None
+    assert np.flatnonzero(~recording.valid.all(axis=1)).tolist() == [3]
+    assert recording.T_world_wrist is not None
+    assert np.flatnonzero(np.isnan(recording.T_world_wrist[:, 0])).tolist() == [5]
+    assert recording.meta["implausible_frames"] == 1
 
 
 def stamps_with(**changes: float) -> np.ndarray:

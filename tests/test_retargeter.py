@@ -15,15 +15,17 @@ from smooth_operator.cli.retarget_options import Retarget
 from smooth_operator.cli.teleop_options import Teleop
 from smooth_operator.errors import ConfigError, RecordingError, UnknownNameError
 from smooth_operator.hands.hand import Hand
-from smooth_operator.hands.registry import load_hand
+from smooth_operator.hands.registry import hand_names, load_hand
 from smooth_operator.human.alignment import (
     MIN_CONDITION,
     AlignmentConfig,
     align_recording,
     calibrate_scale,
     palm_alignment,
+    palm_range,
     reference_landmarks,
 )
+from smooth_operator.io.anatomy import implausible
 from smooth_operator.landmarks import BASES, LANDMARKS, TIPS
 from smooth_operator.methods import program as program_module
 from smooth_operator.methods.default import DEFAULT_METHOD
@@ -35,6 +37,8 @@ from smooth_operator.objective.targets import PlainTargets
 from smooth_operator.planning import make_request
 from smooth_operator.solvers.newton import NewtonConfig
 from smooth_operator.solvers.sampling import SamplingConfig
+from smooth_operator.synthetic import SyntheticOperator
+from smooth_operator.synthetic.robot_landmarks import human_landmarks
 from smooth_operator.types import HandFrame, HandRecording, Result, Status
 
 FRESH = SbrConfig(sampling=SamplingConfig(samples=128, elites=16, cycles=4))
@@ -209,6 +213,14 @@ def spoiled(frame: np.ndarray, how: str) -> np.ndarray | HandFrame:
         bad[:] = bad[0]
     elif how == "zeros":
         bad[:] = 0
+    elif how == "millimetres":
+        bad *= 1e3
+    elif how == "hundredth":
+        bad *= 0.01
+    elif how == "far tip":
+        bad[TIPS[2]] += 0.5
+    elif how == "shuffled":
+        bad = bad[np.random.default_rng(1).permutation(21)]
     return bad
 
 
@@ -225,6 +237,10 @@ BAD = {
     "collinear": Status.DEGENERATE_PALM,
     "coincident": Status.DEGENERATE_PALM,
     "zeros": Status.DEGENERATE_PALM,
+    "millimetres": Status.IMPLAUSIBLE_HAND,
+    "hundredth": Status.IMPLAUSIBLE_HAND,
+    "far tip": Status.IMPLAUSIBLE_HAND,
+    "shuffled": Status.IMPLAUSIBLE_HAND,
 }
 
 
@@ -300,7 +316,10 @@ def test_commands_are_within_the_limits(
     retargeter: Retargeter = request.getfixturevalue(kind)
     limits = retargeter.hand.joint_limits
     exaggerated = frames.copy()  # fingers that no robot of this size can follow
-    exaggerated[:, list(TIPS)] += 2 * (frames[:, list(TIPS)] - frames[:, :1])
+    for base in BASES:
+        exaggerated[:, base : base + 4] += 0.9 * (
+            frames[:, base : base + 4] - frames[:, base, None]
+        )
     at_limit = 0
     for result in play(retargeter, [*frames, *exaggerated]):
         q = result.command.positions
@@ -312,6 +331,49 @@ def test_commands_are_within_the_limits(
         for finger in ("index", "middle", "ring", "pinky"):
             assert named[f"{finger}_mp2dp"] == named[f"{finger}_pp2mp"]
     assert kind == "fresh" or at_limit > 50  # the limits did bind
+
+
+# What is no hand
+
+
+def test_a_call_notices_units_order_and_side(usual: Retargeter) -> None:
+    landmarks = SyntheticOperator(seed=1).record(2.0).landmarks
+    usual.reset()
+    first = usual(landmarks[0])
+    assert first.status == Status.OK
+    for points in 1e3 * landmarks[:40]:  # in millimetres: from the first frame on
+        result = usual(points)
+        assert result.status == Status.IMPLAUSIBLE_HAND
+        np.testing.assert_array_equal(result.command.positions, first.command.positions)
+    assert "metres" in result.status.reason
+    assert all(usual(points).status == Status.OK for points in landmarks[1:60])
+    # another hand, later on: held from the next window of frames on, no end of the program
+    results = [usual(points * (-1, 1, 1)) for points in landmarks[60:150]]
+    assert results[-1].status == Status.IMPLAUSIBLE_HAND
+    assert [usual(points).status for points in landmarks[100:160]][-1] == Status.OK
+    usual.reset()
+    shuffled = landmarks[:5, np.random.default_rng(2).permutation(21)]
+    for points in shuffled[:4]:
+        assert usual(points).status == Status.IMPLAUSIBLE_HAND
+    with pytest.raises(RecordingError, match="no hand, in this order or in any other"):
+        usual(shuffled[4])
+    usual.reset()
+
+
+@pytest.mark.parametrize("size", [0.6, 1.0, 1.25])
+def test_hands_of_all_sizes_are_hands(usual: Retargeter, size: float) -> None:
+    usual.reset()
+    for points in size * SyntheticOperator(seed=2).record(0.5).landmarks:
+        assert usual(points).status == Status.OK
+    usual.reset()
+
+
+@pytest.mark.parametrize("name", hand_names())
+def test_a_robots_own_landmarks_are_plausible(name: str) -> None:
+    hand = load_hand(name)
+    poses = np.vstack([hand.neutral, limited_poses(np.random.default_rng(0), hand.limits, 40)])
+    landmarks = human_landmarks(hand, poses)
+    assert not implausible(landmarks, np.ones((41, 21), bool), palm_range(hand)).any()
 
 
 # What is refused

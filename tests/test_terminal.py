@@ -12,7 +12,8 @@ from rich.text import Text
 
 from smooth_operator.cli import main
 from smooth_operator.cli.console import Progressing
-from smooth_operator.errors import RecordingError
+from smooth_operator.errors import OutputError, RecordingError, UnknownNameError, reason
+from smooth_operator.lab.datasets.manifest import read_manifest
 from smooth_operator.teleop.recording import LogWriter
 from smooth_operator.teleop.sources.manus.manus_message import read_manus
 from smooth_operator.terminal import open_console, printable
@@ -74,3 +75,35 @@ def test_keys_of_a_message_are_told_as_text(capsys: pytest.CaptureFixture[str]) 
     err = capsys.readouterr().err
     assert harmless(err)
     assert "[/x][bold]:warning:" in err.replace("\n", "")
+
+
+def test_no_error_has_control_characters_of_a_file() -> None:
+    foreign = "a\x1b]0;owned\x07b\u202e"
+    for error in (
+        RecordingError(f"a.csv: {foreign}"),
+        OutputError(5, foreign),
+        UnknownNameError("hand", foreign, ("leap_hand",)),
+    ):
+        assert str(error) == printable(str(error))
+        assert "\\x1b" in str(error)
+
+
+def test_what_another_library_says_is_one_short_line() -> None:
+    assert reason(ValueError("no\n  number: 'x'")) == "no number: 'x'"
+    assert len(reason(ValueError("{a=" * 500))) == 160
+
+
+@pytest.mark.parametrize("name", ["a.csv", "a.jsonl"])
+def test_a_line_of_a_manifest_is_not_quoted_at_length(tmp_path: Path, name: str) -> None:
+    rate = "{a=" * 500 + "\x1b[2J"
+    row = (
+        f'path,rate\na.npz,"{rate}"\n'
+        if name == "a.csv"
+        else json.dumps({"path": "a.npz", "rate": rate})
+    )
+    (tmp_path / name).write_text(row)
+    with pytest.raises(RecordingError, match="line") as caught:
+        list(read_manifest(tmp_path / name))
+    message = str(caught.value).removeprefix(str(tmp_path))
+    assert len(message) < 250
+    assert "\x1b" not in message

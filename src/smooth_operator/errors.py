@@ -15,6 +15,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Final
 
+from smooth_operator.terminal import printable
+
 __all__ = (
     "ConfigError", "HandModelError", "MissingExtraError", "OutputError", "RecordingError",
     "RemoteError", "RemoteRefusedError", "SinkError", "SmoothOperatorError", "SourceError",
@@ -30,7 +32,11 @@ UPGRADE: Final = f"python -m pip install --upgrade {DISTRIBUTION}"
 
 
 class SmoothOperatorError(Exception):
-    """Base of every error that this package raises on purpose."""
+    """Base of every error that this package raises on purpose; control characters of a file's text
+    stand in its own as escapes."""
+
+    def __str__(self) -> str:
+        return printable(super().__str__())
 
 
 class RecordingError(SmoothOperatorError, ValueError):
@@ -141,7 +147,7 @@ class UnknownNameError(SmoothOperatorError, KeyError):
         super().__init__(self.message)
 
     def __str__(self) -> str:  # KeyError would print the repr of the message
-        return self.message
+        return printable(self.message)
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
@@ -157,6 +163,12 @@ _SHOWN: Final = 80
 def brief(value: object, most: int = _SHOWN) -> str:
     """The ``repr`` of a value, cut where it is too long for a message."""
     text = repr(value)
+    return text if len(text) <= most else f"{text[: most - 3]}..."
+
+
+def reason(error: object, most: int = 2 * _SHOWN) -> str:
+    """What another library's error says, in one line, cut where it quotes too much of a file."""
+    text = " ".join(str(error).split())
     return text if len(text) <= most else f"{text[: most - 3]}..."
 
 

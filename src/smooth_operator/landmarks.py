@@ -58,9 +58,10 @@ NODE_LAYOUTS: Final[dict[int, tuple[tuple[int, ...], tuple[int, ...] | None]]] =
     21: (tuple(range(21)), None),
     25: (FROM_MANUS_25, METACARPALS_MANUS_25),
     26: (FROM_OPENXR_26, METACARPALS_OPENXR_26),
+    27: (FROM_WEBXR_25, METACARPALS_WEBXR_25),
 }
 """Nodes of a tracker's hand -> indices in it of the 21 landmarks and of the four metacarpal bases;
-25 are MANUS and WebXR, 26 OpenXR."""
+25 are MANUS and WebXR, 26 OpenXR, 27 WebXR's and two of the forearm (Tracking Streamer)."""
 
 FINGER_COLORS: Final = ("#d55e00", "#56b4e9", "#009e73", "#cc79a7", "#0072b2")
 """One colour for a finger in every picture and on every page, thumb first: vermillion, sky blue,
@@ -77,6 +78,14 @@ LAYOUTS: Final[dict[str, tuple[int, ...]]] = {
     "interhand": (20, *(f - 1 + k for f in BASES for k in (3, 2, 1, 0))),
     "fpha": (0, *(i for f in range(5) for i in (1 + f, 6 + 3 * f, 7 + 3 * f, 8 + 3 * f))),
     "pinky_first": (0, *(f + k for f in reversed(BASES) for k in range(4))),
+    "aria": (
+        5,
+        20,
+        6,
+        7,
+        0,
+        *(i for f in range(4) for i in (8 + 3 * f, 9 + 3 * f, 10 + 3 * f, 1 + f)),
+    ),
 }
 """Orders of 21 points: name -> the index of each landmark of ours in that order.
 
@@ -85,7 +94,10 @@ LAYOUTS: Final[dict[str, tuple[int, ...]]] = {
 has it; ``minimal_ik`` the same with the tips in the joints' order of fingers; ``mano_fingers`` the
 joints' order of fingers with each tip after its joints. ``rhd`` goes from tip to base;
 ``interhand`` (InterHand2.6M) does, too, and has the wrist last; ``fpha`` has the five bases first.
-``pinky_first`` is ours with the fingers reversed.
+``pinky_first`` is ours with the fingers reversed. ``aria`` (Project Aria, UmeTrack, HOT3D,
+Assembly101) has the tips, the wrist, two joints of the thumb, three of each finger, and last the
+centre of the palm, which stands here for the thumb's CMC that it lacks
+(``smooth_operator.io.anatomy.in_our_order`` estimates it).
 """
 
 

@@ -45,6 +45,8 @@ class Status(enum.IntEnum):
     """The palm landmarks are collinear or coincident: no rotation can be found."""
     SOLVER_FAILED = 3
     """The solver's result was not finite."""
+    IMPLAUSIBLE_HAND = 4
+    """The landmarks are no human hand of the robot's side, by their size in metres or shape."""
 
     def __str__(self) -> str:
         """The name: ``OK``; the default of integers would be ``0``."""
@@ -61,6 +63,8 @@ _REASONS = {
     Status.INVALID_LANDMARKS: "a needed landmark is missing or not finite; last good command held",
     Status.DEGENERATE_PALM: "palm landmarks are collinear or coincident; last good command held",
     Status.SOLVER_FAILED: "the solver found no finite command; last good command held",
+    Status.IMPLAUSIBLE_HAND: "the landmarks are no hand of this side in metres, by its size or "
+    "shape (unit, order or side may be wrong); last good command held",
 }
 
 

@@ -21,8 +21,14 @@ from jaxtyping import Bool, Float
 
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.kinematics import KinematicTree
-from smooth_operator.human.alignment import MIN_CONDITION, AlignmentConfig, palm_alignment
+from smooth_operator.human.alignment import (
+    MIN_CONDITION,
+    AlignmentConfig,
+    palm_alignment,
+    palm_range,
+)
 from smooth_operator.human.palm_axes import human_palm_axes
+from smooth_operator.io.anatomy import implausible
 from smooth_operator.landmarks import FINGERS, TIPS, WRIST
 from smooth_operator.objective.close_targets import CloseTargets
 from smooth_operator.objective.keyvectors import KeyvectorLayout
@@ -132,6 +138,8 @@ class FirstStage:
             palm = palm_alignment(seen, self.hand, self.alignment)
             if not float(palm.condition) >= MIN_CONDITION:
                 return StageAnswer(None, Status.DEGENERATE_PALM, np.nan, float(palm.scale))
+            if implausible(landmarks, known, self._palms):
+                return StageAnswer(None, Status.IMPLAUSIBLE_HAND, np.nan, float(palm.scale))
             aligned = palm.apply(seen)
             operator = self.alignment.operator
             if operator is not None:
@@ -141,6 +149,10 @@ class FirstStage:
         if not np.isfinite(q).all():
             return StageAnswer(None, Status.SOLVER_FAILED, np.nan, float(palm.scale))
         return StageAnswer(q, Status.OK, loss, float(palm.scale))
+
+    @cached_property
+    def _palms(self) -> tuple[float, float]:
+        return palm_range(self.hand)
 
     @cached_property
     def _wanted(self) -> list[int]:

@@ -17,7 +17,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from smooth_operator.errors import RecordingError, brief, listed
+from smooth_operator.errors import RecordingError, brief, listed, reason
 from smooth_operator.formats.bounds import NUMBER_BYTES, TEXT_BYTES, Allowance
 from smooth_operator.io.documents import check_plain_file
 
@@ -36,10 +36,9 @@ PICKLE_REMEDY = (
 
 def damaged(path: Path, cause: object) -> RecordingError:
     """The error for a file whose bytes can't be read to the end."""
-    text = " ".join(str(cause).split())
-    text = text if len(text) <= 160 else f"{text[:157]}..."
+    text = reason(cause) or "no detail"
     return RecordingError(
-        f"{path}: the file is damaged or cut off ({text or 'no detail'}); copy or record it again"
+        f"{path}: the file is damaged or cut off ({text}); copy or record it again"
     )
 
 

@@ -13,20 +13,15 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from smooth_operator.errors import ConfigError, RecordingError
+from smooth_operator.io.anatomy import OF_A_PICTURE, PALM_RANGE_M, keeps_lengths, of_a_picture
 from smooth_operator.landmarks import WRIST, index
 from smooth_operator.settings import RATE_RANGE_HZ, check_frame_rate
 from smooth_operator.types import HandRecording, Side, as_side
 
-PALM_RANGE_M = (0.05, 0.14)
-"""Bounds [m] on the distance from the wrist to the middle finger's MCP.
-
-An adult's is near 0.095 m. The bounds leave room for children and for trackers that put the wrist
-a little off, and no hand in millimetres, centimetres, decimetres, inches or feet fits between them.
-"""
-
 _TYPICAL_PALM_M = 0.095
 _PALM_RATIO = 2.0  # of a frame's palm to the usual one, up or down: trackers stay within 1.3
 _REACH = 3.0  # palm lengths from the wrist; a straight middle finger ends at 2
+_FARTHEST_M = 1e7  # no tracker's world is larger, and float64 still has 2 nm there
 _TYPICAL_RATE_HZ = 60.0
 _LENGTH_UNITS = {
     "micrometres": 1e-6,
@@ -70,7 +65,8 @@ def check_units(
 
     Raises:
         RecordingError: if the median distance from wrist to middle MCP lies outside
-            ``PALM_RANGE_M``, with the likely unit and factor; or if no frame has both.
+            ``PALM_RANGE_M``, with the likely unit and factor, or that they are image landmarks; if
+            the wrist is farther than 10,000 km from the origin; or if no frame has both.
     """
     if not valid.any():
         raise RecordingError(
@@ -83,15 +79,25 @@ def check_units(
             f"{where}: no frame has both the wrist and the middle finger's MCP, so neither the "
             "units nor the palm can be found; record again with the whole hand in view"
         )
+    place = float(np.median(np.abs(landmarks[both, WRIST]).max(axis=1)))
+    if place > _FARTHEST_M:
+        raise RecordingError(
+            f"{where}: the wrist is {place:.3g} m from the origin (median), and no tracker's world "
+            f"is larger than {_FARTHEST_M:g} m; the numbers are damaged, or in another unit"
+        )
     palm = float(
         np.median(np.linalg.norm(landmarks[both, middle] - landmarks[both, WRIST], axis=1))
     )
     low, high = PALM_RANGE_M
     if low <= palm <= high:
         return
+    whole = landmarks[valid.all(axis=1)]
+    if of_a_picture(whole):
+        raise RecordingError(f"{where}: {OF_A_PICTURE.what}; {OF_A_PICTURE.mend}")
+    hint = _length_hint(palm) if keeps_lengths(whole) else "its bones change their lengths, too"
     raise RecordingError(
         f"{where}: the distance from the wrist to the middle finger's MCP is {palm:.4g} (median), "
-        f"but a hand in metres has {low} to {high}; {_length_hint(palm)}"
+        f"but a hand in metres has {low} to {high}; {hint}"
     )
 
 
@@ -119,9 +125,9 @@ def _length_hint(palm: float) -> str:
         likely = " or ".join(f"{unit} (multiply by {_LENGTH_UNITS[unit]:g})" for unit in units)
         return f"it looks like {likely}"
     return (
-        "no common unit fits. Landmarks that are normalised or in pixels must be scaled to the "
-        f"operator's hand (for a palm of {_TYPICAL_PALM_M} m: multiply by "
-        f"{_TYPICAL_PALM_M / palm:.3g}); otherwise look at the order of the landmarks"
+        "no common unit fits. Landmarks in shares of a hand must be scaled to the operator's (for "
+        f"a palm of {_TYPICAL_PALM_M} m: multiply by {_TYPICAL_PALM_M / palm:.3g}), those of a "
+        "picture can't be; otherwise look at the order of the landmarks"
     )
 
 
@@ -129,8 +135,9 @@ def without_outliers(recording: HandRecording) -> HandRecording:
     """A recording in which what no hand could do is flagged invalid; for one in metres.
 
     A frame is flagged whose palm is less than half or more than twice the usual length, such as one
-    in another unit; a landmark, that is more than three palm lengths from the wrist. How many
-    frames are concerned is in ``meta["implausible_frames"]``, if any.
+    in another unit, or that is farther than 10,000 km from the origin; a landmark, that is more
+    than three palm lengths from the wrist. How many frames are concerned is in
+    ``meta["implausible_frames"]``, if any. A wrist in the world as far away is NaN.
     """
     points, valid = recording.landmarks, recording.valid
     assert valid is not None  # filled in by HandRecording
@@ -142,7 +149,12 @@ def without_outliers(recording: HandRecording) -> HandRecording:
     usual = float(np.nanmedian(palms))
     with np.errstate(invalid="ignore"):
         frame = (palms < usual / _PALM_RATIO) | (palms > usual * _PALM_RATIO)
+        frame |= np.any(valid[..., None] & (np.abs(points) > _FARTHEST_M), axis=(1, 2))
         far = valid & (from_wrist > _REACH * usual) & valid[:, :1]
+    wrist = recording.T_world_wrist
+    if wrist is not None:
+        gone = np.any(np.abs(wrist[:, :3]) > _FARTHEST_M, axis=1, keepdims=True)
+        recording = replace(recording, T_world_wrist=np.where(gone, np.nan, wrist))
     wrong = valid & (frame[:, None] | far)
     if not wrong.any():
         return recording
@@ -165,7 +177,8 @@ def reading_notes(recording: HandRecording, where: str) -> list[str]:
     if odd:
         notes.append(
             f"{where}: {odd} of {len(recording)} frames have a palm or a landmark that is too "
-            "large or too small for the hand; what is wrong in them counts as not seen"
+            "large, too small or too far away for the hand; what is wrong in them counts as not "
+            "seen"
         )
     return notes
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Final, TypeVar
 
 import numpy as np
 from jaxtyping import Float
@@ -22,7 +22,7 @@ from smooth_operator.formats.checks import (
 from smooth_operator.formats.manus import manus_nodes
 from smooth_operator.formats.registry import find_reader, readable
 from smooth_operator.formats.sniff import file_kind
-from smooth_operator.io.anatomy import doubt, layout_order
+from smooth_operator.io.anatomy import doubt, in_our_order, layout_order
 from smooth_operator.landmarks import NODE_LAYOUTS
 from smooth_operator.types import HandRecording, Side, as_side
 
@@ -33,6 +33,7 @@ LANDMARK_STAMPS = "landmark_timestamps"
 
 _STAMP_KEYS = (LANDMARK_STAMPS, "timestamps", "stamps")
 _SIDE_KEYS = ("chirality", "side")
+_FINGERS_OF: Final[dict[str, Side]] = {"right_fingers": "right", "left_fingers": "left"}
 
 
 def read_recording(
@@ -50,8 +51,10 @@ def read_recording(
       ``keypoint_ids`` (25,), ``chirality``, ``quaternion_order``;
     - a ``.npy`` of shape (T, 21, 3) [m], or an ``.npz`` that holds one, named ``joints`` or
       ``landmarks`` or being its only 3-D array, with ``timestamps`` or ``stamps`` (T,) [s] and
-      ``side`` or ``chirality`` where it has them. 25 nodes (MANUS, WebXR) and 26 (OpenXR) are
-      mapped onto the 21; a single frame (21, 3) is a recording of one. With 21, ``valid``
+      ``side`` or ``chirality`` where it has them. 25 nodes (MANUS, WebXR), 26 (OpenXR) and 27
+      (WebXR's and two of the forearm) are mapped onto the 21; a single frame (21, 3) is a recording
+      of one. 4 x 4 transforms (T, n, 4, 4), also as ``right_fingers`` and ``left_fingers``, are
+      read for their positions. With 21, ``valid``
       (T, 21), ``metacarpals`` (T, 4, 3) [m], ``orientations`` (T, 21, 4) wxyz and
       ``T_world_wrist`` (T, 7), with the name ``world``, are read too;
     - the log that ``LogWriter`` writes, also when it was
@@ -66,7 +69,7 @@ def read_recording(
     plugin's reader. Frames and landmarks of
     a size that no hand has among others that have it are flagged invalid, their number being
     ``meta["implausible_frames"]``. A hand that is of the other side by its shape, or whose
-    landmarks are in another order, is refused (``check_hand``).
+    landmarks are in another order or no hand's, is refused (``check_hand``).
 
     Args:
         path: the file.
@@ -154,17 +157,21 @@ def read_arrays(
     arrays = open_arrays(path)
     where = str(path)
     data = arrays.get("data")
+    named: Side | None = None
     meta: dict[str, Any]
     orientations = None
     if data is not None and len(data.shape) == 3 and data.shape[-1] == 7:
         nodes, quaternions, meta = manus_nodes(arrays)
     else:
-        nodes = _frames(_find_landmarks(arrays))
+        item = _find_landmarks(arrays, side)
+        nodes, named = _frames(item), _FINGERS_OF.get(item.name)
         quaternions, meta = None, {"format": "array"}
     picked, metacarpals = NODE_LAYOUTS[nodes.shape[1]]
     if layout is not None and nodes.shape[1] == 21 and meta["format"] == "array":
         picked, meta["layout"] = layout_order(layout), layout
-    positions = nodes[:, picked]
+        positions = in_our_order(nodes, layout)
+    else:
+        positions = nodes[:, picked]
     if quaternions is not None:
         orientations = quaternions[:, picked]
 
@@ -181,7 +188,8 @@ def read_arrays(
     elif lost.any():
         meta["zero_frames"] = int(lost.sum())
 
-    labels = [text for key in _SIDE_KEYS if key in arrays for text in arrays[key].texts()]
+    labels: list[str] = [] if named is None else [named]
+    labels += [text for key in _SIDE_KEYS if key in arrays for text in arrays[key].texts()]
     found, meta["side_assumed"] = check_side(labels, side, where)
     return HandRecording(
         positions,
@@ -221,7 +229,7 @@ def _beside_landmarks(
     return found
 
 
-def _find_landmarks(arrays: StoredArrays) -> StoredArray:
+def _find_landmarks(arrays: StoredArrays, side: Side | None) -> StoredArray:
     """The one array of landmarks in a file, or an error that says what is there instead."""
     path = arrays.path
     for item in arrays.values():
@@ -229,8 +237,14 @@ def _find_landmarks(arrays: StoredArrays) -> StoredArray:
             label = f"array {brief(item.name)}" if item.name else "the array"
             raise RecordingError(f"{path}: {label} holds pickled objects; {PICKLE_REMEDY}")
     named = [arrays[name] for name in ("landmarks", "joints") if name in arrays]
+    hands = [name for name in _FINGERS_OF if name in arrays]
     if "" in arrays:
         return arrays[""]
+    if not named and hands:
+        asked = [name for name in hands if side in (None, _FINGERS_OF[name])] or hands
+        if len(asked) > 1:
+            raise RecordingError(f"{path}: it holds both hands; say --side right or --side left")
+        return arrays[asked[0]]
     if len(named) == 1:
         return named[0]
     if len(named) > 1:
@@ -240,7 +254,7 @@ def _find_landmarks(arrays: StoredArrays) -> StoredArray:
     cubes = [item for item in arrays.values() if len(item.shape) == 3]
     if len(cubes) == 1:
         return cubes[0]
-    poses = [item for item in arrays.values() if item.shape in ((21, 3), (25, 3), (26, 3))]
+    poses = [item for item in arrays.values() if item.shape in {(n, 3) for n in NODE_LAYOUTS}]
     if cubes or len(poses) > 1:
         names = [item.name for item in cubes or poses]
         what, first = "recordings" if cubes else "single poses", names[0][:40]
@@ -256,8 +270,17 @@ def _find_landmarks(arrays: StoredArrays) -> StoredArray:
 
 
 def _frames(item: StoredArray) -> Float[np.ndarray, "T n 3"]:
-    """Load (T, n, 3) with n = 21, 25 or 26; a single (n, 3) becomes one frame."""
+    """Load (T, n, 3) with n of ``NODE_LAYOUTS``; a single (n, 3) becomes one frame, and 4 x 4
+    transforms their positions."""
     shape = item.shape
+    if shape[-2:] == (4, 4) and len(shape) in (3, 4) and shape[-3] in NODE_LAYOUTS:
+        matrices = item.numbers().reshape(-1, *shape[-3:])
+        if not (np.isnan(matrices) | (matrices == np.eye(4)))[..., 3, :].all():
+            raise RecordingError(
+                f"{item.path}: 4 x 4 transforms must have the last row 0 0 0 1, with the position "
+                "in the last column; if they are transposed: array.swapaxes(-1, -2)"
+            )
+        return matrices[..., :3, 3]
     if len(shape) == 2 and shape[0] in NODE_LAYOUTS and shape[1] == 3:
         return item.numbers()[None]
     if len(shape) == 3 and shape[0] == 0:
@@ -265,8 +288,9 @@ def _frames(item: StoredArray) -> Float[np.ndarray, "T n 3"]:
     if len(shape) == 3 and shape[1] in NODE_LAYOUTS and shape[2] == 3:
         return item.numbers()
     raise RecordingError(
-        f"{item.path}: landmarks must have shape (T, 21, 3), or 25 (MANUS, WebXR) or 26 (OpenXR) "
-        f"nodes in place of 21, not {shape}{_shape_hint(shape)}"
+        f"{item.path}: landmarks must have shape (T, 21, 3), or 25 (MANUS, WebXR), 26 (OpenXR) or "
+        f"27 (with the forearm) nodes in place of 21, or be 4 x 4 transforms (T, 25, 4, 4), not "
+        f"{shape}{_shape_hint(shape)}"
     )
 
 
@@ -279,6 +303,8 @@ def _shape_hint(shape: tuple[int, ...]) -> str:
         return "; if x, y, z come first: array[..., :3]"
     if len(shape) == 3 and shape[1:] == (16, 3):
         return "; MANO's 16 joints have no tips: add those of its mesh, then say --layout mano"
+    if shape[-2:] == (4, 4):
+        return "; of transforms, save those of the hand's joints: array[..., :3, 3] are positions"
     if len(shape) == 4:
         return "; if there are several hands in it, save one: array[:, 0]"
     return ""

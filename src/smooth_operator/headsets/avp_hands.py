@@ -18,7 +18,7 @@ from jaxtyping import Float
 
 from smooth_operator.errors import RecordingError
 from smooth_operator.formats.checks import check_palm
-from smooth_operator.landmarks import FROM_WEBXR_25, METACARPALS_WEBXR_25
+from smooth_operator.landmarks import NODE_LAYOUTS
 from smooth_operator.poses import WORLD_AXES, WRIST_AXES, from_matrices, is_rigid, to_ours
 from smooth_operator.types import HandFrame, Side
 
@@ -27,8 +27,8 @@ WORLD: Final = "avp"
 JOINTS: Final = 25
 """Joints that are used, the first of what is sent."""
 
-_LANDMARKS: Final = np.array(FROM_WEBXR_25)
-_METACARPALS: Final = np.array(METACARPALS_WEBXR_25)
+_LANDMARKS: Final = np.array(NODE_LAYOUTS[27][0])
+_METACARPALS: Final = np.array(NODE_LAYOUTS[27][1])
 _WRISTS: Final = {side: WRIST_AXES[f"arkit_{side}"] for side in ("right", "left")}
 
 

@@ -11,7 +11,8 @@ from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.geometry import AnyKind, Similarity, umeyama
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.operator import OperatorProfile
-from smooth_operator.landmarks import LANDMARKS
+from smooth_operator.io.anatomy import PALM_RANGE_M
+from smooth_operator.landmarks import BASES, LANDMARKS
 from smooth_operator.types import HandRecording
 
 MIN_CONDITION = 0.02
@@ -113,6 +114,14 @@ def calibrate_scale(recording: HandRecording, hand: Hand) -> float:
 def _validity(recording: HandRecording) -> Bool[np.ndarray, "T 21"]:
     assert recording.valid is not None  # filled in on construction
     return recording.valid
+
+
+def palm_range(hand: Hand) -> tuple[float, float]:
+    """Least and greatest length [m] from wrist to middle MCP in a frame that may drive a hand:
+    those of people and the robot's own, and a quarter more, since single frames scatter."""
+    knuckles = reference_landmarks(hand)[list(BASES[1:])] - hand.wrist
+    own = float(np.linalg.norm(knuckles, axis=1).max())
+    return 0.8 * min(PALM_RANGE_M[0], own), 1.25 * max(PALM_RANGE_M[1], own)
 
 
 def reference_landmarks(hand: Hand) -> Float[np.ndarray, "21 3"]:

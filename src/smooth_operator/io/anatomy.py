@@ -1,8 +1,8 @@
-"""Checks side and order of landmarks by their shape.
+"""Checks size, order and side of landmarks by their shape.
 
 Order: the lengths between neighbouring landmarks hardly depend on the pose. Those of a human hand,
 as ratios, are compared under every order of the fingers and under the layouts of other trackers
-and datasets (``LAYOUTS``). Side: fingers bend to the palm, the
+and datasets (``LAYOUTS``); points that fit none are no hand. Side: fingers bend to the palm, the
 thumb's base is in front of it, and the knuckles arch away from it; a mirror image is the
 opposite. ``python -m smooth_operator.lab.judging.input_check`` measures both on real recordings.
 """
@@ -18,8 +18,16 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from smooth_operator.errors import RecordingError, UnknownNameError
-from smooth_operator.landmarks import BASES, FINGERS, LAYOUTS, NUM_LANDMARKS
+from smooth_operator.geometry import AnyArray, array_namespace
+from smooth_operator.landmarks import BASES, FINGERS, LAYOUTS, NUM_LANDMARKS, WRIST
 from smooth_operator.types import Side
+
+PALM_RANGE_M: Final = (0.05, 0.14)
+"""Bounds [m] on the distance from the wrist to the middle finger's MCP.
+
+An adult's is near 0.095 m. The bounds leave room for children and for trackers that put the wrist
+a little off, and no hand in millimetres, centimetres, decimetres, inches or feet fits between them.
+"""
 
 FEWEST_FRAMES: Final = 5
 """Frames with all landmarks without which nothing is judged."""
@@ -38,7 +46,20 @@ Right ones come to -0.15 at the least over five frames with 6 mm of noise, mirro
 the most, but for flat hands of trackers whose palm is a plane.
 """
 
-_FITS: Final = 0.9  # what deviates more is no human hand, and is not judged
+NO_HAND: Final = 1.0
+"""Points whose lengths deviate more than this on average, in the order that is said, are no hand.
+
+Over five frames recordings come to 0.6 at most, with 4 mm of noise too, the built-in robot hands to
+0.8; random orders of 21 points to 1.1 at least.
+"""
+
+NO_HAND_FRAME: Final = 1.5
+"""The same for a single frame, which one with 8 mm of noise stays under."""
+
+_LONGEST: Final = 2.0  # palm lengths of any length; 1.1 in hands and robot hands
+_UNSTEADY: Final = 0.3  # of the logarithms of bones; recordings 0.1, with 15 mm of noise 0.23
+_STRETCHES: Final = 6  # of frames, over which medians of bones are compared
+_FITS: Final = 0.9  # an order that deviates more is not named
 _SPREAD: Final = 0.3  # of the logarithm of a length, between people and between trackers
 _MOST: Final = 3.0  # spreads that one length may count
 _JUDGED: Final = 300  # frames of a recording that are looked at
@@ -60,6 +81,10 @@ _LENGTHS: Final = np.array(
     ]
 )
 _LOGS: Final = np.log(_LENGTHS)
+_PALM: Final = 8  # of these pairs: wrist to middle MCP
+
+_NEAR_CMC: Final = [WRIST, 2, 5, 17]  # its neighbours, without which side it need not be known
+_CMC: Final = np.array([0.63, 0.408, 0.103, -0.141])  # their shares: least squares, 7 recordings
 
 
 @dataclass(frozen=True)
@@ -71,12 +96,14 @@ class Doubt:
         layout: the layout that they are in, if it has a name.
         order: the index of each landmark in the points as they came; None where the side is wrong.
         side: the side that they are of; None where the order is wrong.
+        mend: what to do where neither would help.
     """
 
     what: str
     layout: str | None = None
     order: tuple[int, ...] | None = None
     side: Side | None = None
+    mend: str = ""
 
     @property
     def remedy(self) -> str:
@@ -88,7 +115,7 @@ class Doubt:
             )
         if self.layout is not None:
             return f"say --layout {self.layout} (in Python: layout={self.layout!r})"
-        return f"put them in order: points[:, {list(self.order or ())}]"
+        return self.mend or f"put them in order: points[:, {list(self.order or ())}]"
 
     @property
     def in_python(self) -> str:
@@ -99,8 +126,8 @@ class Doubt:
                 "mirror the points: points * (-1, 1, 1)"
             )
         if self.layout is not None:
-            return f"points[list(smooth_operator.landmarks.LAYOUTS[{self.layout!r}])]"
-        return f"points[{list(self.order or ())}]"
+            return f"smooth_operator.io.anatomy.in_our_order(points, layout={self.layout!r})"
+        return self.mend or f"points[{list(self.order or ())}]"
 
     @property
     def live(self) -> str:
@@ -111,6 +138,8 @@ class Doubt:
             )
         if self.layout is not None:
             return f"landmarks in the order {self.layout!r}; give the source layout={self.layout}"
+        if self.mend:
+            return f"{self.what}; {self.mend}"
         return f"landmarks in another order; put them in order: points[{list(self.order or ())}]"
 
 
@@ -127,6 +156,74 @@ def layout_order(name: str | None) -> tuple[int, ...]:
     return LAYOUTS[name]
 
 
+def in_our_order(
+    points: Float[np.ndarray, "*n 21 3"], layout: str | None = None
+) -> Float[np.ndarray, "*n 21 3"]:
+    """Points of a layout as the project's 21 landmarks.
+
+    ``aria`` has the centre of the palm in place of the thumb's CMC, which is estimated from wrist,
+    thumb, index and pinky MCP: 6 to 11 mm off on average in recordings of gloves and cameras.
+
+    Raises:
+        UnknownNameError: there is no such layout.
+    """
+    landmarks: np.ndarray = points[..., list(layout_order(layout)), :]
+    if layout == "aria":
+        landmarks[..., 1, :] = np.einsum("...kj,k->...j", landmarks[..., _NEAR_CMC, :], _CMC)
+    return landmarks
+
+
+def implausible(
+    landmarks: AnyArray, known: AnyArray, palms: tuple[float, float] = PALM_RANGE_M
+) -> AnyArray:
+    """Whether a frame can't be a hand, by its size [m] or by the lengths between its landmarks.
+
+    Args:
+        landmarks: (..., 21, 3) positions [m], in the project's order; NumPy or JAX.
+        known: (..., 21) which of them count. Only whole frames are judged by lengths.
+        palms: least and greatest distance from the wrist to the middle finger's MCP [m].
+    """
+    xp = array_namespace(landmarks)
+    bones = landmarks[..., _PAIRS[:, 1], :] - landmarks[..., _PAIRS[:, 0], :]
+    lengths = xp.sqrt((bones * bones).sum(axis=-1))
+    palm = lengths[..., _PALM]
+    sized = (palm >= palms[0]) & (palm <= palms[1])
+    shaped = (_misfits(lengths) <= NO_HAND_FRAME) & (lengths.max(axis=-1) <= _LONGEST * palm)
+    odd: AnyArray = (known[..., _PAIRS[_PALM]].all(axis=-1) & ~sized) | (
+        known.all(axis=-1) & ~shaped
+    )
+    return odd
+
+
+def of_a_picture(landmarks: Float[np.ndarray, "T 21 3"]) -> bool:
+    """Whether whole frames are a camera tracker's image landmarks: x and y, normalised or in
+    pixels, count from a corner of the picture, and z counts from the wrist."""
+    wrist, depth = landmarks[:, WRIST], np.abs(landmarks[..., 2]).max(axis=1, initial=0.0)
+    flat = (np.abs(wrist[:, 2]) <= 1e-4 * depth) & (wrist[:, :2] > 0.0).all(axis=1)
+    return len(landmarks) > 0 and bool(flat.all())
+
+
+OF_A_PICTURE: Final = Doubt(
+    "these are image landmarks: x and y are places in a picture and the wrist's z is 0, so no "
+    "factor makes metres of them",
+    mend="save the tracker's world landmarks, which are in metres",
+)
+
+
+def keeps_lengths(landmarks: Float[np.ndarray, "T 21 3"]) -> bool:
+    """Whether bones keep their lengths, in proportion, from one stretch of frames to the next.
+
+    Fewer than five whole frames in a stretch are not judged, since noise would decide.
+    """
+    if len(landmarks) < FEWEST_FRAMES * _STRETCHES:
+        return True
+    bones = np.linalg.norm(np.diff(landmarks[:, _PAIRS[:20]], axis=2)[:, :, 0], axis=-1)
+    parts = [np.median(part, axis=0) for part in np.array_split(bones, _STRETCHES)]
+    logs = np.log(np.maximum(parts, 1e-9))
+    logs -= np.median(logs, axis=1, keepdims=True)
+    return bool(np.median(logs.std(axis=0)) <= _UNSTEADY)
+
+
 def check_hand(
     points: Float[np.ndarray, "T 21 3"],
     side: Side,
@@ -135,7 +232,7 @@ def check_hand(
     layout: str | None = None,
     where: str = "the landmarks",
 ) -> None:
-    """Refuse points that are, by their shape, of the other hand or in another order.
+    """Refuse points that are, by their shape, no hand, of the other hand, or in another order.
 
     Args:
         points: (T, 21, 3) positions [m] as they came, in any right-handed frame.
@@ -147,7 +244,7 @@ def check_hand(
 
     Raises:
         RecordingError: they are not, with what was recognised and what to do. Fewer than
-            ``FEWEST_FRAMES`` whole frames, or a shape that is no human hand's, raise nothing.
+            ``FEWEST_FRAMES`` whole frames raise nothing.
         UnknownNameError: there is no such layout.
     """
     found = doubt(points, side, valid, layout=layout)
@@ -162,7 +259,7 @@ def doubt(
     *,
     layout: str | None = None,
 ) -> Doubt | None:
-    """What is wrong with the side or order of points; None if nothing is.
+    """What is wrong with the shape, order or side of points; None if nothing is.
 
     Args:
         points: (T, 21, 3) positions [m] as they came.
@@ -185,7 +282,9 @@ def doubt(
     rows = rows[np.linspace(0, len(rows) - 1, min(_JUDGED, len(rows))).astype(int)]
     seen = points[rows]
     with np.errstate(over="ignore", invalid="ignore"):  # a landmark far beyond any hand
-        misplaced = None if believed else _other_order(seen, order)
+        if of_a_picture(seen[:, order]):
+            return OF_A_PICTURE
+        misplaced = None if believed else _other_order(seen, layout)
         return misplaced or _other_side(seen[:, order], side)
 
 
@@ -194,7 +293,7 @@ def _other_side(landmarks: Float[np.ndarray, "T 21 3"], side: Side) -> Doubt | N
     if sign * float(chirality(landmarks).mean()) >= MIRRORED:
         return None
     bones = np.diff(landmarks[:, _PAIRS], axis=2)[:, :, 0]
-    if _misfits(np.median(np.linalg.norm(bones, axis=-1), axis=0)[None])[0] > _FITS:
+    if _misfits(np.median(np.linalg.norm(bones, axis=-1), axis=0)) > NO_HAND:
         return None
     other: Side = "left" if side == "right" else "right"
     return Doubt(
@@ -268,15 +367,25 @@ class HandCheck:
         return self._found
 
 
-def _other_order(points: Float[np.ndarray, "T 21 3"], said: tuple[int, ...]) -> Doubt | None:
-    """Which other order fits far better than the one that was said, if any."""
+def _other_order(points: Float[np.ndarray, "T 21 3"], layout: str | None) -> Doubt | None:
+    """Which other order fits far better than the one that was said, or that none fits."""
+    said = layout_order(layout)
     apart = np.linalg.norm(points[:, :, None] - points[:, None], axis=-1)
     lengths = np.median(apart, axis=0)
+    if lengths.max() < 1e-9:  # no hand was in view, which is said elsewhere
+        return None
     orders = np.vstack([said, _ORDERS])
     misfits = _misfits(lengths[orders[:, _PAIRS[:, 0]], orders[:, _PAIRS[:, 1]]])
     best = int(np.argmin(misfits))
     if misfits[best] > _FITS or misfits[0] - misfits[best] <= MISFIT:
-        return None
+        if misfits[0] <= NO_HAND and keeps_lengths(points[:, said]):
+            return None
+        return Doubt(
+            "by the lengths between them the points are no hand, in this order or in any other "
+            "that is known",
+            mend=f"say their order (layout {', '.join(LAYOUTS)}), or put them in that of "
+            "smooth_operator.landmarks.LANDMARKS, in metres along three axes",
+        )
     order = tuple(orders[best].tolist())
     name = next((name for name, named in LAYOUTS.items() if named == order), None)
     if name is None:
@@ -289,11 +398,13 @@ def _other_order(points: Float[np.ndarray, "T 21 3"], said: tuple[int, ...]) -> 
     )
 
 
-def _misfits(lengths: Float[np.ndarray, "n pairs"]) -> Float[np.ndarray, " n"]:
-    """How far lengths are from those of a human hand of any size, in spreads, on average."""
-    off = np.log(np.maximum(lengths, 1e-9)) - _LOGS
-    off -= np.median(off, axis=1, keepdims=True)
-    misfits: np.ndarray = np.minimum(np.abs(off) / _SPREAD, _MOST).mean(axis=1)
+def _misfits(lengths: AnyArray) -> AnyArray:
+    """How far (..., pairs) lengths are from those of a human hand of any size, in spreads, on
+    average."""
+    xp = array_namespace(lengths)
+    off = xp.log(xp.maximum(lengths, 1e-9)) - _LOGS.astype(lengths.dtype)
+    off = off - off.mean(axis=-1, keepdims=True)
+    misfits: AnyArray = xp.minimum(abs(off) / _SPREAD, _MOST).mean(axis=-1)
     return misfits
 
 
@@ -303,7 +414,7 @@ def _described(order: Sequence[int]) -> str:
     for k, at in enumerate(order):
         names[at] = "wrist" if k == 0 else FINGERS[(k - 1) // 4]
     runs = [name for i, name in enumerate(names) if i == 0 or names[i - 1] != name]
-    return ", ".join(runs) + (", each from tip to base" if order[4] < order[1] else "")
+    return ", ".join(runs) + (", each from tip to base" if order[4] + 1 == order[3] else "")
 
 
 def _unit(vectors: np.ndarray) -> np.ndarray:

@@ -18,6 +18,7 @@ from smooth_operator.hands.registry import load_hand
 from smooth_operator.hands.spec import HandSpec
 from smooth_operator.human.alignment import reference_landmarks
 from smooth_operator.io.anatomy import HandCheck
+from smooth_operator.landmarks import NUM_LANDMARKS
 from smooth_operator.methods.default import DEFAULT_METHOD
 from smooth_operator.methods.method import Method, MethodConfig
 from smooth_operator.methods.presets import default_preset, method_config
@@ -53,8 +54,9 @@ class Retargeter:
     clock, when the retargeter is called; with a ``rate`` it is one period after the frame before.
     ``step`` has no clock and refuses a frame without a stamp unless there is a rate.
 
-    A frame that is invalid, not finite or degenerate gives the last good command (before the first
-    good frame: the neutral pose) with a status that says why, and leaves the state as it was.
+    A frame that is invalid, not finite, degenerate, or no hand in metres gives the last good
+    command (before the first good frame: the neutral pose) with a status that says why, and leaves
+    the state as it was.
 
     Args:
         hand: name of a hand, the path of a spec file, a description, or a loaded hand.
@@ -196,12 +198,12 @@ class Retargeter:
 
         Raises:
             ConfigError, RecordingError: as ``step``; frames with and without stamps are
-                mixed, which two clocks would time; or the first frames are of the other hand or in
-                another order by their shape (``check_hand``).
+                mixed, which two clocks would time; or the first 30 frames are of the other hand,
+                in another order or no hand by their shape (``check_hand``). Later such frames have
+                the status ``IMPLAUSIBLE_HAND``.
         """
         frame = self._framed(frame)
-        if self._input.judged < HandCheck.WINDOW:
-            self._check_input(frame)
+        doubtful = self._check_input(frame)
         stamped = frame.stamp is not None
         if self._stamped not in (None, stamped):
             raise ConfigError(
@@ -211,17 +213,20 @@ class Retargeter:
         if not stamped and self.rate is None:
             frame = replace(frame, stamp=self._clock())
         result: Result
+        if doubtful:
+            frame = replace(frame, valid=np.zeros(NUM_LANDMARKS, bool))
         self._state, result = self.live.step(self._state, frame)
         self._stamped = stamped
-        return result
+        return replace(result, status=Status.IMPLAUSIBLE_HAND) if doubtful else result
 
-    def _check_input(self, frame: HandFrame) -> None:
-        """One of the first frames since the start: once they pass, nothing more is looked at."""
+    def _check_input(self, frame: HandFrame) -> bool:
+        """Whether the last frames show another hand; among the first, that is an error."""
         assert frame.valid is not None  # filled in on construction
         found = self._input.see(frame.landmarks, frame.valid)
-        if found is not None:
+        if found is not None and self._input.judged <= HandCheck.WINDOW:
             self._input = HandCheck(self.hand.spec.side)
             raise RecordingError(f"the last frames: {found.what}; {found.in_python}")
+        return found is not None
 
     def _framed(self, frame: HandFrame | ArrayLike) -> HandFrame:
         if isinstance(frame, HandFrame):

@@ -20,6 +20,7 @@ from smooth_operator.errors import (
     RecordingError,
     brief,
     listed,
+    reason,
 )
 from smooth_operator.formats.arm_track import ArmTrack
 from smooth_operator.formats.checks import (
@@ -34,7 +35,7 @@ from smooth_operator.formats.readers import check_anatomy
 from smooth_operator.formats.sniff import is_dataset
 from smooth_operator.formats.states import StateTrajectory
 from smooth_operator.formats.wrist_track import BASE, WristTrack
-from smooth_operator.io.anatomy import layout_order
+from smooth_operator.io.anatomy import in_our_order, layout_order
 from smooth_operator.io.documents import parse_json, read_json
 from smooth_operator.types import CommandTrajectory, HandRecording, Side, Status
 
@@ -107,7 +108,7 @@ def open_dataset(path: Path) -> Dataset:
         for name, feature in features.items():
             _names(_object(feature, f"feature {brief(name)}"))
     except (OSError, ValueError, KeyError) as error:
-        what = f"it has no {error}" if isinstance(error, KeyError) else str(error)[:300]
+        what = f"it has no {error}" if isinstance(error, KeyError) else reason(error)
         raise RecordingError(
             f"{where}: can't be read as the description of a LeRobot dataset ({what}); copy the "
             "dataset again"
@@ -307,9 +308,11 @@ def _recording(
         "format": "lerobot",
         "side_assumed": assumed,
     }
-    picked = layout_order(None)
-    if layout is not None and not own:
-        picked, meta["layout"] = layout_order(layout), layout
+    if own:
+        layout = None
+    if layout is not None:
+        meta["layout"] = layout
+    picked = layout_order(layout)
     landmarks = numbers(table, "landmarks", 63, file).reshape(count, 21, 3).astype(np.float64)
     valid = numbers(table, "landmarks_valid", 21, file).astype(bool)
     optional: dict[str, Any] = {}
@@ -324,7 +327,7 @@ def _recording(
     if "orientations" in optional:
         optional["orientations"] = optional["orientations"][:, picked]
     return HandRecording(
-        landmarks[:, picked],
+        in_our_order(landmarks, layout),
         stamps,
         found,
         valid=valid[:, picked],

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from smooth_operator.errors import ConfigError, DocumentError, RecordingError, brief
+from smooth_operator.errors import ConfigError, DocumentError, RecordingError, brief, reason
 from smooth_operator.io.documents import check_plain_file, parse_json, read_text
 from smooth_operator.types import Side, as_side
 
@@ -98,7 +98,9 @@ def _of_csv(text: str, path: Path) -> Iterator[Row]:
             if filled:
                 yield _row(filled, f"{path}, line {table.line_num}")
     except csv.Error as error:
-        raise RecordingError(f"{path}, line {table.line_num}: {error}; expected a table") from error
+        raise RecordingError(
+            f"{path}, line {table.line_num}: {reason(error)}; expected a table"
+        ) from error
 
 
 def _row(values: Any, where: str) -> Row:
@@ -117,4 +119,4 @@ def _row(values: Any, where: str) -> Row:
             None if rate is None else float(rate),
         )
     except (ConfigError, TypeError, ValueError) as error:
-        raise RecordingError(f"{where}: {error}") from error
+        raise RecordingError(f"{where}: {reason(error)}") from error

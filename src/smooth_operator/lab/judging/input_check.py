@@ -79,7 +79,8 @@ def table(
     row("noise [mm]", "input", "windows", "refused", "named rightly")
     row("---", "---", "---:", "---:", "---:")
     for noise in noises:
-        every = list(windows(recordings, seconds, 1e-3 * noise, np.random.default_rng(seed)))
+        rng = np.random.default_rng(seed)
+        every = list(windows(recordings, seconds, 1e-3 * noise, rng))
         refused = [w for w in every if doubt(w.landmarks, w.side) is not None]
         row(f"{noise:g}", "right side, right order", len(every), len(refused), "")
         for of in sorted({w.of for w in refused}):
@@ -98,6 +99,9 @@ def table(
             seen = [d for d in found if d is not None]
             named = sum(d.layout == name for d in seen)
             row(f"{noise:g}", f"`{name}`", len(some), share(len(seen), len(some)), named)
+        shuffled = [doubt(w.landmarks[:, rng.permutation(21)], w.side) for w in every]
+        noticed = sum(d is not None for d in shuffled)
+        row(f"{noise:g}", "random order", len(every), share(noticed, len(every)), "")
         said = [
             doubt(in_layout(w.landmarks, name), w.side, layout=name)
             for w in some

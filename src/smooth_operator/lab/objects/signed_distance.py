@@ -18,7 +18,7 @@ from typing import Any, Final, NamedTuple, TypeAlias
 import numpy as np
 from jaxtyping import Float, Int
 
-from smooth_operator.errors import RecordingError, require
+from smooth_operator.errors import RecordingError, reason, require
 from smooth_operator.geometry import AnyArray, AnyKind, array_namespace
 
 CELLS: Final = 64
@@ -276,7 +276,7 @@ def _read_solid(path: Path, scale: float, changed: int, size: int) -> Solid:
     except Exception as error:  # what trimesh raises depends on the format
         raise RecordingError(
             f"{path}: expected a mesh (OBJ, PLY, STL, OFF, GLB), and it can't be read: "
-            f"{type(error).__name__}: {error}"
+            f"{type(error).__name__}: {reason(error)}"
         ) from error
     vertices = vertices * scale
     if not len(faces) or not np.isfinite(vertices).all():

@@ -10,7 +10,7 @@ import numpy as np
 from smooth_operator.episode_files.staging import staged_file
 from smooth_operator.errors import DocumentError, RecordingError
 from smooth_operator.formats.arm_track import ArmTrack
-from smooth_operator.formats.checks import check_rate, check_side
+from smooth_operator.formats.checks import check_rate, check_side, check_stamps
 from smooth_operator.formats.episode import Episode
 from smooth_operator.formats.jsonable import to_json
 from smooth_operator.formats.states import StateTrajectory
@@ -33,13 +33,14 @@ def read_log_episode(path: Path, *, rate: float | None = None, side: Side | None
 
     Raises:
         RecordingError: as ``read_log``; the log holds neither frames
-            nor commands; a side or rate that contradicts it.
+            nor commands; stamps of frames that do not increase; a side or rate that contradicts it.
     """
     log = read_log(path)
     name = log.origin.get("name") or path.stem
     recording = log.recording
     if recording is not None:
         check_side([recording.side], side, str(path))
+        check_stamps(recording.stamps, str(path))
         check_rate(recording.stamps, rate, str(path))
         recording = replace(recording, name=name, meta={**_meta(log), **recording.meta})
     notes: tuple[str, ...] = ()

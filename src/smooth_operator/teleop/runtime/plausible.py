@@ -7,13 +7,10 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.io.anatomy import Doubt, HandCheck
+from smooth_operator.io.anatomy import PALM_RANGE_M, Doubt, HandCheck
 from smooth_operator.landmarks import BASES, WRIST
 from smooth_operator.teleop.sources.live import LATEST_STAMP_S, Arrival
 from smooth_operator.types import HandFrame, Side
-
-PALM_M = (0.05, 0.14)
-"""Wrist to the base of the middle finger of a human hand [m]."""
 
 REACH_M = 0.5
 """No landmark of a hand is farther than this from its wrist, by any axis [m]."""
@@ -29,8 +26,8 @@ A mirrored hand has the negative of its curl: it is refused with its first frame
 otherwise by ``SessionCheck``, whose rule is sharper and needs several frames.
 """
 
-_PALM: Final = (
-    f"a palm outside {PALM_M[0]} to {PALM_M[1]} m is no human's; landmarks must be in metres"
+_PALM: Final = "a palm outside {} to {} m is no human's; landmarks must be in metres".format(
+    *PALM_RANGE_M
 )
 _MIDDLE: Final = BASES[2]
 
@@ -50,7 +47,7 @@ def implausible(frame: HandFrame) -> str | None:
     palm = float(np.linalg.norm(p[_MIDDLE] - p[WRIST]))
     if not np.isfinite(palm):
         return None
-    if not PALM_M[0] <= palm <= PALM_M[1]:
+    if not PALM_RANGE_M[0] <= palm <= PALM_RANGE_M[1]:
         return _PALM
     curl = finger_curl(p, frame.side)
     if curl < CURL:

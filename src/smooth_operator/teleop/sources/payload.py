@@ -28,7 +28,7 @@ from smooth_operator import landmarks as schema
 from smooth_operator.errors import ConfigError, DocumentError, RecordingError
 from smooth_operator.formats.checks import check_palm
 from smooth_operator.io import documents
-from smooth_operator.io.anatomy import layout_order
+from smooth_operator.io.anatomy import in_our_order, layout_order
 from smooth_operator.poses import to_ours
 from smooth_operator.teleop.sources.message_stamps import StampPace, StampUnit, read_stamp
 from smooth_operator.teleop.sources.point_forms import (
@@ -197,8 +197,8 @@ def hand_frame(
     """A hand frame from a tracker's own points.
 
     Args:
-        points: (21, 3), (25, 3) or (26, 3) positions [m]; NaN where missing. All exactly zero is a
-            tracker's "no hand".
+        points: (n, 3) positions [m], n being 21, 25, 26 or 27; NaN where missing. All exactly zero
+            is a tracker's "no hand".
         stamp: [s].
         side: which hand.
         valid: flags of the points, or of the 21 landmarks.
@@ -213,11 +213,12 @@ def hand_frame(
     if len(points) not in schema.NODE_LAYOUTS:
         raise RecordingError(
             f"{_WHERE} has {len(points)} points; a hand has 21, or 25 (MANUS, WebXR), "
-            "or 26 (OpenXR)"
+            "26 (OpenXR) or 27 (with the forearm)"
         )
     picked, bases = schema.NODE_LAYOUTS[len(points)]
-    rows = np.array(layout_order(layout) if len(points) == schema.NUM_LANDMARKS else picked)
-    landmarks = points[rows]
+    ordered = len(points) == schema.NUM_LANDMARKS
+    rows = np.array(layout_order(layout) if ordered else picked)
+    landmarks = in_our_order(points, layout) if ordered else points[rows]
     flags = np.isfinite(landmarks).all(axis=1)
     if valid is not None:
         flags &= _flags(valid, len(points), rows)

@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 
 from smooth_operator import poses
-from smooth_operator.errors import RecordingError, require
+from smooth_operator.errors import RecordingError, brief, reason, require
 from smooth_operator.formats.arrays import open_arrays
 from smooth_operator.io.documents import check_plain_file
 from smooth_operator.lab.datasets.clip import Clip
@@ -129,8 +129,8 @@ def _vertices(root: Path, relative: Any, where: str) -> np.ndarray:
     path = _inside(root, text(relative))
     if path is None or not path.is_file():
         raise RecordingError(
-            f"{where}: the subject's hand, {text(relative) or 'vtemp'}, is not in {root}; extract "
-            "tools/subject_meshes of the data set there: the hands have no other shape"
+            f"{where}: the subject's hand, {brief(text(relative) or 'vtemp')}, is not in {root}; "
+            "extract tools/subject_meshes of the data set there: the hands have no other shape"
         )
     require("reading GRAB", "lab", "trimesh")
     import trimesh
@@ -143,8 +143,7 @@ def _vertices(root: Path, relative: Any, where: str) -> np.ndarray:
             mesh: Any = trimesh.load(stream, file_type=path.suffix[1:], process=False)
             points = np.asarray(mesh.vertices, np.float64)
     except Exception as error:  # trimesh promises no list
-        said = " ".join(str(error).split())[:160]
-        raise RecordingError(f"{path}: it is no mesh that can be read: {said}") from error
+        raise RecordingError(f"{path}: it is no mesh that can be read: {reason(error)}") from error
     return array(points, str(path), (778, 3), finite=True)
 
 

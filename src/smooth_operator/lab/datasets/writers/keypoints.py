@@ -19,7 +19,7 @@ from jaxtyping import Float
 
 from smooth_operator import poses
 from smooth_operator.atomic_files import atomic_write
-from smooth_operator.errors import RecordingError
+from smooth_operator.errors import RecordingError, reason
 from smooth_operator.lab.datasets.clip import CAMERA, SIDES, Clip, ObjectTrack
 from smooth_operator.lab.datasets.robot_clip import RobotClip
 from smooth_operator.lab.datasets.writers.arrays import slug
@@ -178,8 +178,8 @@ def read_mesh(path: Path, scale: float) -> tuple[bytes, Float[np.ndarray, "n 3"]
         lines += [f"f {a} {b} {c}\n" for a, b, c in (np.asarray(mesh.faces) + 1).tolist()]
     except Exception as error:  # trimesh promises no list of what damaged files raise
         raise RecordingError(
-            f"{path}: can't be read as the mesh of an object ({type(error).__name__}: {error}); "
-            "give an .obj, .ply, .stl or .glb file with faces"
+            f"{path}: can't be read as the mesh of an object ({type(error).__name__}: "
+            f"{reason(error)}); give an .obj, .ply, .stl or .glb file with faces"
         ) from error
     return "".join(lines).encode(), hull
 

@@ -15,7 +15,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import IO, Any, Final
 
-from smooth_operator.errors import RecordingError
+from smooth_operator.errors import RecordingError, reason
 from smooth_operator.lab.datasets.writers.shards import hidden, remove
 
 VIDEO_KEY: Final = "observation.images.camera"
@@ -81,7 +81,7 @@ def video_head(path: Path) -> VideoHead:
         ) from None
     except (OSError, struct.error, ValueError) as error:
         raise RecordingError(
-            f"{path}: can't be read as an MP4 video ({error}); convert it to MP4"
+            f"{path}: can't be read as an MP4 video ({reason(error)}); convert it to MP4"
         ) from error
     if not tracks:
         raise RecordingError(f"{path}: no MP4 video with a picture; convert it to MP4")
