@@ -63,8 +63,10 @@ def damaged(side: Side = "right") -> list[HandRecording]:
 def close(retargeter: Retargeter, recordings: list[HandRecording], batch: Any) -> None:
     """As `run` but for rounding, until a gap makes `smooth` search for a basin again: which one its
     sampler then finds depends on the last bits. Noise of 1e-7 m in the landmarks changes the summed
-    loss of `run` by a factor of up to 2 here."""
-    until = 45 if isinstance(retargeter.config, SmoothConfig) else None
+    loss of `run` by a factor of up to 2 here; and without a gap it turns one joint of `smooth` by
+    0.044 rad in three frames, where the fingertips differ by 0.16 mm."""
+    smooth = isinstance(retargeter.config, SmoothConfig)
+    until, most = (45, 0.05) if smooth else (None, 0.02)
     for recording, (commands, loss) in zip(recordings, batch, strict=True):
         single, single_loss = retargeter.run(recording)
         np.testing.assert_array_equal(commands.status, single.status)
@@ -72,7 +74,7 @@ def close(retargeter: Retargeter, recordings: list[HandRecording], batch: Any) -
         assert commands.joint_names == single.joint_names
         assert np.isnan(commands.latency_ms).all()
         one, other = (c.joint_positions[:until] for c in (commands, single))
-        np.testing.assert_allclose(one, other, atol=0.02)
+        np.testing.assert_allclose(one, other, atol=most)
         tips = retargeter.hand.tips
         np.testing.assert_allclose(tips(one), tips(other), atol=5e-4)
         np.testing.assert_array_equal(np.isnan(loss), np.isnan(single_loss))
