@@ -23,7 +23,6 @@ CORE = {
     "version": 1,
     "landmarks": 0,
     "geometry": 0,
-    "one_kernel": 1,
     "terminal": 0,
     "settings": 1,
     "plugins": 1,

@@ -4,30 +4,36 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax import lax
-from queued import QueuedSmooth
 
 from smooth_operator import Retargeter
-from smooth_operator.compilation.lanes import over_lanes
+from smooth_operator.compilation.batching import LaneProgram, Track
 from smooth_operator.errors import ConfigError
+from smooth_operator.hands.hand import Hand
 from smooth_operator.lab.offline.trajectory_retargeter import TrajectoryRetargeter
-from smooth_operator.methods.method import TrajectoryMethodConfig
+from smooth_operator.methods.method import Method, MethodOutput, TrajectoryMethodConfig
 from smooth_operator.methods.presets import method_config
+from smooth_operator.methods.program import RetargetState
 from smooth_operator.methods.sbr import SbrConfig
 from smooth_operator.methods.smooth import SmoothConfig
 from smooth_operator.solvers.sampling import SamplingConfig
+from smooth_operator.solvers.settling import settled
 from smooth_operator.solvers.trajectory import TrajectoryConfig
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.types import HandRecording, Side, Status
 
 # Quick to compile; the programs are those of test_retarget_folder.py, and compiled once for both.
 SBR = SbrConfig(sampling=SamplingConfig(samples=256, elites=8, cycles=2, draws="quasi"))
+_PAPER = SamplingConfig(samples=512, elites=8, cycles=2)
+PAPER = replace(cast(SbrConfig, method_config("sbr", "paper")), sampling=_PAPER)
+"""A loop of known length, with the search for elites in a table: see ``selection.largest``."""
+
 LENGTHS = (70, 1, 131, 40, 64, 3, 5, 60, 20, 7)
 """More than there are lanes."""
 
@@ -57,8 +63,10 @@ def damaged(side: Side = "right") -> list[HandRecording]:
 def close(retargeter: Retargeter, recordings: list[HandRecording], batch: Any) -> None:
     """As `run` but for rounding, until a gap makes `smooth` search for a basin again: which one its
     sampler then finds depends on the last bits. Noise of 1e-7 m in the landmarks changes the summed
-    loss of `run` by a factor of up to 2 here."""
-    until = 45 if isinstance(retargeter.config, SmoothConfig) else None
+    loss of `run` by a factor of up to 2 here; and without a gap it turns one joint of `smooth` by
+    0.044 rad in three frames, where the fingertips differ by 0.16 mm."""
+    smooth = isinstance(retargeter.config, SmoothConfig)
+    until, most = (45, 0.05) if smooth else (None, 0.02)
     for recording, (commands, loss) in zip(recordings, batch, strict=True):
         single, single_loss = retargeter.run(recording)
         np.testing.assert_array_equal(commands.status, single.status)
@@ -66,7 +74,7 @@ def close(retargeter: Retargeter, recordings: list[HandRecording], batch: Any) -
         assert commands.joint_names == single.joint_names
         assert np.isnan(commands.latency_ms).all()
         one, other = (c.joint_positions[:until] for c in (commands, single))
-        np.testing.assert_allclose(one, other, atol=0.02)
+        np.testing.assert_allclose(one, other, atol=most)
         tips = retargeter.hand.tips
         np.testing.assert_allclose(tips(one), tips(other), atol=5e-4)
         np.testing.assert_array_equal(np.isnan(loss), np.isnan(single_loss))
@@ -82,11 +90,9 @@ def bits(result: Any) -> tuple[bytes, bytes, bytes]:
     return commands.joint_positions.tobytes(), commands.status.tobytes(), loss.tobytes()
 
 
-@pytest.fixture(scope="module", params=["sbr", "smooth", "geort", "joint_angle"])
+@pytest.fixture(scope="module", params=["sbr", "sbr:paper", "smooth", "geort", "joint_angle"])
 def retargeter(request: pytest.FixtureRequest) -> Retargeter:
-    # Other kernels round otherwise, and noise of 1e-7 m turns a joint here by 0.04 rad.
-    own = {"sbr": SBR, "smooth": QueuedSmooth.default()}
-    config = own.get(request.param) or method_config(request.param)
+    config = {"sbr": SBR, "sbr:paper": PAPER}.get(request.param) or method_config(request.param)
     return Retargeter(config=config, seed=3)
 
 
@@ -138,55 +144,59 @@ def test_whole_recordings_in_a_batch_are_each_alone() -> None:
     assert [bits(whole.run(recording)) for recording in recordings] == list(map(bits, batch))
 
 
-def settled(x: Any, count: Any) -> tuple[Any, Any]:
-    """Halves numbers until they are small; a branch holds a loop, and a loop a branch."""
-    calls = jnp.float32(0)
+def test_no_lane_draws_samples_for_a_lane_that_needs_none() -> None:
+    turns: list[int] = []
 
-    def step(now: tuple[Any, Any, Any]) -> tuple[Any, Any, Any]:
-        left, value, calls = now
-        value = lax.cond(left % 2 == 0, lambda v: v * 0.5, lambda v: jnp.sort(v) * 0.7, value)
-        return left - 1, value, calls + 1
+    def sampled(round: Any, q: Any) -> Any:
+        jax.debug.callback(lambda: turns.append(1))
+        return q + 1
 
-    _, value, calls = lax.while_loop(
-        lambda now: (now[0] > 0) & (jnp.abs(now[1]).max() > 0.1), step, (count, x, calls)
-    )
-    total, rows = lax.scan(
-        lambda sum, row: lax.cond(row > 0, lambda: (sum + row, row), lambda: (sum, -row)),
-        jnp.float32(0),
-        value,
-    )
-    return (value, jnp.take(rows, jnp.array([2, 0]))), total + calls
+    def one(q: Any, rounds: Any) -> Any:
+        return settled(sampled, lambda q: (q * 0.5, jnp.abs(q).sum()), q, rounds)
 
-
-def test_loops_and_branches_over_lanes_are_those_of_each_lane() -> None:
-    rng = np.random.default_rng(1)
-    x = rng.normal(size=(5, 4)).astype(np.float32)
-    count = np.array([0, 3, 9, 1, 40], np.int32)
-    many = jax.jit(over_lanes(settled, x[0], count[0]))
-    active = np.array([True, True, False, True, True])
-    found, total = many(active, x, count)
-    for lane in np.flatnonzero(active):
-        one, alone = jax.jit(settled)(x[lane], count[lane])
-        np.testing.assert_allclose(found[0][lane], one[0], rtol=1e-6)
-        np.testing.assert_allclose(found[1][lane], one[1], rtol=1e-6)
-        np.testing.assert_allclose(total[lane], alone, rtol=1e-6)
-
-
-@pytest.mark.parametrize("wanted", [False, True])
-def test_a_branch_that_no_lane_needs_is_left_out(wanted: bool) -> None:
-    calls: list[int] = []
-
-    def counted(x: Any) -> Any:
-        jax.debug.callback(lambda: calls.append(1))
-        return x + 1
-
-    def function(x: Any) -> Any:
-        return lax.cond(x > 0, counted, lambda x: x, x)
-
-    many: Callable[..., Any] = jax.jit(over_lanes(function, np.float32(0)))
-    x = np.array([-1.0, 2.0, -3.0], np.float32)
-    # the lane whose number is positive counts, or does not
-    found = many(np.array([True, wanted, True]), x)
+    many: Callable[..., Any] = jax.jit(jax.vmap(one))
+    q, rounds = np.ones((3, 2), np.float32), np.array([0, 0, 0], np.int32)
+    many(q, rounds)
     jax.effects_barrier()
-    assert bool(calls) == wanted
-    np.testing.assert_array_equal(np.asarray(found)[[0, 2]], [-1.0, -3.0])
+    assert turns == []
+    rounds[1] = 2
+    found = np.asarray(many(q, rounds))
+    jax.effects_barrier()
+    assert turns
+    np.testing.assert_array_equal(found[[0, 2]], 0.5)
+    np.testing.assert_array_equal(found[1], jax.jit(one)(q[1], rounds[1]))
+
+
+class Counting(Method):
+    """Halves a number until it is small, and counts the turns that the loop takes."""
+
+    needs = (0,)
+
+    def __init__(self, hand: Hand, turns: list[int]) -> None:
+        self.hand, self.turns = hand, turns
+
+    def init(self, seed: int) -> Any:
+        return jnp.float32(1e6)
+
+    def step(self, state: Any, aligned: Any, ticks: Any) -> Any:
+        def half(x: Any) -> Any:
+            jax.debug.callback(lambda: self.turns.append(1))
+            return x * 0.5
+
+        end = lax.while_loop(lambda x: x > 1, half, state)
+        return end, MethodOutput(jnp.zeros(len(self.hand.neutral)) + end, jnp.float32(0))
+
+
+def test_lanes_without_a_hand_need_no_turns_of_a_loop() -> None:
+    turns: list[int] = []
+    config = method_config("joint_angle")
+    method = Counting(Retargeter(config=config).hand, turns)
+    initial = RetargetState(method.init(0), np.asarray(method.hand.neutral, np.float32))
+    recording = hand(30, 0)
+    program = LaneProgram(method, config, lanes=4, kept=False)
+    (answers,) = program.run(initial, [Track.of(recording, recording.landmarks.astype(np.float32))])
+    jax.effects_barrier()
+    # 20 turns of all lanes in the first frame; lanes without a recording add none
+    assert len(turns) == 20
+    np.testing.assert_array_equal(answers.status, Status.OK)
+    np.testing.assert_allclose(answers.q, 1e6 / 2**20, rtol=1e-6)

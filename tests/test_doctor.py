@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from smooth_operator.cli import doctor, main
+from smooth_operator.compilation import environment
 from smooth_operator.compilation.diagnosis import StartTimes, start_times
 from smooth_operator.compilation.early_answers import MOST_STEP
 from smooth_operator.compilation.early_diagnosis import EarlyStart, early_start
@@ -53,6 +54,22 @@ def test_what_was_found_and_measured(
     assert "first frame 4.00 4.00" in said
     assert "first command after 0.70 s, the method after 3.60 s" in said
     assert "SMOOTH_OPERATOR_CACHE is off, so each start compiles" in said
+
+
+def test_two_opencvs_in_one_folder_are_named(
+    quick: list[tuple[object, ...]],
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    versions = {"opencv-contrib-python": "5.1.0.95", "opencv-python-headless": "4.13.0.92"}
+    monkeypatch.setattr(environment, "_version", versions.get)
+    assert main([*WORDS, "--json"]) == 0
+    advice = json.loads(capsys.readouterr().out)["advice"]
+    both = "opencv-python-headless 4.13.0.92, opencv-contrib-python 5.1.0.95"
+    assert any(line.startswith(f"{both} are in one folder") for line in advice)
+    del versions["opencv-python-headless"]
+    assert main([*WORDS, "--json"]) == 0
+    assert "one folder" not in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

@@ -7,9 +7,9 @@ import json
 import re
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
+from pictures import opencv_or_skip
 
 from smooth_operator.landmarks import BONES
 from smooth_operator.teleop.pages.live.camera import CameraFeed, camera
@@ -18,6 +18,8 @@ from smooth_operator.teleop.sources.webcam import picture_tracker
 from smooth_operator.teleop.sources.webcam.hand_labels import SeenHand
 from smooth_operator.teleop.sources.webcam.picture_tracker import PictureConfig, PictureTracker
 from smooth_operator.teleop.sources.webcam.seen_picture import SeenPicture
+
+cv2 = opencv_or_skip()
 
 
 class Landmarker:

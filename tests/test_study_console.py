@@ -20,6 +20,7 @@ from typing import Any
 import postgres_server
 import pytest
 from fake_teleop import FakeSimulation, FakeTeleop
+from pictures import opencv_or_skip
 from study_console import (
     PATIENCE_S,
     ConsoleProcess,
@@ -777,7 +778,7 @@ def test_on_this_machine_other_pages_are_kept_out(store: StudyStore) -> None:
 
 
 def test_a_tablet_can_read_the_code(tmp_path: Path) -> None:
-    cv2 = pytest.importorskip("cv2")
+    cv2 = opencv_or_skip()
     np = pytest.importorskip("numpy")
     text = "http://192.168.17.105:8765/operator?token=" + "aB3-_xYz" * 3
     svg = qr_code(text).decode()

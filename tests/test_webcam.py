@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pictures import opencv_or_skip
 
 from smooth_operator.cli import main
 from smooth_operator.errors import (
@@ -38,7 +39,7 @@ from smooth_operator.teleop.sources.webcam.picture_tracker import PictureConfig,
 from smooth_operator.teleop.sources.webcam.video_recording import track_video
 from smooth_operator.teleop.sources.webcam.webcam_source import Video, Webcam
 
-cv2 = pytest.importorskip("cv2", reason="the extra webcam is not installed")
+cv2 = opencv_or_skip()
 PINCHES = {"index": 8, "middle": 12, "ring": 16, "little": 20}
 
 

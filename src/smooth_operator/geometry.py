@@ -163,7 +163,9 @@ def _jacobi_turn(state: tuple[Any, ...], xp: ModuleType) -> tuple[Any, ...]:
 def _product(a: AnyArray, b: AnyArray, xp: ModuleType) -> AnyArray:
     if xp is np:
         return np.asarray(a @ b)
-    product: AnyArray = (a[..., :, :, None] * b[..., None, :, :]).sum(axis=-2)  # ``one_kernel``
+    product: AnyArray = (a[..., :, :, None] * b[..., None, :, :]).sum(
+        axis=-2
+    )  # no call of a library
     return product
 
 

@@ -91,6 +91,11 @@ def _advice(found: Mapping[str, object], starts: list[StartTimes], frames: Frame
         )
     if found["governor"] == "powersave":
         said.append("the processor saves power: sudo cpupower frequency-set -g performance")
+    if "," in str(found["opencv"]):
+        said.append(
+            f"{found['opencv']} are in one folder, where the last one installed overwrites the "
+            "others: keep one, see docs/how-to/webcam.md, Problems"
+        )
     if found["device"] not in ("cpu", None):
         said.append(
             f"frames run on {found['device']}, which suits many hands; for one, try "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from typing import Any
 
 from smooth_operator.cli.help_text import unwrapped
@@ -9,7 +10,7 @@ from smooth_operator.cli.help_text import unwrapped
 
 def described(kind: Any) -> str:
     """Help of a subcommand: what its class's docstring says, and its details."""
-    return unwrapped(f"{kind.__doc__}\n\n{kind.details}")
+    return unwrapped(f"{inspect.getdoc(kind)}\n\n{kind.details}")
 
 
 class Group:

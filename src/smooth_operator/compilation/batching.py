@@ -1,8 +1,8 @@
 """Many recordings in one compiled program: side by side in lanes, and frame after frame in time.
 
 A frame alone is a small program: entering it and its many short operations takes longer than its
-arithmetic. Here one operation is that of all lanes (``smooth_operator.compilation.lanes``), and a
-call of the program is a block of frames. A lane takes one recording after another, each from a
+arithmetic. Here one operation is that of all lanes (``jax.vmap``), and a call of the program is a
+block of frames. A lane takes one recording after another, each from a
 fresh state, so recordings of any length fill it; times between frames are each recording's own.
 
 A recording's result depends on nothing but the recording, the retargeter and the number of lanes:
@@ -22,10 +22,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Float
+from jaxtyping import Array, Bool, Float
 
 from smooth_operator.compilation.kept_program import KeptProgram
-from smooth_operator.compilation.lanes import chosen, over_lanes
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.landmarks import NUM_LANDMARKS
@@ -119,9 +118,6 @@ class LaneProgram:
     def __init__(self, method: Method, config: MethodConfig, lanes: int, kept: bool = True) -> None:
         self.method, self.lanes = method, lanes
         alignment = config.alignment
-        points = jnp.zeros((NUM_LANDMARKS, 3), jnp.float32)
-        known = jnp.zeros((NUM_LANDMARKS,), jnp.bool_)
-        tick = jnp.zeros((), jnp.uint32)
 
         def align(landmarks: Any, valid: Any) -> Any:
             frame = align_frame(method, alignment, landmarks, valid)
@@ -130,21 +126,31 @@ class LaneProgram:
         def block(
             initial: Any, state: Any, landmarks: Any, valid: Any, ticks: Any, new: Any
         ) -> Any:
-            one = jax.tree.map(lambda x: jnp.zeros(x.shape[1:], x.dtype), state)
-            step = over_lanes(method.step, one.method, points, tick)
             # All frames are aligned side by side, since none needs the one before it.
             flat = [x.reshape(-1, *x.shape[2:]) for x in (landmarks, valid)]
-            aligned, status = over_lanes(align, points, known)(jnp.ones(len(flat[0]), bool), *flat)
+            aligned, status = jax.vmap(align)(*flat)
             aligned, status = aligned.reshape(landmarks.shape), status.reshape(ticks.shape)
 
             def frame(state: Any, now: Any) -> Any:
                 points, status, ticks, new = now
-                state = chosen(new, initial, state)
-                after, output = step(status == Status.OK, state.method, points, ticks)
-                failed = (status == Status.OK) & ~jnp.isfinite(output.q).all(axis=1)
+                state = _chosen(new, initial, state)
+                active = status == Status.OK
+                # A lane without a hand repeats the work of one that has a hand, since a loop takes
+                # as many turns as the lane that needs most.
+                which = jnp.where(active, jnp.arange(lanes), jnp.argmax(active))
+                work = jax.tree.map(lambda leaf: leaf[which], (state.method, points, ticks))
+
+                def solved() -> tuple[RetargetState, Array]:
+                    after, output = jax.vmap(method.step)(*work)
+                    return RetargetState(after, output.q), output.tracking_loss
+
+                after, loss = lax.cond(
+                    active.any(), solved, lambda: (state, jnp.zeros(lanes, jnp.float32))
+                )
+                failed = active & ~jnp.isfinite(after.q).all(axis=1)
                 status = jnp.where(failed, int(Status.SOLVER_FAILED), status)
-                state = chosen(status == Status.OK, RetargetState(after, output.q), state)
-                return state, (state.q, status.astype(jnp.int8), output.tracking_loss)
+                state = _chosen(status == Status.OK, after, state)
+                return state, (state.q, status.astype(jnp.int8), loss)
 
             return lax.scan(frame, state, (aligned, status, ticks, new))
 
@@ -211,6 +217,15 @@ class LaneProgram:
 
 Piece: TypeAlias = tuple[int, int, slice, slice]
 """A lane, a recording, frames of it, and where they are in a block."""
+
+
+def _chosen(which: Bool[Array, " L"], new: Any, old: Any) -> Any:
+    """New values in some lanes, old ones in the others; trees of arrays with the lanes first."""
+
+    def one(a: Array, b: Array) -> Array:
+        return jnp.where(which.reshape(-1, *[1] * (b.ndim - 1)), a, b)
+
+    return jax.tree.map(one, new, old)
 
 
 def _shared_out(lengths: Sequence[int], lanes: int) -> list[list[int]]:

@@ -16,6 +16,11 @@ from smooth_operator.result_cache.own_files import folder_problem
 from smooth_operator.result_cache.user_cache import OFF, SWITCH, user_cache
 
 _LIBRARIES: Final = ("jax", "jaxlib", "mujoco", "numpy", "scipy", "nlopt")
+_OPENCV: Final = tuple(
+    f"opencv-{part}" for part in ("python", "python-headless", "contrib-python",
+                                  "contrib-python-headless")
+)  # fmt: skip
+"""Distributions that install into one folder, ``cv2``, and overwrite each other there."""
 _WINGS: Final = ("teleop", "lab", "study")
 
 
@@ -38,6 +43,7 @@ def environment() -> dict[str, Any]:
         "governor": _line(Path("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor")),
         "python": platform.python_version(),
         **{name: _version(name) for name in (DISTRIBUTION, *_LIBRARIES)},
+        "opencv": ", ".join(f"{n} {_version(n)}" for n in _OPENCV if _version(n)) or None,
         "extras": ", ".join(wing for wing in _WINGS if not _missing(wing)) or None,
         "device": jax.default_backend(),
         "programs": f"not kept: {reason}" if cache is None else str(cache.folder),

@@ -39,8 +39,7 @@ from smooth_operator.result_cache.code import HOME, code_digest
 
 _CODE: Final = (
     "compilation", "methods", "baselines", "objective", "solvers", "human", "hands",
-    "hand_files/stand_ins.py", "geometry.py", "poses.py", "landmarks.py", "one_kernel.py",
-    "types.py",
+    "hand_files/stand_ins.py", "geometry.py", "poses.py", "landmarks.py", "types.py",
 )  # fmt: skip
 """What programs are traced from."""
 

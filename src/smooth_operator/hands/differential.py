@@ -43,7 +43,7 @@ class PointMotion(NamedTuple):
         """(R, J) how each joint moves a point that it carries, along a direction [m/rad]."""
         wrenches = jnp.concatenate([_cross(points, directions), directions], axis=1)
         screws = jnp.concatenate([self.hinge_axes, self.origin_speeds], axis=1)
-        # a sum, and not a product: that can't stand in ``one_kernel``
+        # a sum, and not a product: that costs a call of XLA's library
         return functools.reduce(
             operator.add, [wrenches[:, i, None] * screws[None, :, i] for i in range(6)]
         )
@@ -182,7 +182,7 @@ def all_joints(hand: Hand, q: Float[Array, " m"]) -> Float[Array, " n"]:
 def contracted(values: Float[Array, "*batch J"], matrix: np.ndarray) -> Float[Array, "*batch m"]:
     """``values @ matrix`` for a constant (J, m) matrix of few entries a column, as sums.
 
-    A product costs a call of XLA's library, and can't stand in ``one_kernel``.
+    A product costs a call of XLA's library.
     """
     most = max(1, int((matrix != 0).sum(axis=0).max(initial=0)))
     rows = np.argsort(matrix == 0, axis=0, kind="stable")[:most]  # those that count, then any

@@ -122,7 +122,7 @@ def filter_landmarks(
 
 
 def _median(values: Float[Array, " n"]) -> Float[Array, ""]:
-    """By rank and not by sorting, which can't stand in ``one_kernel``."""
+    """By rank and not by sorting, for which XLA calls a library."""
     count, index = len(values), np.arange(len(values))
     first = (values[None] < values[:, None]) | (
         (values[None] == values[:, None]) & (index[None] < index[:, None])

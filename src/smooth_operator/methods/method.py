@@ -164,9 +164,6 @@ class MethodConfig(ABC):
     """Whether retargeters with equal settings, and those of a mirrored hand, may share one compiled
     program. False where the settings do not determine the program, such as the path of a file."""
 
-    in_kernels: ClassVar[bool] = False
-    """Whether a frame is faster with each ``one_kernel`` of it as one: of many small operations."""
-
     color: ClassVar[str | None] = None
     """Colour of a plugin's method in reports, ``#rrggbb``; None for one that follows from its name.
     Those of the built-in methods are in ``smooth_operator.methods.registry``."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Callable
 from typing import Any, NamedTuple, TypeAlias
@@ -23,7 +22,7 @@ from smooth_operator.human.alignment import (
 from smooth_operator.human.palm_axes import human_palm_axes
 from smooth_operator.io.anatomy import implausible
 from smooth_operator.methods.method import Compiling, HostMethod, Method
-from smooth_operator.one_kernel import Joined, joined, joins, one_kernel, one_kernel_parts, parted
+from smooth_operator.methods.one_array import Joined, joined, joins, parted
 from smooth_operator.types import Status
 
 
@@ -91,10 +90,9 @@ def frame_step(method: Method, alignment: AlignmentConfig) -> Step:
         valid: Bool[Array, "21"],
         ticks: UInt32[Array, ""],
     ) -> tuple[RetargetState, FrameResult]:
-        aligned = one_kernel(functools.partial(align_frame, method, alignment))
-        frame = aligned(landmarks, valid)
+        frame = align_frame(method, alignment, landmarks, valid)
         after, output = method.step(state.method, frame.aligned, ticks)
-        return one_kernel(_kept)(state, frame, RetargetState(after, output.q), output.tracking_loss)
+        return _kept(state, frame, RetargetState(after, output.q), output.tracking_loss)
 
     return step
 
@@ -109,16 +107,13 @@ def _kept(
     return state, FrameResult(state.q, status, jnp.asarray(loss), frame.scale)
 
 
-def frame_program(
-    method: Method, alignment: AlignmentConfig, compiling: Compiling, in_kernels: bool
-) -> Program:
+def frame_program(method: Method, alignment: AlignmentConfig, compiling: Compiling) -> Program:
     """The program of one frame; it compiles when it is first called.
 
     Args:
         method: what is solved.
         alignment: how landmarks reach the palm frame.
         compiling: what compiles a function of state, landmarks, validity and ticks.
-        in_kernels: whether each ``one_kernel`` of it is one.
     """
     if method.host is not None:
         return _host_program(method.host, alignment, compiling)
@@ -129,8 +124,7 @@ def frame_program(
         if one_array:
             like = RetargetState(method.init(0), method.hand.neutral)
             before = parted(like, before)
-        with one_kernel_parts(in_kernels):
-            state, result = step(before, landmarks, valid, ticks)
+        state, result = step(before, landmarks, valid, ticks)
         flat = _pack(result.q, result.status, result.tracking_loss, result.scale)
         return (joined(state) if one_array else state), flat
 

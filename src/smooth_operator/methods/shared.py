@@ -125,5 +125,5 @@ def _made(hand: Hand, config: MethodConfig, reflects: bool, cache: bool) -> Shar
         program: Callable[..., Any] = _KEPT_PROGRAM.load()(function, hand, config, name, **of)
         return program
 
-    run = frame_program(method, config.alignment, compiling, config.in_kernels)
+    run = frame_program(method, config.alignment, compiling)
     return SharedProgram(method, run, reflects)

@@ -46,7 +46,6 @@ from smooth_operator.objective.terms.fingertip_position import (
     FingertipPositionConfig,
 )
 from smooth_operator.objective.terms.self_collision import SelfCollision, SelfCollisionConfig
-from smooth_operator.one_kernel import handed_on, one_kernel, tree_of
 from smooth_operator.plugins import Entry
 from smooth_operator.settings import check_numbers, is_off
 from smooth_operator.solvers.newton import NewtonConfig, damped_newton
@@ -89,8 +88,6 @@ class SmoothConfig(ObjectiveMethodConfig):
         rate_hz: rate that is assumed where stamps stand still.
         gap: after a longer gap in the stamps [s] the basin is searched for again.
     """
-
-    in_kernels = True
 
     alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
     objective: ObjectiveConfig = field(
@@ -271,13 +268,13 @@ class Smooth(Method):
         self, state: SmoothState, aligned: Float[Array, "21 3"], ticks: UInt32[Array, ""]
     ) -> tuple[SmoothState, MethodOutput]:
         """One frame."""
-        seen = one_kernel(self._seen)(state, aligned, jnp.asarray(ticks, jnp.uint32))
+        seen = self._seen(state, aligned, jnp.asarray(ticks, jnp.uint32))
         goal = seen.goal
         if not is_off(self.config.rest_pose.reach):
             rest = self.rest_pose(state.solved, aligned, seen.places, seen.moves)
-            goal = one_kernel(self._rested)(goal, rest, seen.moves, seen.clock.restart)
+            goal = self._rested(goal, rest, seen.moves, seen.clock.restart)
         solved = self._solve(state, goal, seen.clock)
-        return one_kernel(self._commanded)(state, seen._replace(goal=goal), solved)
+        return self._commanded(state, seen._replace(goal=goal), solved)
 
     def _seen(
         self, state: SmoothState, aligned: Float[Array, "21 3"], now: UInt32[Array, ""]
@@ -355,11 +352,10 @@ class Smooth(Method):
         return goal._replace(tips=tips, motion_weights=motion), policy_state
 
     def _solve(self, state: SmoothState, goal: FrameGoal, clock: FrameClock) -> Float[Array, " m"]:
-        config, fingers, handed = self.config, len(self.hand.fingers), handed_on(goal)
+        config, fingers = self.config, len(self.hand.fingers)
         limits = self.straight_fingers.limits(self.hand.limits, goal.vectors[:fingers])
 
         def sampled(round: Array, q: Array) -> Array:
-            goal = tree_of(handed)
             return sample_minimise(
                 lambda candidates: self.eq_1(candidates, goal._replace(velocity_weight=0.0)),
                 q,
@@ -371,8 +367,8 @@ class Smooth(Method):
 
         def descended(q: Array) -> tuple[Array, Array]:
             return damped_newton(
-                lambda one: self.objective.value_grad_hess(one, handed),
-                lambda few: self.objective.values(few, handed),
+                lambda one: self.objective.value_grad_hess(one, goal),
+                lambda few: self.objective.values(few, goal),
                 q,
                 limits,
                 config.polish,

@@ -41,7 +41,6 @@ from smooth_operator.objective.terms.term import (
     TermConfig,
 )
 from smooth_operator.objective.terms.velocity import SmoothL1Velocity, Velocity
-from smooth_operator.one_kernel import Joined, one_kernel
 
 
 @dataclass(frozen=True)
@@ -250,22 +249,27 @@ class Objective:
         return PointKinematics(self.tree, tuple(dict.fromkeys(every)))
 
     def value_grad_hess(
-        self, q: Float[Array, " m"], goal: FrameGoal | Joined[FrameGoal]
+        self, q: Float[Array, " m"], goal: FrameGoal
     ) -> tuple[Float[Array, ""], Float[Array, " m"], Float[Array, "m m"]]:
         """Value, gradient and Hessian at a pose: the sum over the terms.
 
         The Hessian is as exact as the terms' own; those of Eq. (1) are exact, but on the
         measure-zero kinks of smooth-L1.
         """
-        near = one_kernel(self._near)(q, goal)
+        near = self._near(q, goal)
         apart: Any = jax.lax.optimization_barrier  # has no types
         # XLA folds a transpose into the product, and then multiplies by a slower kernel
         hessian = apart(near.weighted.T) @ near.rows
         total = jnp.asarray(self.kinematics.moves.T, q.dtype) @ near.moments
-        found: tuple[Array, Array, Array] = one_kernel(self._summed)(
-            q, goal, near.cost, near.motion, hessian, total
+        joints = self.hand.coupling_matrix[np.array(self.kinematics.order)]
+        slope, curvature = self.kinematics.derivatives(near.motion, total)
+        first, second = self.regularisation_derivatives(q, goal)
+        half = contracted(hessian + curvature, joints)
+        return (
+            near.cost + self.regularisation(q, goal),
+            contracted(slope, joints) + first,
+            contracted(half.T, joints) + second * jnp.eye(len(q), dtype=q.dtype),
         )
-        return found
 
     def _near(self, q: Float[Array, " m"], goal: FrameGoal) -> _Near:
         """What the point terms are near a pose."""
@@ -282,26 +286,6 @@ class Objective:
         moments = self.kinematics.moments(motion, gradient)
         return _Near(cost, motion, moments, *_gauss_newton(near, motion))
 
-    def _summed(
-        self,
-        q: Array,
-        goal: FrameGoal,
-        cost: Array,
-        motion: PointMotion,
-        hessian: Array,
-        total: Array,
-    ) -> tuple[Array, Array, Array]:
-        """Value, gradient and Hessian, from those of the point terms by all joints."""
-        joints = self.hand.coupling_matrix[np.array(self.kinematics.order)]
-        slope, curvature = self.kinematics.derivatives(motion, total)
-        first, second = self.regularisation_derivatives(q, goal)
-        half = contracted(hessian + curvature, joints)
-        return (
-            cost + self.regularisation(q, goal),
-            contracted(slope, joints) + first,
-            contracted(half.T, joints) + second * jnp.eye(len(q), dtype=q.dtype),
-        )
-
     def few_value_grad_hess(
         self, q: Float[Array, "c m"], goal: FrameGoal
     ) -> tuple[Float[Array, " c"], Float[Array, "c m"], Float[Array, "c m m"]]:
@@ -309,15 +293,11 @@ class Objective:
         values, gradients, hessians = jax.vmap(lambda one: self.value_grad_hess(one, goal))(q)
         return values, gradients, hessians
 
-    def values(
-        self, q: Float[Array, "c m"], goal: FrameGoal | Joined[FrameGoal]
-    ) -> Float[Array, " c"]:
+    def values(self, q: Float[Array, "c m"], goal: FrameGoal) -> Float[Array, " c"]:
         """Costs of a few poses, through the small program."""
-
-        def value(one: Array, goal: FrameGoal) -> Array:
-            return self._near(one, goal).cost + self.regularisation(one, goal)
-
-        costs: Array = one_kernel(jax.vmap(value, in_axes=(0, None)))(q, goal)
+        costs: Array = jax.vmap(
+            lambda one: self._near(one, goal).cost + self.regularisation(one, goal)
+        )(q)
         return costs
 
 

@@ -20,7 +20,6 @@ from smooth_operator.hands.differential import PointKinematics, PointMotion, all
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS, TIPS
 from smooth_operator.objective.penalties import TINY_AREA
-from smooth_operator.one_kernel import one_kernel
 from smooth_operator.settings import check_numbers, is_off
 
 
@@ -130,19 +129,16 @@ class RestPose:
             places: (F, 3) where the human's fingertips are, from the robot's wrist [m].
             moves: (F, 3) their step since the last answer [m].
         """
-        pull = one_kernel(self._pull)(q, aligned, places, moves)
+        pull = self._pull(q, aligned, places, moves)
         apart: Any = jax.lax.optimization_barrier  # has no types; see ``Objective``
         damping = self.config.damping * jnp.eye(len(q), dtype=q.dtype)
         # (J^T J + damping W) step = damping W pull: where fingertips move, hardly a step is left
         factor = jnp.linalg.cholesky(apart(pull.rows.T) @ pull.rows + damping)
         step = jax.scipy.linalg.cho_solve((factor, True), pull.right)
-
-        def pose(q: Array, near: Array, step: Array) -> Array:
-            # a joint is free of Eq. (1)'s pull as far as every fingertip that it moves is near
-            share = jnp.where(jnp.asarray(self.moves), near[:, None], 1.0).min(axis=0)
-            return q + share * step + (1 - share) * (jnp.asarray(self.hand.neutral, q.dtype) - q)
-
-        return RestGoal(pull.tips, pull.near, one_kernel(pose)(q, pull.near, step))
+        # a joint is free of Eq. (1)'s pull as far as every fingertip that it moves is near
+        share = jnp.where(jnp.asarray(self.moves), pull.near[:, None], 1.0).min(axis=0)
+        pose = q + share * step + (1 - share) * (jnp.asarray(self.hand.neutral, q.dtype) - q)
+        return RestGoal(pull.tips, pull.near, pose)
 
     def _pull(self, q: Array, aligned: Array, places: Array, moves: Array) -> _Pull:
         config, hand, count = self.config, self.hand, len(self.hand.fingers)

@@ -17,7 +17,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.one_kernel import one_kernel
 
 ValueGradHess: TypeAlias = Callable[[Array], tuple[Array, Array, Array]]
 """(c, m) candidates to their costs (c,), gradients (c, m) and Hessians (c, m, m); or one point
@@ -87,20 +86,16 @@ def newton_candidates(
         config: with the c dampings.
     """
 
-    def free(q: Array, gradient: Array, hessian: Array, limits: Array) -> tuple[Array, Array]:
-        low, high = (jnp.asarray(limits[:, i], q.dtype) for i in (0, 1))
-        identity = jnp.eye(len(limits), dtype=q.dtype)
-        damping = jnp.asarray(config.damping, q.dtype)[:, None, None]
-        under, over = q <= low + _AT_BOUND, q >= high - _AT_BOUND
-        held = (under & (gradient > 0)) | (over & (gradient < 0))
-        matrices = jnp.where(held[:, None] | held[None, :], identity, hessian) + damping * identity
-        right = jnp.broadcast_to(jnp.where(held, 0.0, gradient), (len(damping), len(limits)))
-        return matrices, right[..., None]
-
-    matrices, right = one_kernel(free)(q, gradient, hessian, limits)
+    low, high = (jnp.asarray(limits[:, i], q.dtype) for i in (0, 1))
+    identity = jnp.eye(len(limits), dtype=q.dtype)
+    damping = jnp.asarray(config.damping, q.dtype)[:, None, None]
+    under, over = q <= low + _AT_BOUND, q >= high - _AT_BOUND
+    held = (under & (gradient > 0)) | (over & (gradient < 0))
+    matrices = jnp.where(held[:, None] | held[None, :], identity, hessian) + damping * identity
+    right = jnp.broadcast_to(jnp.where(held, 0.0, gradient), (len(damping), len(limits)))
     factor = jnp.linalg.cholesky(matrices)
-    moves = jax.scipy.linalg.cho_solve((factor, True), right)[..., 0]
-    return jnp.clip(q - moves, *(jnp.asarray(limits[:, i], q.dtype) for i in (0, 1)))
+    moves = jax.scipy.linalg.cho_solve((factor, True), right[..., None])[..., 0]
+    return jnp.clip(q - moves, low, high)
 
 
 def _best(costs: Float[Array, " c"]) -> tuple[Array, Array]:
@@ -176,7 +171,7 @@ def damped_newton(
         count, q, *_ = carry
         cost, gradient, hessian = value_grad_hess(q)
         candidates = newton_candidates(q, gradient, hessian, limits, config)
-        return count + 1, *one_kernel(better)(q, cost, candidates, values(candidates))
+        return count + 1, *better(q, cost, candidates, values(candidates))
 
     def goes_on(carry: tuple[Array, ...]) -> Array:
         count, *_, moved = carry

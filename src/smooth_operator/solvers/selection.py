@@ -40,14 +40,13 @@ def largest(
     row_of = _set_bit(words[at], place - (so_far - bits).astype(jnp.int32)[at])
     index = row_of * columns + column[at]
 
-    def few() -> tuple[Array, Array]:
-        chosen = jnp.where(place < so_far[-1], values[index], -jnp.inf)
-        ordered, position = _by_heap(chosen, count)
-        return ordered, index[position]
-
-    # More than there are places for: values in an unlikely order, or many equal ones
-    found: tuple[Array, Array] = lax.cond(
-        so_far[-1] <= len(place), few, lambda: _by_heap(values, count)
+    chosen = jnp.where(place < so_far[-1], values[index], -jnp.inf)
+    ordered, position = _by_heap(chosen, count)
+    # More than there are places for: values in an unlikely order, or many equal ones. A loop of one
+    # turn or none, and no branch: ``vmap`` would work out both sides of a branch.
+    more = (so_far[-1] > len(place)).astype(jnp.int32)
+    found: tuple[Array, Array] = lax.fori_loop(
+        0, more, lambda _, found: _by_heap(values, count), (ordered, index[position])
     )
     return found
 

@@ -27,7 +27,10 @@ def settled(
     # The last round only descends; of most frames it is the only one. The descent stands here once,
     # for a program with two of them takes twice as long to compile.
     def solve(round: Array, best: tuple[Array, Array]) -> tuple[Array, Array]:
-        begin = lax.cond(round < rounds, sampled, lambda _, q: q, round, best[0])
+        # A loop of one turn or none, and no branch: ``vmap`` would work out both sides of a branch.
+        begin = lax.fori_loop(
+            0, (round < rounds).astype(jnp.int32), lambda _, q: sampled(round, q), best[0]
+        )
         found, reached = descended(begin)
         # a later round may end in a worse basin; descent alone never does
         worse = reached > best[1]

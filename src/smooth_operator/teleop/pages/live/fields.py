@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import inspect
 import re
 import types
 from collections.abc import Mapping
@@ -85,9 +86,10 @@ def changed(config: Any, path: str, value: Any) -> Any:
 
 def field_docs(kind: type) -> dict[str, str]:
     """Field -> what its class's docstring says of it under ``Attributes:``."""
-    text = (kind.__doc__ or "").partition("Attributes:")[2]
+    # Python 3.13 removes a docstring's indentation itself
+    text = inspect.cleandoc(kind.__doc__ or "").partition("Attributes:")[2]
     docs: dict[str, str] = {}
-    for entry in re.split(r"\n {8}(?=\w)", text.split("\n\n")[0]):
+    for entry in re.split(r"\n {4}(?=\w)", text.split("\n\n")[0]):
         names, sign, words = entry.strip().partition(":")
         if sign:
             docs |= dict.fromkeys((n.strip() for n in names.split(",")), " ".join(words.split()))

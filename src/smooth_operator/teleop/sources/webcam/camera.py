@@ -167,11 +167,31 @@ def opencv() -> Any:
 
     Raises:
         MissingExtraError: it is not installed.
+        SourceError: it is installed, but can't be loaded; with the libraries that it needs.
     """
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # read when the first file is opened
+    path = list(sys.path)
     try:
         import cv2
-    except ImportError as error:
+    except ModuleNotFoundError as error:
         raise MissingExtraError("reading a camera or a video", "webcam") from error
+    except ImportError as error:
+        # OpenCV's loader leaves its folder on the path, where its `typing` hides Python's own from
+        # every process that is started later, and a mark that makes a second import fail otherwise.
+        sys.path[:] = path
+        for name in [name for name in sys.modules if name.partition(".")[0] == "cv2"]:
+            del sys.modules[name]
+        vars(sys).pop("OpenCV_LOADER", None)
+        raise SourceError(f"OpenCV can't be loaded: {error}. {_libraries()}") from error
     getattr(cv2.utils, "logging", cv2).setLogLevel(0)  # moved there in OpenCV 5; 0 is silent
     return cv2
+
+
+def _libraries() -> str:
+    """What to install for OpenCV's sake."""
+    if sys.platform.startswith("linux"):
+        return (
+            "It needs libraries of the system: sudo apt install libgl1 libglib2.0-0 libxcb1 "
+            "(Debian, Ubuntu), or an OpenCV without windows, see docs/how-to/webcam.md"
+        )
+    return "Install it again: python -m pip install --force-reinstall opencv-contrib-python"

@@ -1,0 +1,72 @@
+"""An OpenCV that is installed and can't be loaded."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+LOADER = """
+import os, sys
+if hasattr(sys, "OpenCV_LOADER"):
+    raise ImportError("ERROR: recursion is detected during loading")
+sys.OpenCV_LOADER = True
+sys.path.insert(1, os.path.dirname(__file__))
+sys.modules.pop("cv2")
+raise ImportError("libGL.so.1: cannot open shared object file: No such file or directory")
+"""
+"""What the loader of OpenCV 5.1 does where a library of the system is missing."""
+
+PROGRAM = """
+import json, sys
+from smooth_operator.errors import SourceError
+from smooth_operator.teleop.sources.webcam.camera import opencv
+before, said = list(sys.path), []
+for _ in range(2):
+    try:
+        opencv()
+    except SourceError as error:
+        said.append(str(error))
+left = [name for name in sys.modules if name.startswith("cv2")]
+print(json.dumps([sys.path == before, left, said]))
+"""
+
+
+def test_what_a_failed_import_leaves_is_removed_and_the_system_packages_are_named(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "cv2").mkdir()
+    (tmp_path / "cv2" / "__init__.py").write_text(LOADER)
+    path = os.pathsep.join([str(tmp_path), *filter(None, [os.environ.get("PYTHONPATH")])])
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM],
+        env={**os.environ, "PYTHONPATH": path},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    restored, left, said = json.loads(done.stdout)
+    assert restored
+    assert left == []
+    assert len(said) == 2
+    assert said[0] == said[1]
+    assert "libGL.so.1" in said[0]
+    if sys.platform.startswith("linux"):
+        assert "apt install libgl1 libglib2.0-0 libxcb1" in said[0]
+
+
+def test_tests_of_pictures_skip_with_that_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    import pictures
+
+    from smooth_operator.errors import SourceError
+
+    def broken() -> None:
+        raise SourceError("OpenCV can't be loaded: why")
+
+    monkeypatch.setattr(pictures, "opencv", broken)
+    with pytest.raises(pytest.skip.Exception, match="OpenCV can't be loaded: why"):
+        pictures.opencv_or_skip()
