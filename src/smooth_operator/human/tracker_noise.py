@@ -102,9 +102,9 @@ class NoiseState(NamedTuple):
     def unseen(cls, count: int) -> NoiseState:
         """Of ``count`` points that haven't been seen yet."""
         palm, points = (np.zeros((size, 3), np.float32) for size in (len(PALM), count))
-        none = [np.float32(0)] * 6
+        none = np.float32(0)
         placed: NoiseState = jax.device_put(
-            cls(palm, palm, palm, palm, *none, points, points)  # type: ignore[arg-type]
+            cls(palm, palm, palm, palm, none, none, none, none, none, none, points, points)  # type: ignore[arg-type]
         )
         return placed
 
@@ -199,15 +199,15 @@ def remove_noise(
     measured = whole[np.array(needs)]
     # alpha-beta filter (Kalata 1984): its gains follow from the ratio of motion to noise
     velocity = jnp.where(restart, 0.0, before.velocity)
-    deviation = jnp.maximum(after.deviation, 1e-8)
+    deviation = jnp.maximum(after.deviation, 1e-12)
     speed = jnp.sqrt((velocity * velocity).sum(-1, keepdims=True) + 1e-18)
     index = (config.acceleration + config.by_speed * speed) * dt * dt / deviation
     left = 4 / (4 + index + jnp.sqrt(index * index + 8 * index))
     expected = jnp.where(restart, measured, before.points) + velocity * dt
     off = measured - expected
     far = (off * off).sum(-1, keepdims=True) / (3 * (config.outlier * deviation) ** 2)
-    follows = 1 - 1 / (1 + far)
-    alpha, beta = 1 - left**2, jnp.minimum(2 * (1 - left) ** 2, 1.0)
-    points = expected + (alpha + (1 - alpha) * follows) * off
-    velocity = velocity + (beta + (1 - beta) * follows) * off / dt
+    near = 1 / (1 + far)
+    beta = jnp.minimum(2 * (1 - left) ** 2, 1.0)
+    points = measured - left**2 * near * off  # without noise as measured, to the bit
+    velocity = velocity + (1 - (1 - beta) * near) * off / dt
     return after._replace(points=points, velocity=velocity), points
