@@ -1,10 +1,15 @@
 """Removes a tracker's noise from landmarks, as far as the palm shows it.
 
-A palm keeps its shape. What its landmarks move against each other is noise, however the hand moves,
-and tells how much noise there is, and how long it lasts. The alignment turns and scales the whole
-hand by that noise; fitting the palm to its mean shape takes most of it away without delay. What is
-left is filtered with the gains of a steady-state Kalman filter for constant velocity. Where the
-palm is rigid, as that of trackers that fit a model of a hand, nothing is changed.
+A rigid palm keeps its shape: what its landmarks move against each other is noise, however the hand
+moves, and tells how much noise there is, and how long it lasts. The alignment turns and scales the
+whole hand by that noise; fitting the palm to its mean shape takes most of it away without delay.
+What is left is filtered with the gains of a steady-state Kalman filter for constant velocity.
+
+Three tests, all of the recording itself, tell noise from motion, and nothing is removed where one
+fails. Noise changes its sign from frame to frame; a palm that bends goes on the same way. Noise
+averages out over a quarter of a second; a bend lasts. And there are enough frames a second: at 60
+and fewer, of cameras and headsets, a hand's own motion changes its sign from frame to frame, too.
+Where the palm is rigid, as that of trackers that fit a model of a hand, nothing is changed.
 """
 
 from __future__ import annotations
@@ -26,6 +31,9 @@ PALM: Final = (WRIST, *BASES)
 
 _RIGID: Final = 5e-5  # noise at which half is corrected [m]: a palm with less is rigid
 _SHORTEST: Final = 0.25  # 1 - correlation of noise between frames, at least: the rest is motion
+_LASTS: Final = 0.25  # over which noise averages out [s]
+_BENDS: Final = 0.3  # share of the palm's deformation left by that, at which half is corrected
+_RATE: Final = 70.0  # at which half is corrected [Hz]
 _SUDDEN: Final = 9.0  # how much more than its mean a frame may count
 _OWN_SHARE: Final = 2.0  # a fingertip's variance by that of a coordinate: its own, and the palm's
 
@@ -41,14 +49,14 @@ class NoiseConfig:
         outlier: standard deviations from where a fingertip is expected at which it is half
             followed as it was measured.
         level_time: averaging time of how much noise there is [s].
-        shape_time: averaging time of the palm's shape [s].
+        shape_time: averaging time of the palm's shape, and of how much it bends [s].
     """
 
     acceleration: float = 0.0
     by_speed: float = 8.0
     outlier: float = 20.0
     level_time: float = 1.0
-    shape_time: float = 2.0
+    shape_time: float = 10.0
 
     def __post_init__(self) -> None:
         check_numbers(
@@ -66,6 +74,10 @@ class NoiseState(NamedTuple):
         shape: (P, 3) mean positions of ``PALM`` [m]; NaN where one was never seen.
         residual: (P, 3) what the fit of the palm to its shape left in the last frame [m].
         change: (P, 3) by how much that differed from the frame before [m].
+        slow: (P, 3) mean residual of the last quarter of a second [m].
+        rate: frames a second [Hz].
+        lasting: mean square of ``slow``, per coordinate [m^2].
+        spread: mean square of the residual, per coordinate [m^2].
         power: mean square of such a change, over 2 and per coordinate [m^2].
         product: mean product of two changes in a row, per coordinate [m^2].
         time: since the first frame, or the first after a gap [s].
@@ -76,6 +88,10 @@ class NoiseState(NamedTuple):
     shape: Float[Array, "P 3"]
     residual: Float[Array, "P 3"]
     change: Float[Array, "P 3"]
+    slow: Float[Array, "P 3"]
+    rate: Float[Array, ""]
+    lasting: Float[Array, ""]
+    spread: Float[Array, ""]
     power: Float[Array, ""]
     product: Float[Array, ""]
     time: Float[Array, ""]
@@ -88,23 +104,37 @@ class NoiseState(NamedTuple):
         palm, points = (np.zeros((size, 3), np.float32) for size in (len(PALM), count))
         none = np.float32(0)
         placed: NoiseState = jax.device_put(
-            cls(palm, palm, palm, none, none, none, points, points)  # type: ignore[arg-type]
+            cls(palm, palm, palm, palm, none, none, none, none, none, none, points, points)  # type: ignore[arg-type]
         )
         return placed
 
     @property
+    def opened(self) -> Float[Array, ""]:
+        """1 - correlation of the noise between two frames; 0 or less of motion."""
+        return -self.product / jnp.maximum(self.power, 1e-16)
+
+    @property
+    def white(self) -> Float[Array, ""]:
+        """How much of ``power`` changes its sign from frame to frame [m^2]."""
+        return self.power * jnp.clip(2 * self.opened / _SHORTEST, 0.0, 1.0)
+
+    @property
     def share(self) -> Float[Array, ""]:
-        """How much of the palm's fit is applied: 0 for a rigid palm, 1 for noise."""
-        return self.power**2 / (self.power**2 + _RIGID**4)
+        """How much of the palm's fit is applied: 1 for noise; 0 for a palm that is rigid or bends,
+        for the first moment, and for few frames a second."""
+        noise = self.white**2 / (self.white**2 + _RIGID**4)
+        bends = self.lasting / jnp.maximum(self.spread, 1e-16)
+        bends = bends + (_LASTS / jnp.maximum(self.time, 1e-3)) ** 2
+        slow = _RATE / jnp.maximum(self.rate, 1.0)
+        return noise / (1 + (bends / _BENDS) ** 8) / (1 + slow**24)
 
     @property
     def deviation(self) -> Float[Array, ""]:
         """Standard deviation of a fingertip's coordinate [m]: of white noise that has as much in
         slow motion as this tracker's."""
-        power = jnp.maximum(self.power, 1e-16)
         # of noise with the correlation r between frames, the power is s^2 (1 - r)
-        opened = jnp.clip(-self.product / power, _SHORTEST, 1.0)
-        return jnp.sqrt(_OWN_SHARE * self.share * power * (2 - opened)) / opened
+        opened = jnp.clip(self.opened, _SHORTEST, 1.0)
+        return self.share * jnp.sqrt(_OWN_SHARE * self.white * (2 - opened)) / opened
 
 
 def remove_noise(
@@ -139,20 +169,26 @@ def remove_noise(
     residual = jnp.where(seen[:, None], moved[rows] - shape, 0.0)
     change = jnp.where(restart, 0.0, residual - before.residual)
     free = jnp.maximum(3 * seen.sum() - 7, 1)
-    square = (change * change).sum() / (2 * free)
-    # a palm that is lost for a frame is no measure of the usual
-    trust = jnp.minimum(1.0, (_SUDDEN * before.power + _RIGID**2) / jnp.maximum(square, 1e-16))
-    product = (change * before.change).sum() / free
     time = jnp.where(restart, 0.0, before.time)
 
     def averaged(mean: Array, now: Array, span: float) -> Array:
         return mean + dt / (dt + jnp.minimum(time, span)) * (now - mean)
 
+    slow = averaged(before.slow, residual, _LASTS)
+    square, lasting, spread = ((x * x).sum() / free for x in (change, slow, residual))
+    square = square / 2
+    # a palm that is lost for a frame is no measure of the usual
+    trust = jnp.minimum(1.0, (_SUDDEN * before.power + _RIGID**2) / jnp.maximum(square, 1e-16))
+    product = (change * before.change).sum() / free
     mean = averaged(shape, palm, config.shape_time)
     after = before._replace(
         shape=jnp.where(seen[:, None], mean, shape),
         residual=residual,
         change=change,
+        slow=slow,
+        rate=averaged(before.rate, jnp.asarray(1 / dt), config.level_time),
+        lasting=averaged(before.lasting, trust * lasting, config.shape_time),
+        spread=averaged(before.spread, trust * spread, config.shape_time),
         power=averaged(before.power, trust * square, config.level_time),
         product=averaged(before.product, trust * product, config.level_time),
         time=time + dt,
@@ -163,15 +199,15 @@ def remove_noise(
     measured = whole[np.array(needs)]
     # alpha-beta filter (Kalata 1984): its gains follow from the ratio of motion to noise
     velocity = jnp.where(restart, 0.0, before.velocity)
-    deviation = jnp.maximum(after.deviation, 1e-8)
+    deviation = jnp.maximum(after.deviation, 1e-12)
     speed = jnp.sqrt((velocity * velocity).sum(-1, keepdims=True) + 1e-18)
     index = (config.acceleration + config.by_speed * speed) * dt * dt / deviation
     left = 4 / (4 + index + jnp.sqrt(index * index + 8 * index))
     expected = jnp.where(restart, measured, before.points) + velocity * dt
     off = measured - expected
     far = (off * off).sum(-1, keepdims=True) / (3 * (config.outlier * deviation) ** 2)
-    follows = 1 - 1 / (1 + far)
-    alpha, beta = 1 - left**2, jnp.minimum(2 * (1 - left) ** 2, 1.0)
-    points = expected + (alpha + (1 - alpha) * follows) * off
-    velocity = velocity + (beta + (1 - beta) * follows) * off / dt
+    near = 1 / (1 + far)
+    beta = jnp.minimum(2 * (1 - left) ** 2, 1.0)
+    points = measured - left**2 * near * off  # without noise as measured, to the bit
+    velocity = velocity + (1 - (1 - beta) * near) * off / dt
     return after._replace(points=points, velocity=velocity), points
