@@ -142,7 +142,7 @@ class LaneProgram:
 
                 def solved() -> tuple[RetargetState, Array]:
                     after, output = jax.vmap(method.step)(*work)
-                    return RetargetState(after, output.q), output.tracking_loss
+                    return RetargetState(after, output.q), jnp.asarray(output.tracking_loss)
 
                 after, loss = lax.cond(
                     active.any(), solved, lambda: (state, jnp.zeros(lanes, jnp.float32))

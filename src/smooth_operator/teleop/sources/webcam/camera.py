@@ -189,7 +189,8 @@ def opencv() -> Any:
 
 def _libraries() -> str:
     """What to install for OpenCV's sake."""
-    if sys.platform.startswith("linux"):
+    system: str = sys.platform  # a plain name: mypy reads no platform into it
+    if system.startswith("linux"):
         return (
             "It needs libraries of the system: sudo apt install libgl1 libglib2.0-0 libxcb1 "
             "(Debian, Ubuntu), or an OpenCV without windows, see docs/how-to/webcam.md"
