@@ -62,8 +62,8 @@ def figures(tracked: np.ndarray, points: np.ndarray) -> StepFigures:
     return step_figures(*((tips[:, 1:] - tips[:, :1]).astype(float) for tips in (tracked, points)))
 
 
-def check(recording: HandRecording) -> None:
-    motion, gain, lost, jumps = figures(*removed(recording))
+def check(recording: HandRecording, start: int = 0) -> None:
+    motion, gain, lost, jumps = figures(*(path[start:] for path in removed(recording)))
     assert motion is not None
     assert motion > 0.99
     assert gain is None or gain > 0.9
@@ -78,8 +78,8 @@ def test_fingertips_move_as_they_were_tracked(name: str, rate: float):
 
 
 @pytest.mark.parametrize("name", [name for name in FAULTS if "bends" in name])
-def test_a_palm_that_bends_is_seen_at_any_rate(name: str):
-    check(faulty(FAULTS[name], 100.0, FRAMES / 100, SEED))
+def test_a_palm_that_bends_shows_in_a_second_at_any_rate(name: str):
+    check(faulty(FAULTS[name], 100.0, FRAMES / 100, SEED), start=100)
 
 
 @pytest.mark.shared

@@ -119,14 +119,21 @@ class NoiseState(NamedTuple):
         return self.power * jnp.clip(2 * self.opened / _SHORTEST, 0.0, 1.0)
 
     @property
-    def share(self) -> Float[Array, ""]:
-        """How much of the palm's fit is applied: 1 for noise; 0 for a palm that is rigid or bends,
-        for the first moment, and for few frames a second."""
-        noise = self.white**2 / (self.white**2 + _RIGID**4)
+    def loud(self) -> Float[Array, ""]:
+        """0 for a palm that is rigid, 1 for one with noise."""
+        return self.white**2 / (self.white**2 + _RIGID**4)
+
+    @property
+    def sure(self) -> Float[Array, ""]:
+        """1 for noise; 0 for a palm that bends, and for few frames a second."""
         bends = self.lasting / jnp.maximum(self.spread, 1e-16)
-        bends = bends + (_LASTS / jnp.maximum(self.time, 1e-3)) ** 2
         slow = _RATE / jnp.maximum(self.rate, 1.0)
-        return noise / (1 + (bends / _BENDS) ** 8) / (1 + slow**24)
+        return 1 / (1 + (bends / _BENDS) ** 8) / (1 + slow**24)
+
+    @property
+    def share(self) -> Float[Array, ""]:
+        """How much of the palm's fit is applied, 0 to 1."""
+        return self.loud * self.sure
 
     @property
     def deviation(self) -> Float[Array, ""]:
@@ -134,7 +141,8 @@ class NoiseState(NamedTuple):
         slow motion as this tracker's."""
         # of noise with the correlation r between frames, the power is s^2 (1 - r)
         opened = jnp.clip(self.opened, _SHORTEST, 1.0)
-        return self.share * jnp.sqrt(_OWN_SHARE * self.white * (2 - opened)) / opened
+        power = _OWN_SHARE * self.loud * self.white
+        return self.sure * jnp.sqrt(power * (2 - opened)) / opened
 
 
 def remove_noise(
