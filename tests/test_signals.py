@@ -218,6 +218,18 @@ def test_the_first_signal_raises_and_those_after_it_do_not(number: signal.Signal
     assert [signal.getsignal(other) for other in ENDING] == before
 
 
+def test_a_clean_up_of_an_outer_block_is_not_cut_off_either() -> None:
+    with ended_by_signals() as outer:
+        quits: list[int] = []
+        outer.quit = lambda: quits.append(0)
+        with pytest.raises(KeyboardInterrupt), ended_by_signals():
+            signal.raise_signal(signal.SIGTERM)
+        signal.raise_signal(signal.SIGTERM)
+        assert quits == [0]
+        outer.quit = None
+        signal.raise_signal(signal.SIGTERM)
+
+
 def test_a_loop_is_asked_to_quit() -> None:
     with ended_by_signals() as ending:
         quits: list[int] = []

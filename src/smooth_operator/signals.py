@@ -55,16 +55,25 @@ class Ending:
 def ended_by_signals() -> Iterator[Ending]:
     """Have ending signals handled while the block runs, if it runs on the main thread.
 
-    Those that the program was started with as ignored stay ignored (``nohup``), but for SIGINT.
+    Those that the program was started with as ignored stay ignored (``nohup``), but for SIGINT. A
+    block within another one has the same handler.
     """
     ending = Ending()
     if threading.current_thread() is not threading.main_thread():  # which has its own way to end
         yield ending
         return
+    if isinstance(outer := signal.getsignal(signal.SIGINT), Ending):
+        before_quit, outer.came, outer.quit = outer.quit, False, None
+        try:
+            yield outer
+        finally:
+            outer.quit = before_quit
+        return
     before = {
         number: signal.signal(number, ending)
         for number in ENDING
-        if number == signal.SIGINT or signal.getsignal(number) is not signal.SIG_IGN
+        if (handler := signal.getsignal(number)) is not None  # which would be none of Python's
+        and (number == signal.SIGINT or handler is not signal.SIG_IGN)
     }
     try:
         with _closed_window():
