@@ -308,6 +308,8 @@ def test_a_hand_of_one_side_has_that_side_by_default(
     np.save(recording, [frame.landmarks for frame in _left_frames()])
     request = make_request(hand="lefty", method="keyvector")
     assert request.read_recording(recording, 100.0).side == "left"
+    np.save(right := tmp_path / "right.npy", np.load(recording) * (-1, 1, 1))
+    assert request.read_recording(right, 100.0).side == "right"  # as its shape says
     with pytest.raises(RecordingError):
         make_request(hand="mimic_p050", method="keyvector").read_recording(recording, 100.0)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Literal, TypeAlias
@@ -70,8 +71,8 @@ class RetargetRequest:
     def read_recording(self, path: Path, rate: float | None) -> HandRecording:
         """A recording of the side that is asked for.
 
-        One that does not say its side, where none is asked for, is taken for a right hand, or for a
-        left one if the robot hand is a left one only.
+        Where none is asked for, it is what the recording says; one that says nothing is taken for a
+        right hand, or for a left one if the robot hand is a left one only.
 
         Args:
             path: file of the recording.
@@ -80,15 +81,10 @@ class RetargetRequest:
         Raises:
             RecordingError: it can't be read, or is of the other side by its shape.
         """
-        default = self.side or default_side(self.hand)
-        try:
-            recording = read_recording(path, rate=rate, side=self.side, layout=self.layout)
-            if recording.side == default or not recording.meta.get("side_assumed"):
-                return recording
-        except RecordingError:  # perhaps for the shape of a left hand, which was taken for a right
-            if default in ("right", self.side):
-                raise
-        return read_recording(path, rate=rate, side=default, layout=self.layout)
+        if self.side is None and default_side(self.hand) == "left":
+            with suppress(RecordingError):  # it is a right hand, by what it says or by its shape
+                return read_recording(path, rate=rate, side="left", layout=self.layout)
+        return read_recording(path, rate=rate, side=self.side, layout=self.layout)
 
     def load_hand(self, side: Side) -> Hand:
         """The robot hand of one side, with the fingers that are asked for.

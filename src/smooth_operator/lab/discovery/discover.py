@@ -259,13 +259,13 @@ def _check_joints(skeleton: Skeleton, chain: Chain) -> None:
                 f"joint {name!r} of a finger is a ball or free joint; a hand's joints must be "
                 "hinges or slides: write it as hinges in the file"
             )
-        if name in skeleton.pinned and j not in skeleton.leaders:
-            raise HandModelError(
-                f"joint {name!r} of a finger can't move: lower = upper = {skeleton.pinned[name]:g} "
-                f"in the file, as for {len(skeleton.pinned)} joints; give them their range there, "
-                "or make joints that stand still fixed"
-            )
         if not skeleton.bounded[j] and j not in skeleton.leaders:
+            if name in skeleton.pinned:
+                raise HandModelError(
+                    f"joint {name!r} of a finger can't move: lower = upper = "
+                    f"{skeleton.pinned[name]:g} in the file, as for {len(skeleton.pinned)} joints; "
+                    "give them their range there, or make joints that stand still fixed"
+                )
             raise HandModelError(
                 f"joint {name!r} of a finger has no limits; give it some in the file (URDF: "
                 '<limit lower="…" upper="…"/>, MJCF: range="… …")'
