@@ -21,6 +21,7 @@ from typing import Any
 import fuzzing
 import numpy as np
 from discovery_hands import make_hand, mjcf, urdf
+from made_hands import hand_points
 
 from smooth_operator.formats.episode import Episode
 from smooth_operator.types import CommandTrajectory, HandRecording, JointCommand, Status
@@ -146,8 +147,7 @@ def trial(path: Path) -> None:
 
 def good_episode() -> Episode:
     rng = np.random.default_rng(0)
-    points = 0.02 * rng.normal(size=(FRAMES, 21, 3))
-    points[:, 0], points[:, 9] = 0.0, (0.0, 0.0, 0.095)
+    points = hand_points(FRAMES)
     stamps = 100.0 + 0.01 * np.arange(FRAMES)
     hand = HandRecording(
         points, stamps, "right", metacarpals=rng.normal(size=(FRAMES, 4, 3)), meta={"a": [1]}

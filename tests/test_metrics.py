@@ -263,6 +263,7 @@ def test_latency_and_status() -> None:
         "invalid_landmarks": 3,
         "degenerate_palm": 1,
         "solver_failed": 0,
+        "implausible_hand": 0,
         "unknown": 1,
     }
     silent = evaluate(make_trace(human_motion(9), latency_ms=np.full(9, np.nan)))

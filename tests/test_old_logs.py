@@ -11,6 +11,7 @@ import fuzzing
 import numpy as np
 import pytest
 from json_log import JsonLogWriter
+from made_hands import hand_points
 from mcap.reader import make_reader
 from protobuf_log import decoded, plain
 
@@ -36,8 +37,7 @@ def fill(log: Any) -> None:
     log.write_config({"method": "sbr", "deep": {"list": [1, 2.5, None]}})
     for k in range(FRAMES):
         stamp = 1.7e9 + 0.01 * k + 1e-6 * float(rng.uniform())
-        points = 0.02 * rng.normal(size=(21, 3))
-        points[0], points[9] = 0.0, (0.0, 0.0, 0.095)
+        points = hand_points(FRAMES, 0, "left")[k].copy()
         if k == 4:
             points[8] = np.nan
         pose = np.array([*rng.normal(size=3), 1.0, 0.0, 0.0, 0.0])

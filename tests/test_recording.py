@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import io
 import pickle
 import zipfile
@@ -10,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from made_hands import hand_points
 
 from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.formats.checks import check_units
@@ -21,23 +21,14 @@ from smooth_operator.landmarks import (
     METACARPALS_MANUS_25,
     NODE_LAYOUTS,
 )
-from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.types import HandRecording
 
 FRAMES = 12
 
 
-@functools.cache
-def operator(seed: int) -> np.ndarray:
-    """Landmarks of a built-in operator, the wrist at zero and the palm 0.095 m long."""
-    points = SyntheticOperator(seed=seed).record(0.5).landmarks
-    points = points - points[:, :1]
-    return points * 0.095 / np.linalg.norm(points[:, 9:10], axis=-1, keepdims=True)
-
-
 def hand(frames: int = FRAMES, nodes: int = 21, seed: int = 0) -> np.ndarray:
     """(frames, nodes, 3) of a right hand; nodes that the 21 leave out are between the others."""
-    own = operator(seed)[:frames].copy()
+    own = hand_points(frames, seed)
     points = np.repeat(own.mean(axis=1, keepdims=True), nodes, axis=1)
     points[:, list(NODE_LAYOUTS[nodes][0])] = own
     return points

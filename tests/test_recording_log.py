@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from made_hands import hand_points
 from mcap.reader import make_reader
 from mcap.records import Chunk, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
@@ -29,9 +30,7 @@ NAMES = ("base", "tip")
 
 def recording(frames: int = 40, *, side: Side = "right", rich: bool = True) -> HandRecording:
     rng = np.random.default_rng(0)
-    points = 0.02 * rng.normal(size=(frames, 21, 3))
-    points[:, 0] = 0.0
-    points[:, 9] = (0.0, 0.0, 0.095)
+    points = hand_points(frames, 0, side)
     points[3:5, 8] = np.nan
     points[5:6, 4, 1] = -0.0
     valid = rng.random((frames, 21)) > 0.02

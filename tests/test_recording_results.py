@@ -51,7 +51,7 @@ def test_stored_form(tmp_path: Path) -> None:
         forms = {name: (stored[name].dtype.str[1:], stored[name].shape) for name in stored}
         names = stored["status_names"]
         assert [str(names[code]) for code in stored["status"]] == [
-            Status(i % 4).name for i in range(6)
+            Status(i % len(Status)).name for i in range(6)
         ]
     assert forms["joint_positions"] == ("f8", (6, 3))
     assert forms["joint_names"] == ("U7", (3,))

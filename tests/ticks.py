@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 
 import numpy as np
+from made_hands import hand_points
 
 from smooth_operator.hands.hand import Hand
 from smooth_operator.teleop.sinks.tick import Mode, Tick
@@ -13,10 +14,8 @@ from smooth_operator.types import HandFrame, JointCommand, Status
 
 
 def landmarks(number: int = 0) -> np.ndarray:
-    """A hand-sized cloud of 21 points that moves [m]."""
-    points = 0.02 * np.random.default_rng(7).normal(size=(21, 3))
-    points[0], points[9] = 0.0, (0.0, 0.0, 0.095)  # wrist and middle finger: a palm's length
-    return points + 0.01 * np.sin(0.1 * number)
+    """A hand that moves [m]."""
+    return hand_points(1, 7)[0] + 0.01 * np.sin(0.1 * number)
 
 
 def make_tick(
