@@ -90,7 +90,9 @@ def frame_step(method: Method, alignment: AlignmentConfig) -> Step:
     ) -> tuple[RetargetState, FrameResult]:
         frame = align_frame(method, alignment, landmarks, valid)
         after, output = method.step(state.method, frame.aligned, ticks)
-        return _kept(state, frame, RetargetState(after, output.q), output.tracking_loss)
+        return _kept(
+            state, frame, RetargetState(after, output.q), jnp.asarray(output.tracking_loss)
+        )
 
     return step
 
@@ -102,7 +104,7 @@ def _kept(
     solved = jnp.isfinite(kept.q).all()
     status = jnp.where((frame.status == Status.OK) & ~solved, Status.SOLVER_FAILED, frame.status)
     state = jax.tree.map(lambda new, old: jnp.where(status == Status.OK, new, old), kept, state)
-    return state, FrameResult(state.q, status, jnp.asarray(loss), frame.scale)
+    return state, FrameResult(state.q, status, loss, frame.scale)
 
 
 def frame_program(method: Method, alignment: AlignmentConfig, compiling: Compiling) -> Program:
