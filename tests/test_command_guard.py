@@ -28,7 +28,7 @@ class Play:
         self.guard = CommandGuard(
             bound, GuardSettings(**{"approach": 50.0, "speed": 50.0, **settings})
         )
-        self.guard.start(np.array([start]))
+        self.guard.start(Reading(np.array([start])))
 
     def step(self, wanted: float, at: float, current: float = 0.0) -> float:
         """The command where this is asked for, and the actuator is there and pulls so."""

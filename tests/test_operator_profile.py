@@ -227,11 +227,22 @@ def test_every_method_is_driven_by_the_corrected_hand(
     _, seen = corrected(hand, frames.landmarks, operator)
     plain = Retargeter(hand, method=method)
     config = method_config(method).with_operator(operator)
-    driven = Retargeter(hand, config=config).run(frames)[0].joint_positions
+    driven = Retargeter(hand, config=config)
     # The palm's landmarks are the robot's frame already, so this hand is not aligned any further.
-    by_hand, _ = plain.run(replace(frames, landmarks=seen))
-    assert np.abs(driven - plain.run(frames)[0].joint_positions).max() > 1e-3
-    np.testing.assert_allclose(driven, by_hand.joint_positions, atol=0.02)
+    by_hand = list(replace(frames, landmarks=seen))
+    # Both go on from one state: in a first frame `smooth` searches for a basin, and which of two it
+    # takes may depend on the last bits of the landmarks, and on the release of JAX.
+    start, _ = plain.step(plain.init(), by_hand[0])
+    states = [start, start, start]
+    apart = []
+    for frame, same in zip(list(frames)[1:], by_hand[1:], strict=True):
+        pairs = zip((driven, plain, plain), states, (frame, same, frame), strict=True)
+        steps = [retargeter.step(state, seen) for retargeter, state, seen in pairs]
+        states = [state for state, _ in steps]
+        ours, theirs, uncorrected = (result.command.positions for _, result in steps)
+        np.testing.assert_allclose(ours, theirs, atol=0.02)
+        apart.append(np.abs(ours - uncorrected).max())
+    assert max(apart) > 1e-3
 
 
 def test_latches_close_at_the_operators_distances(hand: Hand) -> None:

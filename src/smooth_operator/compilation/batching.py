@@ -142,7 +142,9 @@ class LaneProgram:
 
                 def solved() -> tuple[RetargetState, Array]:
                     after, output = jax.vmap(method.step)(*work)
-                    return RetargetState(after, output.q), jnp.asarray(output.tracking_loss)
+                    return RetargetState(after, output.q), jnp.asarray(
+                        output.tracking_loss, jnp.float32
+                    )
 
                 after, loss = lax.cond(
                     active.any(), solved, lambda: (state, jnp.zeros(lanes, jnp.float32))

@@ -16,11 +16,9 @@ from smooth_operator.human.alignment import (
     MIN_CONDITION,
     AlignmentConfig,
     palm_alignment,
-    palm_range,
     reference_landmarks,
 )
 from smooth_operator.human.palm_axes import human_palm_axes
-from smooth_operator.io.anatomy import implausible
 from smooth_operator.methods.method import Compiling, HostMethod, Method
 from smooth_operator.methods.one_array import Joined, joined, joins, parted
 from smooth_operator.types import Status
@@ -92,8 +90,9 @@ def frame_step(method: Method, alignment: AlignmentConfig) -> Step:
     ) -> tuple[RetargetState, FrameResult]:
         frame = align_frame(method, alignment, landmarks, valid)
         after, output = method.step(state.method, frame.aligned, ticks)
-        loss = jnp.asarray(output.tracking_loss)
-        return _kept(state, frame, RetargetState(after, output.q), loss)
+        return _kept(
+            state, frame, RetargetState(after, output.q), jnp.asarray(output.tracking_loss)
+        )
 
     return step
 
@@ -180,15 +179,10 @@ def align_frame(
     safe = jnp.where(present, known, jnp.asarray(reference_landmarks(hand), landmarks.dtype))
     palm = palm_alignment(safe, hand, alignment)
     well_posed = palm.condition >= MIN_CONDITION  # False for NaN
-    odd = implausible(landmarks, finite, palm_range(hand))
     status = jnp.where(
         ~present,
         Status.INVALID_LANDMARKS,
-        jnp.where(
-            ~well_posed,
-            Status.DEGENERATE_PALM,
-            jnp.where(odd, Status.IMPLAUSIBLE_HAND, Status.OK),
-        ),
+        jnp.where(~well_posed, Status.DEGENERATE_PALM, Status.OK),
     )
     aligned = palm.apply(safe)
     if operator is not None:

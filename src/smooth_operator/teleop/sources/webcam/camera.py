@@ -18,6 +18,12 @@ from smooth_operator.errors import MissingExtraError, SourceError
 RETRY_S: Final = 1.0
 """Pause between attempts to open a camera again [s]."""
 
+_INSTALL: Final = {
+    "linux": "It needs libraries of the system: sudo apt install libgl1 libglib2.0-0 libxcb1 "
+    "(Debian, Ubuntu), or an OpenCV without windows, see docs/how-to/webcam.md"
+}
+"""System -> what OpenCV needs there."""
+
 # OpenCV comes without types that mypy may rely on.
 Capture: TypeAlias = Any
 
@@ -182,17 +188,10 @@ def opencv() -> Any:
         for name in [name for name in sys.modules if name.partition(".")[0] == "cv2"]:
             del sys.modules[name]
         vars(sys).pop("OpenCV_LOADER", None)
-        raise SourceError(f"OpenCV can't be loaded: {error}. {_libraries()}") from error
+        advice = _INSTALL.get(
+            sys.platform,
+            "Install it again: python -m pip install --force-reinstall opencv-contrib-python",
+        )
+        raise SourceError(f"OpenCV can't be loaded: {error}. {advice}") from error
     getattr(cv2.utils, "logging", cv2).setLogLevel(0)  # moved there in OpenCV 5; 0 is silent
     return cv2
-
-
-def _libraries() -> str:
-    """What to install for OpenCV's sake."""
-    system: str = sys.platform  # a plain name: mypy reads no platform into it
-    if system.startswith("linux"):
-        return (
-            "It needs libraries of the system: sudo apt install libgl1 libglib2.0-0 libxcb1 "
-            "(Debian, Ubuntu), or an OpenCV without windows, see docs/how-to/webcam.md"
-        )
-    return "Install it again: python -m pip install --force-reinstall opencv-contrib-python"
