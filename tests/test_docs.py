@@ -211,3 +211,12 @@ def test_blocks_are_found_in_order_and_skipped_where_marked() -> None:
 def test_a_mark_skips_only_the_next_block() -> None:
     text = f"{SKIP}\n```python\na\n```\n```python\nb\n```\n"
     assert [code for _, code in python_blocks(text)] == ["b"]
+
+
+@pytest.mark.parametrize(
+    "page", [*PAGES, *(PROJECT / "packages").glob("*/README.md")], ids=lambda page: str(page)
+)
+def test_pages_install_from_the_clone(page: Path) -> None:
+    """None of the distributions is published; whoever takes a name could install anything."""
+    published = r"pip install\b[^\n`]*(?<![./\w])(smooth[-_](retargeting|operator)(?!-\*\.whl)|lerobot_\w+)"
+    assert re.findall(published, page.read_text(encoding="utf-8")) == []
