@@ -30,7 +30,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns:
         The exit status: 0 done, 1 done but for some recordings or cells (a folder, a benchmark),
         2 the user can mend it (the reason is on standard error), 130 stopped by Ctrl-C or another
-        ending signal, 141 nobody reads standard output any more.
+        ending signal, 141 after standard output was closed.
 
     Raises:
         SmoothOperatorError: what would have been a message, with ``--debug`` or
@@ -66,7 +66,7 @@ def program() -> int:
             thread.join()
     atexit._run_exitfuncs()
     for stream in (sys.stdout, sys.stderr):
-        with contextlib.suppress(OSError, ValueError):  # nobody reads it any more
+        with contextlib.suppress(OSError, ValueError):  # its reader is gone
             stream.flush()
     os._exit(status)
 

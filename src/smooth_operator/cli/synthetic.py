@@ -11,8 +11,8 @@ def synthetic_operator(options: Synthetic, seed: int, side: Side = "right") -> S
     """The operator with the side, rate and tracker of the options.
 
     Args:
-        options: of the command.
-        seed: of its movements and its tracker's errors.
+        options: the command's options.
+        seed: random seed of its movements and its tracker's errors.
         side: where the options name none.
 
     Raises:

@@ -168,7 +168,7 @@ def _warn(problem: str) -> None:
 def remove_foreign(folder: Path) -> None:
     """Removes files of a folder for machine code that another user can have written.
 
-    For a reader that opens them by itself: nobody can exchange them in a closed folder.
+    For a reader that opens them by itself: no other user can exchange them in a closed folder.
 
     Raises:
         OSError: one can't be removed.

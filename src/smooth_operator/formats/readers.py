@@ -241,10 +241,10 @@ def _find_landmarks(arrays: StoredArrays, side: Side | None) -> StoredArray:
     if "" in arrays:
         return arrays[""]
     if not named and hands:
-        asked = [name for name in hands if side in (None, _FINGERS_OF[name])] or hands
-        if len(asked) > 1:
+        names = [name for name in hands if side in (None, _FINGERS_OF[name])] or hands
+        if len(names) > 1:
             raise RecordingError(f"{path}: it holds both hands; say --side right or --side left")
-        return arrays[asked[0]]
+        return arrays[names[0]]
     if len(named) == 1:
         return named[0]
     if len(named) > 1:

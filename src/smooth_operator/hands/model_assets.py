@@ -119,9 +119,9 @@ class _Reader:
         pending = [(root, 1.0)]
         while pending:
             element, times = pending.pop()
-            made = _copies(element)
+            copies = _copies(element)
             body = element.tag in ("body", "link", "composite", "flexcomp")
-            document.count += times * (BODY * made if body else 1)
+            document.count += times * (BODY * copies if body else 1)
             self.check(document.count)
             self._check_room(element)
             for key in _FILES:
@@ -129,7 +129,7 @@ class _Reader:
                     self._name(element, name, path, times)
             if element.tag == "attach":
                 document.inner.append((element.get("model", ""), times))
-            pending += [(child, times * made) for child in reversed(element)]
+            pending += [(child, times * copies) for child in reversed(element)]
 
     def total(self, path: Path, above: tuple[Path, ...]) -> float:
         """How much is in a document, and in what it includes and attaches."""

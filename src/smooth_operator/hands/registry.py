@@ -149,10 +149,10 @@ def load_hand(
         spec = spec if side is None or as_side(side) == spec.side else spec.mirrored
     else:
         entry = find_hand(hand)
-        wanted = as_side(side or entry.default_side)
+        chosen = as_side(side or entry.default_side)
         if entry.builtin and fingers is None:
-            return _load_builtin(hand, wanted)
-        spec = entry.spec(wanted)
+            return _load_builtin(hand, chosen)
+        spec = entry.spec(chosen)
     return load_hand_spec(spec if fingers is None else select_fingers(spec, fingers))
 
 

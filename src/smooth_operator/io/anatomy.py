@@ -368,17 +368,17 @@ class HandCheck:
 
 
 def _other_order(points: Float[np.ndarray, "T 21 3"], layout: str | None) -> Doubt | None:
-    """Which other order fits far better than the one that was said, or that none fits."""
-    said = layout_order(layout)
+    """Which other order fits far better than the one that was stated, or that none fits."""
+    stated = layout_order(layout)
     apart = np.linalg.norm(points[:, :, None] - points[:, None], axis=-1)
     lengths = np.median(apart, axis=0)
-    if lengths.max() < 1e-9:  # no hand was in view, which is said elsewhere
+    if lengths.max() < 1e-9:  # no hand was in view, which the status says
         return None
-    orders = np.vstack([said, _ORDERS])
+    orders = np.vstack([stated, _ORDERS])
     misfits = _misfits(lengths[orders[:, _PAIRS[:, 0]], orders[:, _PAIRS[:, 1]]])
     best = int(np.argmin(misfits))
     if misfits[best] > _FITS or misfits[0] - misfits[best] <= MISFIT:
-        if misfits[0] <= NO_HAND and keeps_lengths(points[:, said]):
+        if misfits[0] <= NO_HAND and keeps_lengths(points[:, stated]):
             return None
         return Doubt(
             "by the lengths between them the points are no hand, in this order or in any other "
@@ -392,9 +392,9 @@ def _other_order(points: Float[np.ndarray, "T 21 3"], layout: str | None) -> Dou
         looks = f"the points come in the order {_described(order)}"
     else:
         looks = f"the points are in the order {name!r} ({_described(order)})"
-    was = next((name for name, named in LAYOUTS.items() if named == said), "said")
+    was = next((name for name, named in LAYOUTS.items() if named == stated), "given")
     return Doubt(
-        f"by the lengths between them {looks}, not in {was!r} ({_described(said)})", name, order
+        f"by the lengths between them {looks}, not in {was!r} ({_described(stated)})", name, order
     )
 
 

@@ -73,14 +73,14 @@ def joined(tree: Any) -> Float[Array, " n"]:
 def parted(like: Made, joined: Float[Array, " n"] | Float[np.ndarray, " n"]) -> Made:
     """A tree like another, of arrays from ``joined``."""
     leaves, structure = jax.tree.flatten(like)
-    found, done, xp = [], 0, array_namespace(joined)
+    parts, done, xp = [], 0, array_namespace(joined)
     for leaf in leaves:
         shape = np.shape(leaf)
-        taken = joined[done : done + math.prod(shape)].reshape(shape)
-        found.append(_as(taken, jax.dtypes.canonicalize_dtype(jnp.result_type(leaf)), xp))
+        values = joined[done : done + math.prod(shape)].reshape(shape)
+        parts.append(_as(values, jax.dtypes.canonicalize_dtype(jnp.result_type(leaf)), xp))
         done += math.prod(shape)
-    made: Made = jax.tree.unflatten(structure, found)
-    return made
+    tree: Made = jax.tree.unflatten(structure, parts)
+    return tree
 
 
 def _as(part: Any, kind: Any, xp: ModuleType) -> Any:

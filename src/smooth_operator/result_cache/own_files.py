@@ -32,10 +32,10 @@ def make_private(folder: Path) -> None:
 
 
 def folder_problem(folder: Path) -> str:
-    """Who else can change what is in a folder, and what to do; empty if nobody can.
+    """Who else can change what is in a folder, and what to do; empty if no other user can.
 
-    Looked at from the root down: once a folder is known to be closed, nobody can exchange what the
-    next look is at. Links in the path are followed first.
+    Looked at from the root down: once a folder is known to be closed, no other user can exchange
+    what the next look is at. Links in the path are followed first.
 
     Raises:
         OSError: the folder, or one above it, can't be looked at.
@@ -62,7 +62,7 @@ def file_problem(status: os.stat_result, most_bytes: int, secret: bool = False) 
     """Why a file is not used; empty if it is this user's own, plain, and not too long.
 
     Args:
-        status: of the file that was opened (``os.fstat``), or of one in a closed folder.
+        status: status of the file that was opened (``os.fstat``), or of one in a closed folder.
         most_bytes: how long it may be.
         secret: others may not read it, either.
     """
@@ -82,7 +82,7 @@ def read_own_file(path: Path, most_bytes: int, secret: bool = False) -> bytes:
     """The content of a file of this user; links are not followed, and a pipe is not waited for.
 
     Args:
-        path: of the file.
+        path: the file's path.
         most_bytes, secret: see ``file_problem``.
 
     Raises:

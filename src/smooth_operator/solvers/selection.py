@@ -45,10 +45,10 @@ def largest(
     # More than there are places for: values in an unlikely order, or many equal ones. A loop of one
     # turn or none, and no branch: ``vmap`` would work out both sides of a branch.
     more = (so_far[-1] > len(place)).astype(jnp.int32)
-    found: tuple[Array, Array] = lax.fori_loop(
-        0, more, lambda _, found: _by_heap(values, count), (ordered, index[position])
+    best: tuple[Array, Array] = lax.fori_loop(
+        0, more, lambda _, best: _by_heap(values, count), (ordered, index[position])
     )
-    return found
+    return best
 
 
 def _by_heap(values: Array, count: int) -> tuple[Array, Array]:

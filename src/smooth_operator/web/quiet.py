@@ -15,7 +15,7 @@ def quiet_options(name: str) -> dict[str, Any]:
     it into the operator's terminal.
 
     Args:
-        name: of the logger, to which a program may add a handler.
+        name: the logger's name, to which a program may add a handler.
     """
     from websockets.asyncio.server import ServerConnection
 

@@ -92,7 +92,7 @@ class Settings:
         data: folder of the judge's recordings; without it, trackers with faults alone.
         rates: frames a second [Hz].
         seconds: length of each of the operator's recordings [s].
-        seed: of the operator and the tracker.
+        seed: random seed of the operator and the tracker.
         hand: the robot hand.
         output: JSON file; Markdown stands next to it.
     """
@@ -108,17 +108,18 @@ class Settings:
 def faulty(fault: Fault, rate_hz: float, seconds: float, seed: int) -> HandRecording:
     """The built-in operator, with a moving wrist, behind a tracker with a fault."""
     wrist = WristMotion(0.1, 0.4, seed=seed)
-    made = SyntheticOperator(seed=seed, rate_hz=rate_hz, speed=2.0, wrist=wrist).record(seconds)
+    operator = SyntheticOperator(seed=seed, rate_hz=rate_hz, speed=2.0, wrist=wrist)
+    recording = operator.record(seconds)
     rng = np.random.default_rng(seed)
-    points = bent(made.landmarks, fault.bend, rng)
+    points = bent(recording.landmarks, fault.bend, rng)
     points += rng.normal(0.0, 1.0, points.shape) * fault.noise
-    points *= 1 + fault.drift * np.sin(2 * np.pi * made.stamps / 5)[:, None, None]
+    points *= 1 + fault.drift * np.sin(2 * np.pi * recording.stamps / 5)[:, None, None]
     if fault.quantum:
         points = np.round(points / fault.quantum) * fault.quantum
     if fault.flip_every:
         some = points[fault.flip_every - 1 :: fault.flip_every]
         some[:] = some[:, :1] + (some - some[:, :1]) * [-1, 1, 1]
-    return HandRecording(points, made.stamps, side=made.side, name=made.name)
+    return HandRecording(points, recording.stamps, side=recording.side, name=recording.name)
 
 
 def bent(
@@ -173,8 +174,8 @@ def recordings(settings: Settings) -> Iterator[tuple[str, HandRecording]]:
     """
     for name, fault in FAULTS.items():
         for rate in settings.rates:
-            made = faulty(fault, rate, settings.seconds, settings.seed)
-            yield f"{name}, {rate:g} Hz", made
+            recording = faulty(fault, rate, settings.seconds, settings.seed)
+            yield f"{name}, {rate:g} Hz", recording
     if settings.data is not None:
         files = (*FILES[:2], *FILES[3:], "wilor_workspace_21x3.npz@30hz")
         for source in load_sources([parse_request(f"{settings.data}/{name}") for name in files]):

@@ -35,7 +35,7 @@ class SettingsWatch:
 
     Args:
         device: the hand.
-        names: of its actuators, for messages.
+        names: the actuators' names, for messages.
 
     Attributes:
         warnings: settings that the hand did not take as they were written, a few words each.
