@@ -38,6 +38,11 @@ NAMES = (
     "ability_hand", "allegro_hand", "inspire_hand", "leap_hand", "mimic_p050", "orca_v2",
     "schunk_svh", "shadow_dexee", "shadow_hand", "wuji_hand",
 )  # fmt: skip
+EVERY_RUN = ("inspire_hand", "leap_hand", "mimic_p050", "shadow_hand")
+"""Hands of each run of the tests: coupled joints, four fingers, mirrored, a model for each side."""
+HANDS = [
+    pytest.param(name, marks=[] if name in EVERY_RUN else pytest.mark.weekly) for name in NAMES
+]
 SIDES = ("right", "left")
 METHODS = ("sbr", "smooth", "dexpilot", "ako", "keyvector", "hybrid", "joint_angle", "geort")
 MIRRORED = ("mimic_p050", "orca_v2", "shadow_dexee", "wuji_hand")
@@ -199,7 +204,7 @@ def test_all_methods_are_in_the_matrix() -> None:
 
 
 @pytest.mark.parametrize("side", SIDES)
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", HANDS)
 def test_every_method_moves_the_hand_as_a_hand_can(matrix: Matrix, name: str, side: str) -> None:
     hand, runs = load_hand(name, side), matrix[name, side]
     assert {*runs} == {*methods_of(name, side)}
@@ -221,7 +226,7 @@ def test_every_method_moves_the_hand_as_a_hand_can(matrix: Matrix, name: str, si
 
 
 @pytest.mark.parametrize("side", SIDES)
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", HANDS)
 def test_no_method_freezes_the_hand(matrix: Matrix, name: str, side: str) -> None:
     hand = load_hand(name, side)
     for method, run in matrix[name, side].items():
@@ -231,7 +236,7 @@ def test_no_method_freezes_the_hand(matrix: Matrix, name: str, side: str) -> Non
 
 
 @pytest.mark.parametrize("side", SIDES)
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", HANDS)
 def test_fingertips_follow(matrix: Matrix, name: str, side: str) -> None:
     for method, run in matrix[name, side].items():
         floor = LOWER.get((name, method), FLOORS[method])
@@ -241,7 +246,7 @@ def test_fingertips_follow(matrix: Matrix, name: str, side: str) -> None:
         assert cosine > floor, (method, cosine, floor)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", HANDS)
 def test_the_two_sides_are_alike(matrix: Matrix, name: str) -> None:
     """A mirrored hand gives the same joints; one with a left model of its own follows as well."""
     right, left = matrix[name, "right"], matrix[name, "left"]
@@ -254,7 +259,7 @@ def test_the_two_sides_are_alike(matrix: Matrix, name: str) -> None:
             assert a == pytest.approx(b, abs=0.05), method
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", HANDS)
 def test_geort_without_a_model_says_how_to_train_one(name: str) -> None:
     if built_in_model(name) is None:
         with pytest.raises(ConfigError, match=rf"no built-in GeoRT model for hand '{name}'.*train"):

@@ -8,6 +8,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from smooth_operator.lab.paper import docs_tables
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -54,6 +56,7 @@ def _unnumbered(text: str) -> str:
     return re.sub(r"[\d.,]+", "#", text)
 
 
+@pytest.mark.weekly
 def test_the_whole_set_runs_and_is_not_computed_twice(tmp_path: Path) -> None:
     folder = tmp_path / "quick"
     told, progress = quickly(folder, "paper")
