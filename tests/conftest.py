@@ -50,6 +50,9 @@ def _set_up_environment() -> None:
 _set_up_environment()
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # as `nohup pytest &` starts it
     signal.signal(signal.SIGINT, signal.default_int_handler)
+for name in ("SIGHUP", "SIGQUIT"):  # ignored in the same way; commands that tests end inherit that
+    if (number := getattr(signal, name, None)) and signal.getsignal(number) == signal.SIG_IGN:
+        signal.signal(number, signal.SIG_DFL)
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 

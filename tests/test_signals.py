@@ -22,6 +22,7 @@ from live_time import until
 from smooth_operator import signals
 from smooth_operator.signals import ENDING, ended_by_signals
 from smooth_operator.synthetic import SyntheticOperator
+from smooth_operator.teleop.control.terminal_keys import keys
 from smooth_operator.teleop.recording import read_log
 
 LONG_S = 120.0
@@ -228,6 +229,20 @@ def test_a_clean_up_of_an_outer_block_is_not_cut_off_either() -> None:
         assert quits == [0]
         outer.quit = None
         signal.raise_signal(signal.SIGTERM)
+
+
+@posix
+def test_keys_end_with_their_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Reading a closed terminal returns immediately: the thread would take a whole core."""
+    ours, theirs = os.openpty()
+    with open(theirs, encoding="utf-8") as stdin:
+        monkeypatch.setattr(sys, "stdin", stdin)
+        with keys({}) as listening:
+            assert listening
+            thread = next(t for t in threading.enumerate() if t.name == "keys")
+            os.close(ours)
+            thread.join(LONG_S)
+            assert not thread.is_alive()
 
 
 def test_a_loop_is_asked_to_quit() -> None:

@@ -21,6 +21,7 @@ import conftest
 from smooth_operator.hands.registry import hand_names
 print(sorted(hand_names()))
 print(signal.getsignal(signal.SIGINT) is signal.default_int_handler)
+print(os.name == "nt" or signal.getsignal(signal.SIGHUP) is signal.SIG_DFL)
 """
 
 
@@ -32,9 +33,11 @@ def probe(folder: Path, ignore_interrupt: bool) -> list[str]:
     outside = {k: v for k, v in os.environ.items() if not k.startswith("SMOOTH_OPERATOR_")}
     homes = dict.fromkeys(("HOME", "USERPROFILE", "XDG_CONFIG_HOME", "APPDATA"), str(folder))
     switch = {"SMOOTH_OPERATOR_HANDS": str(hands)}
-    before = signal.getsignal(signal.SIGINT)
+    numbers = [signal.SIGINT, *([] if os.name == "nt" else [signal.SIGHUP])]
+    before = [signal.getsignal(number) for number in numbers]
     if ignore_interrupt:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # a child inherits it, as under nohup
+        for number in numbers:
+            signal.signal(number, signal.SIG_IGN)  # a child inherits it, as under nohup
     try:
         done = subprocess.run(
             [sys.executable, "-c", PROBE, str(TESTS)],
@@ -44,7 +47,8 @@ def probe(folder: Path, ignore_interrupt: bool) -> list[str]:
             check=True,
         )
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in zip(numbers, before, strict=True):
+            signal.signal(number, handler)
     return done.stdout.splitlines()
 
 
@@ -55,7 +59,7 @@ def test_the_users_hands_are_not_among_the_tests_hands(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGINT that is inherited as ignored")
 def test_ctrl_c_is_heard_where_the_run_was_started_with_it_ignored(tmp_path: Path) -> None:
-    assert probe(tmp_path, ignore_interrupt=True)[1] == "True"
+    assert probe(tmp_path, ignore_interrupt=True)[1:] == ["True", "True"]
 
 
 def test_long_files_run_first(tmp_path: Path) -> None:

@@ -28,9 +28,12 @@ def keys(actions: Mapping[str, Callable[[], None]]) -> Iterator[bool]:
         return
     done = threading.Event()
 
-    def listen(read: Callable[[float], str]) -> None:
+    def listen(read: Callable[[float], str | None]) -> None:
         while not done.is_set():
-            for key in read(0.1):
+            pressed = read(0.1)
+            if pressed is None:
+                return
+            for key in pressed:
                 try:
                     actions.get(key, _nothing)()
                 except Exception as error:  # the next key may be a stop
@@ -51,12 +54,13 @@ def _nothing() -> None:
 
 
 @contextlib.contextmanager
-def _reader() -> Iterator[Callable[[float], str]]:
-    """How to wait a while for keys; the terminal hands them over one by one meanwhile."""
+def _reader() -> Iterator[Callable[[float], str | None]]:
+    """How to wait a while for keys; the terminal hands them over one by one meanwhile. None where
+    the terminal was closed."""
     if sys.platform == "win32":
         import msvcrt
 
-        def read(seconds: float) -> str:
+        def read(seconds: float) -> str | None:
             end = time.monotonic() + seconds
             while time.monotonic() < end:
                 if msvcrt.kbhit():
@@ -77,9 +81,17 @@ def _reader() -> Iterator[Callable[[float], str]]:
         terminal = sys.stdin.fileno()
         before = termios.tcgetattr(terminal)
 
-        def read(seconds: float) -> str:
+        def read(seconds: float) -> str | None:
             ready, _, _ = select.select([terminal], [], [], seconds)
-            pressed = os.read(terminal, 64).decode(errors="ignore") if ready else ""
+            if not ready:
+                return ""
+            try:
+                data = os.read(terminal, 64)
+            except OSError:
+                return None
+            if not data:
+                return None  # read again at a closed terminal, it would return immediately
+            pressed = data.decode(errors="ignore")
             before_escape, escape, _ = pressed.partition("\x1b")
             return before_escape + escape
 
