@@ -17,7 +17,7 @@ from discovery_hands import make_hand, urdf
 from fuzzing import ReaderProcess
 
 from smooth_operator import Retargeter, load_hand
-from smooth_operator.cli.app import main
+from smooth_operator.cli import main
 from smooth_operator.errors import HandModelError, RecordingError
 from smooth_operator.hand_files.model_files import copy_model, model_files
 from smooth_operator.hand_files.stand_ins import stand_in_note, stand_ins

@@ -101,6 +101,7 @@ class _Reader:
     model: Path
     documents: dict[Path, _Document] = field(default_factory=dict)
     models: dict[str, Path] = field(default_factory=dict)
+    listings: dict[Path, dict[str, str]] = field(default_factory=dict)  # read once for all names
     assets: dict[str, Path] = field(default_factory=dict)
     names: dict[str, None] = field(default_factory=dict)
     folders: dict[Path, None] = field(default_factory=dict)
@@ -186,7 +187,7 @@ class _Reader:
 
     def find(self, name: str) -> None:
         """Adds the file of that name to the assets, if it is there."""
-        for place in _places(name, self.model, self.folders):
+        for place in _places(name, self.model, self.folders, self.listings):
             if self._is_plain(place, name):
                 if place.stat().st_size <= MOST_MESH_BYTES:
                     self.assets[name] = Path(os.path.normpath(place))
@@ -208,7 +209,9 @@ class _Reader:
         return True
 
 
-def _places(name: str, model: Path, folders: Iterable[Path]) -> Iterator[Path]:
+def _places(
+    name: str, model: Path, folders: Iterable[Path], listings: dict[Path, dict[str, str]]
+) -> Iterator[Path]:
     """Where a file may be, likeliest first.
 
     That is where MuJoCo looks for it; then the end of its path, the longest first, in the folders
@@ -228,7 +231,6 @@ def _places(name: str, model: Path, folders: Iterable[Path]) -> Iterator[Path]:
             above = model.parents if len(parts) - k > 1 else model.parents[:_NEAR]
             near += [(folder, os.path.join(*parts[k:])) for folder in above]
     yield from (folder / text for folder, text in near)
-    listings: dict[Path, dict[str, str]] = {}
     for folder, text in near:
         if (spelled := _spelled(folder, text, listings)) is not None:
             yield spelled
