@@ -65,7 +65,7 @@ WINGS = {"teleop": 8, "lab": 8, "study": 8}
 LEVELS = CORE | SHARED | WINGS | {"cli": 9, "__main__": 9}
 """Top-level module -> level, as ``docs/explanation/architecture.md`` lists them."""
 
-CORE_LINES = 12_400
+CORE_LINES = 12_500
 """Lines that everyone needs at most: the core grows only on purpose."""
 
 MAX_LINES = 700

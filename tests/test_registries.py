@@ -131,7 +131,9 @@ def test_a_broken_plugin_is_an_error_only_where_it_is_asked_for(
 
 
 def test_a_hand_of_ones_own_is_named_by_its_module() -> None:
-    hand = load_hand(f"{__name__}:SPEC")
+    own = load_hand(f"{__name__}:SPEC")
+    assert (own.name, own.spec.side, own.spec.mirror) == ("allegro_hand", "left", False)
+    hand = load_hand(f"{__name__}:SPEC", "right")
     assert (hand.name, hand.spec.side, hand.spec.mirror) == ("allegro_hand", "right", True)
     assert hand.actuated == load_hand("allegro_hand").actuated
 

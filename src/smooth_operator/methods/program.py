@@ -16,9 +16,11 @@ from smooth_operator.human.alignment import (
     MIN_CONDITION,
     AlignmentConfig,
     palm_alignment,
+    palm_range,
     reference_landmarks,
 )
 from smooth_operator.human.palm_axes import human_palm_axes
+from smooth_operator.io.anatomy import implausible
 from smooth_operator.methods.method import Compiling, HostMethod, Method
 from smooth_operator.methods.one_array import Joined, joined, joins, parted
 from smooth_operator.types import Status
@@ -179,10 +181,15 @@ def align_frame(
     safe = jnp.where(present, known, jnp.asarray(reference_landmarks(hand), landmarks.dtype))
     palm = palm_alignment(safe, hand, alignment)
     well_posed = palm.condition >= MIN_CONDITION  # False for NaN
+    odd = implausible(landmarks, finite, palm_range(hand))
     status = jnp.where(
         ~present,
         Status.INVALID_LANDMARKS,
-        jnp.where(~well_posed, Status.DEGENERATE_PALM, Status.OK),
+        jnp.where(
+            ~well_posed,
+            Status.DEGENERATE_PALM,
+            jnp.where(odd, Status.IMPLAUSIBLE_HAND, Status.OK),
+        ),
     )
     aligned = palm.apply(safe)
     if operator is not None:
