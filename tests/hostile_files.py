@@ -24,6 +24,7 @@ from discovery_hands import make_hand, mjcf, urdf
 from made_hands import hand_points
 
 from smooth_operator.formats.episode import Episode
+from smooth_operator.landmarks import FROM_MANUS_25, METACARPALS_MANUS_25
 from smooth_operator.types import CommandTrajectory, HandRecording, JointCommand, Status
 
 FRAMES = 12
@@ -169,8 +170,8 @@ def _npz(**arrays: Any) -> bytes:
 def _manus() -> bytes:
     data = np.zeros((FRAMES, 25, 7), np.float32)
     data[..., 3] = 1.0
-    data[..., :3] = 0.02 * np.random.default_rng(1).normal(size=(FRAMES, 25, 3))
-    data[:, 0, :3], data[:, 11, :3] = 0.0, (0.0, 0.0, 0.095)
+    data[:, METACARPALS_MANUS_25, :3] = 0.01
+    data[:, FROM_MANUS_25, :3] = hand_points(FRAMES, seed=1)
     return _npz(
         data=data, timestamps=0.01 * np.arange(FRAMES), keypoint_ids=np.arange(25),
         chirality="right", quaternion_order="wxyz", glove_ids=np.array([7]),
