@@ -45,10 +45,10 @@ def largest(
     # More than there are places for: values in an unlikely order, or many equal ones. A loop of one
     # turn or none, and no branch: ``vmap`` would work out both sides of a branch.
     more = (so_far[-1] > len(place)).astype(jnp.int32)
-    smallest: tuple[Array, Array] = lax.fori_loop(
-        0, more, lambda _, smallest: _by_heap(values, count), (ordered, index[position])
+    largest: tuple[Array, Array] = lax.fori_loop(
+        0, more, lambda _, largest: _by_heap(values, count), (ordered, index[position])
     )
-    return smallest
+    return largest
 
 
 def _by_heap(values: Array, count: int) -> tuple[Array, Array]:
