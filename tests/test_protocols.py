@@ -13,11 +13,12 @@ from typing import Any, ClassVar
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from made_hands import hand_points
 
 import smooth_operator
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.human.alignment import AlignmentConfig, reference_landmarks
+from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.methods.method import HostMethod, Method, MethodConfig, MethodOutput
 from smooth_operator.methods.presets import PRESETS, method_config
 from smooth_operator.methods.registry import COLORS, METHODS
@@ -195,7 +196,7 @@ MIRROR = MirrorConfig()
 def test_a_method_of_ones_own_needs_only_what_is_abstract() -> None:
     retargeter = Retargeter("allegro_hand", method=f"{__name__}:MIRROR")
     low, high = retargeter.hand.limits.T
-    points = reference_landmarks(retargeter.hand)
+    points = hand_points(1)[0]
     for stamp in (3.0, 5.25, 8.5):
         result = retargeter(HandFrame(points, stamp))
         assert result.status == Status.OK

@@ -233,9 +233,9 @@ class HandWorker:
         except Exception as error:  # reaches the loop with its next command
             self._error = error if isinstance(error, SinkError) else _described(error)
         finally:
-            self._opened.set()
             self.state = self.reading = None
-            self._close()
+            self._close()  # before `start` returns: who tries again finds the bus free
+            self._opened.set()
 
     def _lose(self, error: Exception) -> None:
         """The device is gone: say so, and wait before it is opened again."""
