@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from smooth_operator.errors import ConfigError, MissingExtraError, WorkerError, install_command
-from smooth_operator.parallel import TaskResult, cluster, run_tasks, usable_cores
+from smooth_operator.parallel import TaskResult, cluster, run_groups, run_tasks, usable_cores
 
 needs_signals = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGKILL")
 
@@ -133,7 +133,7 @@ def test_what_goes_wrong_with_one_touches_no_other(workers: int) -> None:
             assert result.value is None
             assert (result.error or "").startswith(reason)
             assert "\n" not in (result.error or "")
-        assert result.attempts == (2 if task == "die" else 1)
+        assert result.attempts == 2 if task == "die" else result.attempts <= 2
 
 
 def test_a_task_that_can_not_be_sent() -> None:
@@ -147,7 +147,8 @@ def test_a_task_that_can_not_be_sent() -> None:
 def test_a_death_costs_an_attempt_and_nothing_else(tmp_path: Path) -> None:
     tasks = [tmp_path / name for name in "abcde"]
     results = by_index(run_tasks(die_at_first, tasks, workers=2))
-    assert [(r.value, r.error, r.attempts) for r in results] == [("alive", None, 2)] * 5
+    assert [(r.value, r.error) for r in results] == [("alive", None)] * 5
+    assert all(2 <= r.attempts <= 3 for r in results)  # what was in hand is started again too
 
 
 @needs_signals
@@ -160,7 +161,7 @@ def test_a_kill_from_outside_is_survived() -> None:
     results += running
     assert sorted(result.index for result in results) == list(range(6))
     assert all(result.error is None for result in results)
-    assert sum(result.attempts for result in results) == 7
+    assert 7 <= sum(result.attempts for result in results) <= 8
 
 
 def test_closing_stops_the_workers(tmp_path: Path) -> None:
@@ -342,7 +343,7 @@ def test_workers_that_do_not_start_say_why(
     assert reason in message
     assert len(message) < 500
     assert (GUARD in message) == (code == UNGUARDED)
-    assert done.stderr.count(written) >= 4  # of each that died
+    assert done.stderr.count(written) >= 2  # of each that died
 
 
 def test_without_ray_the_message_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -354,12 +355,13 @@ def test_without_ray_the_message_says_how_to_get_it(monkeypatch: pytest.MonkeyPa
 def test_ray_is_the_pool(tmp_path: Path) -> None:
     pytest.importorskip("ray", reason="needs ray: pip install 'smooth-retargeting[cluster]'")
     marker = tmp_path / "marker"
-    tasks: list[Any] = ["a", "raise", marker, "own error", "b"]
+    tasks: list[Any] = ["a", "raise", marker, "own error", "die"]
     before = print, sys.excepthook, signal.getsignal(signal.SIGTERM)
     results = by_index(run_tasks(on_ray, tasks, workers=2, cluster="local"))
     assert before == (print, sys.excepthook, signal.getsignal(signal.SIGTERM))
-    assert [r.value for r in results] == ["a", None, "alive", None, "b"]
-    assert [r.attempts for r in results] == [1, 1, 2, 1, 1]
+    assert [r.value for r in results] == ["a", None, "alive", None, None]
+    assert [r.attempts for r in results] == [1, 1, 2, 1, 3]
+    assert (results[4].error or "").startswith("WorkerDied: the process that worked on it died 3")
     assert results[1].error == "ValueError: the first line and the second"
     assert (results[3].error or "").startswith("MissingExtraError: this needs")
 
@@ -397,3 +399,23 @@ def test_a_cluster_that_is_not_there() -> None:
     pytest.importorskip("ray", reason="needs ray: pip install 'smooth-retargeting[cluster]'")
     with pytest.raises(WorkerError, match="can't reach the Ray cluster 'nobody:1'"):
         next(run_tasks(square, [1.0], cluster="nobody:1"))
+
+
+def total(group: tuple[Any, ...]) -> int:
+    if "die" in group:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return len(group)
+
+
+@needs_signals
+def test_a_group_at_which_workers_die_is_split() -> None:
+    groups = [("a", "b"), ("c", "die", "d"), ("e",)]
+    results = run_groups(total, groups, lambda g: [(part,) for part in g], workers=2, retries=0)
+    values = {group: (result.value, (result.error or "")[:10]) for group, result in results}
+    assert values == {
+        ("a", "b"): (2, ""),
+        ("e",): (1, ""),
+        ("c",): (1, ""),
+        ("die",): (None, "WorkerDied"),
+        ("d",): (1, ""),
+    }
