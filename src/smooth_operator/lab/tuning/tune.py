@@ -13,10 +13,11 @@ from pathlib import Path
 from typing import Any, Final, TypeAlias
 
 from smooth_operator.atomic_files import output_error, write_json
-from smooth_operator.errors import ConfigError, OutputError
+from smooth_operator.errors import ConfigError, DocumentError, OutputError
 from smooth_operator.formats.environment import environment
 from smooth_operator.formats.jsonable import to_json
 from smooth_operator.formats.preset_file import PresetFile
+from smooth_operator.io.documents import parse_json
 from smooth_operator.lab.benchmark.cells import benchmark_code
 from smooth_operator.lab.tuning.pareto import save_pareto
 from smooth_operator.lab.tuning.preset_writer import write_preset_file
@@ -119,8 +120,15 @@ def _journal(path: Path) -> Iterator[Any]:
         whole = content.rfind(b"\n") + 1
         if whole < len(content):  # a killed process leaves half a line
             os.truncate(path, whole)
+        if not all("op_code" in parse_json(line) for line in content[:whole].splitlines()):
+            raise DocumentError("it is no journal of Optuna")
     except OSError as error:
         raise output_error(path, error) from error
+    except (DocumentError, TypeError) as error:
+        raise OutputError(
+            f"{path} holds something other than trials: give another folder with --output, or "
+            "remove the file"
+        ) from error
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
         optuna.logging.set_verbosity(optuna.logging.ERROR)
@@ -129,11 +137,6 @@ def _journal(path: Path) -> Iterator[Any]:
             storage = optuna.storages.JournalStorage(backend)
         except OSError as error:
             raise output_error(path, error) from error
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
-            raise OutputError(
-                f"{path} holds something other than trials: give another folder with --output, or "
-                "remove the file"
-            ) from error
         yield storage
 
 
@@ -168,7 +171,8 @@ class _Search:
             trials = self._study.get_trials(deepcopy=False)
             count = sum(trial.state != states.WAITING for trial in trials)
             running = [trial.number for trial in trials if trial.state == states.RUNNING]
-            end = self._batch_end(count)
+            # A batch that a stopped run had begun is finished before the next one is asked for.
+            end = self._batch_end(min(running, default=count))
             if count >= total and not running:
                 return
             if not trials:
