@@ -9,7 +9,6 @@ import builtins
 import contextlib
 import logging
 import os
-import pickle
 import signal
 import socket
 import sys
@@ -118,7 +117,7 @@ def _results(
                 batch_size=None, batch_format="pyarrow", prefetch_batches=0
             ):
                 for row in batch.to_pylist():
-                    answer = pickle.loads(row["answer"])
+                    answer = ForkingPickler.loads(row["answer"])
                     yield TaskResult(row["index"], *answer, row["attempts"])
         except ray.exceptions.RayError as error:
             raise WorkerError(f"the cluster gave up: {describe(error)[:2000]}") from error
@@ -160,7 +159,8 @@ class Worker:
             started = ray.get(self._starts.count.remote(index))
             if started > self._retries + 1:
                 started = self._retries + 1
-                answers.append(pickle.dumps((None, death(started, "on the cluster"), 0.0)))
+                failure = (None, death(started, "on the cluster"), 0.0)
+                answers.append(bytes(ForkingPickler.dumps(failure)))
             else:
                 answers.append(packed_answer(self._function, raw))
             attempts.append(started)

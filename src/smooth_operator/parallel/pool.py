@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import pickle
 import signal
 import sys
 import tempfile
@@ -294,7 +293,7 @@ def _in_pool(pool: PersistentPool[T, R], tasks: Sequence[T]) -> Generator[TaskRe
 def _answer(future: Future[bytes]) -> tuple[Any, str | None, float]:
     """Value, error and seconds."""
     try:
-        value, error, seconds = pickle.loads(future.result())
+        value, error, seconds = ForkingPickler.loads(future.result())
     except Exception as failure:
         return None, f"the result can't be read: {describe(failure)}", 0.0
     return value, error, seconds
@@ -426,7 +425,7 @@ def _begin(function: bytes, started: Any) -> None:
         signal.signal(signal.SIGALRM, _stop)
     threading.Thread(target=_die_with_parent, daemon=True).start()
     with one_thread(os.getpid()) as start_threads:
-        _function = pickle.loads(function)
+        _function = ForkingPickler.loads(function)
         start_threads()
     started.set()
 

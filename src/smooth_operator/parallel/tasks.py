@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import pickle
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -56,12 +55,12 @@ def timed(function: Callable[[T], R], task: T) -> tuple[R | None, str | None, fl
 
 def packed_answer(function: Callable[[Any], Any], raw: bytes) -> bytes:
     """Pickled value, error and seconds of a pickled task, in a worker."""
-    answer = timed(lambda _: function(pickle.loads(raw)), None)
+    answer = timed(lambda _: function(ForkingPickler.loads(raw)), None)
     try:
         return bytes(ForkingPickler.dumps(answer))
     except Exception as error:
         reason = f"the result can't be sent back: {describe(error)}"
-        return pickle.dumps((None, reason, answer[2]))
+        return bytes(ForkingPickler.dumps((None, reason, answer[2])))
 
 
 def describe(error: BaseException) -> str:
