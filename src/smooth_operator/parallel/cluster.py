@@ -92,8 +92,8 @@ def _results(
     for index, task in enumerate(tasks):
         try:
             rows.append({"index": index, "task": bytes(ForkingPickler.dumps(task))})
-        except Exception as error:
-            yield TaskResult(index, None, f"the task can't be sent: {describe(error)}", 0.0, 1)
+        except Exception as failure:
+            yield TaskResult(index, None, f"the task can't be sent: {describe(failure)}", 0.0, 1)
     if not rows:
         return
     with connected(ray, cluster, workers), _data_context(ray):
@@ -117,10 +117,10 @@ def _results(
                 batch_size=None, batch_format="pyarrow", prefetch_batches=0
             ):
                 for row in batch.to_pylist():
-                    answer = ForkingPickler.loads(row["answer"])
-                    yield TaskResult(row["index"], *answer, row["attempts"])
-        except ray.exceptions.RayError as error:
-            raise WorkerError(f"the cluster gave up: {describe(error)[:2000]}") from error
+                    value, error, seconds = ForkingPickler.loads(row["answer"])
+                    yield TaskResult(row["index"], value, error, seconds, row["attempts"])
+        except ray.exceptions.RayError as failure:
+            raise WorkerError(f"the cluster gave up: {describe(failure)[:2000]}") from failure
 
 
 class Starts:

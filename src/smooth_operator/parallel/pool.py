@@ -208,8 +208,8 @@ class PersistentPool(Generic[T, R]):
                     running.clear()
                     self.close()
                     if len(lost) == 1 and attempts[lost[0]] > self._retries:
-                        error = death(attempts[lost[0]], "" if pool is None else pool.exit())
-                        yield TaskResult(lost[0], None, error, 0.0, attempts[lost[0]])
+                        cause = death(attempts[lost[0]], "" if pool is None else pool.exit())
+                        yield TaskResult(lost[0], None, cause, 0.0, attempts[lost[0]])
                     else:
                         for index in lost:
                             yield self._alone(index, tasks[index], attempts[index])
