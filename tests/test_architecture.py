@@ -20,7 +20,6 @@ ROOT = "__init__"
 CORE = {
     "errors": 0,
     "lazy_names": 0,
-    "moved_names": 0,
     "version": 1,
     "landmarks": 0,
     "geometry": 0,

@@ -272,7 +272,7 @@ def test_the_reach_is_that_of_the_joints_that_the_networks_command(
     q = np.tile(shared.neutral, (2000, 1))
     for finger, joint in ((0, 0), (1, 2)):  # t2 moves both fingers and stays at neutral
         q[:, joint] = np.linspace(low[joint], high[joint], len(q))
-        path = shared.tips(shared.expand(q))[:, finger]
+        path = shared.tips(shared.full_configuration(q))[:, finger]
         tips = data.reach[finger].T[::16]
         away = np.linalg.norm(tips[:, None] - path[None], axis=-1).min(axis=1)
         assert away.max() < 1e-4

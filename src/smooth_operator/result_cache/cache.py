@@ -147,8 +147,7 @@ class ArrayCache(ResultCache):
         if "key" not in arrays:
             raise DocumentError("it has no key")
         key = arrays.pop("key")
-        code = arrays.pop("code", np.array(""))  # an earlier version had both in one text
-        return {"key": str(key), "code": str(code)}, arrays
+        return {"key": str(key), "code": str(arrays.pop("code", ""))}, arrays
 
     def _write(
         self, path: Path, record: Mapping[str, str], value: Mapping[str, np.ndarray]

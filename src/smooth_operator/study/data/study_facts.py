@@ -73,7 +73,7 @@ def _flow(plan: Plan, operators: list[Mapping[str, Any]], trials: Any) -> Flow:
     )
     undone: Counter[str] = Counter()
     for one in operators:
-        undone.update(one["undone"] if "undone" in one else _undone(one, conditions))
+        undone.update(one["undone"])
     amended = Counter(str(row["retargeter"]) for row in trials if row.get("amended"))
     return Flow(
         logged=True,
@@ -104,17 +104,6 @@ def _each(
 
 def _started(one: Mapping[str, Any]) -> bool:
     return any(event["kind"] == _START for event in one.get("events", ()))
-
-
-def _undone(one: Mapping[str, Any], conditions: Mapping[Any, str]) -> Iterator[str]:
-    """Conditions of undone events, from the log of an older export."""
-    events = {event["number"]: event for event in one.get("events", ())}
-    for event in events.values():
-        if event["kind"] == "undone" and event["fields"]["number"] in events:
-            taken = events[event["fields"]["number"]]["fields"]
-            where = (str(one["operator"]), taken.get("task"), taken.get("block"))
-            if where in conditions:
-                yield conditions[where]
 
 
 def _answers(one: Mapping[str, Any]) -> dict[str, Any]:

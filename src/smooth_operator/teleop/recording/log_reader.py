@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.errors import UPGRADE, DocumentError, RecordingError, brief, listed
+from smooth_operator.errors import UPGRADE, RecordingError, brief, listed
 from smooth_operator.formats.arm_track import ArmTrack
 from smooth_operator.formats.checks import check_side
 from smooth_operator.formats.registry import readable
@@ -19,7 +19,6 @@ from smooth_operator.formats.sniff import file_kind
 from smooth_operator.formats.states import StateTrajectory
 from smooth_operator.formats.wrist_track import WristTrack
 from smooth_operator.io.documents import parse_json
-from smooth_operator.teleop.recording.log_json import json_row
 from smooth_operator.teleop.recording.log_protobuf import protobuf_rows
 from smooth_operator.teleop.recording.log_records import (
     DamagedError,
@@ -42,7 +41,6 @@ from smooth_operator.teleop.recording.schemas import (
     COMMAND,
     CONFIG,
     HAND,
-    JSON_VERSIONS,
     LOOP,
     METHOD,
     ORIGIN,
@@ -117,7 +115,6 @@ def read_log(path: str | os.PathLike[str]) -> Log:
 
     The file is read from the front, so that one whose end is missing (a crash, a full disk) gives
     every chunk that was completed. Landmarks come back bit for bit, NaN where they were not finite.
-    Logs of versions 1 and 2, whose messages are JSON, are read as well.
 
     Args:
         path: the log.
@@ -126,7 +123,7 @@ def read_log(path: str | os.PathLike[str]) -> Log:
         What it holds; units are not checked here (``read_recording`` does).
 
     Raises:
-        RecordingError: no such file, not an MCAP log, one of another program or a newer version, or
+        RecordingError: no such file, not an MCAP log, one of another program or version, or
             messages that can't be understood.
     """
     path = Path(path)
@@ -185,22 +182,22 @@ def count_log_frames(path: Path) -> int | None:
 def _read_tables(path: Path) -> tuple[dict[str, Table], _Notes, bool]:
     """The messages by topic, the metadata, and whether the end of the file is missing."""
     tables = {topic: Table(fields) for topic, fields in READ.items()}
-    versions: dict[int, tuple[str, str]] = {}  # topic and version of a channel
+    topics: dict[int, str] = {}  # of the channels of this program
     foreign: set[str] = set()
     notes: _Notes = []
     truncated = False
     try:
-        for record in read_records(path, versions):
+        for record in read_records(path, topics):
             if isinstance(record, Channel):
-                if (version := _version(record, path)) is not None:
-                    versions[record.id] = record.topic, version
+                if _is_ours(record, path):
+                    topics[record.id] = record.topic
                 else:
-                    versions.pop(record.id, None)
+                    topics.pop(record.id, None)
                     foreign.add(record.topic)
             elif isinstance(record, Metadata):
                 notes.append((record.name, dict(record.metadata)))
-            elif record.channel in versions:
-                _take(tables, record, *versions[record.channel], path)
+            elif record.channel in topics:
+                _take(tables[topics[record.channel]], record, topics[record.channel], path)
     except DamagedError:
         truncated = True
     except OSError as error:
@@ -213,40 +210,28 @@ def _read_tables(path: Path) -> tuple[dict[str, Table], _Notes, bool]:
     return tables, notes, truncated
 
 
-def _version(channel: Channel, path: Path) -> str | None:
-    """The version of the messages of a channel; None where they are not of this program."""
+def _is_ours(channel: Channel, path: Path) -> bool:
+    """True if the messages of a channel are of this program, False if of another one.
+
+    Raises:
+        RecordingError: they are of another version.
+    """
     version = channel.metadata.get("version")
     if channel.topic not in SCHEMAS or version is None:
-        return None
-    if version != VERSION and version not in JSON_VERSIONS:
+        return False
+    if version != VERSION:
         raise RecordingError(
-            f"{path}: the log is of version {version[:20]}, this program reads up to version "
-            f"{VERSION}; upgrade it: {UPGRADE}"
+            f"{path}: the log is of version {version[:20]}, this program reads version "
+            f"{VERSION}; if a newer version wrote it, upgrade: {UPGRADE}"
         )
-    return str(version)
+    return True
 
 
-def _take(
-    tables: dict[str, Table], found: LogMessages, topic: str, version: str, path: Path
-) -> None:
-    """Put messages into the table of their topic."""
-    table = tables[topic]
+def _take(table: Table, messages: LogMessages, topic: str, path: Path) -> None:
+    """Adds messages to the table of their topic."""
     try:
-        if version == VERSION:
-            table.rows += protobuf_rows(found.data, topic)
-            table.numbers += found.numbers
-            return
-        for number, data in zip(found.numbers, found.data, strict=True):
-            row, status = json_row(data, topic)
-            table.rows.append(row)
-            table.numbers.append(number)
-            if status is not None and version == "1":
-                tables[STATUS].rows.append((status,))
-                tables[STATUS].numbers.append(number)
-    except DocumentError as error:
-        raise RecordingError(
-            f"{path}: a message on {topic} is not JSON ({error}); copy or record it again"
-        ) from error
+        table.rows += protobuf_rows(messages.data, topic)
+        table.numbers += messages.numbers
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise _not_ours(path, error) from error
 

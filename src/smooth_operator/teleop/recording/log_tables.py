@@ -1,4 +1,4 @@
-"""The messages of one topic as columns, whatever they were encoded in."""
+"""The messages of one topic as columns."""
 
 from __future__ import annotations
 

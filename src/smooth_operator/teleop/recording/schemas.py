@@ -14,10 +14,6 @@ from smooth_operator.types import Status
 VERSION: Final = "3"
 """Version of the messages, in the metadata of every channel; raised when a reader must change."""
 
-JSON_VERSIONS: Final = ("1", "2")
-"""Versions whose messages are JSON, which are read. In version 1 the status was a field of the
-command."""
-
 HAND: Final = "/hand"
 COMMAND: Final = "/command"
 STATUS: Final = "/status"
