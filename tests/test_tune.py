@@ -23,11 +23,11 @@ from smooth_operator.lab.benchmark.recordings import Source, load_sources, parse
 from smooth_operator.lab.tuning import Tuned, TuningSettings, plan_tuning, tune
 from smooth_operator.lab.tuning.held_out import check_held_out
 from smooth_operator.lab.tuning.pareto import front
-from smooth_operator.lab.tuning.preset_writer import write_preset_file
 from smooth_operator.lab.tuning.score import Bound, Scoring
 from smooth_operator.lab.tuning.search import search
 from smooth_operator.lab.tuning.traced import TracedRun
 from smooth_operator.lab.tuning.trial_log import Trial, TrialLog
+from smooth_operator.lab.tuning.tune import write_preset_file
 from smooth_operator.lab.tuning.variables import parse_variable, values_at
 from smooth_operator.methods.presets import PRESETS, SBR_REALTIME, method_config
 from smooth_operator.methods.retargeter import Retargeter

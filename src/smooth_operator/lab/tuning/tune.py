@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
 import numpy as np
 
-from smooth_operator.atomic_files import write_json
-from smooth_operator.errors import ConfigError
+from smooth_operator.atomic_files import atomic_write, write_json
+from smooth_operator.errors import ConfigError, DocumentError
 from smooth_operator.formats.environment import environment
-from smooth_operator.formats.preset_file import PresetFile
+from smooth_operator.formats.preset_file import FORMAT, PresetFile
+from smooth_operator.formats.toml_writer import toml_key, toml_value
 from smooth_operator.lab.benchmark.cells import benchmark_code
 from smooth_operator.lab.tuning.pareto import save_pareto
-from smooth_operator.lab.tuning.preset_writer import write_preset_file
 from smooth_operator.lab.tuning.score import figure
 from smooth_operator.lab.tuning.search import search
 from smooth_operator.lab.tuning.search_plan import COMMAND, Tuning
@@ -210,3 +210,25 @@ def _write(todo: Tuning, run: _Run) -> Tuned:
 
 def _kept(metrics: Mapping[str, Any]) -> dict[str, float | None]:
     return {name: figure(metrics, name) for name in KEPT}
+
+
+def write_preset_file(path: Path, preset: PresetFile) -> None:
+    """Writes a preset file, whole or not at all.
+
+    Raises:
+        OutputError: it can't be written.
+        ConfigError: ``made`` holds what TOML can't.
+    """
+    top = {"format": FORMAT, "method": preset.method, "base": preset.base}
+    try:
+        lines = [*_rows(top), "", "[settings]", *_rows(preset.settings)]
+        if preset.made:
+            lines += ["", "[made]", *_rows(preset.made)]
+    except DocumentError as error:
+        raise ConfigError(f"{path}: {error}") from error
+    with atomic_write(path) as file:
+        file.write("\n".join([*lines, ""]).encode())
+
+
+def _rows(table: Mapping[str, Any]) -> Iterator[str]:
+    return (f"{toml_key(name)} = {toml_value(value)}" for name, value in table.items())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterator, Mapping
 from importlib.resources import files
@@ -11,6 +10,7 @@ from typing import Any, Final
 
 from smooth_operator.atomic_files import atomic_write, output_error
 from smooth_operator.errors import ConfigError
+from smooth_operator.formats.toml_writer import toml_value
 from smooth_operator.hands.user_folder import user_hands_folder
 from smooth_operator.io.entries import Entries, read_entries
 from smooth_operator.teleop.hardware.actuator_map import Actuator, ActuatorMap
@@ -189,38 +189,25 @@ def _lines(table: ActuatorMap, comment: str) -> Iterator[str]:
     yield f"format = {FORMAT}"
     for name in ("driver", "hand", "side", "unit", "source"):
         if value := getattr(table, name):
-            yield f"{name} = {_toml(value)}"
+            yield f"{name} = {toml_value(value)}"
     if table.limit is not None:
-        yield f"limit = {_toml(table.limit)}"
+        yield f"limit = {toml_value(table.limit)}"
     for name in ("rate", "on_silence", "on_stop", "on_end", "hot"):
-        yield f"{name} = {_toml(getattr(table, name))}"
+        yield f"{name} = {toml_value(getattr(table, name))}"
     if table.settings:
-        yield f"settings = {_toml(table.settings)}"
+        yield f"settings = {toml_value(table.settings)}"
     for actuator in table.actuators:
         yield "\n[[actuators]]"
-        yield f"name = {_toml(actuator.name)}"
+        yield f"name = {toml_value(actuator.name)}"
         if actuator.id is not None:
             yield f"id = {actuator.id}"
         if list(actuator.joints.values()) == [1.0]:
-            yield f"joint = {_toml(next(iter(actuator.joints)))}"
+            yield f"joint = {toml_value(next(iter(actuator.joints)))}"
         else:
-            yield f"joints = {_toml(actuator.joints)}"
-        yield f"points = {_toml(actuator.points)} # [rad, {table.unit}]"
-        yield f"ends = {_toml(actuator.ends)}"
+            yield f"joints = {toml_value(actuator.joints)}"
+        yield f"points = {toml_value(actuator.points)} # [rad, {table.unit}]"
+        yield f"ends = {toml_value(actuator.ends)}"
         if actuator.limit is not None:
-            yield f"limit = {_toml(actuator.limit)}"
+            yield f"limit = {toml_value(actuator.limit)}"
         if actuator.settings:
-            yield f"settings = {_toml(actuator.settings)}"
-
-
-def _toml(value: Any) -> str:
-    """A value of a table as TOML; texts are quoted as in JSON, which TOML reads alike."""
-    if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{_toml(str(k))} = {_toml(v)}" for k, v in value.items()) + " }"
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(_toml(each) for each in value) + "]"
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False)
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    return repr(float(value)) if isinstance(value, float) else str(int(value))
+            yield f"settings = {toml_value(actuator.settings)}"
