@@ -361,7 +361,7 @@ def test_view_finds_the_frames_and_refuses_another_recording(
     arguments = (*TINY, "--frames", "7:19", "--output", out)
     assert run("retarget", glove, *arguments)[0] == 0
     pages = []
-    monkeypatch.setattr("smooth_operator.cli.view.serve", lambda page, **_: pages.append(page))
+    monkeypatch.setattr("smooth_operator.teleop.pages.serve", lambda page, **_: pages.append(page))
     status, _, err = run("view", out, glove)
     assert status == 0, err
     ((page,),) = pages

@@ -650,7 +650,6 @@ def run(
     hand: Hand, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> Iterator[Callable[..., tuple[int, str]]]:
     """Runs a command for the quick hand: exit status and standard error."""
-    import smooth_operator.cli.train as command
 
     def quick(**chosen: int) -> GeortTraining:
         return replace(TINY, **chosen)  # type: ignore[arg-type]
@@ -661,11 +660,11 @@ def run(
         key = (data.digest, settings.epochs, settings.seed)
         return made.setdefault(key, GeortTrainer(hand, data, settings))
 
-    monkeypatch.setattr(command, "GeortTrainer", compiled_once)
+    monkeypatch.setattr("smooth_operator.lab.training.GeortTrainer", compiled_once)
     monkeypatch.setenv("SMOOTH_OPERATOR_CACHE", "off")
     monkeypatch.delenv("SMOOTH_OPERATOR_DEBUG", raising=False)
-    monkeypatch.setattr(command, "load_hand", lambda name, side: hand)
-    monkeypatch.setattr(command, "GeortTraining", quick)
+    monkeypatch.setattr("smooth_operator.hands.registry.load_hand", lambda name, side: hand)
+    monkeypatch.setattr("smooth_operator.lab.training.GeortTraining", quick)
 
     def call(*arguments: object) -> tuple[int, str]:
         capfd.readouterr()

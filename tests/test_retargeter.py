@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from trees import limited_poses, pincer, random_rotations
 
-from smooth_operator.cli.retarget_options import Retarget
+from smooth_operator.cli.retarget import Retarget
 from smooth_operator.cli.teleop_options import Teleop
 from smooth_operator.errors import ConfigError, RecordingError, UnknownNameError
 from smooth_operator.hands.hand import Hand

@@ -23,22 +23,13 @@ _BOXED = re.compile(r"\s*(\x1b\[[0-9;]*m)*[╭│╰|+]")
 
 
 def unwrapped(text: str) -> str:
-    """A text whose paragraphs are a line each; what is indented stays as it is.
+    """A text whose paragraphs are a line each; indented lines stay as they are.
 
-    tyro joins lines that begin with a letter to those before, indented ones too; an empty line
-    keeps a paragraph apart from what was indented.
+    tyro joins a line that begins with a letter to the one before, an indented one too; an empty
+    line after an indented block keeps them apart.
     """
-    lines: list[str] = []
-    for line in text.splitlines():
-        before = lines[-1] if lines else ""
-        if before and line and not line.startswith(" "):
-            if before.startswith(" "):
-                lines.append("")
-            else:
-                lines[-1] = f"{before} {line}"
-                continue
-        lines.append(line.rstrip())
-    return "\n".join(lines)
+    joined = re.sub(r"(?m)^(\S.*)\n(?=\S)", r"\1 ", text)
+    return re.sub(r"(?m)^( .*)\n(?=\S)", r"\1\n\n", joined)
 
 
 def document(kind: type) -> None:

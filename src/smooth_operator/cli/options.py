@@ -10,27 +10,26 @@ import tyro
 
 from smooth_operator.cli.ablate_options import Ablate, Paper
 from smooth_operator.cli.bench_options import Bench
-from smooth_operator.cli.calibrate_options import Calibrate
+from smooth_operator.cli.calibrate import Calibrate
 from smooth_operator.cli.common_options import Common
-from smooth_operator.cli.convert_options import Convert
+from smooth_operator.cli.convert import Convert
 from smooth_operator.cli.dataset_options import Dataset
-from smooth_operator.cli.demo_options import Demo
+from smooth_operator.cli.demo import Demo
 from smooth_operator.cli.doctor_options import Doctor
 from smooth_operator.cli.glove_simulator_options import GloveSimulate
-from smooth_operator.cli.grammar import check_words
-from smooth_operator.cli.hands_options import Hands
+from smooth_operator.cli.hands import Hands
 from smooth_operator.cli.hardware_options import Hardware
 from smooth_operator.cli.help_text import document, wrapped_output
-from smooth_operator.cli.latency_options import Latency
-from smooth_operator.cli.retarget_options import Retarget
-from smooth_operator.cli.sample_options import Sample
+from smooth_operator.cli.latency import Latency
+from smooth_operator.cli.retarget import Retarget
+from smooth_operator.cli.sample import Sample
 from smooth_operator.cli.study_options import Study
 from smooth_operator.cli.subcommands import Group, described
 from smooth_operator.cli.teleop_options import Teleop
-from smooth_operator.cli.train_options import Train
+from smooth_operator.cli.train import Train
 from smooth_operator.cli.tune_options import Tune
-from smooth_operator.cli.view_options import View
-from smooth_operator.errors import ConfigError
+from smooth_operator.cli.view import View
+from smooth_operator.errors import ConfigError, UnknownNameError
 from smooth_operator.plugins import Entry, Registry
 
 _EXAMPLES = """Examples:
@@ -149,31 +148,37 @@ def parse(arguments: Sequence[str]) -> Command:
 
     Raises:
         SystemExit: 0 after printing help, 2 after saying what is wrong with the arguments.
-        SmoothOperatorError: there is no such command or option.
+        SmoothOperatorError: there is no such command.
     """
     name = arguments[0] if arguments else ""
     commands = _commands(name)
-    check_words(commands, arguments)
     flags = (tyro.conf.FlagCreatePairsOff,)
     for_a_shell = any(word.startswith("--tyro-") for word in arguments)  # completions
+    overview = not arguments or name in ("-h", "--help") or name.startswith("--tyro-")
+    if not overview and name.startswith("-"):
+        raise ConfigError(
+            f"{name!r} stands before the command; expected smooth-operator COMMAND [OPTIONS], and "
+            "smooth-operator --help lists the commands"
+        )
+    if not overview and name not in commands:
+        hint = "smooth-operator --help says what each does."
+        raise UnknownNameError("command", name, commands, hint)
     with contextlib.nullcontext() if for_a_shell else wrapped_output():
-        if name in commands:
-            kind: Any = commands[name]
-            document(kind)
-            chosen: Command = tyro.cli(
-                kind,
-                prog=f"smooth-operator {name}",
-                description=described(kind),
-                args=list(arguments[1:]),
+        if overview:
+            tyro.extras.subcommand_cli_from_dict(
+                commands,
+                prog="smooth-operator",
+                description=f"Retarget a tracked human hand onto a robot hand.\n\n{_EXAMPLES}",
+                args=list(arguments) or ["--help"],
                 config=flags,
             )
-            return chosen
-        # All together: for the overview.
-        tyro.extras.subcommand_cli_from_dict(
-            commands,
-            prog="smooth-operator",
-            description=f"Retarget a tracked human hand onto a robot hand.\n\n{_EXAMPLES}",
-            args=list(arguments) or ["--help"],
+        kind: Any = commands[name]
+        document(kind)
+        chosen: Command = tyro.cli(
+            kind,
+            prog=f"smooth-operator {name}",
+            description=described(kind),
+            args=list(arguments[1:]),
             config=flags,
         )
-    raise SystemExit(2)  # not reached: what names a command was parsed above
+        return chosen
