@@ -23,7 +23,7 @@ _WINGS: Final = ("teleop", "lab", "study")
 def public_names(
     package: str, file: str
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
-    """What a package needs to offer the names of its stub.
+    """``__getattr__``, ``__dir__`` and ``__all__`` of a package, from the names in its stub.
 
     Args:
         package: its ``__name__``.

@@ -118,20 +118,20 @@ def calibrate_recording(options: Calibrate) -> None:
         hand = load_hand(options.hand, options.side, fingers=fingers)
         recording, segments = ask(build_source(options.source, hand.spec.side), hand, progress)
     with progress.waiting("looking for poses"):
-        found = calibrate(recording, hand, segments, apply=apply)
+        calibration = calibrate(recording, hand, segments, apply=apply)
     content = {
         "program": PROGRAM,
         "command": "calibrate",
         "source": options.source or {"path": options.recording, "frames": options.frames},
-        **report(found, recording),
+        **report(calibration, recording),
         **environment(),
     }
     with folder_for(options.output.parent):
         with progress.waiting("drawing the report"):
-            draw_calibration(found, recording, picture)
+            draw_calibration(calibration, recording, picture)
         with atomic_write(figures) as file:
             file.write(to_json(content, indent=2).encode() + b"\n")
-        write_operator(options.output, found.operator)
+        write_operator(options.output, calibration.operator)
     progress.note(f"wrote {options.output}, {picture.name} and {figures.name}")
     if options.json:
         print(to_json(content))
@@ -159,7 +159,7 @@ def _read(options: Calibrate, progress: Progressing) -> HandRecording:
 
 
 def _check_output(output: Path) -> tuple[Path, Path]:
-    """Where the picture and the figures go.
+    """Paths of the picture and of the figures.
 
     Raises:
         OutputError: the name does not end in .json, or something other than a calibration has it.
@@ -204,10 +204,10 @@ def _print(content: dict[str, Any]) -> None:
     table = plain_table()
     for header in ("pose", "found", "sure", "note"):
         table.add_column(header)
-    for pose, found in content["poses"].items():
-        times = len(found["segments"])
-        sure = f"{found['confidence']:.2f}" if times else "–"
-        table.add_row(pose, f"{times} ×" if times else "no", sure, found["note"])
+    for pose, row in content["poses"].items():
+        times = len(row["segments"])
+        sure = f"{row['confidence']:.2f}" if times else "–"
+        table.add_row(pose, f"{times} ×" if times else "no", sure, row["note"])
     console.print(table)
     table = plain_table()
     table.add_column("finger")

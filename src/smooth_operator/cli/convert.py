@@ -51,7 +51,7 @@ Examples:
     """Recordings, results, logs, HDF5 files, LeRobot datasets, or folders of these."""
 
     output: Annotated[Path, arg(metavar="OUT")]
-    """What to write; its folder is created if missing."""
+    """File or folder to write; its parent folder is created if missing."""
 
     commands: Annotated[Path | None, arg(metavar="OUT.npz")] = None
     """Commands to add to the recording: the result of retargeting it. For several recordings
@@ -70,19 +70,19 @@ Examples:
     """Which hand; as the recording says if left out, and in a video the one seen more often."""
 
     mirrored: bool = False
-    """Of a video: it is mirrored, as selfie views are."""
+    """The video is mirrored, as selfie views are."""
 
     frames: Annotated[str | None, arg(metavar="A:B")] = None
     """Only these frames of each episode, as a Python slice: :500, 2600:3100, -500:"""
 
     task: Annotated[str | None, arg(metavar="TEXT")] = None
-    """What is being done, in words; as the input says if left out."""
+    """The task in words; as the input says if left out."""
 
     fps: Annotated[int | None, arg(metavar="N")] = None
     """Frames a second of a LeRobot dataset; the median of the recordings, rounded, if left out."""
 
     episode: Annotated[int | None, arg(metavar="N")] = None
-    """Of a LeRobot dataset only this episode."""
+    """Only this episode of a LeRobot dataset."""
 
     overwrite: bool = False
     """Replace an output that this program wrote."""
@@ -120,13 +120,13 @@ def convert(options: Convert) -> None:
         progress.note(note)
     beside = _commands_of(options.commands, sources)
     several = len(sources) > 1 or _in_folder(options)
-    said: set[str] = set()
+    reported: set[str] = set()
 
     def load(source: Source, commands: Path | None) -> Episode:
         episode = _load(source, commands, options, several)
         for note in (*episode.notes, *losses(episode, to)):
-            if note not in said:  # a dataset looks at its episodes twice
-                said.add(note)
+            if note not in reported:  # a dataset looks at its episodes twice
+                reported.add(note)
                 progress.note(note, matters=True)
         return episode
 
@@ -214,7 +214,7 @@ def _targets(options: Convert, to: Format, sources: list[Source]) -> list[Path]:
 
 
 def _in_folder(options: Convert) -> bool:
-    return any(given.is_dir() for given in options.inputs) and options.episode is None
+    return any(path.is_dir() for path in options.inputs) and options.episode is None
 
 
 def _stem(source: Source, alone: bool) -> str:
@@ -254,14 +254,14 @@ def _commands_of(commands: Path | None, sources: list[Source]) -> list[Path | No
                 "give the folder of their results, each with the name of its recording"
             )
         return [commands]
-    found = [commands / source.relative.with_suffix(".npz") for source in sources]
-    missing = [str(path) for path in found if not path.is_file()]
+    files = [commands / source.relative.with_suffix(".npz") for source in sources]
+    missing = [str(path) for path in files if not path.is_file()]
     if missing:
         raise RecordingError(
-            f"{commands}: {len(missing)} of {len(found)} recordings have no commands there, such "
+            f"{commands}: {len(missing)} of {len(files)} recordings have no commands there, such "
             f"as {missing[0]}; retarget them first: smooth-operator retarget"
         )
-    return list(found)
+    return list(files)
 
 
 def _load(source: Source, commands: Path | None, options: Convert, several: bool) -> Episode:
@@ -303,8 +303,8 @@ def _track(path: Path, options: Convert) -> Episode:
     recording = track_video(path, side=options.side, config=config)
     check_rate(recording.stamps, options.rate, str(path))
     assert recording.valid is not None  # filled in by HandRecording
-    seen = int(recording.valid.any(axis=1).sum())
-    note = f"{path}: a {recording.side} hand on {seen} of {len(recording)} pictures"
+    tracked = int(recording.valid.any(axis=1).sum())
+    note = f"{path}: a {recording.side} hand on {tracked} of {len(recording)} pictures"
     return Episode(recording, name=recording.name, notes=(note,))
 
 

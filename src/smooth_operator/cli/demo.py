@@ -56,9 +56,9 @@ def demo(options: Demo) -> None:
 
     progress = Progressing(options.quiet)
     check_demo_folder(options.output, options.overwrite)
-    asked = requested(options, side=options.side)
-    operator = synthetic_operator(options, options.seed, default_side(asked.hand))
-    todo = plan(operator.record(options.duration), asked)
+    request = requested(options, side=options.side)
+    operator = synthetic_operator(options, options.seed, default_side(request.hand))
+    todo = plan(operator.record(options.duration), request)
     if options.model is not None:
         drawn_on(todo.hand, options.model)  # what can't be drawn is said before any work
     with folder_for(options.output):

@@ -81,7 +81,7 @@ class Hands(Group):
 Each has its own help: smooth-operator hands show --help"""
 
     what: Annotated[OmitSubcommandPrefixes[What], arg(name="")]
-    """What to do."""
+    """Subcommand."""
 
 
 _SIDES: Final[tuple[Side, ...]] = ("right", "left")

@@ -91,23 +91,27 @@ def add_hand(options: Add) -> None:
 
     if options.name is not None:
         check_hand_name(options.name)
-    found = discover(
+    discovery = discover(
         options.model, side=options.side, name=options.name, overrules=_overrules(options)
     )
-    found = replace(found, spec=_named(found.spec, options), notes=(*found.notes, *_trial(found)))
-    file = user_hands_folder() / spec_name(found.spec.name, found.spec.side)
-    if not options.overwrite and file.exists() and not _same(file, found.spec):
+    discovery = replace(
+        discovery,
+        spec=_named(discovery.spec, options),
+        notes=(*discovery.notes, *_trial(discovery)),
+    )
+    file = user_hands_folder() / spec_name(discovery.spec.name, discovery.spec.side)
+    if not options.overwrite and file.exists() and not _same(file, discovery.spec):
         raise ConfigError(
-            f"there is a {found.spec.side} hand {found.spec.name!r} already, in {file}: "
+            f"there is a {discovery.spec.side} hand {discovery.spec.name!r} already, in {file}: "
             "--overwrite replaces it, --name gives another name"
         )
-    save_hand(found.spec, comment=_comment(found), copy=not options.in_place)
+    save_hand(discovery.spec, comment=_comment(discovery), copy=not options.in_place)
     used = read_hand_spec(file).model
     if options.json:
-        said = {"file": str(file), "model_used": str(used)}
-        print(json.dumps(found.to_json() | said, indent=2))
+        files = {"file": str(file), "model_used": str(used)}
+        print(json.dumps(discovery.to_json() | files, indent=2))
         return
-    _print(found, file, used)
+    _print(discovery, file, used)
     if not options.no_view:
         from smooth_operator.cli.hands_show import Show, show_hand
 
@@ -184,7 +188,7 @@ def _named(spec: HandSpec, options: Add) -> HandSpec:
 
 
 def _same(file: Path, spec: HandSpec) -> bool:
-    """Whether a spec file says the same, so that nothing is lost by writing it again."""
+    """True if a spec file has the same description, so that writing it again loses nothing."""
     from smooth_operator.hands.spec_file import read_hand_spec
 
     try:
@@ -197,37 +201,37 @@ def _same(file: Path, spec: HandSpec) -> bool:
     return same_model and replace(there, model=spec.model) == spec
 
 
-def _trial(found: Discovery) -> tuple[str, ...]:
-    """Loads the hand once, to say early what would stop it later, or what it lacks."""
+def _trial(discovery: Discovery) -> tuple[str, ...]:
+    """Notes from loading the hand once: what would stop it later, or what it lacks."""
     from smooth_operator.hand_files.stand_ins import stand_in_note
     from smooth_operator.hands.hand import load_hand_spec
 
     try:
-        hand = load_hand_spec(found.spec)
+        hand = load_hand_spec(discovery.spec)
     except SmoothOperatorError as error:
         return (f"the spec file is written, but can't be loaded yet: {error}",)
     note = stand_in_note(hand)
     return (note,) if note else ()
 
 
-def _comment(found: Discovery) -> str:
+def _comment(discovery: Discovery) -> str:
     lines = ["Written by smooth-operator hands add. What was found, and how sure (0 to 1):"]
-    for finding in found.findings:
+    for finding in discovery.findings:
         lines.append(f"{finding.confidence:.2f}  {finding.subject}: {finding.value}")
         lines += [f"        {reason}" for reason in finding.evidence]
-    return "\n".join([*lines, *(f"Note: {note}" for note in found.notes), ""])
+    return "\n".join([*lines, *(f"Note: {note}" for note in discovery.notes), ""])
 
 
-def _print(found: Discovery, file: Path, used: Path) -> None:
+def _print(discovery: Discovery, file: Path, used: Path) -> None:
     from rich.text import Text
 
     from smooth_operator.cli.console import output_console, plain_table
 
     console = output_console()
-    table = plain_table(f"{found.spec.name}, from {found.spec.model}")
+    table = plain_table(f"{discovery.spec.name}, from {discovery.spec.model}")
     for header in ("", "what", "found", "sure", "because"):
         table.add_column(header, no_wrap=header in ("", "what", "sure"))
-    for finding in found.findings:
+    for finding in discovery.findings:
         mark, style = _mark(finding.confidence)
         table.add_row(
             Text(mark, style),
@@ -241,20 +245,20 @@ def _print(found: Discovery, file: Path, used: Path) -> None:
     def say(text: str) -> None:
         console.print(text, markup=False, soft_wrap=True)
 
-    for note in found.notes:
+    for note in discovery.notes:
         say(f"Note: {note}")
-    if found.unsure:
+    if discovery.unsure:
         say("Please look at what is marked ? or !, least sure first. To overrule it, add:")
-        for finding in found.unsure:
+        for finding in discovery.unsure:
             say(f"  {finding.subject} ({finding.confidence:.2f}): {finding.overrule}")
     else:
         say("All of it is sure. To overrule any of it: --side, --palm, --thumb, --finger, --tip")
-    if used != found.spec.model:
+    if used != discovery.spec.model:
         say(
             f"Copied the model and its meshes to {used.parent}: the original may be moved or "
             "deleted; after a change to it, add it again"
         )
-    say(f"Written to {file}: edit it, or use it with --hand {found.spec.name}")
+    say(f"Written to {file}: edit it, or use it with --hand {discovery.spec.name}")
     sys.stdout.flush()
 
 

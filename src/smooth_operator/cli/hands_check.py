@@ -84,7 +84,7 @@ def check_hand_command(options: Check) -> None:
         bar.remove_task(task)
 
     with bar, healing(enable_cache()):
-        found = check_hand(
+        validation = check_hand(
             options.hand,
             options.side,
             quick=options.quick,
@@ -93,32 +93,32 @@ def check_hand_command(options: Check) -> None:
             track=track,
         )
     if options.json:
-        print(json.dumps(found.to_json(), indent=2))
+        print(json.dumps(validation.to_json(), indent=2))
     else:
-        _print(found)
+        _print(validation)
     sys.stdout.flush()
-    if not found.ok:
+    if not validation.ok:
         raise SystemExit(FAILED)
 
 
-def _print(found: HandValidation) -> None:
+def _print(validation: HandValidation) -> None:
     from rich.text import Text
 
     from smooth_operator.cli.console import output_console, plain_table
 
     console = output_console()
-    table = plain_table(f"{found.hand}, {found.side} hand")
+    table = plain_table(f"{validation.hand}, {validation.side} hand")
     for header in ("", "check", "measured", "what to do"):
         table.add_column(header, no_wrap=header in ("", "check"))
-    for check in found.checks:
+    for check in validation.checks:
         mark, style = _MARKS[check.verdict]
         table.add_row(Text(mark, style), check.name, Text(check.measured), Text(check.advice or ""))
     console.print(table)
-    count = len(found.failed)
-    warned = sum(check.verdict == "warning" for check in found.checks)
-    said = "No check failed" if not count else f"{count} check{'s' * (count > 1)} failed"
+    count = len(validation.failed)
+    warned = sum(check.verdict == "warning" for check in validation.checks)
+    summary = "No check failed" if not count else f"{count} check{'s' * (count > 1)} failed"
     if warned:
-        said += f", {warned} warning{'s' * (warned > 1)}"
+        summary += f", {warned} warning{'s' * (warned > 1)}"
     console.print(
-        f"{said}. ✓ ok  ? warning  ! failed  · measured, not judged  – not checked", markup=False
+        f"{summary}. ✓ ok  ? warning  ! failed  · measured, not judged  – not checked", markup=False
     )

@@ -77,7 +77,7 @@ def _dataclasses_in(hint: Any) -> Iterator[type]:
 
 @contextlib.contextmanager
 def wrapped_output() -> Iterator[None]:
-    """What is printed within is wrapped at the width of the terminal, boxes excepted.
+    """Wraps the text printed in the block at the width of the terminal, except boxes.
 
     tyro fits its boxes to that width, and leaves what stands above them as it is.
     """

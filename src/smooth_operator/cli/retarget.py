@@ -64,15 +64,15 @@ Examples:
     """Frames per second of a recording without time stamps [Hz]; in a folder, of those."""
 
     workers: Annotated[int | None, arg(metavar="N")] = None
-    """Of a folder: how many recordings in parallel; one per core if left out, 0 for one
-    after the other in this process."""
+    """Number of recordings of a folder in parallel; one per core if left out, 0 for one after the
+    other in this process."""
 
     cluster: Annotated[str | None, arg(metavar="auto|local|ADDRESS")] = None
-    """Of a folder: work on a running Ray cluster (auto finds it), or start Ray here (local); its
+    """Retarget a folder on a running Ray cluster (auto finds it), or start Ray here (local); its
     nodes need this package and the same folders."""
 
     overwrite: bool = False
-    """Of a folder: make again what an earlier run has finished."""
+    """Retarget recordings of a folder again that an earlier run has finished."""
 
     json: bool = False
     """Print the metrics (of a folder: the summary) as one JSON object on standard output, and
@@ -106,20 +106,20 @@ def retarget(options: Retarget) -> None:
             )
     progress = Progressing(options.quiet)
     check_commands_path(options.output, options.recording)
-    asked = requested(
+    request = requested(
         options,
         side=options.side,
         rate=options.rate,
         layout=options.layout,
         frames=options.frames,
     )
-    recording = asked.read_recording(options.recording, options.rate)
+    recording = request.read_recording(options.recording, options.rate)
     for note in reading_notes(recording, str(options.recording)):
         progress.note(note, matters=True)
     total = len(recording)
     frames = slice(0, total) if options.frames is None else frame_slice(options.frames, total)
-    todo = plan(recording[frames], asked)
-    if asked.operator is not None and (unused := todo.config.unused_components(asked.operator)):
+    todo = plan(recording[frames], request)
+    if request.operator is not None and (unused := todo.config.unused_components(request.operator)):
         progress.note(f"{todo.method} does not use {', '.join(unused)} of the operator")
     with folder_for(options.output.parent):
         outcome = execute_shown(todo, progress)
@@ -182,7 +182,7 @@ def retarget_folder(options: Retarget) -> None:
             f"can't write {str(account)!r}, the account of the run: it holds something else; give "
             "another folder, or remove it first"
         )
-    asked = checked(
+    request = checked(
         requested(
             options,
             side=options.side,
@@ -193,7 +193,7 @@ def retarget_folder(options: Retarget) -> None:
     )
     with folder_for(output), claimed(output):
         with progress.waiting(f"looking through {folder}"):
-            todo = survey(folder, output, asked, overwrite=options.overwrite)
+            todo = survey(folder, output, request, overwrite=options.overwrite)
         if not todo.jobs and not todo.settled:
             raise RecordingError(
                 f"{folder}: no recordings in it or in its folders; expected files whose names end "
@@ -201,7 +201,7 @@ def retarget_folder(options: Retarget) -> None:
                 + (f" ({todo.commands} hold commands and no hand)" if todo.commands else "")
             )
         _tell(todo, progress)
-        for note in notes(asked) if todo.jobs else ():
+        for note in notes(request) if todo.jobs else ():
             progress.note(note, matters=True)
         started = time.perf_counter()
         entries = [*todo.settled]
@@ -217,7 +217,7 @@ def retarget_folder(options: Retarget) -> None:
             "program": PROGRAM,
             "command": "retarget",
             "folder": folder,
-            "request": asked,
+            "request": request,
             "workers": options.workers,
             "cluster": options.cluster,
             **summarise(entries, time.perf_counter() - started),
@@ -258,10 +258,10 @@ def summarise(entries: Iterable[Entry], seconds: float) -> dict[str, Any]:
 
 
 def _tell(todo: Survey, progress: Progressing) -> None:
-    kept = sum(entry.state == "kept" for entry in todo.settled)
+    finished = sum(entry.state == "kept" for entry in todo.settled)
     line = f"{_count(len(todo.jobs), 'recording')} to retarget"
-    if kept:
-        line += f", {kept} done already"
+    if finished:
+        line += f", {finished} done already"
     if todo.commands:
         line += f"; passed over {_count(todo.commands, 'file')} with commands and no hand"
     progress.note(line)

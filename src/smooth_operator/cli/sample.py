@@ -71,8 +71,8 @@ def sample(options: Sample) -> None:
     recording = synthetic_operator(options, options.seed).record(options.duration)
     with folder_for(path.parent):
         write_episode(path, Episode(recording, name=path.stem))
-    said = f"{len(recording)} frames of a {recording.side} hand at {options.rate:g} Hz"
-    Progressing(options.quiet).note(f"wrote {path}: {said}")
+    content = f"{len(recording)} frames of a {recording.side} hand at {options.rate:g} Hz"
+    Progressing(options.quiet).note(f"wrote {path}: {content}")
 
 
 def synthetic_operator(options: Synthetic, seed: int, side: Side = "right") -> SyntheticOperator:

@@ -1,4 +1,4 @@
-"""What groups of subcommands share: ``smooth-operator hands``, ``smooth-operator study``."""
+"""Base class of groups of subcommands: ``smooth-operator hands``, ``smooth-operator study``."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from smooth_operator.cli.help_text import unwrapped
 
 
 def described(kind: Any) -> str:
-    """Help of a subcommand: what its class's docstring says, and its details."""
+    """Help of a subcommand: docstring and details of its class."""
     return unwrapped(f"{inspect.getdoc(kind)}\n\n{kind.details}")
 
 
@@ -20,7 +20,7 @@ class Group:
 
     @property
     def debug(self) -> bool:
-        """Whether an error shows its traceback."""
+        """True if an error shows its traceback."""
         return bool(self.what.debug)
 
     def run(self) -> None:

@@ -69,7 +69,7 @@ Examples:
     """Frames per second of recordings without time stamps [Hz]."""
 
     coverage: Literal["operator", "reach"] = "operator"
-    """What the robot's motion covers: the operator's motion, or, as published, the robot's whole
+    """Motion of the robot to cover: the operator's motion, or, as published, the robot's whole
     reach; the recording must then contain the ends of the operator's own reach."""
 
     checkpoint_every: Annotated[int, arg(metavar="EPOCHS")] = 10
@@ -152,7 +152,7 @@ def train(options: Train) -> None:
 def _recordings(
     options: Train, progress: Progressing
 ) -> tuple[list[HandRecording], list[HandRecording]]:
-    """What to train on, and what is for validation alone."""
+    """Recordings for training, and recordings for validation alone."""
     from smooth_operator.formats.checks import reading_notes
     from smooth_operator.formats.frames import frame_slice
     from smooth_operator.formats.readers import read_recording
@@ -169,7 +169,7 @@ def _recordings(
             )
         with progress.waiting("recording the synthetic operators"):
             return synthetic_recordings(options.side or default_side(options.hand), options.seed)
-    found = []
+    training = []
     for path in options.recordings:
         recording = read_recording(
             path, rate=options.rate, side=options.side, layout=options.layout
@@ -178,8 +178,8 @@ def _recordings(
             progress.note(note, matters=True)
         if options.frames is not None:
             recording = recording[frame_slice(options.frames, len(recording))]
-        found.append(recording)
-    return found, []
+        training.append(recording)
+    return training, []
 
 
 @contextlib.contextmanager

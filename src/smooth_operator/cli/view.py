@@ -171,11 +171,11 @@ def _chosen(commands: CommandTrajectory, frames: str | None) -> CommandTrajector
 
 
 def _labels(runs: Sequence[_Run]) -> list[str]:
-    """What each is called: its method, or its file where that is not known or two share one."""
-    said = [run.made_by or run.out.stem for run in runs]
+    """Label of each run: its method, or its file if the method is unknown or not unique."""
+    names = [run.made_by or run.out.stem for run in runs]
     return [
-        name if said.count(name) == 1 else f"{name} ({run.out.stem})"
-        for name, run in zip(said, runs, strict=True)
+        name if names.count(name) == 1 else f"{name} ({run.out.stem})"
+        for name, run in zip(names, runs, strict=True)
     ]
 
 

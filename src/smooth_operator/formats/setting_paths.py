@@ -36,14 +36,14 @@ def find_setting(config: object, name: str) -> str:
         UnknownNameError: there is none.
         ConfigError: more than one path ends so.
     """
-    known = numeric_settings(config)
-    if name in known:
+    settings = numeric_settings(config)
+    if name in settings:
         return name
-    matching = [path for path in known if path.endswith(f".{name}")]
+    matching = [path for path in settings if path.endswith(f".{name}")]
     if len(matching) > 1:
         raise ConfigError(f"{name!r} is the end of several settings: {', '.join(matching)}")
     if not matching:
-        raise UnknownNameError("setting", name, known)
+        raise UnknownNameError("setting", name, settings)
     return matching[0]
 
 
@@ -58,11 +58,11 @@ def with_settings(config: C, values: Mapping[str, float | int]) -> C:
         UnknownNameError: there is no such setting.
         ConfigError: a value can't be, alone or together with the others.
     """
-    known = numeric_settings(config)
+    settings = numeric_settings(config)
     for path in values:
-        if path not in known:
-            raise UnknownNameError("setting", path, known)
-    whole = {path for path, value in known.items() if isinstance(value, int)}
+        if path not in settings:
+            raise UnknownNameError("setting", path, settings)
+    whole = {path for path, value in settings.items() if isinstance(value, int)}
     for path in whole & values.keys():
         most = MOST_SEED if path.endswith("seed") else MOST_WHOLE
         if not abs(values[path]) <= most:  # NaN too

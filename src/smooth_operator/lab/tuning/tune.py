@@ -47,7 +47,7 @@ KEPT: Final = (
 
 @dataclass(frozen=True, eq=False)
 class Tuned:
-    """What came of a search.
+    """Result of a search.
 
     Attributes:
         values: path -> value of the best trial.
@@ -112,7 +112,7 @@ def tune(
 
 
 class _Run:
-    """What is known so far."""
+    """Trials of a search so far, and their scores."""
 
     def __init__(self, todo: Tuning, log: TrialLog, progress: Progress) -> None:
         self.todo, self.log, self.progress = todo, log, progress
@@ -128,7 +128,7 @@ class _Run:
     def scores(
         self, pool: PersistentPool[TrialTask, Any], batch: Sequence[np.ndarray]
     ) -> list[float]:
-        """Of some points; those that fail have infinity."""
+        """Scores of some points; infinity for those that fail."""
         todo = self.todo
         every = [values_at(todo.variables, point) for point in batch]
         if not self.trials:  # to the last digit where the search begins
@@ -143,8 +143,8 @@ class _Run:
             if fresh:
                 best = self.best
                 self.progress(self.done, math.inf if best is None else best[0], trial.reason)
-        known = [trial for trial in trials if trial is not None]  # all of them
-        return [self._scored(known[once.index(values)]) for values in every]
+        complete = [trial for trial in trials if trial is not None]  # all of them
+        return [self._scored(complete[once.index(values)]) for values in every]
 
     def _scored(self, trial: Trial) -> float:
         if not self.trials:

@@ -40,20 +40,20 @@ _EACH: Final = (
 
 
 def user_tables_folder() -> Path:
-    """Where the user's tables are, ``NAME_SIDE.toml``; it need not exist."""
+    """Folder of the user's tables, ``NAME_SIDE.toml``; it need not exist."""
     return user_hands_folder() / "hardware"
 
 
 def built_in_tables() -> Path:
-    """Where the tables are that come with the program."""
+    """Folder of the tables that come with the program."""
     return Path(str(files("smooth_operator.teleop.hardware"))) / "tables"
 
 
-def find_table(wanted: str, driver: str, side: Side) -> Path:
-    """The table that a driver is to use.
+def find_table(request: str, driver: str, side: Side) -> Path:
+    """Path of the table that a driver uses.
 
     Args:
-        wanted: a path, ending in ``.toml``; or a name; or empty for the driver's name. A user's
+        request: a path, ending in ``.toml``; or a name; or empty for the driver's name. A user's
             table of that name goes before the built-in one.
         driver: name of the driver.
         side: of the hand.
@@ -61,9 +61,9 @@ def find_table(wanted: str, driver: str, side: Side) -> Path:
     Raises:
         ConfigError: there is none.
     """
-    if wanted.endswith(".toml"):
-        return Path(wanted).expanduser()
-    name = f"{wanted or driver}_{side}.toml"
+    if request.endswith(".toml"):
+        return Path(request).expanduser()
+    name = f"{request or driver}_{side}.toml"
     for folder in (user_tables_folder(), built_in_tables()):
         if (folder / name).is_file():
             return folder / name
@@ -78,12 +78,12 @@ def find_table(wanted: str, driver: str, side: Side) -> Path:
 def list_tables() -> list[Path]:
     """All tables that can be named, the user's first; a built-in one that it replaces is left
     out."""
-    found: dict[str, Path] = {}
+    tables: dict[str, Path] = {}
     for folder in (user_tables_folder(), built_in_tables()):
         if folder.is_dir():
             for path in sorted(folder.glob("*_*.toml")):
-                found.setdefault(path.name, path)
-    return list(found.values())
+                tables.setdefault(path.name, path)
+    return list(tables.values())
 
 
 def read_table(path: Path) -> ActuatorMap:
