@@ -35,7 +35,7 @@ from smooth_operator.study.store.events import (
     Undone,
     Withdrawn,
 )
-from smooth_operator.study.store.export import export_study, study_json
+from smooth_operator.study.store.export import export_study
 from smooth_operator.study.store.opening import open_study
 from smooth_operator.study.store.schema import export_schema
 from smooth_operator.study.store.study_store import StudyStore
@@ -134,26 +134,6 @@ def test_the_tables_of_an_export_bring_the_plan_with_them(exported: Path) -> Non
     alone = read_study([exported / "study.json"])
     assert alone.flow == data.flow
     assert alone.trials.duration.tolist() == data.trials.duration.tolist()
-
-
-def test_an_older_export_still_opens(study: Path) -> None:
-    """Before withdrawals, forms and the rest: undone and void trials are found in the log."""
-    with open_study(study) as store:
-        content = study_json(store)
-    for one in content["operators"]:
-        for key in ("withdrawn", "replaces", "forms", "ranking", "pauses", "recalibrations",
-                    "ended_early", "amendments", "undone"):  # fmt: skip
-            del one[key]
-        for trial in one["voided"]:
-            del trial["retargeter"]
-    for trial in content["trials"]:
-        del trial["place"], trial["amended"]
-    for key in ("primary", "margins"):
-        content["study"].pop(key, None)
-    flow = (data := read_study([], texts=[("old", json.dumps(content))])).flow
-    assert sum(flow.voids.values()) == sum(flow.undone.values()) == 1
-    assert data.plan is not None
-    assert data.plan.primary == ""
 
 
 # Who is analysed.

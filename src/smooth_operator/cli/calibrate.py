@@ -15,6 +15,7 @@ from smooth_operator.methods.default import DEFAULT_METHOD
 if TYPE_CHECKING:
     from smooth_operator.calibration.segments import Segment
     from smooth_operator.cli.console import Progressing
+    from smooth_operator.human.operator import Component
     from smooth_operator.types import HandRecording
 
 

@@ -16,8 +16,8 @@ from smooth_operator.cli.common_options import Common, HandSide, Page
 from smooth_operator.errors import ConfigError, SmoothOperatorError
 
 if TYPE_CHECKING:
-    from smooth_operator.hands.spec import HandSpec
-    from smooth_operator.lab.discovery import Discovery
+    from smooth_operator.hands.spec import HandSpec, Point
+    from smooth_operator.lab.discovery import Discovery, Overrules
 
 
 @dataclass(frozen=True, kw_only=True)

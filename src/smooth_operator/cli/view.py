@@ -15,6 +15,7 @@ from smooth_operator.errors import ConfigError, HandModelError, RecordingError
 if TYPE_CHECKING:
     from smooth_operator.hands.hand import Hand
     from smooth_operator.hands.selection import FingerChoice
+    from smooth_operator.human.alignment import AlignmentConfig
     from smooth_operator.metrics import Trace
     from smooth_operator.teleop.pages import Playback
     from smooth_operator.types import CommandTrajectory, HandRecording

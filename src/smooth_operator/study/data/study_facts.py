@@ -53,10 +53,6 @@ def study_facts(content: Mapping[str, Any], name: str) -> dict[str, Any]:
 
 
 def _flow(plan: Plan, operators: list[Mapping[str, Any]], trials: Any) -> Flow:
-    conditions = {
-        (block.operator, block.task.name, block.number): block.condition.name
-        for block in plan.schedule()
-    }
     codes = tuple(str(one["operator"]) for one in operators)
     withdrawn = {
         str(one["operator"]): Withdrawal(
@@ -66,14 +62,10 @@ def _flow(plan: Plan, operators: list[Mapping[str, Any]], trials: Any) -> Flow:
         if (left := one.get("withdrawn"))
     }
     names = plan.protocol.condition_names
-    voids = Counter(
-        entry.get("retargeter")
-        or conditions.get((str(one["operator"]), entry["task"], entry["block"]), "")
-        for one, entry in _each(operators, "voided")
-    )
+    voids = Counter(entry["retargeter"] for _, entry in _each(operators, "voided"))
     undone: Counter[str] = Counter()
     for one in operators:
-        undone.update(one["undone"])
+        undone.update(one.get("undone", {}))
     amended = Counter(str(row["retargeter"]) for row in trials if row.get("amended"))
     return Flow(
         logged=True,
