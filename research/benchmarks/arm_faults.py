@@ -1,7 +1,7 @@
 """Arm and hand while everything goes wrong: no limit is passed, and no return jumps.
 
-    python benchmarks/arm_faults.py                          # four arms, 10 rounds each
-    python benchmarks/arm_faults.py --arms ur5e --rounds 100 --seed 3
+    python research/benchmarks/arm_faults.py                          # four arms, 10 rounds each
+    python research/benchmarks/arm_faults.py --arms ur5e --rounds 100 --seed 3
 
 The loop's own pipeline (method, clutch, limiter, arm controller) runs on a simulated clock, with
 arm and hand in MuJoCo. A round has every kind of fault once, in random order, each for some

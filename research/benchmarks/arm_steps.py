@@ -1,7 +1,7 @@
 """Time of a step of the arm's controller, with and without the distances between parts.
 
-    python benchmarks/arm_steps.py
-    python benchmarks/arm_steps.py --hand shadow_hand --steps 5000
+    python research/benchmarks/arm_steps.py
+    python research/benchmarks/arm_steps.py --hand shadow_hand --steps 5000
 
 The wrist follows the built-in operator's. Time is the processor's for this thread, and by the wall
 clock, which counts whatever else the machine does.

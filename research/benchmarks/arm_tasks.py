@@ -1,7 +1,7 @@
 """The study's tasks with the hand on an arm: it brings the wrist there, then the fingers do it.
 
-    python benchmarks/arm_tasks.py                     # every arm, every task
-    python benchmarks/arm_tasks.py --arm panda --hand mimic_p050 --worlds 10
+    python research/benchmarks/arm_tasks.py                     # every arm, every task
+    python research/benchmarks/arm_tasks.py --arm panda --hand mimic_p050 --worlds 10
 
 The arm starts in its home pose. Its controller follows a straight way of the wrist to the place
 where the task's fixture would hold the hand, and stays there; then the fingers repeat the

@@ -1,8 +1,8 @@
 """Frames a second of recordings side by side in one program, and of a folder; dex-retargeting too.
 
-    python benchmarks/batch.py                                   # lanes, on this CPU
-    python benchmarks/batch.py --methods smooth:teleop --lanes 256 1024 4096 --device gpu
-    python benchmarks/batch.py --folder --workers 2 --peer-python PYTHON --peer-urdf FOLDER
+    python research/benchmarks/batch.py                                   # lanes, on this CPU
+    python research/benchmarks/batch.py --methods smooth:teleop --lanes 256 1024 4096 --device gpu
+    python research/benchmarks/batch.py --folder --workers 2 --peer-python PYTHON --peer-urdf FOLDER
 
 The first table is about one process: frames one by one, as live, and recordings side by side in
 1, 2, 4 ... lanes. The second (``--folder``) is ``smooth-operator retarget FOLDER`` by a pool, the

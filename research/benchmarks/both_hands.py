@@ -1,6 +1,6 @@
 """What a second hand costs the live loop: time until the commands of both hands are out.
 
-    python benchmarks/both_hands.py RECORDING.npz --hand mimic_p050
+    python research/benchmarks/both_hands.py RECORDING.npz --hand mimic_p050
 
 A tracker posts a frame of one hand, or of both together, at a pace; the loop answers. Loops with
 one hand and with both take turns. The left hand's frames are the right one's, mirrored, half a

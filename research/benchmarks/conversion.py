@@ -1,6 +1,6 @@
 """Time to write and to read an episode in each format of ``smooth-operator convert``, and its size.
 
-    python benchmarks/conversion.py --frames 20000
+    python research/benchmarks/conversion.py --frames 20000
 
 The episode is synthetic: landmarks, metacarpals, orientations, 20 joints and two stage times. A
 format whose extra is not installed is named as a gap.

@@ -1,9 +1,9 @@
 """A corpus of synthetic clips through the pipeline of data sets: memory, pace, kills, and a plan.
 
-    python benchmarks/corpus.py --sizes 300 1000 3000          # does cost per clip grow?
-    python benchmarks/corpus.py --sizes 1000 --kill worker driver
-    python benchmarks/corpus.py --sizes 100000 --pack          # everything but retargeting
-    python benchmarks/corpus.py --sizes 0 --plan 20000         # from the figures of an earlier run
+    python research/benchmarks/corpus.py --sizes 300 1000 3000          # does cost per clip grow?
+    python research/benchmarks/corpus.py --sizes 1000 --kill worker driver
+    python research/benchmarks/corpus.py --sizes 100000 --pack          # everything but retargeting
+    python research/benchmarks/corpus.py --sizes 0 --plan 20000         # from the figures of an earlier run
 
 Clips are made when they are read (``SyntheticCorpus``). Each run is a process of its own, whose
 memory is measured at every shard; it runs ``retarget_corpus``, as a user's program does. With

@@ -1,6 +1,6 @@
 """Frames a second over a folder of recordings: by one process, a pool, and Ray on this machine.
 
-    python benchmarks/dataset.py --workers 2
+    python research/benchmarks/dataset.py --workers 2
 
 Start-up (processes, imports, compiling) is what the same folder takes with two frames in each
 recording. JAX's compilation cache is filled beforehand. ``batch.py`` measures recordings side by

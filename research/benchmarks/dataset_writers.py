@@ -1,6 +1,6 @@
 """Clips a second and bytes a frame of each format of output of data sets.
 
-    python benchmarks/dataset_writers.py --clips 2000
+    python research/benchmarks/dataset_writers.py --clips 2000
 
 The clips are synthetic, of 2 to 20 s at 30 Hz: two hands of 20 joints, wrists, landmarks with half
 a millimetre of noise, a camera, one object. They are made before the clock starts, and one process

@@ -1,7 +1,7 @@
 """Preset ``paper`` on JAX's default device against the same algorithm written plainly.
 
-    python benchmarks/gpu.py                    # on a GPU
-    python benchmarks/gpu.py --samples 1024     # on a CPU, where the plain version is slow
+    python research/benchmarks/gpu.py                    # on a GPU
+    python research/benchmarks/gpu.py --samples 1024     # on a CPU, where the plain version is slow
 
 The plain version is what one writes first: Algorithm 1 as a ``lax.scan``, normals from
 ``jax.random.normal``, ``mjx.kinematics`` under ``vmap``, a full ``argsort`` for the elite. It

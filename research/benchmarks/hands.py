@@ -1,7 +1,7 @@
 """Every hand, every method, both sides: quality on recordings and the operator, and a round trip.
 
-    python benchmarks/hands.py glove.npz@2600:2800 video.npz@30hz synthetic@10hz
-    python benchmarks/hands.py synthetic@10hz --hands shadow_dexee --methods sbr dexpilot
+    python research/benchmarks/hands.py glove.npz@2600:2800 video.npz@30hz synthetic@10hz
+    python research/benchmarks/hands.py synthetic@10hz --hands shadow_dexee --methods sbr dexpilot
 
 A recording is named as for ``smooth-operator bench``. It drives the hands of its own side as it is,
 and those of the other side mirrored. The round trip goes from poses of the robot to their landmarks

@@ -1,7 +1,7 @@
 """A LEAP hand's sink at 100 Hz for half an hour, on servos that speak the real protocol.
 
-    python benchmarks/hardware_soak.py                       # 30 minutes
-    python benchmarks/hardware_soak.py --minutes 3 --every 20
+    python research/benchmarks/hardware_soak.py                       # 30 minutes
+    python research/benchmarks/hardware_soak.py --minutes 3 --every 20
 
 The servos are those of ``tests/dynamixel_bank.py``, in a process of their own on a pseudo-terminal.
 Every ``--every`` seconds there is a fault: wrong checksums, a silent servo, a pulled cable, a slow

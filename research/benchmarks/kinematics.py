@@ -1,6 +1,6 @@
 """Forward kinematics of many hands: the unrolled program against MJX and MuJoCo.
 
-    python benchmarks/kinematics.py --batches 1 64 1024 8192
+    python research/benchmarks/kinematics.py --batches 1 64 1024 8192
 
 All compute the fingertips from the positions of all joints; ``positions`` computes all landmarks.
 Before anything is timed, all must agree with ``mujoco.mj_kinematics`` in float64.

@@ -1,6 +1,6 @@
 """How far a preset is from the arithmetic limit of the machine.
 
-    python benchmarks/limit.py --preset paper
+    python research/benchmarks/limit.py --preset paper
 
 Counts the operations of one frame in the traced program, measures how fast this machine does each
 kind of operation at best (numbers in the first-level cache, pipes full), and compares the time that

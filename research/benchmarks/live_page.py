@@ -1,6 +1,6 @@
 """What the live page costs the loop, and what is left of it after many visits.
 
-    python benchmarks/live_page.py --seconds 60 --visits 50
+    python research/benchmarks/live_page.py --seconds 60 --visits 50
 
 Needs playwright and a Chromium on the path. The loop answers the built-in operator at 100 Hz with
 one method (`--method`, sbr if left out), three times: without a page, with one that nobody looks

@@ -1,6 +1,6 @@
 """Time to write and to read a log of a session, in Protocol Buffers and in JSON as before.
 
-    python benchmarks/log.py --frames 20000 --seconds 20
+    python research/benchmarks/log.py --frames 20000 --seconds 20
 
 Three measurements of each encoding, all in one run:
 

@@ -1,8 +1,8 @@
 """Contacts kept and penetration: the object-aware form against methods that do not know of objects.
 
-    python benchmarks/objects.py                         # hands and seeds that nothing was tuned on
-    python benchmarks/objects.py --hands mimic_p050 --seeds 0 1      # those of the tuning
-    python benchmarks/objects.py --picture docs/img/objects.png
+    python research/benchmarks/objects.py                         # hands and seeds that nothing was tuned on
+    python research/benchmarks/objects.py --hands mimic_p050 --seeds 0 1      # those of the tuning
+    python research/benchmarks/objects.py --picture docs/img/objects.png
 
 Clips are made by code (``smooth_operator_research.objects.scenes``), so contacts are known. Every
 method has the same wrist: the robot's palm lies on the human's. Intervals are of a bootstrap over

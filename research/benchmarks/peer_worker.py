@@ -1,6 +1,6 @@
 """One retargeter over one recording, in an environment of its own; ``peers.py`` runs it.
 
-    PYTHON benchmarks/peer_worker.py PROGRAM RECORDING.npz OUTPUT.npz
+    PYTHON research/benchmarks/peer_worker.py PROGRAM RECORDING.npz OUTPUT.npz
 
 It needs NumPy and the package of the program only. The recording has ``landmarks`` (T, 21, 3) in
 the wrist's axes (x to the base of the middle finger, z out of the back of the hand) [m] and

@@ -1,6 +1,6 @@
 """Ours and other retargeters in one run: latency, start and quality, in one table.
 
-    python benchmarks/peers.py GLOVE.npz --frames 0:500 --wuji-python PYTHON \\
+    python research/benchmarks/peers.py GLOVE.npz --frames 0:500 --wuji-python PYTHON \\
         --dex-python PYTHON --dex-urdf FOLDER --authors FOLDER
 
 Every program runs in a process of its own, in the environment that an option names; processes take

@@ -1,6 +1,6 @@
 """Latency and quality of the presets on recordings, side by side in one run.
 
-    python benchmarks/retarget.py RECORDING [RECORDING ...] --frames 0:500
+    python research/benchmarks/retarget.py RECORDING [RECORDING ...] --frames 0:500
 
 Without a recording the built-in synthetic operator is used. The presets take turns in blocks of
 frames, each with a state of its own, so that whatever else the machine does hits both alike.

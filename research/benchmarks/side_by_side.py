@@ -1,9 +1,9 @@
-"""Methods side by side: the tables of docs/reference/benchmarks.md, and what SLSQP evaluates.
+"""Methods side by side: the tables of research/docs/benchmarks.md, and what SLSQP evaluates.
 
     smooth-operator bench RECORDING ... --methods all,sbr:paper,dexpilot:published --output FOLDER
-    python benchmarks/side_by_side.py FOLDER
-    python benchmarks/side_by_side.py FOLDER --columns "cos thumb" motion
-    python benchmarks/side_by_side.py --evaluations GLOVE.npz --frames 0:500
+    python research/benchmarks/side_by_side.py FOLDER
+    python research/benchmarks/side_by_side.py FOLDER --columns "cos thumb" motion
+    python research/benchmarks/side_by_side.py --evaluations GLOVE.npz --frames 0:500
 
 The first prints a table for each recording from the results of ``smooth-operator bench``; with
 columns, one table whose cells have all recordings, in the order of the results. The last counts the

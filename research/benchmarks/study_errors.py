@@ -1,6 +1,6 @@
 """Family-wise error of a study's analysis: how often it finds a difference where there is none.
 
-    python benchmarks/study_errors.py --studies 1000 --workers 2
+    python research/benchmarks/study_errors.py --studies 1000 --workers 2
 
 Every retargeter of a simulated study is as good as the others; a family (Dunnett's against the
 baseline, Holm's of all pairs) errs if any difference is significant at 5 %. Designs and noise are

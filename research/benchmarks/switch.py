@@ -1,6 +1,6 @@
 """How long a command waits while a running loop gets another method.
 
-    python benchmarks/switch.py
+    python research/benchmarks/switch.py
 
 The built-in operator's frames come at 100 Hz; the loop runs as ``teleop`` runs it, without a page.
 Each switch is measured twice: first with nothing kept of the method that is asked for, and then, in

@@ -1,6 +1,6 @@
 """Latency of two checkouts of this package side by side, their processes taking turns.
 
-    python benchmarks/two_checkouts.py OLD/.venv/bin/python NEW/.venv/bin/python \
+    python research/benchmarks/two_checkouts.py OLD/.venv/bin/python NEW/.venv/bin/python \
         --recording GLOVE.npz
 
 Each interpreter has one checkout installed. A turn is a block of frames of one of them; the ratio

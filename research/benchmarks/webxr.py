@@ -1,6 +1,6 @@
 """From a headset's browser to both robot hands: rate, and where each millisecond goes.
 
-    python benchmarks/webxr.py --seconds 30
+    python research/benchmarks/webxr.py --seconds 30
 
 The source ``webxr`` serves its page to a headless Chromium on the same machine, in which Meta's
 Immersive Web Emulation Runtime (from the npm registry) plays a headset with two moving hands. Each

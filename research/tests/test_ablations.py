@@ -532,7 +532,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say(programs: typing.Any, cou
 
 def test_the_table_of_coverage_is_that_of_the_page(programs: typing.Any) -> None:
     made = programs.coverage_table(programs.Settings(draws=2))
-    page = (Path(__file__).resolve().parents[2] / "docs" / "reference" / "paper.md").read_text(
+    page = (Path(__file__).resolve().parents[2] / "research" / "docs" / "paper.md").read_text(
         encoding="utf-8"
     )
     text = page.split("<!-- table: coverage -->\n")[1].split("<!-- end -->")[0]

@@ -1,4 +1,4 @@
-"""The fault run of ``benchmarks/arm_faults.py``, once around and short."""
+"""The fault run of ``research/benchmarks/arm_faults.py``, once around and short."""
 
 from __future__ import annotations
 

@@ -25,8 +25,8 @@ def quickly(folder: Path, *words: str) -> tuple[str, str]:
 
 
 def _check_tables_of_the_page(folder: Path) -> None:
-    """Every table of docs/reference/paper.md has the columns and rows that its program makes."""
-    page = (ROOT / "docs" / "reference" / "paper.md").read_text(encoding="utf-8")
+    """Every table of research/docs/paper.md has the columns and rows that its program makes."""
+    page = (ROOT / "research" / "docs" / "paper.md").read_text(encoding="utf-8")
     blocks = {found[1]: found[2] for found in docs_tables.BLOCK.finditer(page)}
     assert len(blocks) >= 12
     loose = docs_tables.BLOCK.sub("", page)

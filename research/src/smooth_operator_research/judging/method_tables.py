@@ -1,4 +1,4 @@
-r"""Tables of docs/explanation/smooth-appendix.md: what each part of ``smooth`` is worth.
+r"""Tables of research/docs/smooth-appendix.md: what each part of ``smooth`` is worth.
 
     python -m smooth_operator_research.judging.method_tables --data RECORDINGS
     python -m smooth_operator_research.judging.method_tables without fronts --data RECORDINGS \

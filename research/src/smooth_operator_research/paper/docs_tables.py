@@ -1,4 +1,4 @@
-r"""Writes the tables of docs/reference/paper.md from the results of `smooth-operator paper`.
+r"""Writes the tables of research/docs/paper.md from the results of `smooth-operator paper`.
 
 Each table stands between a line `<!-- table: NAME -->` and a line `<!-- end -->`; what stands
 between them is replaced. Without `--docs` the tables are printed. ``interval_coverage`` makes the
@@ -7,7 +7,7 @@ table of coverage.
     smooth-operator paper --output build/paper
     smooth-operator paper RECORDING ... --output build/paper-real
     python -m smooth_operator_research.paper.docs_tables build/paper build/paper-real \
-        --docs docs/reference/paper.md
+        --docs research/docs/paper.md
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ BLOCK: Final = re.compile(r"<!-- table: ([\w-]+) -->\n(.*?)<!-- end -->", re.DOT
 
 @dataclass(frozen=True)
 class Settings:
-    """The tables of docs/reference/paper.md."""
+    """The tables of research/docs/paper.md."""
 
     built_in: Annotated[Path, tyro.conf.Positional]
     """Folder of `paper` on the built-in operators."""
