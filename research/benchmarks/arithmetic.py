@@ -1,6 +1,6 @@
 """How much arithmetic a program asks for, and how fast this machine can do each kind of it.
 
-Run as a program it measures the machine and prints JSON: ``python research/benchmarks/arithmetic.py CORES``
+Run as a program it prints what the machine does: ``python research/benchmarks/arithmetic.py CORES``
 keeps to that many cores (where the system lets it) and reports operations per second.
 """
 

@@ -3,7 +3,7 @@
     python research/benchmarks/corpus.py --sizes 300 1000 3000          # does cost per clip grow?
     python research/benchmarks/corpus.py --sizes 1000 --kill worker driver
     python research/benchmarks/corpus.py --sizes 100000 --pack          # everything but retargeting
-    python research/benchmarks/corpus.py --sizes 0 --plan 20000         # from the figures of an earlier run
+    python research/benchmarks/corpus.py --sizes 0 --plan 20000   # from earlier figures
 
 Clips are made when they are read (``SyntheticCorpus``). Each run is a process of its own, whose
 memory is measured at every shard; it runs ``retarget_corpus``, as a user's program does. With

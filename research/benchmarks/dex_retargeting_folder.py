@@ -1,6 +1,6 @@
 """dex-retargeting over a folder of recordings, in an environment of its own; ``batch.py`` runs it.
 
-    OTHER_PYTHON research/benchmarks/dex_retargeting_folder.py FOLDER --urdf FOLDER_OF_HANDS --workers 2
+    OTHER_PYTHON research/benchmarks/dex_retargeting_folder.py FOLDER --urdf HANDS --workers 2
 
 It needs NumPy and dex-retargeting only. The recordings are ``.npz`` files with ``landmarks`` in the
 wrist's axes (x to the base of the middle finger, z out of the back of the hand). The settings are

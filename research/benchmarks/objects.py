@@ -1,6 +1,6 @@
 """Contacts kept and penetration: the object-aware form against methods that do not know of objects.
 
-    python research/benchmarks/objects.py                         # hands and seeds that nothing was tuned on
+    python research/benchmarks/objects.py       # hands and seeds that nothing was tuned on
     python research/benchmarks/objects.py --hands mimic_p050 --seeds 0 1      # those of the tuning
     python research/benchmarks/objects.py --picture docs/img/objects.png
 

@@ -1,7 +1,7 @@
 """Markdown tables of ``smooth-operator bench --physics``: a row for each hand, a column a method.
 
     python research/benchmarks/physics_tables.py FOLDER reachable tip_error_mm tip_p95_mm
-    python research/benchmarks/physics_tables.py FOLDER reachable "tip_error_mm/tip_p95_mm@noise 0.5 mm"
+    python research/benchmarks/physics_tables.py FOLDER reachable "tip_error_mm@noise 0.5 mm"
 
 For each condition and figure one table, from ``summary.csv``: the mean and half the width of its
 95 % interval, or the share with both ends of its interval. The best of each row is bold. Figures

@@ -1,7 +1,7 @@
 """From process start to the first command, in fresh processes.
 
     python research/benchmarks/startup.py --repeats 5
-    python research/benchmarks/startup.py --method smooth --presets teleop --early mimic_p050 shadow_hand
+    python research/benchmarks/startup.py --method smooth --presets teleop --early shadow_hand
 
 ``no cache`` compiles everything; ``cache`` finds JAX's persistent compilation cache filled by an
 earlier process; ``kept`` is what the library does by itself: an earlier process has kept the

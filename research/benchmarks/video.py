@@ -1,6 +1,6 @@
 """Hands in a video: how fast they are found, how well, alone and with a retargeter.
 
-    python research/benchmarks/video.py clip.mp4 --photos thumb_to_index_tip.jpg thumb_to_ring_tip.jpg
+    python research/benchmarks/video.py clip.mp4 --photos thumb_to_index_tip.jpg
 
 First the tracker alone, on every picture as fast as it goes; then the source ``video`` at the pace
 of the file, while this thread retargets the newest hand; then what the filter does to the commands;

@@ -1,4 +1,4 @@
-"""Everything goes wrong at once, for a short while: the fault run of ``research/benchmarks/teleop.py``."""
+"""The fault run of ``research/benchmarks/teleop.py``."""
 
 from __future__ import annotations
 
