@@ -57,11 +57,10 @@ for name in ("SIGHUP", "SIGQUIT"):  # ignored in the same way; commands that tes
 SHARED = Path(__file__).resolve().parents[1] / "shared"
 
 LONG_FILES = (
-    "test_paper_quick.py", "test_hand_matrix.py", "test_lint.py", "test_operator_profile.py",
-    "test_ablations.py",
+    "test_hand_matrix.py", "test_lint.py", "test_operator_profile.py",
     "test_retarget_folder.py", "test_smooth_terms.py", "test_slsqp_method.py",
     "test_published_methods.py",
-    "test_attainable.py", "test_rest_pose.py", "test_calibration.py", "test_virtual_operator.py",
+    "test_rest_pose.py", "test_calibration.py",
 )  # fmt: skip
 """Files that take long for how few tests they have, the longest first. They run first: the worker
 that took one of them last would be alone with it. The others follow by number of tests, as

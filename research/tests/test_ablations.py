@@ -57,7 +57,7 @@ from smooth_operator_research.paper.starts import scattered_starts, soft_mean
 from smooth_operator_research.paper.suite import SIZES, Settings, load_recordings, run_experiments
 from smooth_operator_research.paper.verdicts import Direction, Effect, Equality, Held, judge
 
-pytestmark = pytest.mark.usefixtures("few_optimisations")
+pytestmark = [pytest.mark.usefixtures("few_optimisations"), pytest.mark.weekly]
 
 OURS = ("solver", "velocity", "hessian", "compute")
 

@@ -60,6 +60,8 @@ from smooth_operator_research.paper.noise import Condition
 from smooth_operator_research.paper.sizes import QUICK
 from smooth_operator_research.paper.table import Benchmark
 
+pytestmark = pytest.mark.weekly
+
 TINY = more_sizes.MoreSize(
     fk_batches=(1, 64),
     fk_rounds=3,

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.weekly
+
 pytest.importorskip("mink", reason="the extra arm is not installed")
 pytest.importorskip("daqp", reason="the extra arm is not installed")
 

@@ -17,6 +17,8 @@ from smooth_operator.metrics.trace import keyvectors
 from smooth_operator_research.attainable import bounds, pose_search
 from smooth_operator_research.attainable import search as attain
 
+pytestmark = pytest.mark.weekly
+
 HAND = "mimic_p050"
 TIGHT, LOOSE = 0.002, float("inf")
 

@@ -26,6 +26,8 @@ from smooth_operator_research.demonstrations.overlap import excess
 from smooth_operator_research.demonstrations.perturbation import draw_perturbation
 from smooth_operator_research.demonstrations.seed import transferred
 
+pytestmark = pytest.mark.weekly
+
 
 @pytest.fixture(autouse=True)
 def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -27,7 +27,7 @@ from smooth_operator.methods.presets import PRESETS, method_config
 from smooth_operator.reporting.drawing import name_points
 from smooth_operator_research.judging import method_tables, setting_rows
 
-pytestmark = pytest.mark.usefixtures("few_optimisations")
+pytestmark = [pytest.mark.usefixtures("few_optimisations"), pytest.mark.weekly]
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "explanation" / "smooth.md"
 HAND = "shadow_dexee"

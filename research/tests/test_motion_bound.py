@@ -17,6 +17,8 @@ from smooth_operator_research.attainable.motion_bound import (
     tip_curve,
 )
 
+pytestmark = pytest.mark.weekly
+
 ARC = np.stack([np.cos(np.linspace(0, 1.5, 7)), np.sin(np.linspace(0, 1.5, 7)), np.zeros(7)], -1)
 
 

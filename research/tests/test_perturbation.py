@@ -25,6 +25,8 @@ from smooth_operator_research.demonstrations.perturbation import (
     draw_perturbation,
 )
 
+pytestmark = pytest.mark.weekly
+
 HAND = load_hand("mimic_p050")
 
 

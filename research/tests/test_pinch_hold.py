@@ -21,6 +21,8 @@ from smooth_operator_research.physics.pinch_hold import PinchHold
 from smooth_operator_research.physics.registry import find_measure
 from smooth_operator_research.physics.settings import PhysicsSettings
 
+pytestmark = pytest.mark.weekly
+
 WIDE = (
     0.658, -1.166, 0.928, 0.963, 0.478, 1.298, 0.594, 0.454, 1.182, 0.958, 0.302, 0.224, 0.196,
     0.586, 0.418, 0.213,

@@ -21,6 +21,8 @@ from smooth_operator_research.physics.power_grasp_physics import PowerGraspPhysi
 from smooth_operator_research.physics.registry import find_measure
 from smooth_operator_research.physics.settings import PhysicsSettings
 
+pytestmark = pytest.mark.weekly
+
 HANDLE = next(one for one in POWER_GRASP_OBJECTS if one.name == "handle 50")
 
 

@@ -18,6 +18,8 @@ from smooth_operator_research.physics.reachable_motion import (
     reachable_motion,
 )
 
+pytestmark = pytest.mark.weekly
+
 
 @cache
 def asked_of_mimic() -> AskedMotion:

@@ -13,6 +13,8 @@ from smooth_operator_research.demonstrations.demonstration import load_demonstra
 from smooth_operator_research.demonstrations.landmarks import DemonstrationLandmarks
 from smooth_operator_research.demonstrations.perturbation import draw_perturbation
 
+pytestmark = pytest.mark.weekly
+
 
 def test_fingers_are_found_where_a_joint_bends_them_past_straight() -> None:
     hand = load_hand("mimic_p050")

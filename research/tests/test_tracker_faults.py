@@ -28,6 +28,8 @@ from smooth_operator_research.judging.tracker_faults import (
     step_figures,
 )
 
+pytestmark = pytest.mark.weekly
+
 HAND = "mimic_p050"
 NEEDS = (WRIST, *TIPS)
 SEED = 71  # nothing was set by it

@@ -16,6 +16,8 @@ from smooth_operator.simulation.tasks.trial_loop import TrialResult, run_trial
 from smooth_operator_research.demonstrations.demonstration import load_demonstration
 from smooth_operator_research.demonstrations.landmarks import DemonstrationLandmarks
 
+pytestmark = pytest.mark.weekly
+
 HAND = load_hand("mimic_p050")
 AKO = Retargeter(HAND, method="ako")
 """The method that follows the robot's own landmarks to within 0.5 mm, but in one pinch."""

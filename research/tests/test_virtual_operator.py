@@ -52,6 +52,8 @@ from smooth_operator_research.virtual_operator.visual_feedback import (
     DelayedView,
 )
 
+pytestmark = pytest.mark.weekly
+
 STEP = 0.01
 CARD_SCENE = scene_for("card", load_hand("mimic_p050", "right"))
 
