@@ -18,6 +18,7 @@ MODULES = sorted(
     ".".join(path.relative_to(SOURCE).with_suffix("").parts).removesuffix(".__init__")
     for path in SOURCE.rglob("*.py")
 )
+WORDS = ["paper", "ablate", "physics", "study simulate", "bench --physics"]
 
 
 @pytest.mark.parametrize("name", MODULES)
