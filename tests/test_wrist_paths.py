@@ -33,7 +33,7 @@ from smooth_operator.teleop.sources.replay import Replay
 from smooth_operator.teleop.sources.synthetic_live import SyntheticSource
 from smooth_operator.teleop.sources.webxr.packet import HEADER, read_packet
 from smooth_operator.types import CommandTrajectory, HandFrame, HandRecording
-from smooth_operator_research.paper.degraded_recordings import led
+from smooth_operator_research.paper.follow import led
 
 POSE = [0.3, -0.2, 1.1, 0.6, 0.0, 0.8, 0.0]
 

@@ -23,9 +23,8 @@ from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.solvers.normals import seed_words
 from smooth_operator.solvers.sampling import SamplingConfig, sample_minimise
 from smooth_operator_research.commands.options import ExperimentName
-from smooth_operator_research.paper import experiment_context as context_module
+from smooth_operator_research.paper import experiment as context_module
 from smooth_operator_research.paper import interval_coverage
-from smooth_operator_research.paper.budget_grid import Point, contours
 from smooth_operator_research.paper.compared_solvers import (
     Newton,
     Rmsprop,
@@ -33,10 +32,18 @@ from smooth_operator_research.paper.compared_solvers import (
     Slsqp,
     Solver,
     Starts,
+    scattered_starts,
+    soft_mean,
 )
 from smooth_operator_research.paper.compute import balance
-from smooth_operator_research.paper.experiment_context import TUNING_OPERATOR, ExperimentContext
-from smooth_operator_research.paper.experiment_folder import ExperimentFolder
+from smooth_operator_research.paper.experiment import (
+    PUBLISHED_STARTS,
+    QUICK,
+    TUNING_OPERATOR,
+    ExperimentContext,
+    ExperimentFolder,
+    Size,
+)
 from smooth_operator_research.paper.hessian import hessians, projected_jitter
 from smooth_operator_research.paper.intervals import (
     Estimate,
@@ -51,9 +58,7 @@ from smooth_operator_research.paper.problems import Problem, unbroken
 from smooth_operator_research.paper.registry import EXPERIMENTS, experiment
 from smooth_operator_research.paper.rmsprop import RmspropConfig, rmsprop_minimise
 from smooth_operator_research.paper.runs import Run, measure_run, run_solver
-from smooth_operator_research.paper.sizes import PUBLISHED_STARTS, QUICK, Size
-from smooth_operator_research.paper.solver_grid import make_solver_grid
-from smooth_operator_research.paper.starts import scattered_starts, soft_mean
+from smooth_operator_research.paper.solver_grid import Point, contours, make_solver_grid
 from smooth_operator_research.paper.suite import SIZES, Settings, load_recordings, run_experiments
 from smooth_operator_research.paper.verdicts import Direction, Effect, Equality, Held, judge
 

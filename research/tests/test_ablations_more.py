@@ -27,19 +27,9 @@ from smooth_operator_research.paper import (
     noise,
     rate,
     table,
-    table_cells,
 )
-from smooth_operator_research.paper.degraded_recordings import (
-    LEAD,
-    at_rate,
-    middle,
-    nearest_frames,
-    through_tracker,
-)
-from smooth_operator_research.paper.delay import sub_frame_lag
-from smooth_operator_research.paper.experiment_context import ExperimentContext
-from smooth_operator_research.paper.experiment_folder import ExperimentFolder
-from smooth_operator_research.paper.figures_more import looks_of
+from smooth_operator_research.paper.experiment import QUICK, ExperimentContext, ExperimentFolder
+from smooth_operator_research.paper.figures import looks_of
 from smooth_operator_research.paper.fk_libraries import (
     AGREEMENT,
     BOUNDED,
@@ -52,12 +42,21 @@ from smooth_operator_research.paper.fk_libraries import (
     make_library,
     missing,
     random_poses,
+    write_urdf,
 )
-from smooth_operator_research.paper.fk_urdf import write_urdf
-from smooth_operator_research.paper.follow import PUBLISHED_SBR, Field, field_of
+from smooth_operator_research.paper.follow import (
+    LEAD,
+    PUBLISHED_SBR,
+    Field,
+    at_rate,
+    field_of,
+    middle,
+    nearest_frames,
+    sub_frame_lag,
+    through_tracker,
+)
 from smooth_operator_research.paper.intervals import independent, mean_of
 from smooth_operator_research.paper.noise import Condition
-from smooth_operator_research.paper.sizes import QUICK
 from smooth_operator_research.paper.table import Benchmark
 
 pytestmark = pytest.mark.weekly
@@ -424,8 +423,8 @@ def test_the_table_has_six_metrics_by_both_definitions(
     # the lead is not measured: nobody is on the way from the neutral pose
     flat = values["sound", PUBLISHED_SBR, "flatness"]
     assert max(flat.values()) < 1e-6
-    monkeypatch.setattr(table_cells, "built_for", None)
-    monkeypatch.setattr(table_cells, "measure_latency", None)
+    monkeypatch.setattr(table, "built_for", None)
+    monkeypatch.setattr(table, "measure_latency", None)
     assert table.BenchmarkTable().run(context).figures == outcome.figures
 
 

@@ -17,10 +17,17 @@ from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError, UnknownNameError
 from smooth_operator.hands.registry import load_hand
 from smooth_operator_research.physics import suite
-from smooth_operator_research.physics.clip_records import clip_of_record, clip_record
-from smooth_operator_research.physics.measure import Case, Clip, Drawing, Measured, Unit
-from smooth_operator_research.physics.plots import interval_drawings
-from smooth_operator_research.physics.registry import find_measure, measure_names
+from smooth_operator_research.physics.measure import (
+    Case,
+    Clip,
+    Drawing,
+    Measured,
+    PhysicsSettings,
+    Unit,
+    clip_of_record,
+    clip_record,
+)
+from smooth_operator_research.physics.page import interval_drawings
 from smooth_operator_research.physics.results import (
     Figure,
     MeasureResults,
@@ -28,8 +35,12 @@ from smooth_operator_research.physics.results import (
     summarise,
     wilson,
 )
-from smooth_operator_research.physics.settings import PhysicsSettings
-from smooth_operator_research.physics.suite import plan_cases, run_cases
+from smooth_operator_research.physics.suite import (
+    find_measure,
+    measure_names,
+    plan_cases,
+    run_cases,
+)
 
 PROJECT = Path(__file__).resolve().parents[2]
 ERROR = Figure("error_mm", "mm", "down", "How far off.", short="error")

@@ -19,9 +19,15 @@ from smooth_operator_research.demonstrations.demonstration import (
     play,
     read_demonstration,
 )
-from smooth_operator_research.demonstrations.errors import joint_errors, tip_errors
 from smooth_operator_research.demonstrations.evolution import Evolution
-from smooth_operator_research.demonstrations.judging import Candidate, World, judge, tried
+from smooth_operator_research.demonstrations.judging import (
+    Candidate,
+    World,
+    joint_errors,
+    judge,
+    tip_errors,
+    tried,
+)
 from smooth_operator_research.demonstrations.overlap import excess
 from smooth_operator_research.demonstrations.perturbation import draw_perturbation
 from smooth_operator_research.demonstrations.seed import transferred

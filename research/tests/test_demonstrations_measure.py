@@ -12,9 +12,8 @@ from smooth_operator.hands.registry import load_hand
 from smooth_operator.methods.presets import method_config
 from smooth_operator.simulation.scenes import SCENES
 from smooth_operator_research.physics.demonstrations import Demonstrations
-from smooth_operator_research.physics.measure import Case, Measured
+from smooth_operator_research.physics.measure import Case, Measured, PhysicsSettings
 from smooth_operator_research.physics.results import MeasureResults, Row
-from smooth_operator_research.physics.settings import PhysicsSettings
 
 MEASURE = Demonstrations()
 SETTINGS = PhysicsSettings(output=Path("results"), units=2, methods=("ako",))

@@ -20,15 +20,16 @@ from smooth_operator.methods.presets import method_config
 from smooth_operator.metrics import Trace
 from smooth_operator.result_cache import ResultCache, imported_modules
 from smooth_operator_research.judging import judge as judge_program
-from smooth_operator_research.judging import kept_figures
 from smooth_operator_research.judging.targets import (
     HumanFigures,
     TargetLine,
+    TruthFigures,
+    against_truth,
     human_figures,
     judge,
     judge_hand,
+    without_noise,
 )
-from smooth_operator_research.judging.truth import TruthFigures, against_truth, without_noise
 
 HUMAN = HumanFigures(flatness=1e-7, pinch_mm=4.0, pinch_strict_mm=3.0)
 
@@ -160,7 +161,7 @@ def test_the_humans_own_figures():
 
 @pytest.fixture(scope="module")
 def programs() -> Any:
-    return judge_program, kept_figures
+    return judge_program, judge_program
 
 
 def test_figures_depend_on_the_code_of_their_own_method(programs: Any):

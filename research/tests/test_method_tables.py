@@ -25,7 +25,7 @@ from smooth_operator.lab.tuning.trial import run_trial
 from smooth_operator.methods.method import TrajectoryMethodConfig
 from smooth_operator.methods.presets import PRESETS, method_config
 from smooth_operator.reporting.drawing import name_points
-from smooth_operator_research.judging import method_tables, setting_rows
+from smooth_operator_research.judging import method_tables
 
 pytestmark = [pytest.mark.usefixtures("few_optimisations"), pytest.mark.weekly]
 
@@ -37,7 +37,7 @@ MOMENT = "synthetic:5@:40"
 
 @pytest.fixture(scope="module")
 def programs() -> Any:
-    return method_tables, setting_rows
+    return method_tables, method_tables
 
 
 @pytest.fixture(scope="module")

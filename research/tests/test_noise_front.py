@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from smooth_operator_research.judging import noise_front
-from smooth_operator_research.judging.truth import TruthFigures
+from smooth_operator_research.judging.targets import TruthFigures
 
 
 def row(error: float, kept: float, real: float) -> noise_front.Row:

@@ -16,8 +16,10 @@ from smooth_operator.landmarks import BASES, BONES, LANDMARKS
 from smooth_operator.simulation.scenes import SCENES, ScenePhysics, scene_for
 from smooth_operator.simulation.scenes.scene import OBJECT
 from smooth_operator.simulation.tasks import TASKS
-from smooth_operator_research.demonstrations.demonstration import load_demonstration
-from smooth_operator_research.demonstrations.landmarks import DemonstrationLandmarks
+from smooth_operator_research.demonstrations.demonstration import (
+    DemonstrationLandmarks,
+    load_demonstration,
+)
 from smooth_operator_research.demonstrations.perturbation import (
     RANGES,
     PerturbationRanges,

@@ -6,7 +6,7 @@ import pytest
 
 from smooth_operator.simulation.scenes.pads import pad_force, pad_impedance
 from smooth_operator_research.physics import validity
-from smooth_operator_research.physics.grasp_objects import GRASP_OBJECTS, GraspObject
+from smooth_operator_research.physics.grasp_physics import GRASP_OBJECTS, GraspObject
 
 
 def thing(name: str) -> GraspObject:

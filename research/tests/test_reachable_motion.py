@@ -10,9 +10,12 @@ import pytest
 from smooth_operator.hands.collision import penetration_depths
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.alignment import align_recording
-from smooth_operator_research.physics.joint_motion import KNOT_S, PINCH_GAP, TOUCH, joint_motion
 from smooth_operator_research.physics.reachable_motion import (
+    KNOT_S,
+    PINCH_GAP,
+    TOUCH,
     AskedMotion,
+    joint_motion,
     lag_frames,
     motion_figures,
     reachable_motion,

@@ -9,8 +9,10 @@ from smooth_operator import HandRecording, Retargeter, load_hand, method_config
 from smooth_operator.human.alignment import align_recording
 from smooth_operator.landmarks import TIPS
 from smooth_operator.objective.straight_fingers import StraightFingers
-from smooth_operator_research.demonstrations.demonstration import load_demonstration
-from smooth_operator_research.demonstrations.landmarks import DemonstrationLandmarks
+from smooth_operator_research.demonstrations.demonstration import (
+    DemonstrationLandmarks,
+    load_demonstration,
+)
 from smooth_operator_research.demonstrations.perturbation import draw_perturbation
 
 pytestmark = pytest.mark.weekly

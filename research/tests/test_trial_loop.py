@@ -13,8 +13,10 @@ from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.simulation.scenes import ScenePhysics, SceneState, scene_for
 from smooth_operator.simulation.tasks import TASKS
 from smooth_operator.simulation.tasks.trial_loop import TrialResult, run_trial
-from smooth_operator_research.demonstrations.demonstration import load_demonstration
-from smooth_operator_research.demonstrations.landmarks import DemonstrationLandmarks
+from smooth_operator_research.demonstrations.demonstration import (
+    DemonstrationLandmarks,
+    load_demonstration,
+)
 
 pytestmark = pytest.mark.weekly
 

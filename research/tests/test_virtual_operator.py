@@ -24,29 +24,32 @@ from smooth_operator.study.data import read_study
 from smooth_operator.study.design.plan import Plan, make_plan
 from smooth_operator.study.design.plan_file import write_plan
 from smooth_operator.study.design.protocol import Condition, Protocol, Task
-from smooth_operator_research.study_simulation.jobs import (
+from smooth_operator_research.study_simulation.run import (
+    LOG,
+    NOTICE,
     SimulationSettings,
     chunks,
     plan_for,
     simulate_chunk,
+    simulate_study,
 )
-from smooth_operator_research.study_simulation.run import LOG, NOTICE, simulate_study
 from smooth_operator_research.virtual_operator import Familiar, draw_person, simulate_trial
 from smooth_operator_research.virtual_operator.familiarisation import InternalModel
-from smooth_operator_research.virtual_operator.grip_reach import GripReach
 from smooth_operator_research.virtual_operator.hand_model import (
+    GripReach,
     HandModel,
+    HandPoints,
     ReachingHand,
+    SeenTips,
     hand_model,
 )
-from smooth_operator_research.virtual_operator.motor_noise import MotorNoise
 from smooth_operator_research.virtual_operator.person import (
     PHASE_MARGIN,
+    MotorNoise,
     largest_crossover,
     movement_time,
 )
-from smooth_operator_research.virtual_operator.points_on_hand import HandPoints, SeenTips
-from smooth_operator_research.virtual_operator.strategy_steps import Closing, Seen
+from smooth_operator_research.virtual_operator.strategies import Closing, Seen
 from smooth_operator_research.virtual_operator.visual_feedback import (
     CrossoverCorrection,
     DelayedView,

@@ -14,12 +14,15 @@ from smooth_operator.errors import ConfigError
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.lab.offline.finished import claimed
 from smooth_operator_research.commands.options import Ablate, Experimenting, Paper
-from smooth_operator_research.paper.experiment import Outcome
-from smooth_operator_research.paper.experiment_context import Advance, Track
-from smooth_operator_research.paper.experiment_folder import check_folder
+from smooth_operator_research.paper.experiment import (
+    Advance,
+    Outcome,
+    Track,
+    check_folder,
+    trial_note,
+)
 from smooth_operator_research.paper.experiment_report import REPORT, verdict_lines
 from smooth_operator_research.paper.registry import EXPERIMENTS
-from smooth_operator_research.paper.sizes import trial_note
 from smooth_operator_research.paper.suite import Settings, load_recordings, run_experiments
 
 

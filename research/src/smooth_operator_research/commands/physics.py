@@ -18,8 +18,8 @@ from smooth_operator.lab.benchmark.settings import only_side
 from smooth_operator.lab.offline.finished import claimed
 from smooth_operator_research.commands.options import Physics
 from smooth_operator_research.physics.files import write_files
+from smooth_operator_research.physics.measure import PhysicsSettings
 from smooth_operator_research.physics.results import Figure, Line, MeasureResults, best_of
-from smooth_operator_research.physics.settings import PhysicsSettings
 from smooth_operator_research.physics.suite import (
     MeasureOutcome,
     failed_rows,

@@ -12,8 +12,12 @@ from smooth_operator.study.design.plan_file import read_plan
 from smooth_operator.study.design.protocol import Protocol
 from smooth_operator.terminal import printable
 from smooth_operator_research.commands.options import Simulate
-from smooth_operator_research.study_simulation.jobs import SimulationSettings, plan_for
-from smooth_operator_research.study_simulation.run import NOTICE, simulate_study
+from smooth_operator_research.study_simulation.run import (
+    NOTICE,
+    SimulationSettings,
+    plan_for,
+    simulate_study,
+)
 
 
 def simulate_command(options: Simulate) -> None:

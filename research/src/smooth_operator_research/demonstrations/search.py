@@ -35,8 +35,7 @@ from smooth_operator_research.demonstrations.demonstration import (
     read_demonstration,
 )
 from smooth_operator_research.demonstrations.evolution import Evolution
-from smooth_operator_research.demonstrations.judging import Candidate, World, judge
-from smooth_operator_research.demonstrations.progress import MARGIN
+from smooth_operator_research.demonstrations.judging import MARGIN, Candidate, World, judge
 from smooth_operator_research.demonstrations.seed import FINGERS, transferred
 
 WORLDS_SEED: Final = 1000

@@ -1,4 +1,4 @@
-r"""Tables of research/docs/smooth-appendix.md: what each part of ``smooth`` is worth.
+"""Tables of research/docs/smooth-appendix.md: what each part of ``smooth`` is worth.
 
     python -m smooth_operator_research.judging.method_tables --data RECORDINGS
     python -m smooth_operator_research.judging.method_tables without fronts --data RECORDINGS \
@@ -18,48 +18,373 @@ goes on where the last one stopped, as long as the method's own code is the same
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Any, Literal, get_args
 
 import tyro
 
 from smooth_operator import SmoothOperatorError
 from smooth_operator.compilation.dispatch import dispatch_here
-from smooth_operator.lab.benchmark.cells import Cell
+from smooth_operator.formats.jsonable import to_json
+from smooth_operator.formats.setting_paths import numeric_settings, with_settings, with_unchecked
+from smooth_operator.lab.benchmark.cells import Cell, hand_identity
 from smooth_operator.lab.benchmark.recordings import SYNTHETIC, Source, load_sources, parse_request
 from smooth_operator.lab.benchmark.settings import Choice, method_label, select_methods
 from smooth_operator.lab.tuning.pareto import (
+    ALL_VECTORS,
+    COLLISION,
+    FLATNESS,
+    MOTION,
+    PINCH,
+    THUMB,
+    VELOCITY,
+    Axis,
     TradeOff,
     save_trade_offs,
 )
+from smooth_operator.lab.tuning.score import figure
+from smooth_operator.lab.tuning.trial import TrialTask, run_trial
+from smooth_operator.lab.tuning.trial_log import Trial, TrialLog
+from smooth_operator.methods.method import MethodConfig
+from smooth_operator.parallel import TaskResult, run_tasks
 from smooth_operator.result_cache import ResultCache
-from smooth_operator_research.judging.judge import OTHERS, warn
-from smooth_operator_research.judging.kept_figures import CellFigures, measure_cells
-from smooth_operator_research.judging.setting_rows import (
-    HEADER,
-    Found,
-    Row,
-    Values,
-    Variants,
-    cells_of,
-    figures_of,
-    full_values,
-    measure_rows,
-)
-from smooth_operator_research.judging.smooth_parts import (
-    ALONE,
-    ALWAYS_IN,
-    FRONTS,
-    HANDS,
-    HANDS_ON,
-    LIKE_ANY_VALUE,
-    TUNED_ON,
-    WITHOUT,
+from smooth_operator_research.judging.judge import (
+    GLOVE,
+    OTHERS,
+    CellFigures,
+    code_of,
+    measure_cells,
+    warn,
 )
 from smooth_operator_research.judging.targets import SBR, judge_hand
 from smooth_operator_research.run_report import RESULTS, BenchmarkError, Report
+
+Values = Mapping[str, float]
+"""Path of a setting -> its value; the others are those of the preset."""
+Row = tuple[str, str]
+"""Table and name of a row."""
+Found = Mapping[Row, Sequence[Mapping[str, Any] | None]]
+"""Row -> figures on each recording; None where it failed."""
+
+
+@dataclass(frozen=True, eq=False)
+class Variants:
+    """What is measured, but for the rows.
+
+    Attributes:
+        config: whose settings rows change.
+        sources: recordings.
+        hand: robot hand.
+        like_any_value: settings whose 0 a compiled program takes as it takes any value. Other
+            zeros mean that something is left out while it is compiled, and cost a program.
+        seed: of the method's random numbers.
+        workers: processes; 0 for none.
+        log: file of the rows that were measured.
+    """
+
+    config: MethodConfig
+    sources: tuple[Source, ...]
+    hand: str
+    like_any_value: frozenset[str]
+    seed: int
+    workers: int
+    log: Path
+
+    @property
+    def key(self) -> dict[str, Any]:
+        """What the figures of a row depend on but for its values and for code."""
+        return {
+            "config": self.config,
+            "hand": [hand_identity(self.hand, source.side, ()) for source in self.sources],
+            "frames": [source.digest for source in self.sources],
+            "seed": self.seed,
+        }
+
+    def task(self, values: Values) -> TrialTask:
+        """A row, its values arguments of a compiled program as far as they can be."""
+        constant = {
+            path: value
+            for path, value in values.items()
+            if isinstance(value, int) or (value == 0 and path not in self.like_any_value)
+        }
+        return TrialTask(
+            tuple(source.request for source in self.sources),
+            tuple(source.digest for source in self.sources),
+            self.hand,
+            with_unchecked(self.config, constant),  # checked before, with the others
+            {path: value for path, value in values.items() if path not in constant},
+            self.seed,
+        )
+
+
+def full_values(config: MethodConfig, rows: Mapping[Row, Values]) -> dict[Row, Values]:
+    """Row -> the values there of all settings that any row changes.
+
+    Raises:
+        BenchmarkError: a row names a setting that is none, or a value that can't be.
+    """
+    paths = dict.fromkeys(path for values in rows.values() for path in values)
+    full: dict[Row, Values] = {}
+    for (table, name), values in rows.items():
+        try:
+            now = numeric_settings(with_settings(config, values))
+        except SmoothOperatorError as error:
+            raise BenchmarkError(f"row {name!r} of {table!r} can't be: {error}") from error
+        full[table, name] = now
+    return {row: {path: now[path] for path in paths} for row, now in full.items()}
+
+
+def measure_rows(variants: Variants, rows: Mapping[Row, Values]) -> tuple[Found, list[str]]:
+    """Measures what is not known; rows of the same values are measured once.
+
+    Args:
+        variants: what is measured, but for the rows.
+        rows: row -> what it changes.
+
+    Returns:
+        the figures, and why rows failed.
+    """
+    full = full_values(variants.config, rows)
+    log = TrialLog(variants.log, variants.key, code_of(variants.config))
+    preset = numeric_settings(variants.config)
+    rows_of: dict[str, Row] = {}
+    for row, values in full.items():
+        rows_of.setdefault(to_json(values), row)
+    tasks = {key: variants.task(full[row]) for key, row in rows_of.items()}
+    # those of one program one after the other, so that a worker compiles it once
+    order = sorted(tasks, key=lambda key: to_json(tasks[key].config))
+    todo = [(_changed(full[rows_of[key]], preset), tasks[key]) for key in order]
+    missing = [task for values, task in todo if log.find(values) is None]
+    if missing:
+        programs = len({to_json(task.config) for task in missing})
+        print(
+            f"rows to measure: {len(missing)}, kept: {len(todo) - len(missing)}; "
+            f"programs to compile: {programs}",
+            file=sys.stderr,
+        )
+    known: dict[str, Trial] = {}
+    failures: list[str] = []
+    done = 0
+
+    def execute(tasks: Sequence[TrialTask]) -> Iterable[TaskResult[Any]]:
+        return run_tasks(run_trial, tasks, workers=variants.workers)
+
+    for i, trial, fresh in log.run(todo, execute, keep_failures=False):
+        table, name = rows_of[order[i]]
+        known[order[i]] = trial
+        if trial.metrics is None:
+            failures.append(f"{name} ({table}) failed: {trial.reason}")
+        if fresh:
+            done += 1
+            said = "" if trial.reason is None else f": {trial.reason}"
+            print(f"{done} of {len(missing)}: {table}, {name}{said}", file=sys.stderr)
+    nothing = [None] * len(variants.sources)
+    found = {row: list(known[to_json(v)].metrics or nothing) for row, v in full.items()}
+    return found, failures
+
+
+def _changed(values: Values, preset: Values) -> dict[str, float]:
+    """Those that are not the preset's own: by them a row is known, whatever the others are."""
+    return {path: value for path, value in values.items() if value != preset[path]}
+
+
+# -- how figures are written ----------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Column:
+    """A figure in the tables: how it is written with others in a cell, and alone."""
+
+    name: str
+    metric: str
+    beside: Callable[[float], str]
+    alone: Callable[[float], str]
+    unit: str = ""
+
+    def cell(self, values: Sequence[float | None]) -> str:
+        """The values of a row, those that were not measured left out."""
+        known = [value for value in values if value is not None]
+        write = self.beside if len(values) > 1 else self.alone
+        return " / ".join(write(value) for value in known) + self.unit if known else "–"
+
+
+def _fixed(digits: int) -> Callable[[float], str]:
+    return lambda value: f"{value:.{digits}f}"
+
+
+def _short(digits: int) -> Callable[[float], str]:
+    return lambda value: f"{value:.{digits}f}".removeprefix("0")
+
+
+def _power(value: float) -> str:
+    mantissa, _, exponent = f"{value:.1e}".partition("e")
+    return f"{mantissa}e{int(exponent)}"
+
+
+def _percent(value: float) -> str:
+    return f"{100 * value:.0f}"
+
+
+COLUMNS = (
+    Column("cos thumb", "cosine_similarity", _short(4), _fixed(4)),
+    Column("cos all", "cosine_similarity_all", _short(4), _fixed(4)),
+    Column("motion", "motion_preservation", _short(3), _fixed(3)),
+    Column("flatness [m²]", "flatness", _power, _power),
+    Column("vel. corr.", "velocity_correlation", _short(3), _fixed(3)),
+    Column("collision", "self_collision.share", _percent, _percent, " %"),
+    Column("pinch [mm]", "pinch_error_mm", _fixed(1), _fixed(1)),
+)
+HEADER = tuple(column.name for column in COLUMNS)
+
+
+def figures_of(metrics: Mapping[str, Any] | None) -> dict[str, float | None]:
+    """Metric of a column -> figure."""
+    return {c.metric: None if metrics is None else figure(metrics, c.metric) for c in COLUMNS}
+
+
+def cells_of(figures: Sequence[Mapping[str, float | None]]) -> list[str]:
+    """A row of the tables from the figures on each recording."""
+    return [column.cell([one[column.metric] for one in figures]) for column in COLUMNS]
+
+
+TARGETS = "objective.targets"
+VECTORS = "direction_length"
+SQUARED = 0.02
+"""``huber_width`` [m] beyond any length error of a pinch: the cost is a parabola there."""
+WITHOUT: dict[str, Values] = {
+    "motion term": {"motion_weight": 0.0},
+    "its decrease with speed (s → ∞)": {"motion_speed": 1e6},
+    "self-collision cost": {"self_collision.weight": 0.0},
+    "weights by kind (all 1)": {
+        f"{TARGETS}.w_wrist": 1.0, f"{TARGETS}.w_thumb": 1.0, f"{TARGETS}.w_between": 1.0,
+    },
+    "focus (powers 0)": {f"{TARGETS}.focus": 0.0, f"{TARGETS}.focus_between": 0.0},
+    "velocity term": {"objective.velocity_weight": 0.0},
+    "lag": {"landmarks.time_constant": 0.0},
+    "jump threshold": {"landmarks.jump_threshold": 1e9},
+    "its growth with noise": {"landmarks.noise": 0.0},
+    "direction cost": {f"{VECTORS}.direction": 0.0},
+    "length cost": {f"{VECTORS}.length": 0.0},
+    "its linear form (squared instead)": {
+        f"{VECTORS}.length": 1000.0, f"{VECTORS}.huber_width": SQUARED,
+    },
+    "targets apart": {f"{TARGETS}.apart": 0.0},
+    "pose term (γ = 0.0005)": {"objective.pose_weight": 0.0005},
+}  # fmt: skip
+"""Part -> settings with which it is out of the whole."""
+
+ALWAYS_IN = ("pose term (γ = 0.0005)", "its linear form (squared instead)")
+"""Parts that stay where nothing else is left."""
+
+ALONE: dict[str, tuple[str, ...]] = {
+    "motion term, constant": ("motion term",),
+    "motion term, decreasing with speed": ("motion term", "its decrease with speed (s → ∞)"),
+    "self-collision cost": ("self-collision cost",),
+    "weights by kind": ("weights by kind (all 1)",),
+    "focus": ("focus (powers 0)",),
+    "velocity term": ("velocity term",),
+    "lag": ("lag",),
+    "jump threshold": ("jump threshold",),
+    "jump threshold, growing with noise": ("jump threshold", "its growth with noise"),
+    "direction cost": ("direction cost",),
+    "length cost": ("length cost",),
+    "direction and length costs": ("direction cost", "length cost"),
+}
+"""Name -> which of those above are put back into nothing."""
+
+
+@dataclass(frozen=True)
+class Front:
+    """Two things that can't be had together.
+
+    Attributes:
+        title: what they are.
+        setting: what is changed.
+        rows: name -> settings.
+        x, y: how they stand against each other in the picture.
+        without: part whose row of ``without`` is a point of the picture, too.
+    """
+
+    title: str
+    setting: str
+    rows: Mapping[str, Values]
+    x: Axis
+    y: Axis
+    without: str | None = None
+
+
+FRONTS = (
+    Front(
+        "Smooth against correlated",
+        "lag, jump threshold",
+        {  # a jump_speed would widen a threshold of 0.05 m at 30 Hz
+            f"lag {1e3 * lag:g} ms, jump {'∞' if jump > 1e3 else f'{jump:g}'}": {
+                "landmarks.time_constant": lag, "landmarks.jump_threshold": jump,
+                "landmarks.jump_speed": 0.0, "landmarks.noise": 0.0,
+            }
+            for lag, jump in ((0.0, 1e9), (5e-4, 0.2), (1.75e-3, 0.2), (1.75e-3, 0.1),
+                              (1.75e-3, 0.05), (4e-3, 0.1), (4e-3, 0.05), (8e-3, 0.1))
+        },
+        FLATNESS,
+        VELOCITY,
+    ),
+    Front(
+        "Accurate against moving",
+        "weight of the motion term",
+        {f"w_m = {w:g}": {"motion_weight": w} for w in (50.0, 150.0, 400.0, 1500.0)},
+        ALL_VECTORS,
+        MOTION,
+    ),
+    Front(
+        "Accurate against collision-free",
+        "weight of the self-collision cost",
+        {f"w_c = {w:g}": {"self_collision.weight": w} for w in (300.0, 1000.0, 3000.0, 20000.0)},
+        COLLISION,
+        THUMB,
+        without="self-collision cost",
+    ),
+    Front(
+        "Direction against pinch gap",
+        "weights of direction and length",
+        {
+            f"direction {d:g}, length {w:g}": {f"{VECTORS}.direction": d, f"{VECTORS}.length": w}
+            for d, w in ((0.0, 0.0), (0.5, 115.0), (1.0, 115.0), (1.5, 200.0), (1.5, 50.0),
+                         (2.0, 0.0))
+        }
+        | {
+            f"direction 1.5, length {w:g}, squared": {
+                f"{VECTORS}.direction": 1.5, f"{VECTORS}.length": w,
+                f"{VECTORS}.huber_width": SQUARED,
+            }
+            for w in (3000.0, 6000.0)
+        },
+        PINCH,
+        THUMB,
+    ),
+)  # fmt: skip
+
+LIKE_ANY_VALUE = frozenset({
+    "motion_weight", "self_collision.weight", f"{TARGETS}.focus", f"{TARGETS}.focus_between",
+    "objective.velocity_weight", "objective.pose_weight", "landmarks.time_constant",
+    "landmarks.jump_speed", "landmarks.noise", f"{VECTORS}.direction", f"{VECTORS}.length",
+    f"{TARGETS}.apart",
+})  # fmt: skip
+"""Settings whose 0 needs no separate program, see ``setting_rows``."""
+
+TUNED_ON = {
+    "glove, frames 0–499": f"{GLOVE}@0:500",
+    "human_alex, frames 0–1748": "human_alex_21x3.npy@30hz,0:1749",
+    "synthetic operator 11": "synthetic:11@0:1200",
+}
+HANDS_ON = {
+    "glove 0–499": f"{GLOVE}@0:500",
+    "synthetic 11, 10 s": "synthetic:11@0:1000",
+    "alex 0–599": "human_alex_21x3.npy@30hz,0:600",
+}
+HANDS = ("allegro_hand", "leap_hand", "shadow_hand", "inspire_hand")
+
 
 METHOD = "smooth"
 

@@ -32,7 +32,7 @@ from smooth_operator.metrics.assemble import assemble_trace
 from smooth_operator.reporting.drawing import INK, styled, write_figure
 from smooth_operator.types import CommandTrajectory, HandRecording
 from smooth_operator_research.judging.judge import FILES
-from smooth_operator_research.judging.truth import TruthFigures, against_truth, without_noise
+from smooth_operator_research.judging.targets import TruthFigures, against_truth, without_noise
 from smooth_operator_research.physics.reachable_motion import (
     AskedMotion,
     motion_figures,

@@ -13,17 +13,18 @@ import numpy as np
 from smooth_operator.baselines.scipy_slsqp import ScipySlsqpConfig
 from smooth_operator.baselines.slsqp_presets import DEXPILOT_PUBLISHED
 from smooth_operator_research.paper.compared_solvers import Sampling, Slsqp, Solver, Starts
-from smooth_operator_research.paper.experiment import Table
-from smooth_operator_research.paper.experiment_context import (
+from smooth_operator_research.paper.experiment import (
+    PUBLISHED_STARTS,
     TUNING_OPERATOR,
     ExperimentContext,
+    Size,
+    Table,
     counted,
     recordings_of,
 )
 from smooth_operator_research.paper.intervals import Estimate, Samples, typical
 from smooth_operator_research.paper.problems import Problem
 from smooth_operator_research.paper.runs import Run, measure_run
-from smooth_operator_research.paper.sizes import PUBLISHED_STARTS, Size
 from smooth_operator_research.paper.solver_grid import SolverGrid, make_solver_grid
 
 

@@ -10,15 +10,20 @@ import numpy as np
 from smooth_operator.baselines.scipy_slsqp import ScipySlsqpConfig
 from smooth_operator.baselines.slsqp_presets import DEXPILOT_PUBLISHED
 from smooth_operator.methods.presets import SBR_PAPER
-from smooth_operator_research.paper.budget_grid import Point, contours, grid_points, most_cycles
 from smooth_operator_research.paper.compared_solvers import Slsqp
-from smooth_operator_research.paper.experiment import Drawing, Outcome, Table
-from smooth_operator_research.paper.experiment_context import ExperimentContext, counted
-from smooth_operator_research.paper.figures_compute import compute_figure
+from smooth_operator_research.paper.experiment import (
+    Drawing,
+    ExperimentContext,
+    Outcome,
+    Table,
+    counted,
+)
+from smooth_operator_research.paper.figures import compute_figure
 from smooth_operator_research.paper.intervals import Estimate, Samples, contrast, typical
 from smooth_operator_research.paper.problems import Problem
 from smooth_operator_research.paper.runs import measure_run
 from smooth_operator_research.paper.solver import percent
+from smooth_operator_research.paper.solver_grid import Point, contours, grid_points, most_cycles
 from smooth_operator_research.paper.verdicts import Direction, Verdict, judge
 
 PAPER_REFERENCE: Final = 0.4414

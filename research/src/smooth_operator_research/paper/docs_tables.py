@@ -22,8 +22,7 @@ from typing import Annotated, Any, Final
 import tyro
 
 from smooth_operator_research.paper import interval_coverage
-from smooth_operator_research.paper.experiment import Table
-from smooth_operator_research.paper.experiment_folder import RESULTS
+from smooth_operator_research.paper.experiment import RESULTS, Table
 from smooth_operator_research.paper.experiment_report import markdown
 from smooth_operator_research.paper.registry import EXPERIMENTS
 

@@ -22,8 +22,13 @@ from smooth_operator.reporting.html import (
     text_table,
 )
 from smooth_operator.reporting.report_page import write_report_page
-from smooth_operator_research.paper.experiment import Experiment, Outcome, Table
-from smooth_operator_research.paper.experiment_folder import RESULTS, ExperimentFolder
+from smooth_operator_research.paper.experiment import (
+    RESULTS,
+    Experiment,
+    ExperimentFolder,
+    Outcome,
+    Table,
+)
 from smooth_operator_research.paper.registry import EXPERIMENTS
 from smooth_operator_research.paper.verdicts import RULES
 

@@ -18,9 +18,14 @@ from smooth_operator.hands.registry import load_hand
 from smooth_operator.lab.benchmark.machine import Watch
 from smooth_operator.lab.offline.finished import digest
 from smooth_operator_research.paper import fk_libraries
-from smooth_operator_research.paper.experiment import Drawing, Outcome, Table
-from smooth_operator_research.paper.experiment_context import ExperimentContext, cell_job
-from smooth_operator_research.paper.figures_more import fk_figure
+from smooth_operator_research.paper.experiment import (
+    Drawing,
+    ExperimentContext,
+    Outcome,
+    Table,
+    cell_job,
+)
+from smooth_operator_research.paper.figures import fk_figure
 from smooth_operator_research.paper.fk_libraries import (
     AGREEMENT,
     BOUNDED,
@@ -37,8 +42,8 @@ from smooth_operator_research.paper.fk_libraries import (
     make_library,
     missing,
     random_poses,
+    write_urdf,
 )
-from smooth_operator_research.paper.fk_urdf import write_urdf
 from smooth_operator_research.paper.intervals import (
     Estimate,
     Samples,

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
-from smooth_operator.errors import ConfigError, SmoothOperatorError
+from smooth_operator.errors import ConfigError, RecordingError, SmoothOperatorError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.alignment import AlignmentConfig, align_recording
 from smooth_operator.lab.benchmark.built import built_for
 from smooth_operator.lab.benchmark.cells import Cell, benchmark_code, fingerprint
+from smooth_operator.lab.benchmark.recordings import SYNTHETIC_SECONDS, Source
 from smooth_operator.lab.benchmark.settings import Choice, Settings, method_label, select_methods
 from smooth_operator.landmarks import LANDMARKS
 from smooth_operator.metrics import consistency, joints
@@ -23,9 +25,9 @@ from smooth_operator.metrics.accuracy import cosine_similarity
 from smooth_operator.metrics.trace import Trace
 from smooth_operator.planning import Plan
 from smooth_operator.result_cache import Job
-from smooth_operator_research.paper.degraded_recordings import LEAD, DegradedRecording
-from smooth_operator_research.paper.delay import sub_frame_lag
-from smooth_operator_research.paper.experiment_context import Compute, ExperimentContext, cell_job
+from smooth_operator.synthetic.tracker import TrackerModel, TrackerStream
+from smooth_operator.types import HandRecording
+from smooth_operator_research.paper.experiment import Compute, ExperimentContext, cell_job
 from smooth_operator_research.paper.intervals import (
     Contrast,
     Estimate,
@@ -34,6 +36,214 @@ from smooth_operator_research.paper.intervals import (
     mean_of,
     typical,
 )
+
+LEAD: Final = 20
+"""The first frame is shown so many times before the clock starts, so that what a method does until
+it has settled, from its neutral pose, is not counted."""
+
+FEWEST: Final = 12
+"""A recording of fewer frames has neither jitter nor lag worth the name."""
+
+
+@dataclass(frozen=True, eq=False)
+class DegradedRecording:
+    """A recording as seen, and as it was.
+
+    Attributes:
+        source: where it is from.
+        clean: T frames, as they were.
+        seen: LEAD + T frames, as the tracker gave them; what was lost is not valid.
+    """
+
+    source: Source
+    clean: HandRecording
+    seen: HandRecording
+
+    def __post_init__(self) -> None:
+        if len(self.clean) < FEWEST:
+            raise RecordingError(
+                f"{self.source.name}: {len(self.clean)} frames are left for this experiment; it "
+                f"needs {FEWEST}"
+            )
+
+    @property
+    def digest(self) -> str:
+        """Of what is seen, as one word."""
+        assert self.seen.valid is not None  # filled in on construction
+        known = np.where(self.seen.valid[..., None], self.seen.landmarks, np.nan)
+        total = hashlib.sha256(self.seen.side.encode())
+        for array in (known, self.seen.stamps):
+            total.update(np.ascontiguousarray(array, "<f8").tobytes())
+        return total.hexdigest()
+
+
+def recording_of(source: Source) -> HandRecording:
+    """The frames of a source.
+
+    Raises:
+        RecordingError: it could not be read.
+    """
+    if source.recording is None:
+        raise RecordingError(f"{source.name}: {source.error}")
+    return source.recording
+
+
+def middle(recording: HandRecording, frames: int) -> HandRecording:
+    """So many frames from the middle; all, where there are fewer."""
+    start = max(0, (len(recording) - frames) // 2)
+    return recording[start : start + frames]
+
+
+def through_tracker(source: Source, clean: HandRecording, model: TrackerModel) -> DegradedRecording:
+    """What a tracker with noise and losses makes of a recording.
+
+    A lost frame stays in its place without a valid landmark, as a loop meets it that has to send a
+    command anyway. The recording's own noise, where a real tracker made it, is in both.
+    """
+    seen = led(clean)
+    ticks = TrackerStream(model, clean.rate_hz).next(len(seen))
+    ticks.arrives[:LEAD] = True
+    landmarks, valid, metacarpals = seen.landmarks.copy(), seen.valid, seen.metacarpals
+    assert valid is not None  # filled in on construction
+    if ticks.noise is not None:
+        landmarks += ticks.noise[:, :21]
+        metacarpals = None if metacarpals is None else metacarpals + ticks.noise[:, 21:]
+    gone = ~ticks.arrives[:, None] | ticks.lost
+    landmarks[gone] = np.nan
+    return DegradedRecording(
+        source,
+        clean,
+        replace(seen, landmarks=landmarks, valid=valid & ~gone, metacarpals=metacarpals),
+    )
+
+
+def at_rate(source: Source, rate_hz: float, seconds: float) -> DegradedRecording | None:
+    """The same motion at another frame rate.
+
+    The built-in operator is recorded again, so that nothing is interpolated. Of another
+    recording the frames nearest to the ticks are taken with their own stamps.
+
+    Args:
+        source: the recording.
+        rate_hz: frames a second.
+        seconds: how much of its middle.
+
+    Returns:
+        None where the recording has not as many frames a second.
+    """
+    recording = recording_of(source)
+    begin = float(recording.stamps[0]) + max(0.0, (recording.duration - seconds) / 2)
+    end = begin + min(seconds, recording.duration)
+    if source.request.path is None:
+        operator = replace(source.request, rate=rate_hz, noise=0.0).operator()
+        whole = operator.record(SYNTHETIC_SECONDS)
+        inside = np.flatnonzero((whole.stamps >= begin - 1e-9) & (whole.stamps < end + 1e-9))
+        clean = whole[int(inside[0]) : int(inside[-1]) + 1]
+        return DegradedRecording(source, replace(clean, meta={}), led(clean))
+    if recording.rate_hz < 0.95 * rate_hz:
+        return None
+    chosen = nearest_frames(recording.stamps, np.arange(begin, end, 1 / rate_hz))
+    clean = _chosen(recording, chosen)
+    return DegradedRecording(source, clean, led(clean))
+
+
+def nearest_frames(
+    stamps: Float[np.ndarray, " T"], ticks: Float[np.ndarray, " S"]
+) -> Int[np.ndarray, " U"]:
+    """Which frames are nearest to the ticks, each once."""
+    after = np.searchsorted(stamps, ticks).clip(1, len(stamps) - 1)
+    before_is_nearer = ticks - stamps[after - 1] < stamps[after] - ticks
+    return np.unique(after - before_is_nearer)
+
+
+def led(recording: HandRecording) -> HandRecording:
+    """A recording with its first frame LEAD times in front, at its own rate."""
+    period = 1.0 / recording.rate_hz
+    first = np.zeros(LEAD, int)
+    led = _chosen(recording, np.concatenate([first, np.arange(len(recording))]), check=False)
+    stamps = led.stamps.copy()
+    stamps[:LEAD] -= period * np.arange(LEAD, 0, -1)
+    return replace(led, stamps=stamps)
+
+
+def _chosen(
+    recording: HandRecording, at: Sequence[int] | Int[np.ndarray, " S"], check: bool = True
+) -> HandRecording:
+    optional: dict[str, Any] = {
+        name: None if getattr(recording, name) is None else getattr(recording, name)[at]
+        for name in ("valid", "metacarpals", "orientations", "T_world_wrist")
+    }
+    stamps = recording.stamps[at]
+    assert not check or (np.diff(stamps) > 0).all()  # frames are taken in order, and once
+    return replace(recording, landmarks=recording.landmarks[at], stamps=stamps, meta={}, **optional)
+
+
+LONGEST_S: Final = 0.25
+"""Longest delay that is looked for [s]; a result near it means that or more."""
+
+EARLIEST_S: Final = 0.04
+"""How far before the human the robot is looked for [s], so that a lag of nothing is no edge."""
+
+_STEP_S: Final = 0.002
+_SHORTEST_S: Final = 0.2  # of overlap; less correlates by chance
+
+
+def sub_frame_lag(
+    human: Float[np.ndarray, "T F 3"],
+    robot: Float[np.ndarray, "T F 3"],
+    stamps: Float[np.ndarray, " T"],
+) -> tuple[float, float]:
+    """The delay that best aligns human and robot fingertip velocity, and how well it does.
+
+    ``lag`` counts whole frames, refines by a parabola and
+    says 0 for all that is under half a frame; at 15 Hz that is 33 ms. Here cubic splines are laid
+    through the commands and through the human's motion, and their velocities are shifted against
+    each other in steps of 2 ms, to either side of nothing. What both splines smooth away is the
+    same, so it moves neither. The stamps are those of the frames that commands answer: neither the
+    time of computing nor that of holding a command till the next is in it.
+
+    Args:
+        human: (T, F, 3) human wrist to tip vectors [m], NaN where unknown.
+        robot: (T, F, 3) robot wrist to tip vectors [m].
+        stamps: (T,) strictly increasing times [s].
+
+    Returns:
+        The lag [ms], negative where the robot is ahead, and the Pearson correlation there; both NaN
+        where there is too little motion or time to tell.
+    """
+    from scipy.interpolate import CubicSpline
+
+    known = np.isfinite(human).all(axis=(1, 2)) & np.isfinite(robot).all(axis=(1, 2))
+    nothing = float("nan"), float("nan")
+    if known.sum() < 8:
+        return nothing
+    at = stamps[known]
+    longest = min(LONGEST_S, (at[-1] - at[0]) / 3)
+    ahead, behind = round(EARLIEST_S / _STEP_S), int(longest / _STEP_S)
+    grid = np.arange(at[0], at[-1], _STEP_S)
+    count = len(grid) - ahead - behind
+    if count * _STEP_S < _SHORTEST_S:
+        return nothing
+    leader, follower = (CubicSpline(at, hand[known])(grid, 1) for hand in (human, robot))
+    velocity = leader[ahead : ahead + count]
+    delays = _STEP_S * np.arange(-ahead, behind + 1)
+    c = np.array([_correlation(velocity, follower[k : k + count]) for k in range(len(delays))])
+    if not np.isfinite(c).all():
+        return nothing
+    k = int(np.argmax(c))
+    delay = float(delays[k])
+    if 0 < k < len(c) - 1:
+        bend = c[k - 1] - 2 * c[k] + c[k + 1]
+        if bend < 0:
+            delay += _STEP_S * float(0.5 * (c[k - 1] - c[k + 1]) / bend)
+    return 1e3 * delay, float(c[k])
+
+
+def _correlation(a: Float[np.ndarray, "S F 3"], b: Float[np.ndarray, "S F 3"]) -> float:
+    a, b = a - a.mean(), b - b.mean()
+    size = np.sqrt((a * a).sum() * (b * b).sum())
+    return float((a * b).sum() / size) if size > 1e-12 else float("nan")
+
 
 PUBLISHED_SBR: Final = "sbr:paper"
 """Label of the paper's method with the paper's settings."""

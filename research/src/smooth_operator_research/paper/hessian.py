@@ -14,9 +14,15 @@ from smooth_operator.lab.offline.finished import digest
 from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.result_cache import Job
 from smooth_operator_research.paper.comparison import Comparison, compare_solvers, setup_of
-from smooth_operator_research.paper.experiment import Drawing, Outcome, Table
-from smooth_operator_research.paper.experiment_context import Compute, ExperimentContext, cell_job
-from smooth_operator_research.paper.figures_hessian import hessian_figure
+from smooth_operator_research.paper.experiment import (
+    Compute,
+    Drawing,
+    ExperimentContext,
+    Outcome,
+    Table,
+    cell_job,
+)
+from smooth_operator_research.paper.figures import hessian_figure
 from smooth_operator_research.paper.intervals import Estimate, Samples, contrast, pooled, typical
 from smooth_operator_research.paper.problems import Problem
 from smooth_operator_research.paper.solver_grid import NEWTON, SAMPLING

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Final
 
-from smooth_operator_research.paper.experiment_context import ExperimentContext
+from smooth_operator_research.paper.experiment import ExperimentContext
 
 
 @dataclass(frozen=True)

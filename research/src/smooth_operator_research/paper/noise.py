@@ -7,21 +7,24 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from smooth_operator.synthetic.tracker import TrackerModel
-from smooth_operator_research.paper.degraded_recordings import (
-    LEAD,
-    middle,
-    recording_of,
-    through_tracker,
+from smooth_operator_research.paper.experiment import (
+    Drawing,
+    ExperimentContext,
+    Outcome,
+    Table,
+    counted,
 )
-from smooth_operator_research.paper.experiment import Drawing, Outcome, Table
-from smooth_operator_research.paper.experiment_context import ExperimentContext, counted
-from smooth_operator_research.paper.figures_more import Column, Row, sweep_figure
+from smooth_operator_research.paper.figures import Column, Row, sweep_figure
 from smooth_operator_research.paper.follow import (
     BASELINES,
+    LEAD,
     PUBLISHED_SBR,
     Sweep,
     field_of,
+    middle,
+    recording_of,
     run_sweep,
+    through_tracker,
 )
 from smooth_operator_research.paper.intervals import Estimate
 from smooth_operator_research.paper.more_sizes import more_size

@@ -6,11 +6,17 @@ from collections.abc import Sequence
 from typing import Final
 
 from smooth_operator.errors import RecordingError
-from smooth_operator_research.paper.degraded_recordings import LEAD, DegradedRecording, at_rate
-from smooth_operator_research.paper.experiment import Drawing, Outcome, Table
-from smooth_operator_research.paper.experiment_context import ExperimentContext
-from smooth_operator_research.paper.figures_more import Column, Row, sweep_figure
-from smooth_operator_research.paper.follow import PUBLISHED_SBR, Sweep, field_of, run_sweep
+from smooth_operator_research.paper.experiment import Drawing, ExperimentContext, Outcome, Table
+from smooth_operator_research.paper.figures import Column, Row, sweep_figure
+from smooth_operator_research.paper.follow import (
+    LEAD,
+    PUBLISHED_SBR,
+    DegradedRecording,
+    Sweep,
+    at_rate,
+    field_of,
+    run_sweep,
+)
 from smooth_operator_research.paper.intervals import Estimate
 from smooth_operator_research.paper.more_sizes import more_size
 from smooth_operator_research.paper.noise import (

@@ -24,9 +24,9 @@ from smooth_operator_research.paper.compared_solvers import (
     Slsqp,
     Solver,
     slsqp_objective,
+    soft_mean,
 )
 from smooth_operator_research.paper.problems import Problem
-from smooth_operator_research.paper.starts import soft_mean
 
 CHUNK: Final = 20
 """Frames in one call of a program: few enough that Ctrl-C is heard and a bar moves."""

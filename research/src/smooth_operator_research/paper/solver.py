@@ -14,8 +14,7 @@ from smooth_operator_research.paper.comparison import (
     compare_solvers,
     setup_of,
 )
-from smooth_operator_research.paper.experiment import Drawing, Outcome, Table
-from smooth_operator_research.paper.experiment_context import ExperimentContext
+from smooth_operator_research.paper.experiment import Drawing, ExperimentContext, Outcome, Table
 from smooth_operator_research.paper.figures import comparison_figure
 from smooth_operator_research.paper.intervals import Estimate, contrast
 from smooth_operator_research.paper.solver_grid import NEWTON, SAMPLING, TUNED

@@ -11,12 +11,20 @@ from smooth_operator.errors import RecordingError, UnknownNameError
 from smooth_operator.lab.benchmark.recordings import Source, load_sources, parse_request
 from smooth_operator.reporting.drawing import styled
 from smooth_operator.result_cache import Note, no_note
-from smooth_operator_research.paper.experiment import Outcome
-from smooth_operator_research.paper.experiment_context import ExperimentContext, Track, silent
-from smooth_operator_research.paper.experiment_folder import ExperimentFolder
+from smooth_operator_research.paper.experiment import (
+    DEFAULT,
+    PUBLISHED,
+    QUICK,
+    ExperimentContext,
+    ExperimentFolder,
+    Outcome,
+    Size,
+    Track,
+    silent,
+    trial_note,
+)
 from smooth_operator_research.paper.experiment_report import write_outcome, write_report
 from smooth_operator_research.paper.registry import experiment
-from smooth_operator_research.paper.sizes import DEFAULT, PUBLISHED, QUICK, Size, trial_note
 
 SIZES: Final = {size.name: size for size in (QUICK, DEFAULT, PUBLISHED)}
 

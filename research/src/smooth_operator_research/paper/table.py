@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -11,21 +11,85 @@ from typing import Final
 
 import numpy as np
 
+from smooth_operator.formats.jsonable import to_json
+from smooth_operator.hands.registry import load_hand
+from smooth_operator.lab.benchmark.built import built_for
 from smooth_operator.lab.benchmark.cells import Cell, benchmark_code, fingerprint
+from smooth_operator.lab.benchmark.latency import measure_latency
 from smooth_operator.lab.benchmark.published import PAPER_NOTE, PAPER_TABLE
 from smooth_operator.lab.benchmark.ranking import HEADLINES, Line, best, merit, shown_value
 from smooth_operator.lab.benchmark.recordings import Source
 from smooth_operator.lab.benchmark.settings import Settings
-from smooth_operator.metrics import Metric
-from smooth_operator_research.paper.degraded_recordings import LEAD, middle, recording_of
-from smooth_operator_research.paper.experiment import Drawing, Outcome, Table
-from smooth_operator_research.paper.experiment_context import ExperimentContext, cell_job
-from smooth_operator_research.paper.figures_more import Panel, table_figure
-from smooth_operator_research.paper.follow import Field, effort_ms, field_of
+from smooth_operator.lab.offline import execute, measure
+from smooth_operator.lab.offline.execution import Outcome as Execution
+from smooth_operator.metrics import Metric, evaluate
+from smooth_operator.planning import Plan
+from smooth_operator_research.paper.experiment import (
+    Drawing,
+    ExperimentContext,
+    Outcome,
+    Table,
+    cell_job,
+)
+from smooth_operator_research.paper.figures import Panel, table_figure
+from smooth_operator_research.paper.follow import (
+    LEAD,
+    Field,
+    effort_ms,
+    field_of,
+    led,
+    middle,
+    recording_of,
+)
 from smooth_operator_research.paper.intervals import Estimate, Samples, contrast, mean_of, typical
 from smooth_operator_research.paper.more_sizes import more_size
-from smooth_operator_research.paper.table_cells import table_latency, table_quality
 from smooth_operator_research.paper.verdicts import Direction, Verdict, judge
+
+
+def table_quality(cell: Cell, advance: object) -> dict[str, np.ndarray]:
+    """Metrics of a cell by both definitions, ``sound`` and ``paper``, each as JSON."""
+    todo = _plan(cell)
+    outcome = execute(replace(todo, recording=led(todo.recording)), built_for(todo))
+    trace, metrics = measure(todo, settled(outcome))
+    return {
+        "sound": np.array(to_json(metrics)),
+        "paper": np.array(to_json(evaluate(trace, "paper"))),
+    }
+
+
+def settled(outcome: Execution) -> Execution:
+    """Without the frames of the lead."""
+    commands = outcome.commands
+    kept = replace(
+        commands,
+        joint_positions=commands.joint_positions[LEAD:],
+        stamps=commands.stamps[LEAD:],
+        latency_ms=commands.latency_ms[LEAD:],
+        status=commands.status[LEAD:],
+    )
+    return replace(outcome, commands=kept, tracking_loss=outcome.tracking_loss[LEAD:])
+
+
+def table_latency(
+    cells: Sequence[Cell], frames: int, advance: Callable[[float], None]
+) -> dict[str, np.ndarray]:
+    """Median latency of each cell [ms], and the share of the cores that others took."""
+    for cell in cells:  # compiled before the machine is watched
+        built_for(_plan(cell))
+    found = measure_latency(cells, frames, 0, lambda cell: advance(1 / len(cells)))
+    p50 = [one.summary["p50"] for one in found]
+    others = found[0].others
+    return {
+        "p50": np.array([np.nan if value is None else value for value in p50]),
+        "others": np.array(np.nan if others is None else others),
+    }
+
+
+def _plan(cell: Cell) -> Plan:
+    recording = recording_of(cell.source)
+    hand = load_hand(cell.hand, recording.side)
+    return Plan(recording, hand, cell.method, cell.preset, cell.config, 0)
+
 
 PAPERS: Final = {
     "dexpilot:published": "DexPilot",

@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import Any, Final
 
 from smooth_operator_research.paper.comparison import Comparison, compare_solvers, setup_of
-from smooth_operator_research.paper.experiment import Drawing, Outcome, Table
-from smooth_operator_research.paper.experiment_context import ExperimentContext
+from smooth_operator_research.paper.experiment import Drawing, ExperimentContext, Outcome, Table
 from smooth_operator_research.paper.figures import comparison_figure
 from smooth_operator_research.paper.intervals import Estimate, contrast, mean_of, pooled
 from smooth_operator_research.paper.solver import change, percent

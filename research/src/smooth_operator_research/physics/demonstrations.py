@@ -21,18 +21,24 @@ from smooth_operator.types import HandRecording, Side
 from smooth_operator_research.demonstrations.demonstration import (
     PERIOD_S,
     Demonstration,
+    DemonstrationLandmarks,
     load_demonstration,
 )
-from smooth_operator_research.demonstrations.landmarks import DemonstrationLandmarks
 from smooth_operator_research.demonstrations.perturbation import (
     Perturbation,
     PerturbedLandmarks,
     draw_perturbation,
 )
-from smooth_operator_research.physics.measure import Case, Clip, Drawing, Measured, Unit
-from smooth_operator_research.physics.plots import interval_drawings
+from smooth_operator_research.physics.measure import (
+    Case,
+    Clip,
+    Drawing,
+    Measured,
+    PhysicsSettings,
+    Unit,
+)
+from smooth_operator_research.physics.page import interval_drawings
 from smooth_operator_research.physics.results import Figure, MeasureResults, Row
-from smooth_operator_research.physics.settings import PhysicsSettings
 
 WORLDS: Final = 100
 """Perturbed worlds of each task."""

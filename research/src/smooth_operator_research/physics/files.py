@@ -11,7 +11,7 @@ from smooth_operator.atomic_files import atomic_write, write_json
 from smooth_operator.formats.csv_table import csv_text
 from smooth_operator.formats.environment import environment
 from smooth_operator.planning import PROGRAM
-from smooth_operator_research.physics.settings import PhysicsSettings
+from smooth_operator_research.physics.measure import PhysicsSettings
 from smooth_operator_research.physics.suite import COMMAND, MeasureOutcome
 
 RESULTS: Final = "results.json"

@@ -7,26 +7,91 @@ each, and makes tables, files and the report.
 
 from __future__ import annotations
 
+import base64
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Protocol
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
 from jaxtyping import Float
 
+from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.alignment import reference_landmarks
 from smooth_operator.lab.benchmark.built import built_for
-from smooth_operator.lab.benchmark.settings import method_label
+from smooth_operator.lab.benchmark.settings import ALL, method_label, select_hands, select_methods
 from smooth_operator.lab.offline import execute
 from smooth_operator.methods.method import MethodConfig
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.planning import Plan
 from smooth_operator.types import CommandTrajectory, HandRecording, Side
 from smooth_operator_research.physics.results import Figure, MeasureResults, Row
-from smooth_operator_research.physics.settings import PhysicsSettings
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhysicsSettings:
+    """What to measure, and where to write it.
+
+    Attributes:
+        output: folder of the results.
+        measures: names of measures; see ``lab.physics.registry``.
+        hands: names of robot hands.
+        methods: names as ``lab.benchmark.settings.select_methods`` takes them.
+        side: which hand, of measures that need no recording.
+        recordings: of measures that need some: files, folders, or ``synthetic``; empty for what a
+            measure takes by itself.
+        frames: ``A:B``, of each recording that brings no range of its own.
+        rate: frames a second of recordings without stamps [Hz].
+        layout: order of the landmarks in plain arrays; None for the project's own.
+        units: how many independent units (seeds, worlds, operators) each measure takes; None for
+            as many as it takes by itself.
+        quick: take fewer and shorter cases, to try things out.
+        seed: of the units and of the methods' random numbers.
+        workers: processes; None for one per core, 0 for none.
+        cluster: address of a Ray cluster instead of processes on this machine.
+
+    Raises:
+        ConfigError: a number is out of its range, or there is nothing to measure.
+        UnknownNameError: there is no such hand, method or preset.
+    """
+
+    output: Path
+    measures: tuple[str, ...] = ()
+    hands: tuple[str, ...] = ("mimic_p050",)
+    methods: tuple[str, ...] = (ALL,)
+    side: Side = "right"
+    recordings: tuple[str, ...] = ()
+    frames: str | None = None
+    rate: float | None = None
+    layout: str | None = None
+    units: int | None = None
+    quick: bool = False
+    seed: int = 0
+    workers: int | None = None
+    cluster: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.units is not None and self.units < 1:
+            raise ConfigError(f"a measure takes one independent unit or more, not {self.units}")
+        if self.seed < 0:
+            raise ConfigError(f"the seed must be 0 or more, not {self.seed}")
+        object.__setattr__(self, "hands", select_hands(self.hands))
+        select_methods(self.methods)
+
+    def count(self, default: int, quick: int) -> int:
+        """How many units a measure takes.
+
+        Args:
+            default: where nothing is said.
+            quick: where a quick run is asked for.
+        """
+        if self.units is not None:
+            return self.units
+        return quick if self.quick else default
+
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Plot
@@ -220,3 +285,50 @@ class Measure(Protocol):
             results: all rows and their summaries.
             colors: name of a method in tables -> its colour.
         """
+
+
+RATE_HZ: Final = 30.0
+_SCALES: Final = {"human": 1e-4, "joints": 1e-4, "objects": 1e-4}  # [m] or [rad]
+_ABSENT: Final = -(2**31)
+
+
+def clip_record(clip: Clip) -> dict[str, Any]:
+    """A clip with a JSON form, at 30 frames a second."""
+    stamps = clip.stamps
+    count = min(len(stamps), max(2, int((stamps[-1] - stamps[0]) * RATE_HZ) + 1))
+    wanted = np.linspace(stamps[0], stamps[-1], count)
+    chosen = np.unique(np.searchsorted(stamps, wanted).clip(0, len(stamps) - 1))
+    arrays = {name: getattr(clip, name) for name in _SCALES}
+    return {
+        "stamps": [round(float(t), 4) for t in stamps[chosen]],
+        "edges": [list(edge) for edge in clip.edges],
+        **{
+            name: None if array is None else _packed(array[chosen], _SCALES[name])
+            for name, array in arrays.items()
+        },
+    }
+
+
+def clip_of_record(record: dict[str, Any]) -> Clip:
+    """The clip of ``clip_record``, thinned."""
+    arrays = {
+        name: None if record[name] is None else _unpacked(record[name], scale)
+        for name, scale in _SCALES.items()
+    }
+    human, joints = arrays["human"], arrays["joints"]
+    assert human is not None
+    assert joints is not None
+    edges = [(int(a), int(b)) for a, b in record["edges"]]
+    return Clip(np.asarray(record["stamps"], float), human, joints, arrays["objects"], edges)
+
+
+def _packed(array: np.ndarray, scale: float) -> dict[str, Any]:
+    finite = np.isfinite(array)
+    whole = np.where(finite, np.rint(np.where(finite, array, 0.0) / scale), _ABSENT)
+    text = base64.b64encode(whole.astype("<i4").tobytes()).decode()
+    return {"shape": list(array.shape), "values": text}
+
+
+def _unpacked(record: dict[str, Any], scale: float) -> np.ndarray:
+    whole = np.frombuffer(base64.b64decode(record["values"]), "<i4").reshape(record["shape"])
+    return np.where(whole == _ABSENT, np.nan, whole * scale)

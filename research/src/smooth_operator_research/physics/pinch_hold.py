@@ -14,30 +14,33 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.alignment import align_recording, calibrate_scale
 from smooth_operator.types import Side
-from smooth_operator_research.physics.grasp_objects import GRASP_OBJECTS, GraspObject
-from smooth_operator_research.physics.grasp_physics import PinchPhysics
-from smooth_operator_research.physics.grasp_rows import (
+from smooth_operator_research.physics.grasp_physics import GRASP_OBJECTS, GraspObject, PinchPhysics
+from smooth_operator_research.physics.grasp_trial import (
     AT_LIMIT,
+    GRACE_S,
+    HYSTERESIS,
     LET_GO,
+    REST_S,
+    GraspResult,
+    RobotPinch,
     grasp_row,
     named_recordings,
     object_figures,
     of_side,
     recording_units,
-)
-from smooth_operator_research.physics.grasp_trial import (
-    GRACE_S,
-    HYSTERESIS,
-    REST_S,
-    GraspResult,
-    RobotPinch,
     try_pinch,
 )
 from smooth_operator_research.physics.human_pinches import HumanPinch, find_pinches, with_holds
-from smooth_operator_research.physics.measure import Case, Clip, Drawing, Measured, Unit
-from smooth_operator_research.physics.plots import interval_drawings
+from smooth_operator_research.physics.measure import (
+    Case,
+    Clip,
+    Drawing,
+    Measured,
+    PhysicsSettings,
+    Unit,
+)
+from smooth_operator_research.physics.page import interval_drawings
 from smooth_operator_research.physics.results import Figure, MeasureResults
-from smooth_operator_research.physics.settings import PhysicsSettings
 
 _QUICK_OBJECTS: Final = ("card 2", "sphere 20")
 

@@ -12,29 +12,36 @@ from smooth_operator.errors import RecordingError
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.alignment import align_recording
 from smooth_operator.types import Side
-from smooth_operator_research.physics.grasp_objects import POWER_GRASP_OBJECTS, GraspObject
-from smooth_operator_research.physics.grasp_rows import (
+from smooth_operator_research.physics.grasp_physics import (
+    POWER_GRASP_OBJECTS,
+    GraspObject,
+    PowerGraspPhysics,
+)
+from smooth_operator_research.physics.grasp_trial import (
     AT_LIMIT,
     LET_GO,
+    REST_S,
+    GraspResult,
+    RobotGrasp,
     grasp_row,
     named_recordings,
     object_figures,
     of_side,
     recording_units,
-)
-from smooth_operator_research.physics.grasp_trial import (
-    REST_S,
-    GraspResult,
-    RobotGrasp,
     try_power_grasp,
 )
 from smooth_operator_research.physics.human_closings import find_closings
 from smooth_operator_research.physics.human_pinches import with_holds
-from smooth_operator_research.physics.measure import Case, Clip, Drawing, Measured, Unit
-from smooth_operator_research.physics.plots import interval_drawings
-from smooth_operator_research.physics.power_grasp_physics import PowerGraspPhysics
+from smooth_operator_research.physics.measure import (
+    Case,
+    Clip,
+    Drawing,
+    Measured,
+    PhysicsSettings,
+    Unit,
+)
+from smooth_operator_research.physics.page import interval_drawings
 from smooth_operator_research.physics.results import Figure, MeasureResults
-from smooth_operator_research.physics.settings import PhysicsSettings
 
 _QUICK_OBJECTS: Final = ("handle 30",)
 

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final
 
 from smooth_operator.atomic_files import write_json
+from smooth_operator.errors import UnknownNameError
 from smooth_operator.formats.environment import environment
 from smooth_operator.lab.benchmark.benchmark_folder import CONFIG, check_folder
 from smooth_operator.lab.benchmark.cells import (
@@ -31,11 +34,46 @@ from smooth_operator.result_cache import (
     no_note,
 )
 from smooth_operator_research.code import research_digest
-from smooth_operator_research.physics.clip_records import clip_of_record, clip_record
-from smooth_operator_research.physics.measure import Case, Clip, Measure, Measured
-from smooth_operator_research.physics.registry import find_measure, measure_names
+from smooth_operator_research.physics.measure import (
+    Case,
+    Clip,
+    Measure,
+    Measured,
+    PhysicsSettings,
+    clip_of_record,
+    clip_record,
+)
 from smooth_operator_research.physics.results import MeasureResults, Row
-from smooth_operator_research.physics.settings import PhysicsSettings
+
+MEASURES: Final[dict[str, tuple[str, str]]] = {
+    "reachable": ("reachable_motion", "ReachableMotion"),
+    "demonstrations": ("demonstrations", "Demonstrations"),
+    "pinch": ("pinch_hold", "PinchHold"),
+    "grasp": ("power_grasp", "PowerGrasp"),
+    "operators": ("virtual_operators", "VirtualOperators"),
+}
+"""Name -> module of this package and class in it, in the order of the report. A new measure is a
+file and a line here."""
+
+
+def measure_names() -> tuple[str, ...]:
+    """The measures whose module is there."""
+    home = "smooth_operator_research.physics"
+    return tuple(n for n, (module, _) in MEASURES.items() if find_spec(f"{home}.{module}"))
+
+
+def find_measure(name: str) -> Measure:
+    """A measure by its name.
+
+    Raises:
+        UnknownNameError: there is none of that name.
+    """
+    if name not in measure_names():
+        raise UnknownNameError("measure", name, measure_names())
+    module, kind = MEASURES[name]
+    made: Measure = getattr(import_module(f"smooth_operator_research.physics.{module}"), kind)()
+    return made
+
 
 COMMAND: Final = "bench --physics"
 CASES: Final = "cases.jsonl"

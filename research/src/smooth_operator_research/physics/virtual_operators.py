@@ -6,10 +6,9 @@ from collections.abc import Mapping, Sequence
 from typing import Final
 
 from smooth_operator.simulation.tasks.task_registry import TASKS, task_named
-from smooth_operator_research.physics.measure import Case, Drawing, Measured, Unit
-from smooth_operator_research.physics.plots import interval_drawings
+from smooth_operator_research.physics.measure import Case, Drawing, Measured, PhysicsSettings, Unit
+from smooth_operator_research.physics.page import interval_drawings
 from smooth_operator_research.physics.results import Figure, MeasureResults
-from smooth_operator_research.physics.settings import PhysicsSettings
 from smooth_operator_research.virtual_operator import draw_person, make_familiar, simulate_trial
 
 RATE_HZ: Final = 30.0

@@ -25,13 +25,14 @@ from smooth_operator.simulation.scenes.state import SceneState
 from smooth_operator.simulation.tasks.scorer import Scorer
 from smooth_operator.simulation.tasks.task_registry import SimulatedTask
 from smooth_operator_research.virtual_operator.familiarisation import InternalModel
-from smooth_operator_research.virtual_operator.grip_reach import GripReach
-from smooth_operator_research.virtual_operator.hand_model import HandModel, ReachingHand
-from smooth_operator_research.virtual_operator.motor_noise import MotorNoise
-from smooth_operator_research.virtual_operator.person import Person, movement_time
-from smooth_operator_research.virtual_operator.points_on_hand import SeenTips
-from smooth_operator_research.virtual_operator.strategies import STRATEGIES
-from smooth_operator_research.virtual_operator.strategy_steps import Seen, Step, Strategy
+from smooth_operator_research.virtual_operator.hand_model import (
+    GripReach,
+    HandModel,
+    ReachingHand,
+    SeenTips,
+)
+from smooth_operator_research.virtual_operator.person import MotorNoise, Person, movement_time
+from smooth_operator_research.virtual_operator.strategies import STRATEGIES, Seen, Step, Strategy
 from smooth_operator_research.virtual_operator.visual_feedback import (
     CrossoverCorrection,
     DelayedView,

@@ -21,9 +21,9 @@ from smooth_operator_research.virtual_operator.familiarisation import (
     InternalModel,
     familiarise,
 )
-from smooth_operator_research.virtual_operator.grip_reach import GripReach
 from smooth_operator_research.virtual_operator.hand_model import (
     Body,
+    GripReach,
     HandModel,
     hand_model,
 )
