@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from smooth_operator.errors import ConfigError, RecordingError, install_command
+from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.lab.benchmark.ranking import HEADLINES
 from smooth_operator.lab.benchmark.recordings import Request, Source, load_sources, parse_request
@@ -202,7 +202,7 @@ def test_fk_names_what_is_missing_and_does_not_time_what_is_wrong(
     assert "Pinocchio: not installed, so there is a gap" in outcome.setup
     paper, ours = outcome.verdicts
     assert paper.held == "not shown"
-    assert install_command("fk") in paper.paragraph
+    assert fk.INSTALL in paper.paragraph
     assert MUJOCO in ours.ours
     legend = [text.get_text() for text in outcome.drawings[0].figure.legends[0].get_texts()]
     assert "Pinocchio: not installed" in legend

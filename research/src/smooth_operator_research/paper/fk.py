@@ -11,7 +11,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from smooth_operator.errors import install_command
 from smooth_operator.formats.jsonable import to_json
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
@@ -54,6 +53,8 @@ from smooth_operator_research.paper.intervals import (
 from smooth_operator_research.paper.more_sizes import more_size
 from smooth_operator_research.paper.verdicts import Direction, Verdict, judge
 
+INSTALL: Final = 'python -m pip install "./research[fk]"'
+"""Command that installs the compared libraries, in a clone."""
 SLICE_S: Final = 0.05
 """A round repeats a call for so long [s], or makes one that takes longer."""
 
@@ -250,7 +251,7 @@ def _paper_verdict(found: Timing) -> Verdict:
             claimed, "fastest, no figure", "not measured", "not shown",
             f"The paper: of Pinocchio, PyTorch Kinematics and MJX only the last has the speed that "
             f"is needed at large batches. Here that can't be said: {named}. "
-            f"`{install_command('fk')}` brings them. Verdict: not shown.",
+            f"`{INSTALL}` brings them. Verdict: not shown.",
         )  # fmt: skip
     ratios = {name: found.over(name, MJX, largest) for name in rivals}
     held = judge(Direction(1.0, upwards=True), list(ratios.values()), missing=len(absent))
