@@ -39,12 +39,3 @@ def test_a_command_has_help(words: str, capsys: pytest.CaptureFixture[str]) -> N
     assert main([*words.split(), "--help"]) == 0
     usage = words.replace("bench --physics", "physics")
     assert f"usage: smooth-operator {usage}" in capsys.readouterr().out
-
-
-def test_without_the_distribution_a_command_says_what_to_install(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("smooth_operator.plugins._installed", lambda group: {})
-    for words in (["paper", "--output", "x"], ["bench", "--physics"], ["study", "simulate", "x"]):
-        assert main(words) == 2
-        assert "python -m pip install ./research" in capsys.readouterr().err

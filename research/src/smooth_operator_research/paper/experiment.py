@@ -97,8 +97,7 @@ def synthetic_operators(count: int, frames: int) -> tuple[str, ...]:
     """Requests for some people of the built-in operator, who share neither hand nor motion.
 
     Each has its own seed (bone proportions, timing, amplitudes), a hand of 16 to 21 cm, a
-    tempo
-    of 0.8 to 1.3, and another part of the round of gestures.
+    tempo of 0.8 to 1.3, and another part of the round of gestures.
 
     Args:
         count: how many.
