@@ -7,9 +7,12 @@ import gc
 import os
 import shutil
 import signal
+import sys
 import tempfile
+import tomllib
 from collections import Counter
 from collections.abc import Iterator
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -47,7 +50,38 @@ def _set_up_environment() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
+RESEARCH = Path(__file__).resolve().parent / "research"
+
+
+def _offer_commands() -> None:
+    """The entry points of research, where it is on Python's path but not installed."""
+    if not (RESEARCH / "pyproject.toml").is_file():
+        return
+    project = tomllib.loads((RESEARCH / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    try:
+        metadata.distribution(project["name"])
+        return
+    except metadata.PackageNotFoundError:
+        pass
+    home = Path(tempfile.mkdtemp(prefix="smooth-operator-research-"))
+    folder = home / f"{project['name'].replace('-', '_')}-{project['version']}.dist-info"
+    folder.mkdir()
+    name, version = project["name"], project["version"]
+    (folder / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n")
+    groups = project["entry-points"].items()
+    text = "".join(
+        f"[{group}]\n" + "".join(f"{key} = {value}\n" for key, value in points.items())
+        for group, points in groups
+    )
+    (folder / "entry_points.txt").write_text(text)
+    paths = [str(RESEARCH / "src"), str(home)]
+    sys.path += paths
+    inherited = os.environ.get("PYTHONPATH", "").split(os.pathsep)
+    os.environ["PYTHONPATH"] = os.pathsep.join([*filter(None, inherited), *paths])
+
+
 _set_up_environment()
+_offer_commands()
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # as `nohup pytest &` starts it
     signal.signal(signal.SIGINT, signal.default_int_handler)
 for name in ("SIGHUP", "SIGQUIT"):  # ignored in the same way; commands that tests end inherit that

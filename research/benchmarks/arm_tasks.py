@@ -21,11 +21,11 @@ from smooth_operator.simulation.arms.catalogue import ARMS
 from smooth_operator.simulation.arms.rigid import inverse, pose_of, rigid
 from smooth_operator.simulation.scenes import ScenePhysics, scene_for
 from smooth_operator.simulation.tasks.task_registry import TASKS
-from smooth_operator.simulation.tasks.trial_loop import perform
 from smooth_operator.teleop.arm.rig import build_arms
 from smooth_operator.teleop.arm.settings import ArmSettings
 from smooth_operator_research.demonstrations.demonstration import PERIOD_S, load_demonstration
 from smooth_operator_research.demonstrations.perturbation import draw_perturbation
+from smooth_operator_research.demonstrations.trial_loop import perform
 
 APPROACH_S, SETTLE_S, STAYS_S = 5.0, 1.0, 2.0
 

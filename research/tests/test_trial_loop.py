@@ -12,11 +12,11 @@ from smooth_operator.hands.registry import load_hand
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.simulation.scenes import ScenePhysics, SceneState, scene_for
 from smooth_operator.simulation.tasks import TASKS
-from smooth_operator.simulation.tasks.trial_loop import TrialResult, run_trial
 from smooth_operator_research.demonstrations.demonstration import (
     DemonstrationLandmarks,
     load_demonstration,
 )
+from smooth_operator_research.demonstrations.trial_loop import TrialResult, run_trial
 
 pytestmark = pytest.mark.weekly
 

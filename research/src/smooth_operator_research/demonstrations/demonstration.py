@@ -23,9 +23,9 @@ from smooth_operator.simulation.scenes.scene_registry import scene_for
 from smooth_operator.simulation.scenes.state import SceneState
 from smooth_operator.simulation.tasks.task_registry import TASKS, task_named
 from smooth_operator.simulation.tasks.trial import TaskRun
-from smooth_operator.simulation.tasks.trial_loop import RATE_HZ, perform
 from smooth_operator.synthetic.robot_landmarks import human_landmarks
 from smooth_operator.types import as_side
+from smooth_operator_research.demonstrations.trial_loop import RATE_HZ, perform
 
 DEFAULT_HAND: Final = "mimic_p050"
 """Whose demonstrations are meant where no hand is named."""

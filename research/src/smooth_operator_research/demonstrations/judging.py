@@ -25,7 +25,6 @@ from smooth_operator.simulation.tasks.cube_scorer import GOAL, TOLERANCE, CubeSc
 from smooth_operator.simulation.tasks.scorer import HOLD_S
 from smooth_operator.simulation.tasks.screwdriver_scorer import ScrewdriverScorer
 from smooth_operator.simulation.tasks.task_registry import task_named
-from smooth_operator.simulation.tasks.trial_loop import Moment, perform
 from smooth_operator.synthetic.tracker import TrackerStream
 from smooth_operator.types import as_side
 from smooth_operator_research.demonstrations.demonstration import (
@@ -36,6 +35,7 @@ from smooth_operator_research.demonstrations.demonstration import (
 )
 from smooth_operator_research.demonstrations.overlap import excess
 from smooth_operator_research.demonstrations.perturbation import Perturbation, draw_perturbation
+from smooth_operator_research.demonstrations.trial_loop import Moment, perform
 
 _DAMPING: Final = 0.006  # of the inverse kinematics; joints move tips by 0.02 to 0.1 [m/rad]
 _STEP: Final = 1e-4  # of numerical derivatives [rad]

@@ -18,8 +18,8 @@ from smooth_operator.settings import check_numbers
 from smooth_operator.simulation.scenes.physics import ScenePhysics
 from smooth_operator.simulation.scenes.scene import OBJECT, Scene
 from smooth_operator.simulation.scenes.state import SceneState
-from smooth_operator.simulation.tasks.trial_loop import RATE_HZ, LandmarkSource
 from smooth_operator.synthetic.tracker import TrackerModel, TrackerStream
+from smooth_operator_research.demonstrations.trial_loop import RATE_HZ, LandmarkSource
 
 _S = TypeVar("_S", bound=Scene)
 

@@ -16,7 +16,6 @@ from smooth_operator.simulation.scenes import Scene, ScenePart, ScenePhysics, sc
 from smooth_operator.simulation.tasks.scorer import rotation
 from smooth_operator.simulation.tasks.task_registry import TASKS
 from smooth_operator.simulation.tasks.trial import Outcome
-from smooth_operator.simulation.tasks.trial_loop import TrialTrace, perform, run_trial
 from smooth_operator.types import HandRecording, Side
 from smooth_operator_research.demonstrations.demonstration import (
     PERIOD_S,
@@ -29,6 +28,7 @@ from smooth_operator_research.demonstrations.perturbation import (
     PerturbedLandmarks,
     draw_perturbation,
 )
+from smooth_operator_research.demonstrations.trial_loop import TrialTrace, perform, run_trial
 from smooth_operator_research.physics.measure import (
     Case,
     Clip,

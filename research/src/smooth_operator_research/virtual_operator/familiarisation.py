@@ -15,8 +15,8 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.landmarks import FINGERS, TIPS
-from smooth_operator.simulation.tasks.trial_loop import FrameRetargeter
 from smooth_operator.types import HandFrame
+from smooth_operator_research.demonstrations.trial_loop import FrameRetargeter
 from smooth_operator_research.virtual_operator.hand_model import HandModel
 
 POSTURES: Final = 48

@@ -16,7 +16,7 @@ from smooth_operator.simulation.scenes.scene_registry import scene_for
 from smooth_operator.simulation.scenes.state import SceneState
 from smooth_operator.simulation.tasks.task_registry import SimulatedTask
 from smooth_operator.simulation.tasks.trial import Outcome
-from smooth_operator.simulation.tasks.trial_loop import FrameRetargeter, run_trial
+from smooth_operator_research.demonstrations.trial_loop import FrameRetargeter, run_trial
 from smooth_operator_research.virtual_operator.familiarisation import (
     InternalModel,
     familiarise,
