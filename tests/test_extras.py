@@ -260,7 +260,6 @@ LACK = {
     "hands render leap_hand": "teleop",
     "convert in.npz --output x.h5": "hdf5",
     "bench in.npz --output bench": "lab",
-    "paper --output paper": "lab",
     "calibrate in.npz --output operator.json": "lab",
     "tune sbr in.npz --vary pose_weight=0.01:0.1:log --output tuned": "lab",
     "train geort in.npz --output trained": "lab",
