@@ -1,6 +1,6 @@
 """What a measure of ``bench --physics`` has to offer, and the cases that it is run on.
 
-A measure is a class without arguments, named in ``lab.physics.registry``. The framework makes the
+A measure is a class without arguments, named in ``physics.suite``. The framework makes the
 cases (each hand, method, condition and independent unit), runs them in workers, keeps what came of
 each, and makes tables, files and the report.
 """
@@ -37,7 +37,7 @@ class PhysicsSettings:
 
     Attributes:
         output: folder of the results.
-        measures: names of measures; see ``lab.physics.registry``.
+        measures: names of measures; see ``physics.suite``.
         hands: names of robot hands.
         methods: names as ``lab.benchmark.settings.select_methods`` takes them.
         side: which hand, of measures that need no recording.
