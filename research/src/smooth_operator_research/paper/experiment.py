@@ -245,9 +245,7 @@ def experiment_code() -> str:
     """Digest of the code and the models that a cell depends on."""
     return research_digest(
         "hands", "objective", "solvers", "baselines/slsqp.py", "baselines/scipy_slsqp.py",
-        "paper/compared_solvers.py",
-        "paper/solver_grid.py", "paper/rmsprop.py", "paper/runs.py",
-        "paper/compared_solvers.py",
+        "paper/compared_solvers.py", "paper/solver_grid.py", "paper/rmsprop.py", "paper/runs.py",
     )  # fmt: skip
 
 
