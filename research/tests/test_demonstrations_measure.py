@@ -15,6 +15,8 @@ from smooth_operator_research.physics.demonstrations import Demonstrations
 from smooth_operator_research.physics.measure import Case, Measured, PhysicsSettings
 from smooth_operator_research.physics.results import MeasureResults, Row
 
+pytestmark = pytest.mark.weekly
+
 MEASURE = Demonstrations()
 SETTINGS = PhysicsSettings(output=Path("results"), units=2, methods=("ako",))
 

@@ -200,6 +200,7 @@ def test_kept_figures_of_other_code_are_stale(programs: Any, tmp_path: Path, mon
     assert "another version of the code" in notes[0]
 
 
+@pytest.mark.weekly
 def test_a_second_run_measures_nothing(
     programs: Any, tmp_path: Path, monkeypatch: Any, capsys: Any
 ):

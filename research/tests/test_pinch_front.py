@@ -51,6 +51,7 @@ def test_a_recording_that_is_missing_ends_the_run(tmp_path: Path) -> None:
         pinch_front.main(settings)
 
 
+@pytest.mark.weekly
 def test_a_row_is_measured() -> None:
     found = pinch_front.measure(
         pinch_front.Task("sbr", "sbr", method_config("sbr"), "mimic_p050", "synthetic:1@:500")
