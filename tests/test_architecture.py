@@ -13,6 +13,9 @@ import pytest
 
 PACKAGE = "smooth_operator"
 SOURCE = Path(__file__).resolve().parents[1] / "src" / PACKAGE
+RESEARCH = SOURCE.parents[1] / "research" / "src" / "smooth_operator_research"
+"""Experiments outside the wheel: they may import all of the package, which imports none of them."""
+BOTH = pytest.mark.parametrize("source", [SOURCE, RESEARCH], ids=lambda path: path.name)
 
 ROOT = "__init__"
 """The package itself: the public names, re-exported from the levels up to its own."""
@@ -362,8 +365,19 @@ def test_modules_import_only_from_their_own_level_or_below() -> None:
     assert not level_violations(SOURCE), "\n".join(level_violations(SOURCE))
 
 
-def test_no_modules_import_each_other_in_a_circle() -> None:
-    assert not cycle(SOURCE), " imports ".join(cycle(SOURCE))
+def test_nothing_imports_research() -> None:
+    names = [
+        f"{path.relative_to(SOURCE)}:{line}"
+        for path in modules(SOURCE)
+        for line, name in imported_modules(SOURCE, path)
+        if name.split(".")[0] == RESEARCH.name
+    ]
+    assert names == []
+
+
+@BOTH
+def test_no_modules_import_each_other_in_a_circle(source: Path) -> None:
+    assert not cycle(source), " imports ".join(cycle(source))
 
 
 def test_texts_that_import_from_above_are_listed() -> None:
@@ -377,16 +391,18 @@ def test_what_a_retargeter_imports_is_small() -> None:
     assert total <= CLOSURE_LINES, f"{total} lines in {len(lines)} modules:\n{listing}"
 
 
-def test_nothing_unpickles() -> None:
-    assert not unpickling(SOURCE), "\n".join(unpickling(SOURCE))
+@BOTH
+def test_nothing_unpickles(source: Path) -> None:
+    assert not unpickling(source), "\n".join(unpickling(source))
 
 
 def test_digests_of_code_name_files_that_exist() -> None:
     assert not missing_code(SOURCE), "\n".join(missing_code(SOURCE))
 
 
-def test_modules_are_small_and_named_after_what_they_hold() -> None:
-    assert not misshapen(SOURCE), "\n".join(misshapen(SOURCE))
+@BOTH
+def test_modules_are_small_and_named_after_what_they_hold(source: Path) -> None:
+    assert not misshapen(source), "\n".join(misshapen(source))
 
 
 # The checks themselves, on a package that breaks each rule.

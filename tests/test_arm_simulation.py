@@ -139,7 +139,7 @@ def test_settings_of_an_arm_are_read_and_checked() -> None:
 
 @pytest.mark.parametrize(("arm", "task"), [("xarm7", "cube"), ("ur5e", "screwdriver")])
 def test_a_task_of_the_study_is_done_with_an_arm(arm: str, task: str) -> None:
-    path = Path(__file__).parents[1] / "benchmarks" / "arm_tasks.py"
+    path = Path(__file__).parents[1] / "research" / "benchmarks" / "arm_tasks.py"
     trial = runpy.run_path(str(path))["trial"](task, "mimic_p050", arm, 0, 1)
     assert trial["score"] == 1.0
     assert trial["off_mm"] < 3.0, "the arm holds against what the fingers press on"

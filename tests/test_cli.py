@@ -25,6 +25,7 @@ from smooth_operator.formats.readers import read_recording
 from smooth_operator.methods.presets import PRESETS
 from smooth_operator.methods.sbr import SbrConfig
 from smooth_operator.metrics import METRICS
+from smooth_operator.plugins import Entry
 from smooth_operator.solvers.sampling import SamplingConfig
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.recording import read_log
@@ -433,3 +434,22 @@ def test_a_ctrl_c_that_the_garbage_collector_swallows_comes_again(
     assert main(["demo"]) == 130
     assert time.monotonic() - start < 5
     assert "stopped" in capsys.readouterr().err
+
+
+def test_a_command_of_research_says_what_to_install(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("smooth_operator.plugins._installed", lambda group: {})
+    for words in (["paper", "--output", "x"], ["bench", "--physics"], ["study", "simulate", "x"]):
+        assert main(words) == 2
+        assert "python -m pip install ./research" in capsys.readouterr().err
+
+
+def test_a_plugin_adds_a_command_to_a_group(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    entry = Entry("smooth_operator.cli.sample_options:Sample", "from elsewhere", "elsewhere")
+    monkeypatch.setattr("smooth_operator.plugins._installed", lambda group: {"study.draw": entry})
+    assert main(["study", "draw", "--help"]) == 0
+    assert "usage: smooth-operator study draw" in capsys.readouterr().out
+    assert main(["study", "drew"]) == 2

@@ -8,7 +8,6 @@ from typing import Any, Final, TypeAlias
 
 import tyro
 
-from smooth_operator.cli.ablate_options import Ablate, Paper
 from smooth_operator.cli.bench_options import Bench
 from smooth_operator.cli.calibrate import Calibrate
 from smooth_operator.cli.common_options import Common
@@ -49,8 +48,6 @@ _EXAMPLES = """Examples:
       both into one file of another format: MCAP, HDF5, npz or LeRobot
   smooth-operator bench glove.npz --methods all --output out
       which method, and how good? a table, results.json and a report
-  smooth-operator paper --output out
-      the paper's experiments re-run, claim by claim; ablate NAME runs one
   smooth-operator calibrate glove.npz --output operator.json
       the operator's hand on the robot's, for --operator; with a report
   smooth-operator train geort glove.npz --output my-geort
@@ -73,8 +70,7 @@ Each command has its own help: smooth-operator retarget --help
 
 
 Command: TypeAlias = (
-    Ablate
-    | Bench
+    Bench
     | Calibrate
     | Convert
     | Dataset
@@ -84,7 +80,6 @@ Command: TypeAlias = (
     | Hands
     | Hardware
     | Latency
-    | Paper
     | Retarget
     | Sample
     | Study
@@ -104,8 +99,6 @@ _COMMANDS: Final[dict[str, type[Command]]] = {
     "view": View,
     "convert": Convert,
     "bench": Bench,
-    "paper": Paper,
-    "ablate": Ablate,
     "train": Train,
     "tune": Tune,
     "hands": Hands,
@@ -121,7 +114,13 @@ COMMANDS: Final = Registry(
     "command",
     {name: Entry(f"{kind.__module__}:{kind.__name__}") for name, kind in _COMMANDS.items()},
 )
-"""Name -> options of the command, a dataclass that derives from ``Common``."""
+"""Name -> options of the command, a dataclass that derives from ``Common``.
+
+A plugin's ``GROUP.NAME`` is the command ``smooth-operator GROUP NAME``.
+"""
+
+RESEARCH: Final = ("paper", "ablate", "physics", "study.simulate")
+"""Commands that the distribution in ``research/`` adds."""
 
 
 def _command(name: str) -> type[Common | Group]:
@@ -143,6 +142,26 @@ def _commands(name: str) -> dict[str, Any]:
     return {**_COMMANDS, **COMMANDS.loadable(_command)}  # for the overview
 
 
+def _in_research(arguments: Sequence[str]) -> list[str]:
+    """Arguments with ``bench --physics`` and a plugin's ``GROUP COMMAND`` as one word each.
+
+    Raises:
+        ConfigError: the command is in the research distribution, which is not installed.
+    """
+    words = list(arguments)
+    if words[:1] == ["bench"] and "--physics" in words:
+        words = ["physics", *("--measures" if w == "--physics" else w for w in words[1:])]
+    joined = ".".join(words[:2])
+    if joined in COMMANDS or joined in RESEARCH:
+        words = [joined, *words[2:]]
+    if words[:1] and words[0] in RESEARCH and words[0] not in COMMANDS:
+        raise ConfigError(
+            f"{words[0].replace('.', ' ')} is a command of the research distribution; in a clone "
+            "of the repository: python -m pip install ./research"
+        )
+    return words
+
+
 def parse(arguments: Sequence[str]) -> Command:
     """The command that the arguments name.
 
@@ -150,6 +169,7 @@ def parse(arguments: Sequence[str]) -> Command:
         SystemExit: 0 after printing help, 2 after saying what is wrong with the arguments.
         SmoothOperatorError: there is no such command.
     """
+    arguments = _in_research(arguments)
     name = arguments[0] if arguments else ""
     commands = _commands(name)
     flags = (tyro.conf.FlagCreatePairsOff,)
@@ -166,7 +186,7 @@ def parse(arguments: Sequence[str]) -> Command:
     with contextlib.nullcontext() if for_a_shell else wrapped_output():
         if overview:
             tyro.extras.subcommand_cli_from_dict(
-                commands,
+                {name.replace(".", " "): kind for name, kind in commands.items()},
                 prog="smooth-operator",
                 description=f"Retarget a tracked human hand onto a robot hand.\n\n{_EXAMPLES}",
                 args=list(arguments) or ["--help"],
@@ -176,7 +196,7 @@ def parse(arguments: Sequence[str]) -> Command:
         document(kind)
         chosen: Command = tyro.cli(
             kind,
-            prog=f"smooth-operator {name}",
+            prog=f"smooth-operator {name.replace('.', ' ')}",
             description=described(kind),
             args=list(arguments[1:]),
             config=flags,

@@ -18,7 +18,6 @@ from smooth_operator.cli.study_metrics_options import Metrics
 from smooth_operator.cli.study_new_options import Enrol, New
 from smooth_operator.cli.study_power_options import Power
 from smooth_operator.cli.study_run_options import Run
-from smooth_operator.cli.study_simulate_options import Simulate
 from smooth_operator.cli.subcommands import Group, described
 
 What: TypeAlias = (
@@ -26,7 +25,6 @@ What: TypeAlias = (
     | Annotated[Enrol, subcommand("enrol", description=described(Enrol))]
     | Annotated[Power, subcommand("power", description=described(Power))]
     | Annotated[Run, subcommand("run", description=described(Run))]
-    | Annotated[Simulate, subcommand("simulate", description=described(Simulate))]
     | Annotated[Export, subcommand("export", description=described(Export))]
     | Annotated[Metrics, subcommand("metrics", description=described(Metrics))]
     | Annotated[Erase, subcommand("erase", description=described(Erase))]
