@@ -11,7 +11,7 @@ from rich.text import Text
 
 from smooth_operator.cli.console import Progressing, output_console, plain_table
 from smooth_operator.cli.hands_check_options import Check
-from smooth_operator.compilation.compile_cache import enable_cache, healing
+from smooth_operator.compilation.cache import jax_cache
 from smooth_operator.lab.validation import HandValidation, check_hand
 from smooth_operator.lab.validation.checks import Verdict
 
@@ -42,7 +42,7 @@ def check_hand_command(options: Check) -> None:
         yield from bar.track(steps, task_id=task)
         bar.remove_task(task)
 
-    with bar, healing(enable_cache()):
+    with bar, jax_cache():
         found = check_hand(
             options.hand,
             options.side,

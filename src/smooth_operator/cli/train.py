@@ -13,7 +13,7 @@ import numpy as np
 from smooth_operator.cli.console import Progressing
 from smooth_operator.cli.outputs import folder_for
 from smooth_operator.cli.train_options import Train
-from smooth_operator.compilation.compile_cache import enable_cache, healing
+from smooth_operator.compilation.cache import jax_cache
 from smooth_operator.errors import ConfigError
 from smooth_operator.formats.checks import reading_notes
 from smooth_operator.formats.frames import frame_slice
@@ -48,7 +48,7 @@ def train(options: Train) -> None:
         settings = replace(settings, margin=None)
     recordings, held_out = _recordings(options, progress)
     hand = load_hand(options.hand, recordings[0].side)
-    with folder_for(options.output), healing(enable_cache()):
+    with folder_for(options.output), jax_cache():
         with progress.waiting("preparing the data"):
             trainer = GeortTrainer(
                 hand, training_data(recordings, hand, settings, held_out), settings

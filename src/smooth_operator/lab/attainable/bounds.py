@@ -44,7 +44,7 @@ import numpy as np
 import tyro
 
 from smooth_operator import SmoothOperatorError
-from smooth_operator.compilation.dispatch import dispatch_here
+from smooth_operator.compilation.start import dispatch_here
 from smooth_operator.lab.attainable.pose_search import Aim
 from smooth_operator.lab.attainable.samples import (
     BINS,

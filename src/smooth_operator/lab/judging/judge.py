@@ -28,7 +28,7 @@ from typing import Annotated, Literal, TypeAlias
 import tyro
 
 from smooth_operator import SmoothOperatorError
-from smooth_operator.compilation.dispatch import dispatch_here
+from smooth_operator.compilation.start import dispatch_here
 from smooth_operator.lab.benchmark.cells import Cell
 from smooth_operator.lab.benchmark.latency import measure_latency
 from smooth_operator.lab.benchmark.recordings import Source, load_sources, parse_request

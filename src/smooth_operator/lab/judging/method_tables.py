@@ -26,7 +26,7 @@ from typing import Annotated, Literal, get_args
 import tyro
 
 from smooth_operator import SmoothOperatorError
-from smooth_operator.compilation.dispatch import dispatch_here
+from smooth_operator.compilation.start import dispatch_here
 from smooth_operator.lab.benchmark.cells import Cell
 from smooth_operator.lab.benchmark.recordings import SYNTHETIC, Source, load_sources, parse_request
 from smooth_operator.lab.benchmark.settings import Choice, method_label, select_methods
