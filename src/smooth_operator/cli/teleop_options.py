@@ -121,8 +121,8 @@ Examples:
     the summary (docs/how-to/teleoperate.md)."""
 
     methods: Annotated[tuple[str, ...], arg(metavar="METHOD[:PRESET] ...")] = ()
-    """Further methods that are compiled before the loop starts, as --method is then, so that a
-    switch takes no time. Otherwise the loop shows the hand and holds the robot while a method
+    """Further methods (sbr smooth:grasp) compiled before the loop starts, as --method is then: a
+    switch then takes no time. Else the loop shows the hand and holds the robot while a method
     is compiled (docs/how-to/teleoperate.md)."""
 
     control: Annotated[str | None, arg(metavar="ADDRESS")] = None

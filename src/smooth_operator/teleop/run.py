@@ -20,7 +20,7 @@ from smooth_operator.hands.registry import default_side
 from smooth_operator.hands.spec import HandSpec
 from smooth_operator.methods.default import DEFAULT_METHOD
 from smooth_operator.methods.method import MethodConfig
-from smooth_operator.methods.presets import default_preset, method_config
+from smooth_operator.methods.presets import default_preset, method_config, method_names
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.planning import (
     RetargetRequest,
@@ -183,6 +183,7 @@ def teleoperate(
         fingers=fingers,
         operator=operator,
     )
+    others = [_with_method(asked, name) for text in methods for name in text.split(",")]
     sides: tuple[Side, ...] = ("right", "left") if side == "both" else (side,)
     runner = SinkRunner(acting)
     carrier = read_arm(arm) if isinstance(arm, str) else arm
@@ -235,9 +236,9 @@ def teleoperate(
         )
         if begun is not None and page is not None:
             show_page(begun, page, loop, asked, acting, switcher, blind, said, tried.shown)
-        if methods or task is not None or isinstance(source, Replay):
+        if others or task is not None or isinstance(source, Replay):
             switcher.building = "compiling"
-            _compile(settled, asked, methods, blind, said)
+            _compile(settled, asked, others, blind, said)
             switcher.building = ""
             for pipeline in pipelines.values():
                 pipeline.go_on()
@@ -340,29 +341,35 @@ def _built(
 def _compile(
     settled: Mapping[Side, tuple[Hand, MethodConfig]],
     asked: RetargetRequest,
-    methods: Sequence[str],
+    others: Sequence[RetargetRequest],
     blind: bool,
     said: Reporter,
 ) -> None:
-    """Compiles the run's method and further ones, which the process then has.
+    """Compiles the run's method and those of other requests, which the process then has.
 
     Raises:
-        UnknownNameError: there is no such method or preset.
         SmoothOperatorError: a method can't serve a hand.
     """
-    names = [tuple(text.partition(":")[::2]) for text in methods]
-    configs = [(name, method_config(name, preset or None)) for name, preset in names]
     for side, (hand, own) in settled.items():
-        also = [
-            (name, resolve_config(replace(asked, method=name, preset=preset, config=config), hand))
-            for (name, config), preset in zip(
-                configs, [preset or default_preset(name) for name, preset in names], strict=True
-            )
-        ]
-        for name, config in [(asked.method, own), *also]:
+        configs = [(asked.method, own)]
+        configs += [(each.method, resolve_config(each, hand)) for each in others]
+        for name, config in configs:
             what = "the method" if blind else name
             with said.waiting(f"compiling {what} for {hand.name} {side}"):
                 Retargeter(hand, config=config, seed=asked.seed).warm_up()
+
+
+def _with_method(asked: RetargetRequest, text: str) -> RetargetRequest:
+    """The request with another method, ``METHOD`` or ``METHOD:PRESET``.
+
+    Raises:
+        UnknownNameError: there is no such method or preset.
+    """
+    name, _, preset = text.partition(":")
+    if name not in method_names():  # package.module:attribute
+        name, preset = text, ""
+    preset = preset or default_preset(name)
+    return replace(asked, method=name, preset=preset, config=method_config(name, preset))
 
 
 @contextlib.contextmanager
