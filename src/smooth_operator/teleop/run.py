@@ -139,7 +139,7 @@ def teleoperate(
         methods: further methods, ``NAME`` or ``NAME:PRESET``, that are compiled before the loop
             starts, as the first one is then: a switch to them takes no time. Without any, the loop
             starts while the method is compiled: it shows the operator's hand and holds the robot.
-            A run with a ``task`` and one of a recording always wait.
+            A run with a ``task`` or a ``duration`` and one of a recording always wait.
         control: ZeroMQ address to take commands of other programs at (extra ``zmq``).
         estop: emergency stop from outside: ``file:PATH``, ``serial:PORT``, ``udp:PORT`` (see
             ``StopInput``), or a function that says whether it is pressed; None for none.
@@ -236,7 +236,7 @@ def teleoperate(
         )
         if begun is not None and page is not None:
             show_page(begun, page, loop, asked, acting, switcher, blind, said, tried.shown)
-        if others or task is not None or isinstance(source, Replay):
+        if others or task is not None or duration is not None or isinstance(source, Replay):
             switcher.building = "compiling"
             _compile(settled, asked, others, blind, said)
             switcher.building = ""
@@ -389,7 +389,7 @@ def _compiling(
 
     def compile_all() -> None:
         for side, retargeter in waiting.items():
-            said.note(f"{side}: the method is compiled first; the robot holds", matters=True)
+            said.note(f"{side}: compiling the method; the robot holds", matters=True)
             try:
                 seconds = retargeter.warm_up()
             except Exception as error:  # raised on the loop's thread
