@@ -84,10 +84,7 @@ KNOWN_UPWARD = {
     },
     "methods/retargeter.py": {
         "compilation.batching",
-        "compilation.early_answers",
-        "compilation.recording_run",
     },
-    "methods/shared.py": {"compilation.kept_program"},
 }
 """File -> what it imports from above by a string such as ``Entry("smooth_operator...")``. Such an
 import hides an arrow that runs up, so the list only shrinks: a new one fails, and so does one that

@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 import time
-import warnings
 from collections.abc import Callable
 from pathlib import Path
 
@@ -18,7 +17,6 @@ from live_time import until
 
 from smooth_operator import Retargeter, load_hand
 from smooth_operator.cli import main
-from smooth_operator.compilation import compile_cache as offline_cache
 from smooth_operator.errors import RecordingError
 from smooth_operator.formats.commands import read_commands
 from smooth_operator.formats.readers import read_recording
@@ -380,27 +378,6 @@ def test_view_finds_the_frames_and_refuses_another_recording(
     status, _, err = run("view", out, other)
     assert status == 2
     assert "was not made from" in err
-
-
-def test_the_cache_gives_way_where_it_can_not_be(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "file").touch()
-    for value in ("off", "0", str(tmp_path / "file" / "cache")):
-        monkeypatch.setenv("SMOOTH_OPERATOR_CACHE", value)
-        assert offline_cache.enable_cache() is None
-
-
-def test_a_damaged_cache_is_emptied_and_other_warnings_pass(tmp_path: Path) -> None:
-    (tmp_path / "jit-cache").touch()
-    with pytest.warns(UserWarning, match="heed me"), offline_cache.healing(tmp_path):
-        warnings.warn("heed me", stacklevel=1)
-    assert (tmp_path / "jit-cache").exists()
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        with offline_cache.healing(tmp_path):
-            warnings.warn("Error reading persistent compilation cache entry", stacklevel=1)
-    assert not (tmp_path / "jit-cache").exists()
 
 
 @pytest.mark.shared

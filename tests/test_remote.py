@@ -34,7 +34,6 @@ from smooth_operator.planning import make_request
 from smooth_operator.simulation.scenes import SceneState
 from smooth_operator.simulation.tasks import read_trial
 from smooth_operator.simulation.tasks.trial_runner import TrialRunner
-from smooth_operator.teleop.control import method_switcher as switcher_module
 from smooth_operator.teleop.control.method_switcher import MethodSwitcher
 from smooth_operator.teleop.control.rpc_handlers import RpcHandlers
 from smooth_operator.teleop.pages.live.live_panel import LivePanel
@@ -142,7 +141,7 @@ def stage(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stage]:
 
 def test_the_rate_is_what_another_program_asks_for(stage: Stage) -> None:
     assert stage.do("status")["rate"] == 50.0
-    assert stage.do("status")["provisional"] == []
+    assert stage.do("status")["compiling"] == []
     try:
         assert stage.do("rate", rate=20) == {"ok": True, "rate": 20.0}
         assert stage.do("status")["rate"] == 20.0
@@ -228,19 +227,21 @@ def test_a_stop_is_answered_while_a_method_is_compiled(
 ) -> None:
     # A method that is used already needs no building: begin with another one than is asked for.
     stage.do("method", method="geort")
-    go, build = threading.Event(), switcher_module.build_for_running_loop
+    go, warm_up = threading.Event(), Retargeter.warm_up
 
-    def slow(*args: Any) -> Any:
+    def slow(retargeter: Retargeter) -> float:
         assert go.wait(LONG)
-        return build(*args)
+        return warm_up(retargeter)
 
-    monkeypatch.setattr(switcher_module, "build_for_running_loop", slow)
+    monkeypatch.setattr(Retargeter, "warm_up", slow)
+    monkeypatch.setattr(Retargeter, "compiled", property(lambda self: go.is_set()))
     hasty = RemoteTeleop(stage.teleop.address, 0.4)
     with ThreadPoolExecutor(2) as pool:
         first = pool.submit(hasty.request, "method", method="joint_angle")
         until(lambda: stage.do("status")["busy"] == ["method"], LONG)
         until(lambda: stage.switcher.building, LONG)
         assert stage.do("status")["building"] == "compiling joint_angle default"
+        until(lambda: stage.do("status")["compiling"] == ["right"], LONG)
         assert stage.do("stop")["modes"] == {"right": "stopped"}
         assert stage.do("release")["ok"]
         time.sleep(1.0)  # longer than the silence that it puts up with
@@ -251,6 +252,7 @@ def test_a_stop_is_answered_while_a_method_is_compiled(
         go.set()
         assert second.result(LONG)["method"] == "geort"
     assert stage.do("status")["busy"] == []
+    until(lambda: stage.do("status")["compiling"] == [], LONG)
 
 
 def test_a_method_that_cannot_be_built_is_said(
@@ -262,10 +264,11 @@ def test_a_method_that_cannot_be_built_is_said(
     used = stage.do("status")["method"]
     other = "joint_angle" if used == "geort" else "geort"
     with monkeypatch.context() as patched:
-        patched.setattr(switcher_module, "build_for_running_loop", broken)
+        patched.setattr(Retargeter, "warm_up", broken)
         with pytest.raises(RemoteRefusedError, match="MemoryError: no room"):
             stage.do("method", method=other)
     assert stage.do("status")["method"] == used
+    until(lambda: stage.do("status")["compiling"] == [], LONG)
     assert stage.do("method", method=other)["method"] == other
 
 

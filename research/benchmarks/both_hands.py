@@ -21,7 +21,7 @@ import tyro
 from timing import percentiles
 
 from smooth_operator import HandFrame, SmoothOperatorError
-from smooth_operator.compilation.building import build_retargeter
+from smooth_operator.compilation.start import build_retargeter
 from smooth_operator.formats.readers import read_recording
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand

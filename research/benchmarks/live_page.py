@@ -19,7 +19,7 @@ import threading
 import time
 from pathlib import Path
 
-from smooth_operator.compilation.building import build_retargeter
+from smooth_operator.compilation.start import build_retargeter
 from smooth_operator.planning import make_request, resolve
 from smooth_operator.teleop.pages.live.live_page import LivePage, PageSetup
 from smooth_operator.teleop.pages.live.live_session import LiveSession

@@ -1,13 +1,10 @@
 """From process start to the first command, in fresh processes.
 
     python research/benchmarks/startup.py --repeats 5
-    python research/benchmarks/startup.py --method smooth --presets teleop --early shadow_hand
 
 ``no cache`` compiles everything; ``cache`` finds JAX's persistent compilation cache filled by an
 earlier process; ``kept`` is what the library does by itself: an earlier process has kept the
-program. ``--early`` measures hands with nothing kept whose frames a first stage answers until the
-method is compiled (``Retargeter(..., early=True)``). Files of the packages are in the system's page
-cache in all of them, and byte-compiled.
+program. Files of the packages are in the system's page cache in all of them, and byte-compiled.
 """
 
 from __future__ import annotations
@@ -19,14 +16,13 @@ import sys
 import tempfile
 import time
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import tyro
 
 from smooth_operator import SmoothOperatorError
-from smooth_operator.compilation.early_diagnosis import early_start
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator_research.run_report import BenchmarkError, Report
 
@@ -56,7 +52,6 @@ class Settings:
         repeats: fresh processes for each; medians are reported.
         hand: robot hand.
         method: retargeting method.
-        early: hands to measure early answers on, with the first preset; none if left out.
         output: JSON file; build/benchmarks/startup.json unless given.
         compare: an earlier JSON file to compare this run with.
     """
@@ -65,7 +60,6 @@ class Settings:
     repeats: int = 5
     hand: str = "mimic_p050"
     method: str = "sbr"
-    early: tuple[str, ...] = ()
     output: Path | None = None
     compare: Path | None = None
 
@@ -98,47 +92,11 @@ def main(settings: Settings) -> None:
         stages,
     )
     report.table("Memory", ("preset", "peak resident [MiB]", "programs from the cache"), memory)
-    if settings.early:
-        add_early(report, settings, landmarks.tolist())
     report.notes.append(
         "trace, lower and compile add up over all programs that JAX builds on the way; 'rest of "
         "first call' is what remains of warm-up and first frame."
     )
     report.finish(settings.output, settings.compare)
-
-
-def add_early(report: Report, settings: Settings, landmarks: object) -> None:
-    """Adds the table of early answers, and of starts that wait for the program, in turn."""
-    preset = settings.presets[0]
-    runs: dict[str, list[Mapping[str, float]]] = {hand: [] for hand in settings.early}
-    for _ in range(settings.repeats):
-        for hand, results in runs.items():
-            job = {"hand": hand, "method": settings.method, "preset": preset}
-            waiting = first_command(job | {"landmarks": landmarks}, "no cache", Path())
-            start = early_start(hand, None, settings.method, preset)
-            results.append(asdict(start) | {"waiting": waiting["total_s"]})
-    rows = []
-    for hand, results in runs.items():
-        middle = {key: float(np.median([each[key] for each in results])) for key in results[0]}
-        worst = max(each["full_program"] for each in results)
-        step = max(each["step_rad"] for each in results)
-        report.add(f"early/{hand}", middle | {"worst_full_program": worst, "worst_step_rad": step})
-        keys = ("waiting", "first_command", "full_program", "own_commands", "worst_ms")
-        rows.append([hand, *(middle[key] for key in keys), worst, step])
-    report.table(
-        f"Nothing kept, early: process start to command [s], medians of {settings.repeats}",
-        (
-            "hand",
-            "first command, waiting",
-            "first command, early",
-            "full program",
-            "its commands alone",
-            "longest first-stage frame [ms]",
-            "worst full program",
-            "largest step [rad]",
-        ),
-        rows,
-    )
 
 
 def first_command(job: Mapping[str, object], state: str, cache: Path) -> dict[str, float]:

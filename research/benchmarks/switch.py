@@ -141,7 +141,7 @@ def child(hand: str, methods: list[str], priority: Any) -> dict[str, dict[str, f
         method=method,
         preset=preset or None,
         priority=priority,
-        early=False,
+        methods=(methods[0],),
         started=started,
     )
     run.MethodSwitcher = plain  # type: ignore[misc]

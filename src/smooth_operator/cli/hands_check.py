@@ -73,7 +73,7 @@ def check_hand_command(options: Check) -> None:
         SystemExit: with ``FAILED``, if a check failed.
     """
     from smooth_operator.cli.console import Progressing
-    from smooth_operator.compilation.compile_cache import enable_cache, healing
+    from smooth_operator.compilation.cache import jax_cache
     from smooth_operator.lab.validation import check_hand
 
     bar = Progressing(options.quiet).counter("poses", transient=True)
@@ -83,7 +83,7 @@ def check_hand_command(options: Check) -> None:
         yield from bar.track(steps, task_id=task)
         bar.remove_task(task)
 
-    with bar, healing(enable_cache()):
+    with bar, jax_cache():
         validation = check_hand(
             options.hand,
             options.side,

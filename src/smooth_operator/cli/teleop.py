@@ -47,7 +47,7 @@ def teleop(options: Teleop) -> None:
         limits=options.limits,
         wrist=options.wrist,
         priority=options.priority,
-        early=not options.no_early,
+        methods=options.methods,
         control=options.control,
         estop=options.estop,
         page=None if options.no_view else page,

@@ -120,10 +120,10 @@ Examples:
     """Whether the loop takes real-time priority, if the system allows it; what it got is in
     the summary (docs/how-to/teleoperate.md)."""
 
-    no_early: bool = False
-    """Begin when the method is compiled, as with --blind and --task. Else, on the first start of a
-    method on this machine, frames are answered by a first stage until the method goes on from
-    there (docs/how-to/teleoperate.md)."""
+    methods: Annotated[tuple[str, ...], arg(metavar="METHOD[:PRESET] ...")] = ()
+    """Further methods (sbr smooth:grasp) compiled before the loop starts, as --method is then: a
+    switch then takes no time. Else the loop shows the hand and holds the robot while a method
+    is compiled (docs/how-to/teleoperate.md)."""
 
     control: Annotated[str | None, arg(metavar="ADDRESS")] = None
     """Accept messages of other programs on this ZeroMQ address, such as tcp://127.0.0.1:5558 (extra

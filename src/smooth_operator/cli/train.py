@@ -94,7 +94,7 @@ def train(options: Train) -> None:
     """
     from smooth_operator.cli.console import Progressing
     from smooth_operator.cli.outputs import folder_for
-    from smooth_operator.compilation.compile_cache import enable_cache, healing
+    from smooth_operator.compilation.cache import jax_cache
     from smooth_operator.hands.registry import load_hand
     from smooth_operator.lab.training import (
         LOSSES,
@@ -112,7 +112,7 @@ def train(options: Train) -> None:
         settings = replace(settings, margin=None)
     recordings, held_out = _recordings(options, progress)
     hand = load_hand(options.hand, recordings[0].side)
-    with folder_for(options.output), healing(enable_cache()):
+    with folder_for(options.output), jax_cache():
         with progress.waiting("preparing the data"):
             trainer = GeortTrainer(
                 hand, training_data(recordings, hand, settings, held_out), settings

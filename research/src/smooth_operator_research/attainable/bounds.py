@@ -44,7 +44,7 @@ import numpy as np
 import tyro
 
 from smooth_operator import SmoothOperatorError
-from smooth_operator.compilation.dispatch import dispatch_here
+from smooth_operator.compilation.start import dispatch_here
 from smooth_operator.lab.benchmark.recordings import Source, load_sources, parse_request
 from smooth_operator.lab.benchmark.settings import method_label, select_methods
 from smooth_operator.metrics import summary

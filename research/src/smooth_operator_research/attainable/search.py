@@ -22,8 +22,8 @@ from functools import cache
 import numpy as np
 from jaxtyping import Bool, Float
 
-from smooth_operator.compilation.compile_cache import enable_cache, healing
-from smooth_operator.compilation.dispatch import dispatch_here
+from smooth_operator.compilation.cache import jax_cache
+from smooth_operator.compilation.start import dispatch_here
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.metrics.accuracy import PINCH_DISTANCE
 from smooth_operator.types import Side
@@ -97,7 +97,7 @@ def attain(task: Frames) -> dict[Aim, Attained]:
     found: dict[Aim, Attained] = {}
     known = task.known
     for aim in task.aims:
-        with healing(enable_cache()):
+        with jax_cache():
             found[aim] = _Run(task, aim, known).result()
         known = np.concatenate([known, np.moveaxis(found[aim].poses[-1:], 0, 1)], axis=1)
     return found

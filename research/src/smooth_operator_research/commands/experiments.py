@@ -8,8 +8,8 @@ from collections.abc import Callable, Iterator, Sequence
 
 from smooth_operator.cli.console import Progressing, output_console, plain_table
 from smooth_operator.cli.outputs import folder_for
-from smooth_operator.compilation.compile_cache import enable_cache, healing
-from smooth_operator.compilation.dispatch import dispatch_here
+from smooth_operator.compilation.cache import jax_cache
+from smooth_operator.compilation.start import dispatch_here
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.lab.offline.finished import claimed
@@ -62,7 +62,7 @@ def _run(options: Experimenting, names: Sequence[str], recordings: Sequence[str]
     with (
         folder_for(options.output),
         claimed(options.output),
-        healing(enable_cache()),
+        jax_cache(),
     ):
         try:
             outcomes = run_experiments(

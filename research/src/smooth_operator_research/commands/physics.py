@@ -11,7 +11,7 @@ from rich.text import Text
 from smooth_operator.cli.bench import SOME_FAILED, cell_progress, comma_words
 from smooth_operator.cli.console import Progressing, output_console, plain_table
 from smooth_operator.cli.outputs import folder_for
-from smooth_operator.compilation.dispatch import dispatch_here
+from smooth_operator.compilation.start import dispatch_here
 from smooth_operator.errors import require
 from smooth_operator.lab.benchmark.benchmark_folder import REPORT
 from smooth_operator.lab.benchmark.settings import only_side

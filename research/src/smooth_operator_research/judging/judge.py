@@ -30,7 +30,7 @@ import tyro
 
 from smooth_operator import SmoothOperatorError
 from smooth_operator.atomic_files import file_name
-from smooth_operator.compilation.dispatch import dispatch_here
+from smooth_operator.compilation.start import dispatch_here
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.alignment import align_recording
 from smooth_operator.lab.benchmark.built import built_for

@@ -26,7 +26,7 @@ from typing import Annotated, Any, Literal, get_args
 import tyro
 
 from smooth_operator import SmoothOperatorError
-from smooth_operator.compilation.dispatch import dispatch_here
+from smooth_operator.compilation.start import dispatch_here
 from smooth_operator.formats.jsonable import to_json
 from smooth_operator.formats.setting_paths import numeric_settings, with_settings, with_unchecked
 from smooth_operator.lab.benchmark.cells import Cell, hand_identity

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from smooth_operator.compilation.frame_jit import compiled
+from smooth_operator.compilation.compiled_program import compiled
 from smooth_operator.lab.benchmark.machine import Watch
 from smooth_operator.metrics.joints import joint_acceleration, joint_jitter
 from smooth_operator.objective.goal import FrameGoal

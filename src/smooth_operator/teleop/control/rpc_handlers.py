@@ -36,8 +36,8 @@ In addition to those of ``smooth_operator.teleop.runtime.remote``:
         is that of "trial".
 
 "status" answers "method", "preset", "rate" (as it was asked for), "sides", "hand", "blind",
-"building" (what is being compiled), "provisional" (sides that a first stage answers while their
-method compiles), "source" {"label", "state", "detail"}, "sinks", "operators" {side: where the
+"building" (what is being compiled), "compiling" (sides whose robot holds until their method is
+compiled), "source" {"label", "state", "detail"}, "sinks", "operators" {side: where the
 calibration is from}, "simulation" (whether there is one that can have a task),
 "task" and "trial" (None without one), "object" (whether it is there) and the loop's own "modes" and
 "rate_hz".
@@ -115,7 +115,7 @@ class RpcHandlers:
             "preset": used.preset,
             "rate": loop.config.rate,
             "building": switcher.building,
-            "provisional": [side for side, hand in loop.pipelines.items() if hand.provisional],
+            "compiling": [s for s, hand in loop.pipelines.items() if hand.supervisor.compiling],
             "blind": self._blind,
             "sides": list(loop.pipelines),
             "hand": next(iter(loop.pipelines.values())).retargeter.hand.name,

@@ -56,11 +56,6 @@ def summarise(
             f"{summary['rate_hz']:.0f} Hz; received to sent p50 {added['p50']:.2f} ms, "
             f"p99 {added['p99']:.2f} ms; {100 * summary['deadlines_missed_share']:.2f} % late"
         )
-        if summary["frames_provisional"]:
-            said.note(
-                f"{summary['frames_provisional']} of them were answered by the first stage or on "
-                "the way from it, while the method compiled"
-            )
     else:
         said.note(
             f"no frame came from {loop.source.label} in {seconds:.1f} s; {health.detail}",

@@ -51,7 +51,6 @@ class LoopStatistics:
         self._stages: dict[str, _Times] = defaultdict(_Times)
         self._commands: dict[Side, int] = defaultdict(int)
         self._answered = 0
-        self._provisional = 0
         self._unusable: dict[str, int] = defaultdict(int)
         self._missed = 0
         self._due = 0
@@ -81,7 +80,6 @@ class LoopStatistics:
         self._missed += sent - due > self.period
         if tick.status is not None:
             self._answered += tick.status == Status.OK
-            self._provisional += tick.status == Status.OK and tick.provisional
             if tick.status != Status.OK:
                 self._unusable[tick.status.reason] += 1
             self._added.append((sent - tick.arrival.received) * 1e3 if tick.arrival else np.nan)
@@ -119,7 +117,6 @@ class LoopStatistics:
             "commands": dict(self._commands),
             "rate_hz": self.rate_hz,
             "frames_answered": self._answered,
-            "frames_provisional": self._provisional,
             "frames_unusable": self.unusable,
             "frames_unusable_by_reason": dict(self._unusable),
             "deadlines_missed": self._missed,

@@ -133,7 +133,6 @@ class Tick:
             fingers only.
         arm: the command to the arm that carries the hand, with the same stamp; None without an
             arm.
-        provisional: whether the frame's answer is not the method's own, as ``Result.provisional``.
     """
 
     side: Side
@@ -153,4 +152,3 @@ class Tick:
     wrist: WristCommand | None = None
     state: HandState | None = None
     arm: ArmCommand | None = None
-    provisional: bool = False

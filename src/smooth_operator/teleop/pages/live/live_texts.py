@@ -52,8 +52,8 @@ def modes(hands: Mapping[str, Mapping[str, Any]]) -> str:
             f"<b>{sign} {side}: {words}</b>"
             + ("" if latched is None else "<br><span data-latched>pinch latches: "
                f"{html.escape(', '.join(latched) or 'none')}</span>")
-            + ("" if not state.get("provisional") else
-               "<br><span data-provisional>first answers: the method compiles</span>")
+            + ("" if not state.get("compiling") else
+               "<br><span data-compiling>the robot holds: the method is compiled</span>")
             + f"<br><span data-wrist>{_wrist(state.get('wrist'))}</span>"
             + ("" if state.get("arm") is None else
                f"<br><span data-arm>{_arm(state['arm'])}</span>")
@@ -159,7 +159,7 @@ def notice(controls: Mapping[str, Any]) -> str:
     """What is under way, and what went wrong."""
     parts = []
     if controls["building"]:
-        parts.append(f"<b>⏳ {html.escape(controls['building'])}…</b> the old one goes on")
+        parts.append(f"<b>⏳ {html.escape(controls['building'])}…</b>")
     if controls["recording"]:
         parts.append(f"<b>⏺ recording</b> {html.escape(controls['recording'])}")
     if controls["message"]:

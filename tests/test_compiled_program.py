@@ -1,8 +1,9 @@
-"""Programs that are compiled once: the second process reads them, with the same results."""
+"""Programs that are traced once: the second process reads them, with the same results."""
 
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from hashlib import sha256
@@ -13,13 +14,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from jax.experimental import serialize_executable
 from jax.experimental.compilation_cache import compilation_cache
 
 from smooth_operator import Retargeter, SyntheticOperator, load_hand, method_config
-from smooth_operator.compilation import batching, kept_program
-from smooth_operator.compilation.kept_program import KeptProgram, program_key
-from smooth_operator.compilation.program_cache import ProgramCache
+from smooth_operator.compilation import batching, cache, compiled_program
+from smooth_operator.compilation.cache import ProgramCache
+from smooth_operator.compilation.compiled_program import CompiledProgram, program_key
 from smooth_operator.methods import shared
 from smooth_operator.methods.sbr import SbrConfig
 from smooth_operator.solvers.sampling import SamplingConfig
@@ -50,16 +50,16 @@ def forget() -> None:
     batching._programs.clear()
 
 
-def program(traced: list[int], **settings: Any) -> KeptProgram:
+def program(traced: list[int], **settings: Any) -> CompiledProgram:
     def function(state: Any, x: Any) -> Any:
         traced.append(1)
         return {"sum": state["sum"] + x.sum()}, (2 * x, state["sum"])
 
     config = replace(TINY, **settings)
-    return KeptProgram(function, load_hand("mimic_p050"), config, "test")
+    return CompiledProgram(function, load_hand("mimic_p050"), config, "test")
 
 
-def call(run: KeptProgram, size: int = 3) -> tuple[float, list[float], float]:
+def call(run: CompiledProgram, size: int = 3) -> tuple[float, list[float], float]:
     state, (twice, before) = run({"sum": jnp.float32(1.5)}, np.arange(size, dtype=np.float32))
     return float(state["sum"]), np.asarray(twice).tolist(), float(before)
 
@@ -77,25 +77,6 @@ def test_it_is_traced_once_and_read_by_the_next(folder: Path) -> None:
     call(program(traced, sampling=replace(TINY.sampling, cycles=3)))
     assert len(traced) == 3
     assert len(list(folder.iterdir())) == 3
-
-
-def test_what_is_read_runs_once_for_the_first_value(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    call(program([]))
-    calls: list[int] = []
-    load = serialize_executable.deserialize_and_load
-
-    def counted(*given: Any) -> Any:
-        run = load(*given)
-        return lambda *arguments: (calls.append(1), run(*arguments))[1]
-
-    monkeypatch.setattr(serialize_executable, "deserialize_and_load", counted)
-    run = program([])
-    assert call(run) == (4.5, [0.0, 2.0, 4.0], 1.5)
-    assert len(calls) == 1
-    assert call(run) == (4.5, [0.0, 2.0, 4.0], 1.5)
-    assert len(calls) == 2
 
 
 def test_a_damaged_file_is_said_once_and_made_again(
@@ -129,34 +110,16 @@ def test_what_can_not_be_kept_costs_time_only(
     assert len(traced) == 4
     assert not folder.exists()
     monkeypatch.setenv("SMOOTH_OPERATOR_CACHE", str(tmp_path))
-    monkeypatch.setattr(kept_program, "_description", lambda _: 1 / 0)
+    monkeypatch.setattr(compiled_program, "_register", lambda _: 1 / 0)
     assert call(program(traced))[0] == 4.5
     assert not list(folder.iterdir())
 
 
-def test_what_jax_took_from_its_own_cache_is_not_kept(folder: Path, tmp_path: Path) -> None:
-    # XLA writes such an executable without its code
-    jax.config.update("jax_enable_compilation_cache", True)
-    before = jax.config.jax_compilation_cache_dir
-    jax.config.update("jax_compilation_cache_dir", str(tmp_path / "jax"))
-    try:
-        for count in (1, 0):
-            compilation_cache.reset_cache()
-            call(program([]))
-            files = list(folder.iterdir())
-            assert len(files) == count
-            for file in files:
-                file.unlink()
-    finally:
-        jax.config.update("jax_compilation_cache_dir", before)
-
-
 @pytest.mark.parametrize(
     ("setting", "other"),
-    [("jax_disable_most_optimizations", False), ("jax_default_matmul_precision", "float32")],
+    [("jax_numpy_rank_promotion", "warn"), ("jax_default_matmul_precision", "float32")],
 )
 def test_other_settings_of_jax_are_other_programs(folder: Path, setting: str, other: Any) -> None:
-    """Some settings have an attribute of their own, others are known by `values` alone."""
     traced: list[int] = []
     call(program(traced))
     before = jax.config.values[setting]
@@ -172,13 +135,13 @@ def test_other_settings_of_jax_are_other_programs(folder: Path, setting: str, ot
 
 
 def test_only_the_newest_are_kept(tmp_path: Path) -> None:
-    cache = ProgramCache(tmp_path, most_bytes=200)
+    programs = ProgramCache(tmp_path, most_bytes=200)
     for number, name in enumerate("abcd"):
-        cache.keep(name, bytes(50))  # with its digest 82
+        programs.write(name, bytes(50))  # with its digest 82
         os.utime(tmp_path / name, (number, number))
-        cache.find("a")  # used, and so newer
+        programs.read("a")  # used, and so newer
     assert {file.name for file in tmp_path.iterdir()} == {"a", "d"}
-    assert cache.size() == (2, 164)
+    assert programs.size() == (2, 164)
 
 
 def test_what_a_program_depends_on_is_in_its_key() -> None:
@@ -244,3 +207,46 @@ def test_other_methods_too(folder: Path, method: str) -> None:
     assert len(files) == (2 if method == "keyvector" else 1)
     assert without == made == result(cache=True)
     assert files == {file: file.stat().st_size for file in folder.iterdir()}
+
+
+@pytest.fixture
+def no_folder(folder: Path) -> Iterator[Path]:
+    """JAX has no folder of its own."""
+    before = jax.config.jax_compilation_cache_dir
+    jax.config.update("jax_enable_compilation_cache", True)
+    jax.config.update("jax_compilation_cache_dir", None)
+    yield folder.parent
+    jax.config.update("jax_compilation_cache_dir", before)
+
+
+def test_jax_keeps_nothing_where_it_can_not_be(
+    no_folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (no_folder / "file").touch()
+    for value in ("off", "0", str(no_folder / "file" / "cache")):
+        monkeypatch.setenv("SMOOTH_OPERATOR_CACHE", value)
+        with cache.jax_cache():
+            assert jax.config.jax_compilation_cache_dir is None
+
+
+def test_a_damaged_cache_is_emptied_and_other_warnings_pass(no_folder: Path) -> None:
+    with cache.jax_cache():
+        used = Path(jax.config.jax_compilation_cache_dir)
+    (used / "jit-cache").touch()
+    with pytest.warns(UserWarning, match="heed me"), cache.jax_cache(), cache.jax_cache():
+        warnings.warn("heed me", stacklevel=1)
+    assert (used / "jit-cache").exists()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with cache.jax_cache():
+            warnings.warn("Error reading persistent compilation cache entry", stacklevel=1)
+    assert not (used / "jit-cache").exists()
+
+
+def test_machine_code_is_kept_by_jax_in_a_folder_of_its_own(no_folder: Path) -> None:
+    call(program([]))
+    assert jax.config.jax_compilation_cache_dir is None
+    written = {file: file.stat().st_mtime_ns for file in no_folder.rglob("*-cache")}
+    assert {file.parent.name for file in written} == {cache.machine()}
+    assert call(program([])) == (4.5, [0.0, 2.0, 4.0], 1.5)
+    assert written == {f: f.stat().st_mtime_ns for f in no_folder.rglob("*-cache")}

@@ -1,10 +1,16 @@
-"""Programs that run on the thread that calls them, rather than on threads that have to be woken."""
+"""Programs that run on the calling thread, and retargeters that are compiled for use."""
 
 from __future__ import annotations
 
 import contextlib
 import os
-from typing import Any, Final
+import time
+from typing import TYPE_CHECKING, Any, Final
+
+if TYPE_CHECKING:  # their imports take a second
+    from smooth_operator.hands.hand import Hand
+    from smooth_operator.methods.method import MethodConfig
+    from smooth_operator.methods.retargeter import Retargeter
 
 _SIZES: Final = ("PJRT_NPROC", "NPROC")
 """Environment variables from which XLA takes the size of its pool of threads, when it starts."""
@@ -19,7 +25,7 @@ def dispatch_here(*, one_thread: bool = False) -> None:
     It is a setting of the process: only the command line and its workers do this.
 
     Args:
-        one_thread: whether XLA's pool has one thread, which saves ``smooth`` a sixth of a frame.
+        one_thread: XLA's pool has one thread, which saves ``smooth`` a sixth of a frame.
     """
     import jax
 
@@ -30,3 +36,23 @@ def dispatch_here(*, one_thread: bool = False) -> None:
         os.environ[_SIZES[0]] = "1"
         jax.devices()  # starts the pool
         del os.environ[_SIZES[0]]  # this process's own
+
+
+def build_retargeter(hand: Hand, config: MethodConfig, seed: int) -> tuple[Retargeter, float]:
+    """A compiled retargeter, and the time that it took [s].
+
+    Args:
+        hand: the robot hand.
+        config: the method's settings.
+        seed: seed of the method's random numbers.
+
+    Raises:
+        ConfigError: the preset needs the whole recording.
+    """
+    from smooth_operator.methods.retargeter import Retargeter
+
+    started = time.perf_counter()
+    dispatch_here(one_thread=config.one_thread)
+    retargeter = Retargeter(hand, config=config, seed=seed)
+    retargeter.warm_up()
+    return retargeter, time.perf_counter() - started
