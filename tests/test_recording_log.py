@@ -159,9 +159,12 @@ def test_types_carry_their_units(tmp_path: Path) -> None:
     own = [s for s in summary.schemas.values() if s.name.startswith("smooth_operator.")]
     for schema in own:
         (file,) = FileDescriptorSet.FromString(schema.data).file
-        notes = {tuple(at.path): at.leading_comments for at in file.source_code_info.location}
+        notes = {
+            tuple(at.path): at.leading_comments or at.trailing_comments
+            for at in file.source_code_info.location
+        }
         (message,) = file.message_type
-        described = sum((4, 0, 2, i) in notes for i in range(len(message.field)))
+        described = sum(bool(notes.get((4, 0, 2, i))) for i in range(len(message.field)))
         assert described >= len(message.field) - 2, schema.name
         assert (4, 0) in notes
     assert len(own) == 5
@@ -482,25 +485,9 @@ def foreign(path: Path, topic: str, data: bytes, version: str | None) -> Path:
     [
         ("/camera", b"{}", None, "MCAP file of another program, with the topics /camera"),
         ("/hand", b"{}", None, "MCAP file of another program"),
-        ("/hand", b"{}", "4", "version 4, this program reads up to version 3; upgrade"),
+        ("/hand", b"{}", "4", "version 4, this program reads version 3; upgrade"),
         ("/hand", b"{}", "3", "a message on /hand is no smooth_operator.Hand"),
         ("/hand", b"", "3", "side must be .right. or .left., not"),
-        ("/hand", b"{}", "1", "lacks a field or has a wrong one"),
-        ("/hand", b"\xff", "1", "a message on /hand is not JSON"),
-        ("/command", b"[1]", "1", "a message on /command is not an object"),
-        ("/config", b'{"configuration": "{"}', "1", "has a wrong one"),
-        (
-            "/command",
-            b'{"stamp": 0, "names": ["a"], "positions": [0, 1], "status": 0}',
-            "1",
-            "has a wrong one",
-        ),
-        (
-            "/command",
-            b'{"stamp": 0, "names": ["a"], "positions": [0], "status": 77}',
-            "1",
-            "77 is not a valid Status",
-        ),
     ],
 )
 def test_logs_of_others(
