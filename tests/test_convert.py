@@ -21,7 +21,7 @@ from protobuf_log import decoded, plain
 
 from smooth_operator.cli import main
 from smooth_operator.episode_files.lerobot import write_dataset
-from smooth_operator.episode_files.lerobot.stats import column_statistics, joint_statistics
+from smooth_operator.episode_files.lerobot.tables import column_statistics, joint_statistics
 from smooth_operator.errors import (
     ConfigError,
     MissingExtraError,

@@ -95,7 +95,7 @@ AT_THE_TOP = (
     "teleop/arm/",
     "teleop/isaac.py",
     "teleop/pages/",
-    "teleop/recording/mcap_library.py",
+    "teleop/recording/log_types.py",
     "teleop/ros2/cyclone_transport.py",
 )
 """Where they may be imported with the module: its package says first what is missing."""

@@ -159,9 +159,12 @@ def test_types_carry_their_units(tmp_path: Path) -> None:
     own = [s for s in summary.schemas.values() if s.name.startswith("smooth_operator.")]
     for schema in own:
         (file,) = FileDescriptorSet.FromString(schema.data).file
-        notes = {tuple(at.path): at.leading_comments for at in file.source_code_info.location}
+        notes = {
+            tuple(at.path): at.leading_comments or at.trailing_comments
+            for at in file.source_code_info.location
+        }
         (message,) = file.message_type
-        described = sum((4, 0, 2, i) in notes for i in range(len(message.field)))
+        described = sum(bool(notes.get((4, 0, 2, i))) for i in range(len(message.field)))
         assert described >= len(message.field) - 2, schema.name
         assert (4, 0) in notes
     assert len(own) == 5

@@ -1,8 +1,8 @@
-"""Time to write and to read a log of a session, in Protocol Buffers and in JSON as before.
+"""Time to write and to read a log of a session, by the recorder.
 
     python research/benchmarks/log.py --frames 20000 --seconds 20
 
-Three measurements of each encoding, all in one run:
+Three measurements:
 
 - ``write``: the log writer alone, time of the processor for each frame with its command, timing,
   status and state of the loop, the chunk that it ends included.
@@ -10,8 +10,7 @@ Three measurements of each encoding, all in one run:
   processor for each tick in the loop's thread and in the recorder's.
 - ``read``: the whole log, as ``read_log`` gives it.
 
-The hand moves as the built-in operator does; the robot is drawn for Foxglove. JSON is written by
-``tests/json_log.py``, the encoder of version 2, and read by the package.
+The hand moves as the built-in operator does; the robot is drawn for Foxglove.
 """
 
 from __future__ import annotations
@@ -21,25 +20,21 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import tyro
 
 sys.path.append(str(Path(__file__).resolve().parents[2] / "tests"))
 
-from json_log import JsonLogWriter
 from ticks import make_tick
 
 from smooth_operator import load_hand
 from smooth_operator.hands.hand import Hand
-from smooth_operator.landmarks import LANDMARKS
 from smooth_operator.synthetic import SyntheticOperator
-from smooth_operator.teleop.recording.log import LogWriter
 from smooth_operator.teleop.recording.log_reader import read_log
 from smooth_operator.teleop.sinks import recorder
 from smooth_operator.teleop.sinks.record import RecordSink
@@ -47,7 +42,6 @@ from smooth_operator.teleop.sinks.tick import Tick
 from smooth_operator_research.run_report import BenchmarkError, Report
 
 RATE = 100.0
-WRITERS: dict[str, Callable[..., Any]] = {"Protocol Buffers": LogWriter, "JSON": JsonLogWriter}
 
 
 @dataclass(frozen=True)
@@ -57,7 +51,7 @@ class Settings:
     Attributes:
         frames: of the log that is written and read.
         repeats: how often it is written and read; the best is reported.
-        seconds: of the session at 100 Hz, for each encoding.
+        seconds: length of the session at 100 Hz.
         hand: the robot hand.
         output: JSON file; build/benchmarks/log.json unless given.
         compare: an earlier JSON file to compare this run with.
@@ -76,27 +70,24 @@ def main(settings: Settings) -> None:
     hand = load_hand(settings.hand)
     ticks = session(hand, max(settings.frames, round(settings.seconds * RATE)))
     written, live, read = [], [], []
-    for name, writer in WRITERS.items():
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / "log.mcap"
-            runs = [
-                write(path, writer, hand, ticks[: settings.frames]) for _ in range(settings.repeats)
-            ]
-            spent, total = min(runs, key=lambda run: run[1])
-            row = [spent.mean(), *np.percentile(spent, (50, 95, 99)), total / settings.frames]
-            size = path.stat().st_size
-            report.add(f"{name}/write", dict(zip(WRITE, row, strict=True)))
-            written.append([name, *(1e3 * value for value in row)])
-            times = np.array([timed(path, settings.frames) for _ in range(settings.repeats)]).min(
-                axis=0
-            )
-            report.add(f"{name}/read", {"s": times[0], "cpu_s": times[1], "bytes": float(size)})
-            read.append([name, *times, size / 1e6, size / settings.frames])
-            rate = round(settings.seconds * RATE)
-            loop, worker = record(Path(folder) / "s.mcap", writer, hand, ticks[:rate])
-            row = [loop.mean(), *np.percentile(loop, (50, 95, 99)), worker, loop.mean() + worker]
-            report.add(f"{name}/session", dict(zip(SESSION, row, strict=True)))
-            live.append([name, *(1e3 * value for value in row)])
+    name = "Protocol Buffers"
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "log.mcap"
+        runs = [write(path, hand, ticks[: settings.frames]) for _ in range(settings.repeats)]
+        spent, total = min(runs, key=lambda run: run[1])
+        row = [spent.mean(), *np.percentile(spent, (50, 95, 99)), total / settings.frames]
+        size = path.stat().st_size
+        report.add(f"{name}/write", dict(zip(WRITE, row, strict=True)))
+        written.append([name, *(1e3 * value for value in row)])
+        tries = [timed(path, settings.frames) for _ in range(settings.repeats)]
+        times = np.array(tries).min(axis=0)
+        report.add(f"{name}/read", {"s": times[0], "cpu_s": times[1], "bytes": float(size)})
+        read.append([name, *times, size / 1e6, size / settings.frames])
+        rate = round(settings.seconds * RATE)
+        loop, worker = record(Path(folder) / "s.mcap", hand, ticks[:rate])
+        row = [loop.mean(), *np.percentile(loop, (50, 95, 99)), worker, loop.mean() + worker]
+        report.add(f"{name}/session", dict(zip(SESSION, row, strict=True)))
+        live.append([name, *(1e3 * value for value in row)])
     header = ("", "mean", "p50", "p95", "p99", "with its end")
     report.table(
         f"Writing {settings.frames} frames, best of {settings.repeats}: "
@@ -133,13 +124,11 @@ def session(hand: Hand, count: int) -> list[Tick]:
     return found
 
 
-def write(
-    path: Path, writer: Callable[..., Any], hand: Hand, ticks: list[Tick]
-) -> tuple[np.ndarray, float]:
+def write(path: Path, hand: Hand, ticks: list[Tick]) -> tuple[np.ndarray, float]:
     """Processor time of each frame [s], and of all with opening and closing."""
     spent = np.empty(len(ticks))
     path.unlink(missing_ok=True)
-    with encoded_by(writer), quiet():
+    with quiet():
         begun = time.thread_time()
         log = recorder._HandLog(path, hand, {"hand": hand.name}, overwrite=False)
         for k, tick in enumerate(ticks):
@@ -150,12 +139,10 @@ def write(
         return spent, time.thread_time() - begun
 
 
-def record(
-    path: Path, writer: Callable[..., Any], hand: Hand, ticks: list[Tick]
-) -> tuple[np.ndarray, float]:
+def record(path: Path, hand: Hand, ticks: list[Tick]) -> tuple[np.ndarray, float]:
     """Processor time of each tick in the loop's thread [s], and of one in the recorder's."""
     spent = np.empty(len(ticks))
-    with encoded_by(writer), quiet():
+    with quiet():
         sink = RecordSink(path)
         sink.open({"right": hand}, {"hand": hand.name})
         (thread,) = (one for one in threading.enumerate() if one.name == "record")
@@ -185,32 +172,6 @@ def timed(path: Path, count: int) -> tuple[float, float]:
     if log.recording is None or len(log.recording) != count:
         raise BenchmarkError(f"{path.name}: frames are missing")
     return spent
-
-
-@contextmanager
-def encoded_by(writer: Callable[..., Any]) -> Iterator[None]:
-    """The recorder with another log writer."""
-    former = recorder.LogWriter, recorder.landmark_keypoints
-    recorder.LogWriter = writer  # type: ignore[misc, assignment]
-    if writer is JsonLogWriter:  # which draws one pose at a time
-        recorder.landmark_keypoints = former_keypoints  # type: ignore[assignment]
-    try:
-        yield
-    finally:
-        recorder.LogWriter, recorder.landmark_keypoints = former  # type: ignore[misc]
-
-
-def former_keypoints(hand: Hand) -> Callable[[np.ndarray], np.ndarray]:
-    """The robot's landmarks at one pose."""
-    pairs = [(LANDMARKS.index(n), k) for k, n in enumerate(hand.tree.names) if n in LANDMARKS]
-    rows, columns = (list(part) for part in zip(*pairs, strict=True))
-
-    def keypoints(q: np.ndarray) -> np.ndarray:
-        found = np.full((len(LANDMARKS), 3), np.nan)
-        found[rows] = hand.tree.positions(q)[columns]
-        return found
-
-    return keypoints
 
 
 @contextmanager

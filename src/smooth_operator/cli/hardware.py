@@ -15,6 +15,7 @@ from rich.text import Text
 from smooth_operator.cli.console import output_console, plain_table
 from smooth_operator.cli.hardware_options import List, Monitor
 from smooth_operator.errors import ConfigError, SmoothOperatorError
+from smooth_operator.formats.jsonable import numbers
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
@@ -25,7 +26,6 @@ from smooth_operator.teleop.hardware.table_file import (
     read_table,
     user_tables_folder,
 )
-from smooth_operator.teleop.recording.messages import numbers
 from smooth_operator.teleop.sinks.hand_state import HandState
 from smooth_operator.teleop.sinks.registry import SINKS, build_sink
 from smooth_operator.types import Side
