@@ -20,7 +20,7 @@ from smooth_operator.formats.setting_paths import find_setting, with_settings
 from smooth_operator.lab.benchmark import read_results
 from smooth_operator.methods.method import TrajectoryMethodConfig
 from smooth_operator.study.design.plan_file import read_plan
-from smooth_operator.study.store.opening import open_study
+from smooth_operator.study.store.study_store import open_study
 
 
 def test_commands(tmp_path: Path) -> None:
@@ -219,7 +219,6 @@ CREATE TABLE events (id INTEGER NOT NULL PRIMARY KEY, study_id INTEGER NOT NULL,
 
 
 def test_a_store_of_a_study(tmp_path: Path) -> None:
-    pytest.importorskip("sqlalchemy")
     at = "2026-11-22T15:21:55.678869+00:00"
     begun = [("calibrated", {"task": "A", "detail": ""})]
     begun += [("block_started", {"task": "A", "block": 1, "condition": "dexpilot"})]

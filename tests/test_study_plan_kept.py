@@ -151,10 +151,9 @@ def test_the_preregistration_follows_the_plan_until_someone_begins(
 
 
 def test_study_run_writes_it_for_a_plan_changed_by_hand(tmp_path: Path) -> None:
-    pytest.importorskip("sqlalchemy")
     from smooth_operator.cli.study_run import _register
     from smooth_operator.study.store.events import Calibrated
-    from smooth_operator.study.store.opening import open_study
+    from smooth_operator.study.store.study_store import open_study
 
     plan = make_plan(protocol(forms=()))
     write_plan_files(plan, tmp_path)

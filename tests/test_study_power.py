@@ -14,7 +14,7 @@ from smooth_operator.cli import main
 from smooth_operator.errors import StudyError
 from smooth_operator.simulation.tasks.rubrics import PAPER_TASKS
 from smooth_operator.study.analysis.analyze import analyze_study
-from smooth_operator.study.analysis.readings.equivalence import equivalences
+from smooth_operator.study.analysis.readings import equivalences
 from smooth_operator.study.analysis.results import MODES
 from smooth_operator.study.data import Questionnaires, StudyData, Trials
 from smooth_operator.study.design.plan import make_plan

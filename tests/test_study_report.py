@@ -300,10 +300,9 @@ def test_bad_data_write_nothing_and_give_status_2(
 def test_a_study_that_was_run_is_analysed_from_its_store(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    pytest.importorskip("sqlalchemy")
     from study_writers import due, small_plan
 
-    from smooth_operator.study.store.opening import open_study
+    from smooth_operator.study.store.study_store import open_study
 
     with open_study(tmp_path / "study", small_plan(3)) as store:
         for seed, operator in enumerate(store.plan.codes):

@@ -99,7 +99,7 @@ def _split(words: Sequence[str]) -> tuple[list[str], list[Path]]:
     for word in words:
         path = Path(word)
         held = path.is_dir() and (path / _STORE).is_file()
-        if "://" in word or held or path.suffix == ".db" or _is_sqlite(path):
+        if held or path.suffix == ".db" or _is_sqlite(path):
             stored.append(word)
         else:
             files.append(path)
@@ -120,9 +120,9 @@ def _exported(target: str, name: str | None) -> str:
         StudyError: there is no such store.
     """
     from smooth_operator.study.store.export import study_json
-    from smooth_operator.study.store.opening import open_study
+    from smooth_operator.study.store.study_store import open_study
 
-    if "://" not in target and not Path(target).exists():  # opening would make one
+    if not Path(target).exists():  # opening would make one
         raise StudyError(f"no such file: {target!r}; give the folder of a study that was run")
     with open_study(target, name=name) as store:
         return json.dumps(study_json(store))
@@ -130,7 +130,7 @@ def _exported(target: str, name: str | None) -> str:
 
 def _with_metrics(paths: Sequence[Path], stored: Sequence[str] = ()) -> list[Path]:
     """The files, and the metrics in the folder of the trials under their usual name."""
-    folders = [Path(word) for word in stored if "://" not in word]
+    folders = [Path(word) for word in stored]
     trials = [(f if f.is_dir() else f.parent) / NAMES[0] for f in folders]
     found = list(paths)
     if any(path.name == NAMES[2] for path in paths):

@@ -16,11 +16,9 @@ class Analyze(Common):
     """Success, time and workload of a study: models, comparisons, learning, a report."""
 
     work: ClassVar[str] = "smooth_operator.cli.study_analyze:analyze_command"
-    details: ClassVar[
-        str
-    ] = """STUDY is the folder of a study that was run, its study.db, or the URL
-of a database; or a folder with trials.csv, tlx.csv and, if there is one, sim_metrics.csv; or such
-tables by any name and in any order; or one JSON file of study export. Every value is checked, and
+    details: ClassVar[str] = """STUDY is the folder of a study that was run, or its study.db; or
+a folder with trials.csv, tlx.csv and, if there is one, sim_metrics.csv; or such tables by any name
+and in any order; or one JSON file of study export. Every value is checked, and
 errors are listed by row and column. Columns:
   trials      operator, task, retargeter, block, trial_in_block, trial_global, score, time_s
   tlx         operator, task, retargeter, block, point, and the six scales; for --workload
@@ -46,7 +44,7 @@ Examples:
     """The data."""
 
     name: Annotated[str | None, arg(metavar="TEXT")] = None
-    """Name of the study, where a database holds several."""
+    """Name of the study, where a study.db holds several."""
 
     baseline: Annotated[str | None, arg(metavar="NAME")] = None
     """The retargeter that the others are compared with. If left out, the plan's, or dexpilot

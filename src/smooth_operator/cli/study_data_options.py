@@ -16,10 +16,10 @@ class Stored(Common):
     """Options of commands about stored data."""
 
     study: Annotated[Positional[str], arg(metavar="STUDY")]
-    """Folder of the study, its study.db, or the URL of a database."""
+    """Folder of the study, or its study.db."""
 
     name: Annotated[str | None, arg(metavar="TEXT")] = None
-    """Name of the study, where a database holds several."""
+    """Name of the study, where a study.db holds several."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,8 +29,7 @@ class Export(Stored):
     work: ClassVar[str] = "smooth_operator.cli.study_data:export_data"
     details: ClassVar[str] = """Examples:
   smooth-operator study export my-study --output data
-  smooth-operator study export my-study --operator P07 --output data-of-P07
-  smooth-operator study export postgresql://me@host/studies --name four --output data"""
+  smooth-operator study export my-study --operator P07 --output data-of-P07"""
 
     output: Annotated[Path, arg(metavar="FOLDER")]
     """Where the files go."""

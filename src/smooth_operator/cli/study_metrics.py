@@ -26,7 +26,7 @@ from smooth_operator.study.data.take_metrics import (
     trial_spans,
     utc_of_zero,
 )
-from smooth_operator.study.store.opening import open_study
+from smooth_operator.study.store.study_store import open_study
 from smooth_operator.teleop.recording.log_reader import read_log
 from smooth_operator.types import CommandTrajectory
 

@@ -85,7 +85,7 @@ def enrol_operator(options: Enrol) -> None:
     folder = options.study if options.study.is_dir() else options.study.parent
     plan = read_plan(options.study)
     if (folder / _STORE).exists():  # what is stored decides: the code may be that of one erased
-        from smooth_operator.study.store.opening import open_study
+        from smooth_operator.study.store.study_store import open_study
 
         with open_study(folder, plan) as store:
             plan = plan.enrol(options.operator, options.tasks or None, absent=store.absent())

@@ -24,16 +24,16 @@ at any time, and continue where they were. Ctrl-C ends.
 Examples:
   smooth-operator study run my-study --open
   smooth-operator study run my-study --host 0.0.0.0 --teleop tcp://127.0.0.1:5558 --blind
-  smooth-operator study run my-study --store postgresql://me@host/studies --operator P03"""
+  smooth-operator study run my-study --store /data/lab.db --operator P03"""
 
     study: Annotated[Positional[str], arg(metavar="STUDY")]
-    """Folder of the study, or the URL of a database that holds it."""
+    """Folder of the study."""
 
-    store: Annotated[str | None, arg(metavar="URL")] = None
-    """Database instead of study.db in the folder."""
+    store: Annotated[str | None, arg(metavar="FILE")] = None
+    """SQLite file instead of study.db in the folder; it may hold several studies."""
 
     name: Annotated[str | None, arg(metavar="TEXT")] = None
-    """Name of the study, where STUDY is a database that holds several."""
+    """Name of the study, where study.db holds several."""
 
     operator: Annotated[str | None, arg(metavar="CODE")] = None
     """The current operator; if left out, the last active one who has not finished."""

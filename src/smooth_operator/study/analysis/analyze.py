@@ -24,7 +24,6 @@ from smooth_operator.study.analysis.outcome_frames import (
 from smooth_operator.study.analysis.readings import (
     Interaction,
     Readings,
-    Refused,
     interactions,
     read_further,
 )
@@ -33,6 +32,7 @@ from smooth_operator.study.analysis.results import (
     POOLED,
     Mode,
     Outcome,
+    Refused,
     ScopeResult,
     plain,
 )

@@ -12,11 +12,10 @@ from jaxtyping import Float
 from scipy.special import expit
 
 from smooth_operator.errors import StudyError
-from smooth_operator.study.analysis.clusters import mancl_derouen
 from smooth_operator.study.analysis.dunnett import two_sided
 from smooth_operator.study.analysis.frame import Frame, check_frame
 from smooth_operator.study.analysis.gee import fit_gee
-from smooth_operator.study.analysis.mixed import fit_mixed
+from smooth_operator.study.analysis.mixed import fit_mixed, mancl_derouen
 from smooth_operator.study.analysis.separated import split
 from smooth_operator.study.analysis.separation import separating
 
@@ -107,10 +106,12 @@ def _check(frame: Frame) -> None:
 
 def _tested(design: Float[np.ndarray, "n p"], frame: Frame, count: int) -> list[dict[str, float]]:
     """The last coefficients of a mixed model, each with both tests."""
-    fit = fit_mixed(design, frame.outcome, frame.group)
+    fit = fit_mixed(design, frame.outcome, {"operator": frame.group})
     found = []
     width = design.shape[1]
-    robust = mancl_derouen(design, frame.outcome - design @ fit.beta, frame.group, fit.ratio)
+    robust = mancl_derouen(
+        design, frame.outcome - design @ fit.beta, frame.group, float(fit.ratios[0])
+    )
     freedom = float(len(frame.operators) - 1)
     for j in range(width - count, width):
         slope, se = float(fit.beta[j]), float(np.sqrt(fit.covariance[j, j]))

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -11,12 +11,15 @@ from jaxtyping import Float
 
 from smooth_operator.errors import StudyError
 from smooth_operator.study.analysis import diagnostics
-from smooth_operator.study.analysis.contrasts import Freedom, coefficients, compare
-from smooth_operator.study.analysis.effects import standardised
-from smooth_operator.study.analysis.emm import linear_means
+from smooth_operator.study.analysis.contrasts import (
+    Freedom,
+    coefficients,
+    compare,
+    linear_means,
+    standardised,
+)
 from smooth_operator.study.analysis.frame import INDEX, Frame, check_frame
-from smooth_operator.study.analysis.mixed import fit_mixed
-from smooth_operator.study.analysis.nested import fit_nested
+from smooth_operator.study.analysis.mixed import MixedFit, fit_mixed
 from smooth_operator.study.analysis.results import MODES, Mode, ScopeResult
 
 _IN_R: Final = {
@@ -70,35 +73,37 @@ def analyze_linear(
         design, names = frame.design()
     except StudyError as error:
         return dict.fromkeys(modes, refuse(blank, str(error)))
-    fits: dict[Mode, Callable[[], _Fit]] = {
-        "small-sample": lambda: _nested(frame, design),
-        "paper": lambda: _published(frame, design),
-    }
     found = {}
     for mode in modes:
+        small = mode == "small-sample"
         try:
-            fit = fits[mode]()
+            fit = fit_mixed(
+                design, frame.outcome, frame.levels if small else {"operator": frame.group}
+            )
         except StudyError as error:
             found[mode] = refuse(blank, str(error))
             continue
+        freedom: Freedom = fit.satterthwaite if small else _normal
         checks, said = diagnostics.residual_checks(fit.residuals, fit.intercepts, frame)
         means = linear_means(frame, fit.beta)
 
         def effect(mean: float, other: float, spread: float = fit.sd_row) -> float:
             return standardised(mean - other, spread)
 
-        compared = compare(
-            means, fit.covariance, fit.freedom, effect, frame.baseline, limits=limits
-        )
+        compared = compare(means, fit.covariance, freedom, effect, frame.baseline, limits=limits)
         found[mode] = replace(
             blank,
-            coefficients=coefficients(names, fit.beta, fit.covariance, fit.freedom),
+            coefficients=coefficients(names, fit.beta, fit.covariance, freedom),
             emm=compared.emm,
             dunnett=compared.dunnett,
             pairs=compared.pairs,
-            model={**fit.model, **index_facts(frame), "dunnett_correlation": compared.correlation},
+            model={
+                **_facts(frame, fit),
+                **index_facts(frame),
+                "dunnett_correlation": compared.correlation,
+            },
             diagnostics={**blank.diagnostics, **checks},
-            warnings=(*blank.warnings, *said, *fit.warnings, *compared.warnings),
+            warnings=(*blank.warnings, *said, *_singular(fit.variances), *compared.warnings),
         )
     small, paper = found.get("small-sample"), found.get("paper")
     if small is not None and small.refused is None:
@@ -109,55 +114,13 @@ def analyze_linear(
     return found
 
 
-@dataclass(frozen=True, eq=False)
-class _Fit:
-    """A fitted model, whatever its random effects."""
-
-    beta: Float[np.ndarray, " p"]
-    covariance: Float[np.ndarray, "p p"]
-    freedom: Freedom
-    sd_row: float
-    intercepts: Float[np.ndarray, " g"]
-    residuals: Float[np.ndarray, " n"]
-    model: dict[str, Any]
-    warnings: tuple[str, ...]
+def _normal(_: Float[np.ndarray, " p"]) -> float:
+    """Infinite degrees of freedom."""
+    return np.inf
 
 
-def _published(frame: Frame, design: Float[np.ndarray, "n p"]) -> _Fit:
-    fit = fit_mixed(design, frame.outcome, frame.group)
-    variances = {"operator": fit.sd_operator**2, "residual": fit.residual_variance}
-    return _Fit(
-        beta=fit.beta,
-        covariance=fit.covariance,
-        freedom=lambda _: np.inf,
-        sd_row=float(np.hypot(fit.sd_operator, fit.sd_residual)),
-        intercepts=fit.intercepts,
-        residuals=fit.residuals,
-        model=_facts(frame, variances, fit.log_likelihood, fit.intercepts),
-        warnings=_singular(variances),
-    )
-
-
-def _nested(frame: Frame, design: Float[np.ndarray, "n p"]) -> _Fit:
-    fit = fit_nested(design, frame.outcome, frame.levels)
-    return _Fit(
-        beta=fit.beta,
-        covariance=fit.covariance,
-        freedom=fit.satterthwaite,
-        sd_row=fit.sd_row,
-        intercepts=fit.intercepts,
-        residuals=fit.residuals,
-        model=_facts(frame, fit.variances, fit.log_likelihood, fit.intercepts),
-        warnings=_singular(fit.variances),
-    )
-
-
-def _facts(
-    frame: Frame,
-    variances: dict[str, float],
-    log_likelihood: float,
-    intercepts: Float[np.ndarray, " g"],
-) -> dict[str, Any]:
+def _facts(frame: Frame, fit: MixedFit) -> dict[str, Any]:
+    variances = fit.variances
     return {
         "kind": "linear mixed model, REML",
         "formula": formula(frame, random=[name for name in variances if name != "residual"]),
@@ -165,9 +128,9 @@ def _facts(
         "sd_operator": float(np.sqrt(variances["operator"])),
         "sd_residual": float(np.sqrt(variances["residual"])),
         "share_of_operators": variances["operator"] / sum(variances.values()),
-        "log_likelihood": log_likelihood,
+        "log_likelihood": fit.log_likelihood,
         "singular": variances["operator"] == 0,
-        "operator_effects": dict(zip(frame.operators, map(float, intercepts), strict=True)),
+        "operator_effects": dict(zip(frame.operators, map(float, fit.intercepts), strict=True)),
     }
 
 

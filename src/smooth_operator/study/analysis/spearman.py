@@ -18,10 +18,9 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.study.analysis.dunnett import quantile, two_sided
-from smooth_operator.study.analysis.effects import correlation_in_words
-from smooth_operator.study.analysis.holm import holm
-from smooth_operator.study.analysis.readings.resampling import operator_signs, operator_weights
+from smooth_operator.study.analysis.contrasts import correlation_in_words
+from smooth_operator.study.analysis.dunnett import holm, quantile, two_sided
+from smooth_operator.study.analysis.resampling import operator_signs, operator_weights
 from smooth_operator.study.data.rows import StudyData
 
 _DIGITS: Final = 9

@@ -10,9 +10,14 @@ from jaxtyping import Float
 
 from smooth_operator.errors import StudyError
 from smooth_operator.study.analysis import diagnostics
-from smooth_operator.study.analysis.contrasts import Freedom, coefficients, compare
-from smooth_operator.study.analysis.effects import cohen_h
-from smooth_operator.study.analysis.emm import linear_means, response_means
+from smooth_operator.study.analysis.contrasts import (
+    Freedom,
+    coefficients,
+    cohen_h,
+    compare,
+    linear_means,
+    response_means,
+)
 from smooth_operator.study.analysis.frame import Frame, check_frame
 from smooth_operator.study.analysis.gee import GeeFit, fit_gee
 from smooth_operator.study.analysis.linear_outcome import formula, index_facts, refuse

@@ -14,38 +14,14 @@ from typing import Any, Final, Literal, TypeAlias
 
 from smooth_operator.errors import StudyError
 from smooth_operator.study.store.clock import Elapsed
-from smooth_operator.study.store.event_fields import event_of
-from smooth_operator.study.store.events import ASIDE, Amended, Event
-from smooth_operator.study.store.operator_state import Trial
-from smooth_operator.study.store.progress import Progress
+from smooth_operator.study.store.events import ASIDE, Amended, Event, event_of
+from smooth_operator.study.store.events import EVENTS as KINDS
+from smooth_operator.study.store.progress import Progress, Trial
 from smooth_operator.study.store.tlx_words import shown_pairs
 
 Role: TypeAlias = Literal["experimenter", "operator"]
 
-EVENTS: Final = {
-    "calibrated": "calibrated",
-    "start_block": "block_started",
-    "start_familiarisation": "familiarisation_started",
-    "end_familiarisation": "familiarisation_ended",
-    "start_trial": "trial_started",
-    "reset": "trial_reset",
-    "score": "trial_scored",
-    "void": "trial_voided",
-    "answer": "questionnaire_answered",
-    "weigh": "weights_answered",
-    "start_break": "break_started",
-    "end_break": "break_ended",
-    "note": "noted",
-    "undo": "undone",
-    "pause": "trial_paused",
-    "resume": "trial_resumed",
-    "amend": "amended",
-    "end_block": "block_ended",
-    "recalibrate": "recalibrated",
-    "withdraw": "withdrawn",
-    "form": "form_answered",
-    "paper": "form_on_paper",
-}
+EVENTS: Final = {event.word: kind for kind, event in KINDS.items() if event.word}
 """Word -> kind of the event that it causes."""
 OTHER: Final = ("choose", "enrol", "replace", "switch", "cancel_start")
 """Words that cause no event of the operator who is on."""

@@ -10,8 +10,7 @@ from smooth_operator.study.console.form_views import form_view
 from smooth_operator.study.design.plan import Block, Plan
 from smooth_operator.study.store.events import Undone
 from smooth_operator.study.store.nasa_tlx import HIGHEST, PAIRS, STEP
-from smooth_operator.study.store.operator_state import Step
-from smooth_operator.study.store.progress import Progress
+from smooth_operator.study.store.progress import Progress, Step
 from smooth_operator.study.store.tlx_words import ENGLISH, TlxWords, shown_pairs
 
 

@@ -8,7 +8,7 @@ from datetime import datetime
 from typing import Any, Final
 
 from smooth_operator.errors import StudyError
-from smooth_operator.study.console.event_texts import Named, event_in_words, naming, step_in_words
+from smooth_operator.study.console.event_texts import naming, step_in_words
 from smooth_operator.study.console.expected_time import break_is_due, time_left
 from smooth_operator.study.console.form_views import forms_view
 from smooth_operator.study.console.operator_view import (
@@ -118,7 +118,7 @@ def step_view(progress: Progress, named: Named, words: TlxWords = ENGLISH) -> di
     if (last := progress.undoable) is not None:
         view["undoable"] = {
             "number": last.number,
-            "text": event_in_words(last, named, sums=_known(progress, last)),
+            "text": last.event.in_words(named, sums=_known(progress, last)),
         }
     if step.block is None:
         return view
@@ -210,7 +210,7 @@ def log_view(progress: Progress, named: Named) -> list[dict[str, Any]]:
             "at": _milliseconds(record.at),
             "author": record.author,
             "kind": record.event.kind,
-            "text": event_in_words(record, named, sums=_known(progress, record)),
+            "text": record.event.in_words(named, sums=_known(progress, record)),
             "undone": record.number in undone,
         }
         for record in reversed(progress.records[-_LONGEST_LOG:])

@@ -359,7 +359,6 @@ def check_installed() -> None:
     """
     try:
         import segno  # noqa: F401
-        import sqlalchemy  # noqa: F401
         import websockets.asyncio.server  # noqa: F401
     except ImportError as error:
         raise MissingExtraError("the console of a study", "study") from error

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sqlite3
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -15,15 +16,13 @@ class StoreFailedError(StudyError):
 @contextmanager
 def store_failures() -> Iterator[None]:
     """Raises ``StoreFailedError`` where a database is to blame, and not what was asked."""
-    from sqlalchemy.exc import SQLAlchemyError
-
     try:
         yield
     except StoreFailedError:
         raise
     except StudyError as error:
         cause = error.__cause__
-        blamed = isinstance(cause, SQLAlchemyError | OSError)
+        blamed = isinstance(cause, sqlite3.Error | OSError)
         if blamed and not isinstance(cause, SmoothOperatorError):
             raise StoreFailedError(str(error)) from error
         raise

@@ -16,14 +16,11 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from smooth_operator.errors import StudyError
-from smooth_operator.study.analysis.dunnett import quantile, two_sided
-from smooth_operator.study.analysis.emm import MarginalMeans, linear_means, response_means
+from smooth_operator.study.analysis.contrasts import MarginalMeans, linear_means, response_means
+from smooth_operator.study.analysis.dunnett import holm, outside, quantile, two_sided
 from smooth_operator.study.analysis.frame import Frame, check_frame
 from smooth_operator.study.analysis.gee import fit_gee
-from smooth_operator.study.analysis.holm import holm
 from smooth_operator.study.analysis.mixed import fit_mixed
-from smooth_operator.study.analysis.multivariate import outside
-from smooth_operator.study.analysis.nested import fit_nested
 from smooth_operator.study.analysis.results import POOLED, Mode, Outcome, Separated
 from smooth_operator.study.analysis.separated import split
 from smooth_operator.study.power.simulated_study import Simulated
@@ -143,14 +140,14 @@ class Analyst:
         try:
             check_frame(frame)
             design = frame.design()[0]
-            fit = fit_mixed(design, frame.outcome, frame.group)
+            fit = fit_mixed(design, frame.outcome, {"operator": frame.group})
         except StudyError as error:
             yield from _refusals(outcome, scope, str(error))
             return
         means = linear_means(frame, fit.beta)
         yield _verdict(outcome, scope, "paper", frame, means, fit.covariance, lambda _: np.inf)
         try:
-            nested = fit_nested(design, frame.outcome, frame.levels)
+            nested = fit_mixed(design, frame.outcome, frame.levels)
         except StudyError as error:
             yield Verdict(outcome, scope, "small-sample", {}, {}, str(error))
             return

@@ -29,8 +29,7 @@ from smooth_operator.study.store.nasa_tlx import (
     weighted_workload,
     weights,
 )
-from smooth_operator.study.store.operator_state import Trial
-from smooth_operator.study.store.progress import Progress
+from smooth_operator.study.store.progress import Progress, Trial
 from smooth_operator.study.store.study_store import StudyStore
 
 FORMAT: Final = 1
@@ -84,7 +83,7 @@ def export_study(
 
 
 def study_json(store: StudyStore, operators: Sequence[str] | None = None) -> dict[str, Any]:
-    """Everything that is stored, as plain values of ``export_schema``.
+    """Everything that is stored, as plain values.
 
     Args:
         store: of the study.

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from smooth_operator.study.store.event_fields import payload
-from smooth_operator.study.store.operator_state import Trial
-from smooth_operator.study.store.progress import Progress
+from smooth_operator.study.store.events import payload
+from smooth_operator.study.store.progress import Progress, Trial
 
 
 def operator_json(progress: Progress) -> dict[str, Any]:
-    """The entry as plain values of ``export_schema``."""
+    """The entry as plain values."""
     left = progress.withdrawn
     return {
         "operator": progress.operator,

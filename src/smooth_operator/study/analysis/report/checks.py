@@ -12,12 +12,16 @@ from smooth_operator.errors import StudyError
 from smooth_operator.reporting.drawing import GRID
 from smooth_operator.study.analysis.analyze import Analysis
 from smooth_operator.study.analysis.frame import Frame
-from smooth_operator.study.analysis.nested import fit_nested
+from smooth_operator.study.analysis.mixed import fit_mixed
 from smooth_operator.study.analysis.outcome_frames import time_frame, tlx_frame
-from smooth_operator.study.analysis.readings.survival import COMPETING, SUCCESS, incidence
-from smooth_operator.study.analysis.readings.time_to_success import TimeToSuccess
 from smooth_operator.study.analysis.report.report_tables import scope_name
 from smooth_operator.study.analysis.results import MODES, POOLED, Outcome
+from smooth_operator.study.analysis.time_to_success import (
+    COMPETING,
+    SUCCESS,
+    TimeToSuccess,
+    incidence,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -71,7 +75,7 @@ def _frames(analysis: Analysis) -> dict[Outcome, Frame]:
 
 def _residuals(frame: Frame) -> np.ndarray | None:
     try:
-        return fit_nested(frame.design()[0], frame.outcome, frame.levels).residuals
+        return fit_mixed(frame.design()[0], frame.outcome, frame.levels).residuals
     except StudyError:
         return None
 

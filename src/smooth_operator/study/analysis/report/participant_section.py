@@ -1,14 +1,13 @@
-"""The section of participants: from enrolment to analysis, irregular events, realised order."""
+"""The section of participants: from enrolment to analysis, and irregular events."""
 
 from __future__ import annotations
 
 from smooth_operator.reporting.html import Html, element, join, paragraph, text_table
 from smooth_operator.study.analysis.analyze import Analysis
-from smooth_operator.study.analysis.report.reading_tables import balance_tables
 
 
 def participant_section(analysis: Analysis) -> Html:
-    """Who took part, what was repeated or corrected, and in which order blocks were done."""
+    """Who took part, what was repeated or corrected."""
     flow = analysis.data.flow
     analysed = len({str(name) for name in analysis.data.trials.operator})
     parts = []
@@ -53,6 +52,4 @@ def participant_section(analysis: Analysis) -> Html:
             f"Pauses {flow.pauses}; recalibrations {flow.recalibrations}; blocks ended early "
             f"{flow.ended_early}.", "soft",
         ))  # fmt: skip
-    parts.append(element("h3", Html("Realised order of the blocks")))
-    parts.append(balance_tables(analysis))
     return join(parts)

@@ -25,8 +25,7 @@ def reading_section(analysis: Analysis, incidence: Html) -> Html:
         ),
         _part(
             "Where success begins",
-            "Success from a score of 0.5 on, as reported, and only from 1; and the three scores as "
-            "an ordered outcome (proportional odds, operators as clusters).",
+            "Success from a score of 0.5 on, as reported, and only from 1.",
             tables.by_scope(analysis, tables.score_table),
         ),
         _part(
@@ -46,17 +45,6 @@ def reading_section(analysis: Analysis, incidence: Html) -> Html:
             "One joint test of retargeter × task an outcome.",
             tables.interaction_table(analysis),
         ),
-        _part(
-            "Order of the blocks",
-            "Differences with the number of the block as a factor (period), and with the "
-            "retargeter of the block before (carry-over); intervals one by one.",
-            tables.order_table(analysis),
-        ),
-        _part(
-            "Logarithm of times",
-            "The same model of log time: ratios of geometric means.",
-            tables.by_scope(analysis, tables.log_time_table),
-        ),
     ]
     if analysis.readings.preference is not None:
         said = "Operators' ranking at the end. Intervals: bootstrap over operators."
@@ -64,14 +52,7 @@ def reading_section(analysis: Analysis, incidence: Html) -> Html:
     if analysis.readings.second_rater is not None:
         said = "Cohen's κ of two raters of the same trials."
         parts.append(_part("Second rater", said, tables.rater_table(analysis)))
-    if analysis.readings.covariates:
-        said = "Differences with an answer of the forms as a further term, one at a time."
-        parts.append(_part("What operators said of themselves", said, _covariates(analysis)))
     return join(parts)
-
-
-def _covariates(analysis: Analysis) -> Html:
-    return details("Tables", tables.covariate_table(analysis))
 
 
 def _equivalence(analysis: Analysis) -> Html:

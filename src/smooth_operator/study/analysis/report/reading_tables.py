@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
-from smooth_operator.reporting.html import Html, details, element, escape, join, paragraph
+from smooth_operator.reporting.html import Html, details, join, paragraph
 from smooth_operator.reporting.html import text_table as _table
 from smooth_operator.study.analysis.analyze import Analysis
-from smooth_operator.study.analysis.readings.clusters import WaldTest
-from smooth_operator.study.analysis.readings.log_time import LogTime
-from smooth_operator.study.analysis.readings.order_effects import OrderEffects
-from smooth_operator.study.analysis.readings.parts import Drawn, Estimate, Refused
-from smooth_operator.study.analysis.readings.score_levels import OrdinalReading
-from smooth_operator.study.analysis.readings.time_to_success import TimeToSuccess
+from smooth_operator.study.analysis.readings import WaldTest
 from smooth_operator.study.analysis.report.number_text import (
     number,
     p_text,
@@ -22,7 +17,8 @@ from smooth_operator.study.analysis.report.number_text import (
     with_minus,
 )
 from smooth_operator.study.analysis.report.report_tables import DIGITS, scope_name
-from smooth_operator.study.analysis.results import MODES, POOLED, Outcome
+from smooth_operator.study.analysis.results import MODES, POOLED, Drawn, Outcome, Refused
+from smooth_operator.study.analysis.time_to_success import TimeToSuccess
 
 _OUTCOMES: Mapping[Outcome, str] = {
     "success": "success [%]", "time": "time [s]", "tlx": "workload [points]",
@@ -38,50 +34,20 @@ def by_scope(analysis: Analysis, write: Any) -> Html:
 
 
 def score_table(analysis: Analysis, scope: str) -> Html:
-    """Success at both cuts of the score, and the ordinal model."""
-    half = analysis.results[MODES[0]]["success"][scope]
+    """Success at both cuts of the score."""
     full = analysis.readings.full_success[scope]
-    ordinal = analysis.readings.ordinal[scope]
     rows = []
     for name in analysis.retargeters:
         row = [name]
-        for result in (half, full):
+        for result in (analysis.results[MODES[0]]["success"][scope], full):
             mean, test = result.emm.get(name), result.dunnett.get(name)
             row.append(number(100 * mean.estimate, 1) if mean else "–")
             row.append(_difference(test, 100.0, 1) if test else "")
-        odds = ordinal.odds_ratios.get(name) if isinstance(ordinal, OrdinalReading) else None
-        if isinstance(ordinal, OrdinalReading) and name in ordinal.mean_score:
-            row.append(number(ordinal.mean_score[name].estimate))
-        else:
-            row.append("–")
-        row.append(
-            f"{number(odds.odds_ratio)} [{span(odds.lower, odds.upper)}], {p_text(odds.p_dunnett)}"
-            if odds
-            else ""
-        )
         rows.append(row)
-    headers = (
-        "retargeter", "score ≥ 0.5 [%]", f"against {analysis.baseline}", "score = 1 [%]",
-        f"against {analysis.baseline}", "mean score", "odds ratio of a higher score",
-    )  # fmt: skip
-    parts = [_table(headers, rows)]
-    parts += [
-        paragraph(with_minus(f"Score = 1: {full.refused}"), "warning")
-        if full.refused
-        else Html(""),
-        paragraph(with_minus(f"Ordinal: {ordinal.refused}"), "warning")
-        if isinstance(ordinal, Refused)
-        else Html(""),
-    ]
-    if isinstance(ordinal, OrdinalReading) and ordinal.left_out:
-        gone = ", ".join(ordinal.left_out)
-        parts.append(
-            paragraph(f"Ordinal: without {gone}, whose trials all have one score.", "soft")
-        )
-    if isinstance(ordinal, OrdinalReading) and ordinal.proportional is not None:
-        alike = _wald(ordinal.proportional)
-        parts.append(paragraph(f"Same odds ratios at both cuts: {alike}.", "soft"))
-    return join(parts)
+    against = f"against {analysis.baseline}"
+    headers = ("retargeter", "score ≥ 0.5 [%]", against, "score = 1 [%]", against)
+    refused = with_minus(f"Score = 1: {full.refused}") if full.refused else ""
+    return join([_table(headers, rows), paragraph(refused, "warning") if refused else Html("")])
 
 
 def time_table(analysis: Analysis, scope: str) -> Html:
@@ -154,73 +120,6 @@ def interaction_table(analysis: Analysis) -> Html:
     return _table(("outcome", "retargeter × task"), rows)
 
 
-def order_table(analysis: Analysis) -> Html:
-    """Differences without and with terms of the order."""
-    parts = []
-    for outcome, reading in analysis.readings.order.items():
-        parts.append(element("h4", escape(_OUTCOMES[outcome])))
-        if isinstance(reading, Refused):
-            parts.append(paragraph(reading.refused, "warning"))
-            continue
-        parts.append(_adjusted(outcome, _order_columns(reading), analysis.baseline))
-        said = [
-            f"{name}: {test.refused if isinstance(test, Refused) else _wald(test)}"
-            for name, test in (
-                ("block number", reading.period),
-                ("retargeter before", reading.carry_over),
-            )
-        ]
-        parts.append(paragraph("; ".join(said) + ".", "soft"))
-    return join(parts)
-
-
-def _order_columns(reading: OrderEffects) -> dict[str, Mapping[str, Estimate]]:
-    columns = {"as reported": reading.without, "with block number": reading.with_period}
-    if not isinstance(reading.with_carry_over, Refused):
-        columns["and retargeter before"] = reading.with_carry_over
-    return columns
-
-
-def covariate_table(analysis: Analysis) -> Html:
-    """Differences without and with each field of the forms."""
-    parts = []
-    for field, outcomes in analysis.readings.covariates.items():
-        parts.append(element("h4", escape(field)))
-        for outcome, reading in outcomes.items():
-            if isinstance(reading, Refused):
-                parts.append(paragraph(f"{_OUTCOMES[outcome]}: {reading.refused}", "warning"))
-                continue
-            columns = {"without": reading.without, "with": reading.adjusted}
-            parts.append(_adjusted(outcome, columns, analysis.baseline))
-            said = f"{_OUTCOMES[outcome]}: {_wald(reading.test)}; {reading.operators} operators."
-            parts.append(paragraph(said, "soft"))
-    return join(parts)
-
-
-def log_time_table(analysis: Analysis, scope: str) -> Html:
-    """Ratios of geometric means."""
-    reading = analysis.readings.log_time[scope]
-    if not isinstance(reading, LogTime):
-        return paragraph(reading.refused, "warning")
-    rows = []
-    for name, mean in reading.geometric_mean.items():
-        ratio = reading.ratios.get(name)
-        rows.append(
-            [
-                name,
-                number(mean, 1),
-                f"{number(ratio.ratio)} [{span(ratio.lower, ratio.upper)}]" if ratio else "",
-                p_text(ratio.p_dunnett) if ratio else "",
-            ]
-        )
-    headers = ("retargeter", "geometric mean [s]", f"over {analysis.baseline}", "p Dunnett")
-    said = (
-        f"Skewness of the residuals: {number(reading.skewness)} on the log scale, "
-        f"{number(reading.skewness_of_seconds)} in seconds."
-    )
-    return join([_table(headers, rows), paragraph(said, "soft")])
-
-
 def rater_table(analysis: Analysis) -> Html:
     """Agreement of two raters."""
     found = analysis.readings.second_rater
@@ -257,33 +156,6 @@ def preference_table(analysis: Analysis) -> Html:
     )
     headers = ("retargeter", "mean rank (1 is best)", "Bradley–Terry strength")
     return join([_table(headers, rows), paragraph(said, "soft")])
-
-
-def balance_tables(analysis: Analysis) -> Html:
-    """How many blocks each retargeter had in each place, and after each other."""
-    found = analysis.readings.balance
-    places = list(next(iter(found.places.values())))
-    rows = [[name, *map(str, row.values())] for name, row in found.places.items()]
-    after = [[name, *map(str, row.values())] for name, row in found.after.items()]
-    headers = ["retargeter", *(f"block {place}" for place in places)]
-    before = ["retargeter", "first", *(f"after {name}" for name in analysis.retargeters)]
-    return join([_table(headers, rows), _table(before, after)])
-
-
-def _adjusted(
-    outcome: Outcome, columns: Mapping[str, Mapping[str, Estimate]], baseline: str
-) -> Html:
-    scale, digits, unit = DIGITS[outcome]
-    names: Iterable[str] = next(iter(columns.values()))
-    rows = []
-    for name in names:
-        cells = (
-            f"{signed(scale * one.estimate, digits)} "
-            f"[{span(scale * one.lower, scale * one.upper, digits, sign=True)}]"
-            for one in (column[name] for column in columns.values())
-        )
-        rows.append([f"{name} − {baseline}", *cells])
-    return _table((f"difference [{unit}]", *columns), rows)
 
 
 def _difference(test: Any, scale: float, digits: int) -> str:

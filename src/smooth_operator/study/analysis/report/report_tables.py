@@ -17,7 +17,7 @@ from smooth_operator.reporting.html import (
     table,
     text_table,
 )
-from smooth_operator.study.analysis.holm import holm
+from smooth_operator.study.analysis.dunnett import holm
 from smooth_operator.study.analysis.report.number_text import (
     number,
     p_text,
