@@ -41,8 +41,7 @@ from smooth_operator.study.console.commands import command_of
 from smooth_operator.study.console.session_service import SessionService, StoreFailedError
 from smooth_operator.study.console.session_teleop import HIDDEN
 from smooth_operator.study.design.plan import Plan
-from smooth_operator.study.design.plan_file import read_plan
-from smooth_operator.study.design.plan_folder import write_plan_files
+from smooth_operator.study.design.plan_file import read_plan, write_plan_files
 from smooth_operator.study.store.clock import Clock
 from smooth_operator.study.store.events import Noted, TrialScored
 from smooth_operator.study.store.study_store import StudyStore, open_study

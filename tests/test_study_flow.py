@@ -15,13 +15,12 @@ from study_writers import due
 from smooth_operator.cli import main
 from smooth_operator.errors import SmoothOperatorError, StudyError
 from smooth_operator.study.analysis import analyze_study
-from smooth_operator.study.analysis.flow import flow_rows, flow_text, leave_out
 from smooth_operator.study.analysis.methods_text import methods_paragraph
+from smooth_operator.study.analysis.operators import flow_rows, flow_text, leave_out
 from smooth_operator.study.data import StudyData, read_study
-from smooth_operator.study.data.second_ratings import with_second_ratings
+from smooth_operator.study.data.reading import with_second_ratings
 from smooth_operator.study.design.plan import make_plan
-from smooth_operator.study.design.plan_file import plan_table
-from smooth_operator.study.design.plan_folder import write_plan_files
+from smooth_operator.study.design.plan_file import plan_table, write_plan_files
 from smooth_operator.study.design.protocol import Condition, Protocol, Task
 from smooth_operator.study.store.events import (
     Amended,

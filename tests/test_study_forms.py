@@ -18,15 +18,13 @@ from smooth_operator.cli import main
 from smooth_operator.errors import SmoothOperatorError, StudyError
 from smooth_operator.study.console.commands import command_of
 from smooth_operator.study.console.session_service import SessionService
-from smooth_operator.study.design.default_forms import DEFAULT_FORMS
-from smooth_operator.study.design.forms import Form, FormField
+from smooth_operator.study.design.forms import DEFAULT_FORMS, Form, FormField
 from smooth_operator.study.design.plan import Plan
 from smooth_operator.study.design.plan_file import plan_of, plan_table, read_plan
 from smooth_operator.study.store.events import Weighed
 from smooth_operator.study.store.export import study_json
-from smooth_operator.study.store.nasa_tlx import PAIRS, SCALES
+from smooth_operator.study.store.nasa_tlx import PAIRS, SCALES, read_words, shown_pairs
 from smooth_operator.study.store.study_store import StudyStore, open_study
-from smooth_operator.study.store.tlx_words import read_words, shown_pairs
 
 SURVEY = Form(
     "survey",

@@ -16,8 +16,8 @@ from study_cases import Row
 from smooth_operator.errors import StudyError
 from smooth_operator.study.analysis.frame import make_frame
 from smooth_operator.study.analysis.learning import linear_slope
-from smooth_operator.study.analysis.linear_outcome import analyze_linear
 from smooth_operator.study.analysis.mixed import fit_mixed, mancl_derouen
+from smooth_operator.study.analysis.outcomes import analyze_linear
 
 CASES = nested_rows()
 EXPECTED = json.loads(REFERENCE.read_text(encoding="utf-8"))

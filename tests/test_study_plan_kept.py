@@ -14,8 +14,13 @@ from smooth_operator.cli import main
 from smooth_operator.errors import SmoothOperatorError, StudyError
 from smooth_operator.study.data import read_study
 from smooth_operator.study.design.plan import make_plan
-from smooth_operator.study.design.plan_file import plan_of, plan_table, read_plan
-from smooth_operator.study.design.plan_folder import write_plan_files, write_preregistration
+from smooth_operator.study.design.plan_file import (
+    plan_of,
+    plan_table,
+    read_plan,
+    write_plan_files,
+    write_preregistration,
+)
 from smooth_operator.study.design.preregistration import preregistration
 from smooth_operator.study.design.protocol import Condition, Protocol, Task
 from smooth_operator.version import __version__

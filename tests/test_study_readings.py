@@ -29,7 +29,7 @@ from smooth_operator.study.analysis.time_to_success import (
     incidence,
 )
 from smooth_operator.study.data import read_study
-from smooth_operator.study.data.participants import SecondRatings
+from smooth_operator.study.data.rows import SecondRatings
 from smooth_operator.study.design.protocol import Condition, Protocol, Task
 
 

@@ -18,7 +18,7 @@ from smooth_operator.cli import main
 from smooth_operator.study.analysis import analyze_study
 from smooth_operator.study.analysis.citations import CITATIONS
 from smooth_operator.study.analysis.report.conclusion import conclusion
-from smooth_operator.study.analysis.report.number_text import number, p_said, signed, with_minus
+from smooth_operator.study.analysis.report.tables import number, p_said, signed, with_minus
 from smooth_operator.study.data import read_study
 from smooth_operator.study.design.protocol import Condition, Protocol, Task
 

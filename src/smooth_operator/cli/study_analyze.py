@@ -16,13 +16,11 @@ from smooth_operator.cli.outputs import folder_for
 from smooth_operator.cli.study_analyze_options import Analyze
 from smooth_operator.errors import ConfigError, StudyError
 from smooth_operator.study.analysis import Analysis, analyze_study
-from smooth_operator.study.analysis.flow import flow_text, leave_out
+from smooth_operator.study.analysis.operators import flow_text, leave_out
 from smooth_operator.study.analysis.output import write_analysis
 from smooth_operator.study.analysis.results import OUTCOMES, Mode, Outcome, ScopeResult
 from smooth_operator.study.data import read_study
-from smooth_operator.study.data.reading import NAMES
-from smooth_operator.study.data.second_ratings import with_second_ratings
-from smooth_operator.study.data.workload_scores import with_workload
+from smooth_operator.study.data.reading import NAMES, with_second_ratings, with_workload
 
 SOME_REFUSED: Final = 1
 """Exit status where everything was done, but some parts have a reason in place of figures."""

@@ -15,15 +15,28 @@ from smooth_operator.cli.study_questions import ask_protocol
 from smooth_operator.errors import ConfigError
 from smooth_operator.simulation.tasks.rubrics import PAPER_TASKS
 from smooth_operator.simulation.tasks.task_registry import TASKS
-from smooth_operator.study.design.default_forms import DEFAULT_FORMS
-from smooth_operator.study.design.endpoints import PAPER_MARGINS, PRIMARY, margins_of
-from smooth_operator.study.design.plan import Plan, make_plan, scaled
-from smooth_operator.study.design.plan_file import NAME, read_plan
-from smooth_operator.study.design.plan_folder import write_plan_files, write_preregistration
-from smooth_operator.study.design.protocol import POINTS, Condition, Protocol, Task
-from smooth_operator.study.design.schedule import (
+from smooth_operator.study.design.forms import DEFAULT_FORMS
+from smooth_operator.study.design.plan import (
+    Plan,
     imbalances,
+    make_plan,
+    scaled,
     schedule_table,
+)
+from smooth_operator.study.design.plan_file import (
+    NAME,
+    read_plan,
+    write_plan_files,
+    write_preregistration,
+)
+from smooth_operator.study.design.protocol import (
+    PAPER_MARGINS,
+    POINTS,
+    PRIMARY,
+    Condition,
+    Protocol,
+    Task,
+    margins_of,
 )
 from smooth_operator.terminal import open_console, printable
 

@@ -9,8 +9,16 @@ from typing import Final, TypeVar
 from rich.console import Console
 
 from smooth_operator.errors import SmoothOperatorError, StudyError
-from smooth_operator.study.design.endpoints import PRIMARY, check_primary, margins_of
-from smooth_operator.study.design.protocol import POINTS, Condition, Point, Protocol, Task
+from smooth_operator.study.design.protocol import (
+    POINTS,
+    PRIMARY,
+    Condition,
+    Point,
+    Protocol,
+    Task,
+    check_primary,
+    margins_of,
+)
 
 T = TypeVar("T")
 

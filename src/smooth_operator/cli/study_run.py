@@ -15,13 +15,17 @@ from smooth_operator.signals import Ending, ended_by_signals
 from smooth_operator.study.console.access import auth_for
 from smooth_operator.study.console.server import Console, check_installed
 from smooth_operator.study.console.session_service import SessionService
-from smooth_operator.study.console.switching import Teleop
+from smooth_operator.study.console.session_teleop import Teleop
 from smooth_operator.study.design.plan import Plan
-from smooth_operator.study.design.plan_file import NAME, read_plan
-from smooth_operator.study.design.plan_folder import write_plan_files, write_preregistration
+from smooth_operator.study.design.plan_file import (
+    NAME,
+    read_plan,
+    write_plan_files,
+    write_preregistration,
+)
 from smooth_operator.study.store.database import FILE
+from smooth_operator.study.store.nasa_tlx import ENGLISH, TlxWords, read_words
 from smooth_operator.study.store.study_store import StudyStore, open_study
-from smooth_operator.study.store.tlx_words import ENGLISH, TlxWords, read_words
 from smooth_operator.terminal import print_note
 from smooth_operator.web.addresses import is_local
 from smooth_operator.web.browser import open_page

@@ -10,17 +10,16 @@ from typing import Any, Final
 import numpy as np
 
 from smooth_operator.errors import StudyError, UnknownNameError
-from smooth_operator.study.analysis.flow import leave_out
-from smooth_operator.study.analysis.frame import Frame
-from smooth_operator.study.analysis.learning import linear_slope, logistic_slope
-from smooth_operator.study.analysis.linear_outcome import analyze_linear
-from smooth_operator.study.analysis.operators import variance
-from smooth_operator.study.analysis.outcome_frames import (
+from smooth_operator.study.analysis.frame import (
+    Frame,
     success_frame,
     time_frame,
     tlx_frame,
     within,
 )
+from smooth_operator.study.analysis.learning import linear_slope, logistic_slope
+from smooth_operator.study.analysis.operators import leave_out, variance
+from smooth_operator.study.analysis.outcomes import analyze_linear, analyze_success
 from smooth_operator.study.analysis.readings import (
     Interaction,
     Readings,
@@ -37,7 +36,6 @@ from smooth_operator.study.analysis.results import (
     plain,
 )
 from smooth_operator.study.analysis.spearman import correlations
-from smooth_operator.study.analysis.success_outcome import analyze_success
 from smooth_operator.study.data.rows import ITEMS, StudyData, Workload
 
 Report = Callable[[str], None]

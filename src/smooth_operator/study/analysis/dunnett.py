@@ -79,10 +79,21 @@ def quantile(freedom: float, tail: float = 0.025) -> float:
 
 
 def holm(p: Sequence[float]) -> list[float]:
-    """Holm's (1979) adjusted p-values, in the order of ``p``; none may be NaN."""
-    from statsmodels.stats.multitest import multipletests  # takes a second to import
+    """Holm's (1979) adjusted p-values: the smallest times m, the next times m - 1, never falling.
 
-    return [float(value) for value in multipletests(p, method="holm")[1]] if len(p) else []
+    Written out, since statsmodels' ``multipletests`` collects garbage in each call (0.1 to 1 s).
+
+    Args:
+        p: unadjusted, of all comparisons of the family; none NaN.
+
+    Returns:
+        In the order of ``p``, one at most.
+    """
+    raw = np.asarray(p, float)
+    order = np.argsort(raw, kind="stable")
+    adjusted = np.empty_like(raw)
+    adjusted[order] = np.maximum.accumulate(raw[order] * np.arange(len(raw), 0, -1))
+    return [float(value) for value in np.minimum(adjusted, 1.0)]
 
 
 def dunnett(

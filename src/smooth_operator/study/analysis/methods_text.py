@@ -8,9 +8,9 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import Final
 
 from smooth_operator.study.analysis.analyze import Analysis
-from smooth_operator.study.analysis.flow import flow_text
+from smooth_operator.study.analysis.operators import flow_text
 from smooth_operator.study.analysis.results import MODES, OUTCOMES, POOLED, Outcome, ScopeResult
-from smooth_operator.study.data.participants import Flow
+from smooth_operator.study.data.rows import Flow
 from smooth_operator.study.design.latin import balanced_rows
 from smooth_operator.study.design.protocol import Protocol
 from smooth_operator.version import __version__

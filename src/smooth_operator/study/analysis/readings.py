@@ -16,7 +16,6 @@ from jaxtyping import Float
 from scipy.special import fdtrc, ndtr, stdtr
 
 from smooth_operator.errors import StudyError
-from smooth_operator.study.analysis import diagnostics
 from smooth_operator.study.analysis.agreement import Agreement, Preference, agreement, preference
 from smooth_operator.study.analysis.contrasts import (
     Freedom,
@@ -27,15 +26,18 @@ from smooth_operator.study.analysis.contrasts import (
     response_means,
 )
 from smooth_operator.study.analysis.dunnett import holm, quantile
-from smooth_operator.study.analysis.frame import Frame, check_frame, dependent_columns
-from smooth_operator.study.analysis.gee import fit_gee
-from smooth_operator.study.analysis.mixed import fit_mixed
-from smooth_operator.study.analysis.outcome_frames import (
+from smooth_operator.study.analysis.frame import (
+    Frame,
+    check_frame,
+    dependent_columns,
     success_frame,
     time_frame,
     tlx_frame,
     within,
 )
+from smooth_operator.study.analysis.gee import fit_gee, separating
+from smooth_operator.study.analysis.mixed import fit_mixed
+from smooth_operator.study.analysis.outcomes import observed
 from smooth_operator.study.analysis.results import (
     OUTCOMES,
     POOLED,
@@ -47,7 +49,6 @@ from smooth_operator.study.analysis.results import (
     plain,
 )
 from smooth_operator.study.analysis.separated import split
-from smooth_operator.study.analysis.separation import separating
 from smooth_operator.study.analysis.time_to_success import TimeToSuccess, time_to_success
 from smooth_operator.study.data.rows import StudyData, Trials
 
@@ -196,9 +197,7 @@ def full_success(trials: Trials, scope: str, baseline: str) -> ScopeResult:
     """Success as a score of 1, by the model of success in mode small-sample."""
     frame = success_frame(trials, scope, baseline)
     frame = replace(frame, outcome=(trials.score[within(trials, scope)] >= 1).astype(float))
-    blank = ScopeResult(
-        n=len(frame), operators=len(frame.operators), observed=diagnostics.observed(frame)
-    )
+    blank = ScopeResult(n=len(frame), operators=len(frame.operators), observed=observed(frame))
     try:
         rest, separated = split(frame)
         blank = replace(blank, separated=separated)

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Final
 
-from smooth_operator.study.design.endpoints import OUTCOMES, POOLED
 from smooth_operator.study.design.latin import balanced_rows
 from smooth_operator.study.design.plan import Plan
-from smooth_operator.study.design.protocol import Protocol
+from smooth_operator.study.design.protocol import OUTCOMES, POOLED, Protocol
 from smooth_operator.version import __version__
 
 NAME: Final = "PREREGISTRATION.md"

@@ -12,8 +12,7 @@ from smooth_operator.atomic_files import atomic_write, output_error
 from smooth_operator.errors import OutputError
 from smooth_operator.study.analysis.results import MODES, POOLED, Mode, Outcome
 from smooth_operator.study.power.power_run import PowerSettings, Truth
-from smooth_operator.study.power.tally import Rate, Tally, rate, rates
-from smooth_operator.study.power.verdicts import ALPHA
+from smooth_operator.study.power.verdicts import ALPHA, Rate, Tally, rate, rates
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

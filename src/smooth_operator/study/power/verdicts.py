@@ -1,4 +1,4 @@
-"""Verdict of the analysis on a simulated study: which differences are significant.
+"""Verdict of the analysis on simulated studies: which differences are significant, and how often.
 
 The same models and tests as ``study analyze``, without what a report needs and a verdict does not:
 intervals, effect sizes, diagnostics. A test holds the two to the same verdicts. Dunnett's integral
@@ -7,10 +7,12 @@ is worked out only where its bounds leave the verdict open.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import math
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import combinations
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -23,10 +25,10 @@ from smooth_operator.study.analysis.gee import fit_gee
 from smooth_operator.study.analysis.mixed import fit_mixed
 from smooth_operator.study.analysis.results import POOLED, Mode, Outcome, Separated
 from smooth_operator.study.analysis.separated import split
-from smooth_operator.study.power.simulated_study import Simulated
-from smooth_operator.study.power.study_rows import Layout, Rows
+from smooth_operator.study.power.simulated_study import Assumptions, Layout, Rows, Simulated
 
 ALPHA: Final = 0.05
+
 
 Freedom = Callable[[Float[np.ndarray, " p"]], float]
 
@@ -244,3 +246,130 @@ def _correlation(covariance: Float[np.ndarray, "r r"]) -> Float[np.ndarray, "m m
 
 def _sign(statistic: float, significant: bool) -> int:
     return int(np.sign(statistic)) if significant else 0
+
+
+_Z: Final = 1.959963984540054
+
+
+Counts = dict[str, int]
+"""What was counted -> how often; see ``count``."""
+
+
+@dataclass(frozen=True)
+class Rate:
+    """How often something happened.
+
+    Attributes:
+        rate: share of the studies.
+        se: its Monte-Carlo standard error.
+        lower: of the 95 % interval (Wilson 1927).
+        upper: of it.
+    """
+
+    rate: float
+    se: float
+    lower: float
+    upper: float
+
+
+@dataclass
+class Tally:
+    """Counts of one number of operators and one truth, which can be added up.
+
+    Attributes:
+        studies: how many.
+        counts: ``outcome/scope/mode`` -> counts.
+    """
+
+    studies: int = 0
+    counts: dict[str, Counter[str]] = field(default_factory=dict)
+
+    def add(
+        self,
+        verdicts: Iterable[Verdict],
+        truth: Assumptions,
+        baseline: str,
+        margins: Mapping[str, float],
+    ) -> None:
+        """One study more."""
+        self.studies += 1
+        for verdict in verdicts:
+            key = f"{verdict.outcome}/{verdict.scope}/{verdict.mode}"
+            self.counts.setdefault(key, Counter()).update(count(verdict, truth, baseline, margins))
+
+    def merge(self, studies: int, counts: Mapping[str, Mapping[str, int]]) -> None:
+        """The counts of other studies."""
+        self.studies += studies
+        for key, more in counts.items():
+            self.counts.setdefault(key, Counter()).update(more)
+
+
+def count(
+    verdict: Verdict, truth: Assumptions, baseline: str, margins: Mapping[str, float] | None = None
+) -> Counts:
+    """What one verdict got right and wrong.
+
+    Args:
+        verdict: of one outcome.
+        truth: what was assumed.
+        baseline: condition that others are compared with.
+        margins: outcome -> largest difference of equivalent conditions, in its unit.
+
+    Returns:
+        ``dunnett:NAME`` and ``holm:A-B``: a true difference was found, with its right sign;
+        ``dunnett:all`` and ``holm:all``: all of them; ``family:dunnett`` and ``family:holm``: a
+        difference was found that is none, or with the wrong sign; ``equivalent:NAME``: its
+        difference from the baseline was shown to be below the margin; ``refused``.
+    """
+    if verdict.refused is not None:
+        return {"refused": 1}
+    values = {"success": truth.success, "time": truth.time_s, "tlx": truth.workload}
+    value = values[verdict.outcome]
+    found: Counts = {}
+    margin = (margins or {}).get(verdict.outcome)
+    if margin is not None:
+        for name, smallest in verdict.smallest_margin.items():
+            if smallest < margin:
+                found[f"equivalent:{name}"] = 1
+    families = {
+        "dunnett": {name: (name, baseline, sign) for name, sign in verdict.against.items()},
+        "holm": {f"{a}-{b}": (a, b, sign) for (a, b), sign in verdict.pairs.items()},
+    }
+    for family, tests in families.items():
+        wrong, true, right = False, 0, 0
+        for name, (a, b, sign) in tests.items():
+            really = int(np.sign(value[a] - value[b]))
+            true += really != 0
+            if sign and sign == really:
+                found[f"{family}:{name}"] = 1
+                right += 1
+            wrong = wrong or (sign != 0 and sign != really)
+        if wrong:
+            found[f"family:{family}"] = 1
+        if true and right == true:
+            found[f"{family}:all"] = 1
+    return found
+
+
+def rate(hits: int, studies: int) -> Rate:
+    """A share with its error."""
+    p = hits / studies
+    spread = _Z * math.sqrt(p * (1 - p) / studies + _Z**2 / (4 * studies**2))
+    centre, scale = p + _Z**2 / (2 * studies), 1 + _Z**2 / studies
+    return Rate(
+        p,
+        math.sqrt(p * (1 - p) / studies),
+        (centre - spread) / scale if hits else 0.0,
+        (centre + spread) / scale if hits < studies else 1.0,
+    )
+
+
+def rates(tally: Tally) -> dict[str, dict[str, Any]]:
+    """``outcome/scope/mode`` -> what was counted -> ``Rate``."""
+    return {
+        key: {
+            what: rate(counts[what], tally.studies)
+            for what in sorted({*counts, "family:dunnett", "family:holm", "refused"})
+        }
+        for key, counts in tally.counts.items()
+    }

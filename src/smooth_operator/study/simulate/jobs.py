@@ -17,7 +17,7 @@ from smooth_operator.simulation.tasks.task_registry import task_named
 from smooth_operator.simulation.virtual_operator import draw_person, make_familiar, simulate_trial
 from smooth_operator.simulation.virtual_operator.hand_model import Body
 from smooth_operator.simulation.virtual_operator.trial import Familiar
-from smooth_operator.study.design.draws import lot
+from smooth_operator.study.design.latin import lot
 from smooth_operator.study.design.plan import Plan, make_plan, scaled
 
 MOST_OPERATORS: Final = 1000

@@ -1,4 +1,4 @@
-"""What was stored, as files for analysis: tables, and one JSON file with everything.
+"""Stored data as files for analysis: tables, and one JSON file with everything.
 
 ``trials.csv`` and ``tlx.csv`` hold what counts; ``study.json`` holds the same rows with more
 columns, and the whole log: void trials, undone events, notes, breaks. ``study analyze`` reads
@@ -22,7 +22,7 @@ from smooth_operator.study.data.checked_tables import (
     WEIGHT_COLUMNS,
 )
 from smooth_operator.study.design.plan_file import plan_table
-from smooth_operator.study.store.export_operators import operator_json
+from smooth_operator.study.store.events import payload
 from smooth_operator.study.store.nasa_tlx import (
     SCALE_NAMES,
     raw_workload,
@@ -34,7 +34,10 @@ from smooth_operator.study.store.study_store import StudyStore
 
 FORMAT: Final = 1
 """Version of ``study.json``."""
+
+
 BLOCK_WEIGHT_COLUMNS: Final = ("operator", "task", "retargeter", "block", *SCALE_NAMES)
+
 
 _TRIALS, _TLX, _WEIGHTS, _ALL = "trials.csv", "tlx.csv", "tlx_weights.csv", "study.json"
 
@@ -194,3 +197,102 @@ def _remove(path: Path) -> None:
         path.unlink(missing_ok=True)
     except OSError as error:
         raise OutputError(f"can't remove the {path.name} of an earlier export: {error}") from error
+
+
+def operator_json(progress: Progress) -> dict[str, Any]:
+    """The entry as plain values."""
+    left = progress.withdrawn
+    return {
+        "operator": progress.operator,
+        "done": progress.step.what == "done",
+        "withdrawn": left and {"at": left.at.isoformat(), "keep": left.keep, "reason": left.reason},
+        "replaces": progress.replaces or None,
+        "forms": {
+            name: {
+                "at": at.isoformat(),
+                "answers": answers,
+                "typed_by": progress.typed.get(name),
+            }
+            for name, (at, answers) in progress.forms.items()
+        },
+        "forms_on_paper": {
+            name: {"at": at.isoformat(), "who": who}
+            for name, (at, who) in progress.on_paper.items()
+        },
+        "ranking": list(progress.ranking()),
+        "notes": [{"at": at.isoformat(), "text": text} for at, text in progress.notes],
+        "breaks": [
+            {"started_at": start.isoformat(), "ended_at": end and end.isoformat()}
+            for start, end in progress.breaks
+        ],
+        "recalibrations": [
+            {"at": at.isoformat(), "task": task, "detail": detail}
+            for at, task, detail in progress.recalibrations
+        ],
+        **_irregular(progress),
+        "events": [
+            {
+                "number": record.number,
+                "at": record.at.isoformat(),
+                "author": record.author,
+                "kind": record.event.kind,
+                "fields": payload(record.event),
+            }
+            for record in progress.records
+        ],
+    }
+
+
+def _irregular(progress: Progress) -> dict[str, Any]:
+    conditions = {(b.task.name, b.number): b.condition.name for b in progress.blocks}
+    return {
+        "voided": [
+            {**_place(trial), "reason": trial.void}
+            for trial in progress.trials
+            if trial.void is not None
+        ],
+        "pauses": [
+            {**_place(trial), "at": at.isoformat(), "length_s": length, "reason": reason}
+            for trial in progress.trials
+            for at, length, reason in trial.pauses
+        ],
+        "ended_early": [
+            {
+                "task": task,
+                "retargeter": conditions[task, block],
+                "block": block,
+                "at": at.isoformat(),
+                "reason": reason,
+            }
+            for (task, block), (at, reason) in progress.ended_early.items()
+        ],
+        "amendments": [
+            {
+                "at": one.at.isoformat(),
+                "task": one.block.task.name,
+                "retargeter": one.block.condition.name,
+                "block": one.block.number,
+                "trial_in_block": one.trial,
+                "before": _scoring(one.before),
+                "after": _scoring(one.after),
+                "reason": one.reason,
+                "who": one.who,
+            }
+            for one in progress.amendments
+        ],
+        "undone": dict(progress.undone()),
+    }
+
+
+def _place(trial: Trial) -> dict[str, Any]:
+    return {
+        "task": trial.block.task.name,
+        "retargeter": trial.block.condition.name,
+        "block": trial.block.number,
+        "trial_in_block": trial.number,
+    }
+
+
+def _scoring(scoring: tuple[str, float, float]) -> dict[str, Any]:
+    line, score, seconds = scoring
+    return {"line": line, "score": score, "time_s": seconds}

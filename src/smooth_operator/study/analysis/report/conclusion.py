@@ -6,8 +6,14 @@ from typing import Final
 
 from smooth_operator.study.analysis.analyze import Analysis
 from smooth_operator.study.analysis.readings import Interaction
-from smooth_operator.study.analysis.report.number_text import number, p_said, signed, with_minus
-from smooth_operator.study.analysis.report.report_tables import DIGITS, scope_name
+from smooth_operator.study.analysis.report.tables import (
+    DIGITS,
+    number,
+    p_said,
+    scope_name,
+    signed,
+    with_minus,
+)
 from smooth_operator.study.analysis.results import MODES, OUTCOMES, POOLED, Outcome, ScopeResult
 
 _ALPHA: Final = 0.05

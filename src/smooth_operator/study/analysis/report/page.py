@@ -11,11 +11,10 @@ from smooth_operator.reporting.report_page import Plots, write_report_page
 from smooth_operator.study.analysis.analyze import Analysis
 from smooth_operator.study.analysis.citations import cited
 from smooth_operator.study.analysis.methods_text import methods_paragraph
-from smooth_operator.study.analysis.report import checks, curves, figures, report_tables
+from smooth_operator.study.analysis.report import figures, tables
 from smooth_operator.study.analysis.report.conclusion import NAMES, conclusion
-from smooth_operator.study.analysis.report.participant_section import participant_section
-from smooth_operator.study.analysis.report.reading_section import reading_section
-from smooth_operator.study.analysis.report.report_tables import scope_name
+from smooth_operator.study.analysis.report.sections import participant_section, reading_section
+from smooth_operator.study.analysis.report.tables import scope_name
 from smooth_operator.study.analysis.results import MODES, OUTCOMES, Outcome, ScopeResult
 
 if TYPE_CHECKING:
@@ -135,15 +134,15 @@ class _Page:
         return join([dots, details("As radars", radar)]) if dots else dots
 
     def _scope(self, outcome: Outcome, result: ScopeResult) -> Html:
-        warnings = report_tables.warning_list(result)
+        warnings = tables.warning_list(result)
         if result.refused is not None:
-            return join([warnings, report_tables.observed_table(outcome, result, self._colors)])
+            return join([warnings, tables.observed_table(outcome, result, self._colors)])
         return join([
             warnings,
-            report_tables.means_table(outcome, result, self._colors, self._analysis.baseline),
-            details("All pairs", report_tables.pairs_table(outcome, result)),
-            details("Coefficients", report_tables.coefficients_table(result)),
-            report_tables.model_facts(result),
+            tables.means_table(outcome, result, self._colors, self._analysis.baseline),
+            details("All pairs", tables.pairs_table(outcome, result)),
+            details("Coefficients", tables.coefficients_table(result)),
+            tables.model_facts(result),
         ])  # fmt: skip
 
     def _published(self) -> Html:
@@ -159,14 +158,14 @@ class _Page:
 
     def _readings(self) -> Html:
         drawn = self._drawn(
-            checks.incidence_figure, "time-to-success",
+            figures.incidence_figure, "time-to-success",
             "Share of all trials that have succeeded by a time.",
         )  # fmt: skip
         return reading_section(self._analysis, drawn)
 
     def _checks(self) -> Html:
         drawn = self._drawn(
-            checks.residual_figure, "residuals",
+            figures.residual_figure, "residuals",
             "Residuals of the models of all tasks (random effects taken out): over the fitted "
             "value, where they should spread alike, and by quantiles, where they should follow "
             "the line.",
@@ -175,17 +174,17 @@ class _Page:
 
     def _learning(self) -> Html:
         drawn = self._drawn(
-            curves.learning_figure, "learning",
+            figures.learning_figure, "learning",
             "Means over trials by retargeter; dashed: the slope for all of them, adjusted for "
             "retargeter and task, with its uncorrected p-value.",
         )  # fmt: skip
-        return join([drawn, report_tables.learning_table(self._analysis.learning)])
+        return join([drawn, tables.learning_table(self._analysis.learning)])
 
     def _operators(self) -> Html:
         parts = [paragraph("Each dot is an operator's mean; the bar is the median of operators.")]
         for outcome, title in NAMES.items():
             parts.append(self._drawn(
-                lambda analysis, colors, o=outcome: curves.violin_figure(analysis, colors, o),
+                lambda analysis, colors, o=outcome: figures.violin_figure(analysis, colors, o),
                 f"operators-{outcome}",
                 f"{title} by operator.",
             ))  # fmt: skip
@@ -202,7 +201,7 @@ class _Page:
             for pair, entry in self._analysis.spearman.items()
             if "refused" in entry
         ]
-        return join([drawn, report_tables.correlation_table(self._analysis.spearman), *refused])
+        return join([drawn, tables.correlation_table(self._analysis.spearman), *refused])
 
     def _methods(self) -> Html:
         text = methods_paragraph(self._analysis)
