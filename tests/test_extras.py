@@ -69,6 +69,7 @@ LIBRARIES = [
     "h5py",
     "igl",
     "isaacteleop",
+    "jinja2",
     "mcap",
     "mediapipe",
     "matplotlib",

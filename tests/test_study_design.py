@@ -15,7 +15,7 @@ import pytest
 from rich.console import Console
 
 from smooth_operator.cli import main
-from smooth_operator.cli.study_questions import ask_protocol
+from smooth_operator.cli.study_new import ask_protocol
 from smooth_operator.errors import SmoothOperatorError, StudyError, UnknownNameError
 from smooth_operator.methods.presets import live_presets
 from smooth_operator.simulation.tasks.rubrics import PAPER_TASKS

@@ -13,7 +13,7 @@ from rich.text import Text
 
 from smooth_operator.cli.console import Progressing, output_console, plain_table
 from smooth_operator.cli.outputs import folder_for
-from smooth_operator.cli.study_analyze_options import Analyze
+from smooth_operator.cli.study_options import Analyze
 from smooth_operator.errors import ConfigError, StudyError
 from smooth_operator.study.analysis import Analysis, analyze_study
 from smooth_operator.study.analysis.operators import flow_text, leave_out

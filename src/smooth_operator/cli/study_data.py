@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from smooth_operator.cli.study_data_options import Erase, Export
+from smooth_operator.cli.study_options import Erase, Export
 from smooth_operator.errors import ConfigError, UnknownNameError
 from smooth_operator.study.design.plan_file import NAME, read_plan, write_plan
 from smooth_operator.study.store.database import FILE

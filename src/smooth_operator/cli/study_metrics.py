@@ -11,7 +11,7 @@ import numpy as np
 from smooth_operator.atomic_files import atomic_write
 from smooth_operator.cli.console import Progressing
 from smooth_operator.cli.outputs import folder_for
-from smooth_operator.cli.study_metrics_options import Metrics
+from smooth_operator.cli.study_options import Metrics
 from smooth_operator.errors import ConfigError, DocumentError, SmoothOperatorError, StudyError
 from smooth_operator.formats.csv_table import csv_text
 from smooth_operator.hands.registry import load_hand

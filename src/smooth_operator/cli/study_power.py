@@ -12,7 +12,7 @@ from rich.console import Console
 from smooth_operator.cli.console import Progressing, output_console, plain_table
 from smooth_operator.cli.outputs import folder_for
 from smooth_operator.cli.study_new import PAPER_CONDITIONS, PAPER_OPERATORS
-from smooth_operator.cli.study_power_options import Power
+from smooth_operator.cli.study_options import Power
 from smooth_operator.errors import ConfigError
 from smooth_operator.simulation.tasks.rubrics import PAPER_TASKS
 from smooth_operator.study.analysis.results import MODES

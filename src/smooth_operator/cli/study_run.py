@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from smooth_operator.cli.study_run_options import Run
+from smooth_operator.cli.study_options import Run
 from smooth_operator.errors import ConfigError, UnknownNameError
 from smooth_operator.signals import Ending, ended_by_signals
 from smooth_operator.study.console.access import auth_for

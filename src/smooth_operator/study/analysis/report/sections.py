@@ -8,11 +8,8 @@ from typing import Any
 from smooth_operator.reporting.html import (
     Html,
     details,
-    element,
-    escape,
     join,
     paragraph,
-    text_table,
 )
 from smooth_operator.reporting.html import text_table as _table
 from smooth_operator.study.analysis.analyze import Analysis
@@ -27,120 +24,10 @@ from smooth_operator.study.analysis.report.tables import (
     with_minus,
 )
 from smooth_operator.study.analysis.resampling import Drawn
-from smooth_operator.study.analysis.results import MODES, OUTCOMES, POOLED, Outcome, Refused
+from smooth_operator.study.analysis.results import MODES, POOLED, Outcome, Refused
 from smooth_operator.study.analysis.time_to_success import TimeToSuccess
 
-
-def participant_section(analysis: Analysis) -> Html:
-    """Who took part, what was repeated or corrected."""
-    flow = analysis.data.flow
-    analysed = len({str(name) for name in analysis.data.trials.operator})
-    parts = []
-    if flow.logged:
-        rows = [
-            ("planned", "–" if flow.planned is None else str(flow.planned)),
-            ("enrolled", str(len(flow.enrolled))),
-            ("started", str(len(flow.started))),
-            ("withdrawn", str(len(flow.withdrawn))),
-            ("replaced a withdrawn one", str(len(flow.replaces))),
-            ("completed", str(len(flow.completed))),
-            ("excluded from the analysis", str(len(flow.excluded))),
-            ("analysed", str(analysed)),
-        ]
-        parts.append(text_table(("operators", "number"), rows))
-    else:
-        parts.append(paragraph(
-            f"{analysed} operators analysed. Enrolment and withdrawals are not known: tables were "
-            "given, and not the log of the study.", "soft",
-        ))  # fmt: skip
-    leavers = [
-        f"{who}: withdrew, data {'kept' if one.keep else 'left out'}"
-        + (f" ({one.reason})" if one.reason else "")
-        for who, one in flow.withdrawn.items()
-    ]
-    leavers += [f"{who}: takes the place of {other}" for who, other in flow.replaces.items()]
-    leavers += [f"{who}: excluded ({reason})" for who, reason in flow.excluded.items()]
-    parts += [paragraph(line) for line in leavers]
-    if flow.logged:
-        events = [
-            [
-                name,
-                *(str(counts.get(name, 0)) for counts in (flow.voids, flow.undone, flow.amended)),
-            ]
-            for name in analysis.retargeters
-        ]
-        parts.append(element("h3", Html("Irregular events")))
-        parts.append(
-            text_table(("retargeter", "void trials", "undone events", "amended trials"), events)
-        )
-        parts.append(paragraph(
-            f"Pauses {flow.pauses}; recalibrations {flow.recalibrations}; blocks ended early "
-            f"{flow.ended_early}.", "soft",
-        ))  # fmt: skip
-    return join(parts)
-
-
 _NAMES: dict[Outcome, str] = {"success": "Success", "time": "Completion time", "tlx": "Workload"}
-
-
-def reading_section(analysis: Analysis, incidence: Html) -> Html:
-    """All readings: sensitivity of what was found, and questions that the models leave open.
-
-    Args:
-        analysis: of the study.
-        incidence: the figure of the time to success.
-    """
-    parts = [
-        paragraph(
-            "Sensitivity and secondary analyses, all exploratory unless the plan says otherwise. "
-            "p-values are corrected within a table at most."
-        ),
-        _part(
-            "Where success begins",
-            "Success from a score of 0.5 on, as reported, and only from 1.",
-            by_scope(analysis, score_table),
-        ),
-        _part(
-            "Time, failures included",
-            "Completion times know successes only. Here every trial counts: one that fails never "
-            "succeeds, and counts with the limit. Intervals: bootstrap over operators.",
-            join([incidence, by_scope(analysis, time_table)]),
-        ),
-        _part(
-            "Equivalence",
-            "Two one-sided tests at 5 %: alike if the 90 % interval lies within the margin that "
-            "was planned. A margin found from the data is post hoc and shows nothing.",
-            _equivalence(analysis),
-        ),
-        _part(
-            "Does it depend on the task?",
-            "One joint test of retargeter × task an outcome.",
-            interaction_table(analysis),
-        ),
-    ]
-    if analysis.readings.preference is not None:
-        said = "Operators' ranking at the end. Intervals: bootstrap over operators."
-        parts.append(_part("Preference", said, preference_table(analysis)))
-    if analysis.readings.second_rater is not None:
-        said = "Cohen's κ of two raters of the same trials."
-        parts.append(_part("Second rater", said, rater_table(analysis)))
-    return join(parts)
-
-
-def _equivalence(analysis: Analysis) -> Html:
-    parts = []
-    for outcome in OUTCOMES:
-        if outcome == "tlx" and analysis.data.questionnaires is None:
-            continue
-        for scope in analysis.scopes:
-            title = f"{_NAMES[outcome]}, {scope_name(scope)}"
-            content = equivalence_table(analysis, outcome, scope)
-            parts.append(details(title, content, opened=scope == POOLED))
-    return join(parts)
-
-
-def _part(title: str, said: str, content: Html) -> Html:
-    return join([element("h3", escape(title)), paragraph(said, "soft"), content])
 
 
 _OUTCOMES: Mapping[Outcome, str] = {
