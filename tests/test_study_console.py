@@ -35,7 +35,7 @@ from study_console import (
 
 from smooth_operator.cli import main
 from smooth_operator.errors import RemoteRefusedError, StudyError, UnknownNameError
-from smooth_operator.study.console import scene_trials
+from smooth_operator.study.console import switching
 from smooth_operator.study.console.access import ConsoleAuth, auth_for, qr_code
 from smooth_operator.study.console.commands import command_of
 from smooth_operator.study.console.session_service import SessionService, StoreFailedError
@@ -825,7 +825,7 @@ def test_a_look_that_fails_takes_no_answer_with_it(store: StudyStore) -> None:
 def test_a_start_that_is_sent_again_and_again_can_be_cancelled(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(scene_trials, "CLEAR_WAIT_S", PATIENCE_S)
+    monkeypatch.setattr(switching, "CLEAR_WAIT_S", PATIENCE_S)
     teleop = FakeSimulation("card")
     with open_study(tmp_path / "waiting", console_plan()) as store:
         service = SessionService(store, operator="P01", teleop=teleop)

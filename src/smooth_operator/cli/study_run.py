@@ -15,7 +15,7 @@ from smooth_operator.signals import Ending, ended_by_signals
 from smooth_operator.study.console.access import auth_for
 from smooth_operator.study.console.server import Console, check_installed
 from smooth_operator.study.console.session_service import SessionService
-from smooth_operator.study.console.session_teleop import Teleop
+from smooth_operator.study.console.switching import Teleop
 from smooth_operator.study.design.plan import Plan
 from smooth_operator.study.design.plan_file import (
     NAME,

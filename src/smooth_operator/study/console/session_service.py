@@ -22,7 +22,8 @@ from smooth_operator.study.console.commands import (
     event_for,
 )
 from smooth_operator.study.console.page_state import experimenter_view, operator_view, step_in_words
-from smooth_operator.study.console.session_teleop import SessionTeleop, Switch, Teleop
+from smooth_operator.study.console.session_teleop import SessionTeleop
+from smooth_operator.study.console.switching import Switch, Teleop
 from smooth_operator.study.design.plan import Plan
 from smooth_operator.study.store.clock import Elapsed
 from smooth_operator.study.store.events import (
