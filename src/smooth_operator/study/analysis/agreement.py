@@ -106,10 +106,10 @@ def _kappa(
     tables: Float[np.ndarray, "k s s"], disagreement: Float[np.ndarray, "s s"]
 ) -> Float[np.ndarray, " k"]:
     total = tables.sum(axis=(1, 2))
-    seen = (tables * disagreement).sum(axis=(1, 2)) / total
+    observed = (tables * disagreement).sum(axis=(1, 2)) / total
     by_chance = np.einsum("ki,kj,ij->k", tables.sum(axis=2), tables.sum(axis=1), disagreement)
     by_chance = by_chance / total**2
-    ratio = np.divide(seen, by_chance, out=np.full(len(seen), np.nan), where=by_chance > 0)
+    ratio = np.divide(observed, by_chance, out=np.full(len(observed), np.nan), where=by_chance > 0)
     return np.asarray(1 - ratio)
 
 

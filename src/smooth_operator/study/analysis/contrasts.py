@@ -106,14 +106,14 @@ def coefficients(
     freedom: Freedom,
 ) -> dict[str, Coefficient]:
     """Each coefficient with its test."""
-    found = {}
+    table = {}
     for name, value, variance, axis in zip(
         names, beta, np.diag(covariance), np.eye(len(beta)), strict=True
     ):
         se, df = float(np.sqrt(max(variance, 0))), freedom(axis)
         p = two_sided(value / se, df) if se > 0 else float("nan")
-        found[name] = Coefficient(float(value), se, df, p)
-    return found
+        table[name] = Coefficient(float(value), se, df, p)
+    return table
 
 
 def compare(
@@ -228,12 +228,12 @@ def _against(
         [tests[j].df for j in others],
         level=0.95 if limits else None,
     )
-    found = {}
+    comparisons = {}
     for j, p, reach in zip(others, family.p, family.critical, strict=True):
         test, size = tests[j], effect(means.values[j], means.values[0])
         difference, half = -test.difference, reach * test.se
-        found[means.names[j]] = Against(
+        comparisons[means.names[j]] = Against(
             difference, test.se, test.df, -test.statistic, test.p, p,
             difference - half, difference + half, size, in_words(size),
         )  # fmt: skip
-    return found, [[float(x) for x in row] for row in correlation], family.error
+    return comparisons, [[float(x) for x in row] for row in correlation], family.error

@@ -176,11 +176,11 @@ def outside(
 
 def _distinct(correlation: Float[np.ndarray, "m m"]) -> Float[np.ndarray, "k k"]:
     """The matrix without variables that are, up to their sign, an earlier one."""
-    kept: list[int] = []
+    distinct: list[int] = []
     for j in range(len(correlation)):
-        if not np.any(np.abs(correlation[j, kept]) > 1 - 1e-12):
-            kept.append(j)
-    return correlation[np.ix_(kept, kept)]
+        if not np.any(np.abs(correlation[j, distinct]) > 1 - 1e-12):
+            distinct.append(j)
+    return correlation[np.ix_(distinct, distinct)]
 
 
 def _chi(freedom: float) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:

@@ -72,10 +72,10 @@ class Frame:
     def levels(self) -> dict[str, Int[np.ndarray, " n"]]:
         """Groups of rows that share a random intercept, coarse to fine."""
         own = self.group * len(self.retargeters) + self.retargeter
-        found = {"operator": self.group, "operator:retargeter": own}
+        groups = {"operator": self.group, "operator:retargeter": own}
         if len(self.tasks) > 1:
-            found["block"] = own * len(self.tasks) + self.task
-        return found
+            groups["block"] = own * len(self.tasks) + self.task
+        return groups
 
     def factors(self) -> tuple[Float[np.ndarray, "n p"], list[str]]:
         """Columns of intercept, retargeters and tasks, and their names."""
@@ -101,13 +101,13 @@ class Frame:
         Args:
             width: number of columns; those beyond the factors are zero.
         """
-        found = np.zeros((len(self.retargeters), len(self.tasks), width))
-        found[:, :, 0] = 1
+        rows = np.zeros((len(self.retargeters), len(self.tasks), width))
+        rows[:, :, 0] = 1
         for j in range(1, len(self.retargeters)):
-            found[j, :, j] = 1
+            rows[j, :, j] = 1
         for k in range(1, len(self.tasks)):
-            found[:, k, len(self.retargeters) - 1 + k] = 1
-        return found
+            rows[:, k, len(self.retargeters) - 1 + k] = 1
+        return rows
 
 
 def make_frame(
@@ -199,7 +199,7 @@ def check_frame(frame: Frame, *, retargeters: int = 2) -> None:
 def dependent_columns(design: Float[np.ndarray, "n p"]) -> list[int]:
     """Columns that are linear combinations of those before them."""
     basis: list[np.ndarray] = []
-    found = []
+    dependent = []
     for j in range(design.shape[1]):
         rest = design[:, j].astype(float)
         length = float(np.linalg.norm(rest))
@@ -207,10 +207,10 @@ def dependent_columns(design: Float[np.ndarray, "n p"]) -> list[int]:
             for direction in basis:
                 rest = rest - direction * (direction @ rest)
         if np.linalg.norm(rest) <= _DEPENDENT * max(length, 1e-300):
-            found.append(j)
+            dependent.append(j)
         else:
             basis.append(rest / np.linalg.norm(rest))
-    return found
+    return dependent
 
 
 def success_frame(trials: Trials, scope: str, baseline: str, index: str = "global") -> Frame:

@@ -214,21 +214,21 @@ def separating(
     signed = design * np.where(success > 0, 1.0, -1.0)[:, None]
     # Equal rows say the same; a study has few distinct ones, apart from the index of the trial.
     signed = np.unique(signed, axis=0)
-    found = linprog(
+    solution = linprog(
         -signed.sum(axis=0),
         A_ub=-signed,
         b_ub=np.zeros(len(signed)),
         bounds=[(-1, 1)] * design.shape[1],
         method="highs",
     )
-    if found.status != 0 or -found.fun <= _ANY:
+    if solution.status != 0 or -solution.fun <= _ANY:
         return None
-    return np.asarray(found.x)
+    return np.asarray(solution.x)
 
 
 def one_sided_levels(frame: Frame) -> list[str]:
     """Retargeters and tasks with nothing but successes, or nothing but failures, in words."""
-    said = []
+    texts = []
     for kind, names, codes in (
         ("retargeter", frame.retargeters, frame.retargeter),
         ("task", frame.tasks, frame.task),
@@ -236,19 +236,19 @@ def one_sided_levels(frame: Frame) -> list[str]:
         for j, name in enumerate(names):
             outcome = frame.outcome[codes == j]
             if len(outcome) and np.ptp(outcome) == 0:
-                said.append(f"{kind} {name} has {_count(outcome)}")
-    return said
+                texts.append(f"{kind} {name} has {_count(outcome)}")
+    return texts
 
 
 def one_sided_cells(frame: Frame) -> list[str]:
     """Cells of retargeter and task with nothing but successes, or nothing but failures."""
-    said = []
+    texts = []
     for j, name in enumerate(frame.retargeters):
         for k, task in enumerate(frame.tasks):
             outcome = frame.outcome[(frame.retargeter == j) & (frame.task == k)]
             if len(outcome) and np.ptp(outcome) == 0:
-                said.append(f"{name} in task {task} has {_count(outcome)}")
-    return said
+                texts.append(f"{name} in task {task} has {_count(outcome)}")
+    return texts
 
 
 def _count(outcome: Float[np.ndarray, " n"]) -> str:

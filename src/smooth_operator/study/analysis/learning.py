@@ -33,17 +33,17 @@ def linear_slope(frame: Frame) -> dict[str, Any]:
         _check(frame)
         factors, _ = frame.factors()
         centred = frame.index - frame.index_mean
-        found: dict[str, Any] = {**_tested(np.column_stack([factors, centred]), frame, 1)[0]}
-        found |= {"n": len(frame), "sd_x": frame.index_sd}
+        slope: dict[str, Any] = {**_tested(np.column_stack([factors, centred]), frame, 1)[0]}
+        slope |= {"n": len(frame), "sd_x": frame.index_sd}
     except StudyError as error:
         return {"refused": str(error), "n": len(frame)}
     try:
         own = (frame.retargeter[:, None] == np.arange(len(frame.retargeters))) * centred[:, None]
         slopes = _tested(np.column_stack([factors, own]), frame, len(frame.retargeters))
-        found["per_retargeter"] = dict(zip(frame.retargeters, slopes, strict=True))
+        slope["per_retargeter"] = dict(zip(frame.retargeters, slopes, strict=True))
     except (StudyError, np.linalg.LinAlgError) as error:
-        found["per_retargeter"] = {"refused": str(error)}
-    return found
+        slope["per_retargeter"] = {"refused": str(error)}
+    return slope
 
 
 def logistic_slope(frame: Frame) -> dict[str, Any]:
@@ -75,7 +75,7 @@ def logistic_slope(frame: Frame) -> dict[str, Any]:
     spread = probability * (1 - probability)
     gradient = slope * np.mean((spread * (1 - 2 * probability))[:, None] * design, axis=0)
     gradient[-1] += spread.mean()
-    found: dict[str, Any] = {
+    result: dict[str, Any] = {
         "slope_logit": slope,
         "se": se,
         "z": slope / se,
@@ -86,15 +86,15 @@ def logistic_slope(frame: Frame) -> dict[str, Any]:
         "sd_x": frame.index_sd,
     }
     if separated:
-        found["without"] = list(separated)
+        result["without"] = list(separated)
     if fit.mancl_derouen is not None:
         corrected = float(np.sqrt(fit.mancl_derouen[-1, -1]))
-        found |= {
+        result |= {
             "se_mancl_derouen": corrected,
             "df": df,
             "p_t": two_sided(slope / corrected, df),
         }
-    return found
+    return result
 
 
 def _check(frame: Frame) -> None:
@@ -106,7 +106,7 @@ def _check(frame: Frame) -> None:
 def _tested(design: Float[np.ndarray, "n p"], frame: Frame, count: int) -> list[dict[str, float]]:
     """The last coefficients of a mixed model, each with both tests."""
     fit = fit_mixed(design, frame.outcome, {"operator": frame.group})
-    found = []
+    slopes = []
     width = design.shape[1]
     robust = mancl_derouen(
         design, frame.outcome - design @ fit.beta, frame.group, float(fit.ratios[0])
@@ -130,5 +130,5 @@ def _tested(design: Float[np.ndarray, "n p"], frame: Frame, count: int) -> list[
                 "df": freedom,
                 "p_t": two_sided(slope / corrected, freedom),
             }
-        found.append(one)
-    return found
+        slopes.append(one)
+    return slopes

@@ -70,11 +70,11 @@ class MixedFit:
     @property
     def variances(self) -> dict[str, float]:
         """Variance of each level, and ``residual``."""
-        found = {
+        by_level = {
             name: float(ratio * self.residual_variance)
             for name, ratio in zip(self.levels, self.ratios, strict=True)
         }
-        return found | {"residual": self.residual_variance}
+        return by_level | {"residual": self.residual_variance}
 
     @property
     def sd_row(self) -> float:
@@ -86,10 +86,12 @@ class MixedFit:
         # At the edge a λ does not vary: its group is gone from the model.
         free = np.flatnonzero(np.append(self.ratios > 0, True))
         values, vectors = np.linalg.eigh(self._information[np.ix_(free, free)])
-        kept = values > 1e-12 * values[-1]
-        found = np.zeros_like(self._information)
-        found[np.ix_(free, free)] = (vectors[:, kept] / values[kept]) @ vectors[:, kept].T
-        return found
+        usable = values > 1e-12 * values[-1]
+        covariance = np.zeros_like(self._information)
+        covariance[np.ix_(free, free)] = (vectors[:, usable] / values[usable]) @ vectors[
+            :, usable
+        ].T
+        return covariance
 
     def satterthwaite(self, contrast: Float[np.ndarray, " p"]) -> float:
         """Degrees of freedom of a contrast of the fixed effects."""
@@ -172,14 +174,14 @@ def mancl_derouen(
 
 
 def _estimable(levels: Mapping[str, Int[np.ndarray, " n"]]) -> dict[str, Int[np.ndarray, " n"]]:
-    kept: dict[str, Int[np.ndarray, " n"]] = {}
+    estimable: dict[str, Int[np.ndarray, " n"]] = {}
     before = 0
     for name, codes in levels.items():
         count = len(np.unique(codes))
-        if not kept or before < count < len(codes):
-            kept[name] = codes
+        if not estimable or before < count < len(codes):
+            estimable[name] = codes
             before = count
-    return kept
+    return estimable
 
 
 class _Profile:
@@ -385,12 +387,12 @@ def _step(
     free: Bool[np.ndarray, " k"],
 ) -> Float[np.ndarray, " k"]:
     """Newton's step in the free directions; Fisher's where the criterion is not convex."""
-    found = np.zeros_like(slope)
+    step = np.zeros_like(slope)
     for hessian in (observed, expected, np.diag(np.diag(expected))):
         try:
             root = np.linalg.cholesky(hessian[np.ix_(free, free)])
         except np.linalg.LinAlgError:
             continue
-        found[free] = -np.linalg.solve(root.T, np.linalg.solve(root, slope[free]))
+        step[free] = -np.linalg.solve(root.T, np.linalg.solve(root, slope[free]))
         break
-    return found
+    return step

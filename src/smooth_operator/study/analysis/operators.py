@@ -39,8 +39,8 @@ def leave_out(data: StudyData, exclude: Mapping[str, str] | None = None) -> Stud
         flow = replace(flow, enrolled=there, started=there)
     excluded = dict(flow.excluded)
     for operator, reason in (exclude or {}).items():
-        if operator not in (known := {*flow.enrolled, *present}):
-            raise UnknownNameError("operator to exclude:", operator, known)
+        if operator not in (operators := {*flow.enrolled, *present}):
+            raise UnknownNameError("operator to exclude:", operator, operators)
         if not reason.strip():
             raise StudyError(f"operator {operator} can't be excluded without a reason")
         excluded[operator] = reason.strip()
@@ -155,17 +155,17 @@ def operator_means(data: StudyData) -> list[OperatorMean]:
     if data.questionnaires is not None:
         workload = data.questionnaires.workload
         columns.append(("tlx", data.questionnaires, workload, np.isfinite(workload)))
-    found = []
+    means = []
     for outcome, table, values, rows in columns:
         groups: dict[tuple[str, str, str], list[float]] = {}
         for i in np.flatnonzero(rows):
             key = (str(table.task[i]), str(table.retargeter[i]), str(table.operator[i]))
             groups.setdefault(key, []).append(float(values[i]))
-        found += [
+        means += [
             OperatorMean(outcome, *key, len(group), float(np.mean(group)))
             for key, group in sorted(groups.items())
         ]
-    return found
+    return means
 
 
 def variance(data: StudyData) -> dict[str, Any]:
@@ -178,10 +178,10 @@ def variance(data: StudyData) -> dict[str, Any]:
     groups: dict[tuple[str, str, str], list[float]] = {}
     for one in operator_means(data):
         groups.setdefault((one.outcome, one.task, one.retargeter), []).append(one.mean)
-    found: dict[str, Any] = {outcome: {} for outcome in OUTCOMES}
+    spread: dict[str, Any] = {outcome: {} for outcome in OUTCOMES}
     for (outcome, task, retargeter), means in groups.items():
         low, q25, median, q75, high = np.percentile(means, [0, 25, 50, 75, 100])
-        found[outcome].setdefault(task, {})[retargeter] = {
+        spread[outcome].setdefault(task, {})[retargeter] = {
             "operators": len(means),
             "mean": float(np.mean(means)),
             "sd": float(np.std(means, ddof=1)) if len(means) > 1 else None,
@@ -191,4 +191,4 @@ def variance(data: StudyData) -> dict[str, Any]:
             "q75": float(q75),
             "max": float(high),
         }
-    return found
+    return spread

@@ -59,10 +59,10 @@ def layout(frame: Frame) -> tuple[dict[str, Any], list[str]]:
     """Who did what: operators, cells that are empty, operators that lack a retargeter."""
     cells = np.zeros((len(frame.retargeters), len(frame.tasks)), int)
     np.add.at(cells, (frame.retargeter, frame.task), 1)
-    seen = np.zeros((len(frame.operators), len(frame.retargeters)), bool)
-    seen[frame.group, frame.retargeter] = True
+    present = np.zeros((len(frame.operators), len(frame.retargeters)), bool)
+    present[frame.group, frame.retargeter] = True
     empty = [f"{frame.retargeters[j]} in task {frame.tasks[k]}" for j, k in np.argwhere(cells == 0)]
-    partial = [frame.operators[i] for i in np.flatnonzero(~seen.all(axis=1))]
+    partial = [frame.operators[i] for i in np.flatnonzero(~present.all(axis=1))]
     facts = {
         "operators": len(frame.operators),
         "rows_per_cell": {
@@ -72,32 +72,32 @@ def layout(frame: Frame) -> tuple[dict[str, Any], list[str]]:
         "empty_cells": empty,
         "operators_without_every_retargeter": partial,
     }
-    said = []
+    notes = []
     if len(frame.operators) < FEW_OPERATORS:
-        said.append(
+        notes.append(
             f"only {len(frame.operators)} operators: tests that are right for many (mode paper) "
             "find differences too easily"
         )
     if empty:
-        said.append(
+        notes.append(
             f"no rows of {', '.join(empty)}: means over tasks rest on the model having no "
             "interaction of retargeter and task"
         )
     if partial:
         shown = ", ".join(partial[:6]) + (f" and {len(partial) - 6} more" if partial[6:] else "")
-        said.append(f"not every retargeter has rows of operator {shown}")
+        notes.append(f"not every retargeter has rows of operator {shown}")
     if frame.index_sd == 0:
-        said.append("the index of trials never varies: the term t is left out")
-    return facts, said
+        notes.append("the index of trials never varies: the term t is left out")
+    return facts, notes
 
 
 def observed(frame: Frame) -> dict[str, Any]:
     """Rows, mean, standard deviation and quartiles of each retargeter, without a model."""
-    found = {}
+    table = {}
     for j, name in enumerate(frame.retargeters):
         y = frame.outcome[frame.retargeter == j]
         low, middle, high = np.percentile(y, [25, 50, 75])
-        found[name] = {
+        table[name] = {
             "n": len(y),
             "mean": float(y.mean()),
             "sd": float(y.std(ddof=1)) if len(y) > 1 else None,
@@ -105,7 +105,7 @@ def observed(frame: Frame) -> dict[str, Any]:
             "median": float(middle),
             "q75": float(high),
         }
-    return found
+    return table
 
 
 def residual_checks(
@@ -130,14 +130,14 @@ def residual_checks(
     if len(groups) > 1:
         test = levene(*groups)
         facts["levene"] = {"statistic": float(test.statistic), "p": float(test.pvalue)}
-    said = []
+    notes = []
     if abs(facts["skewness"]) > _SKEW:
-        said.append(
+        notes.append(
             f"residuals are skewed ({facts['skewness']:.2f}): means say less than medians; look at "
             "the distributions, and at the logarithm of times"
         )
     if facts["excess_kurtosis"] > _HEAVY:
-        said.append(
+        notes.append(
             f"residuals have heavy tails (excess kurtosis {facts['excess_kurtosis']:.1f}): a few "
             "trials weigh much"
         )
@@ -145,7 +145,7 @@ def residual_checks(
         ratio = max(spreads.values()) / min(spreads.values())
         if ratio > _UNEQUAL:
             wide = max(spreads, key=lambda name: spreads[name])
-            said.append(
+            notes.append(
                 f"residuals spread {ratio:.1f} times as wide for {wide} as for the narrowest "
                 "retargeter: standard errors assume the same width"
             )
@@ -154,20 +154,20 @@ def residual_checks(
         far = [frame.operators[i] for i in np.flatnonzero(np.abs(scores) > 3.0)]
         facts["outlying_operators"] = far
         if far:
-            said.append(f"operator {', '.join(far)} lies more than 3 standard deviations out")
-    return facts, said
+            notes.append(f"operator {', '.join(far)} lies more than 3 standard deviations out")
+    return facts, notes
 
 
 def rare_outcomes(frame: Frame) -> list[str]:
     """Retargeters with too few successes or failures for a normal approximation."""
-    said = []
+    notes = []
     for j, name in enumerate(frame.retargeters):
         y = frame.outcome[frame.retargeter == j]
         fewer = int(min(y.sum(), len(y) - y.sum()))
         if fewer < _RARE:
             kind = "successes" if y.sum() < len(y) / 2 else "failures"
-            said.append(f"{name} has only {fewer} {kind} in {len(y)} trials: its error is rough")
-    return said
+            notes.append(f"{name} has only {fewer} {kind} in {len(y)} trials: its error is rough")
+    return notes
 
 
 _IN_R: Final = {
@@ -213,19 +213,19 @@ def analyze_linear(
     """
     blank = ScopeResult(n=len(frame), operators=len(frame.operators), warnings=missing)
     if len(frame):
-        facts, said = layout(frame)
+        facts, notes = layout(frame)
         blank = replace(
             blank,
             observed=observed(frame),
             diagnostics=facts,
-            warnings=(*missing, *said),
+            warnings=(*missing, *notes),
         )
     try:
         check_frame(frame)
         design, names = frame.design()
     except StudyError as error:
         return dict.fromkeys(modes, refuse(blank, str(error)))
-    found = {}
+    results = {}
     for mode in modes:
         small = mode == "small-sample"
         try:
@@ -233,17 +233,17 @@ def analyze_linear(
                 design, frame.outcome, frame.levels if small else {"operator": frame.group}
             )
         except StudyError as error:
-            found[mode] = refuse(blank, str(error))
+            results[mode] = refuse(blank, str(error))
             continue
         freedom: Freedom = fit.satterthwaite if small else _normal
-        checks, said = residual_checks(fit.residuals, fit.intercepts, frame)
+        checks, notes = residual_checks(fit.residuals, fit.intercepts, frame)
         means = linear_means(frame, fit.beta)
 
         def effect(mean: float, other: float, spread: float = fit.sd_row) -> float:
             return standardised(mean - other, spread)
 
         compared = compare(means, fit.covariance, freedom, effect, frame.baseline, limits=limits)
-        found[mode] = replace(
+        results[mode] = replace(
             blank,
             coefficients=coefficients(names, fit.beta, fit.covariance, freedom),
             emm=compared.emm,
@@ -255,15 +255,15 @@ def analyze_linear(
                 "dunnett_correlation": compared.correlation,
             },
             diagnostics={**blank.diagnostics, **checks},
-            warnings=(*blank.warnings, *said, *_singular(fit.variances), *compared.warnings),
+            warnings=(*blank.warnings, *notes, *_singular(fit.variances), *compared.warnings),
         )
-    small, paper = found.get("small-sample"), found.get("paper")
+    small, paper = results.get("small-sample"), results.get("paper")
     if small is not None and small.refused is None:
         apart = _preferences(small.model["variances"], unit)
-        found["small-sample"] = replace(small, warnings=(*small.warnings, *apart))
+        results["small-sample"] = replace(small, warnings=(*small.warnings, *apart))
         if apart and paper is not None and paper.refused is None:
-            found["paper"] = replace(paper, warnings=(*paper.warnings, *apart, _IGNORED))
-    return found
+            results["paper"] = replace(paper, warnings=(*paper.warnings, *apart, _IGNORED))
+    return results
 
 
 def _normal(_: Float[np.ndarray, " p"]) -> float:
@@ -297,14 +297,14 @@ def _singular(variances: dict[str, float]) -> tuple[str, ...]:
 
 def _preferences(variances: dict[str, float], unit: str) -> tuple[str, ...]:
     """How far operators differ in which retargeter suits them, if they do."""
-    said = [
+    spreads = [
         f"{float(np.sqrt(variances[name])):.2g}{unit} {words}"
         for name, words in _OWN.items()
         if variances.get(name, 0.0) > 0
     ]
-    if not said:
+    if not spreads:
         return ()
-    return (f"operators differ in which retargeter suits them: SD {' and '.join(said)}",)
+    return (f"operators differ in which retargeter suits them: SD {' and '.join(spreads)}",)
 
 
 def refuse(blank: ScopeResult, reason: str) -> ScopeResult:
@@ -341,27 +341,27 @@ def analyze_success(frame: Frame, missing: tuple[str, ...] = ()) -> dict[Mode, S
     """
     blank = ScopeResult(n=len(frame), operators=len(frame.operators), warnings=missing)
     if len(frame):
-        facts, said = layout(frame)
+        facts, notes = layout(frame)
         blank = replace(
             blank,
             observed=observed(frame),
             diagnostics={**facts, "one_sided_cells": one_sided_cells(frame)},
-            warnings=(*missing, *said),
+            warnings=(*missing, *notes),
         )
     try:
         check_frame(frame)
         rest, separated = split(frame)
-        said = [in_words(name, found) for name, found in separated.items()]
-        blank = replace(blank, separated=separated, warnings=(*blank.warnings, *said))
+        notes = [in_words(name, results) for name, results in separated.items()]
+        blank = replace(blank, separated=separated, warnings=(*blank.warnings, *notes))
         if rest is None:
             raise StudyError("no retargeter has both successes and failures")
         frame = rest
-        said = rare_outcomes(frame)
+        notes = rare_outcomes(frame)
         blank = replace(
             blank,
             n=len(frame),
             operators=len(frame.operators),
-            warnings=(*blank.warnings, *said),
+            warnings=(*blank.warnings, *notes),
         )
         check_frame(frame, retargeters=1)
         design, names = frame.design()
@@ -377,22 +377,22 @@ def analyze_success(frame: Frame, missing: tuple[str, ...] = ()) -> dict[Mode, S
         "phi": fit.phi,
         **index_facts(frame),
     }
-    said = _warnings(frame, fit)
+    notes = _warnings(frame, fit)
     covariances = {"small-sample": fit.mancl_derouen, "paper": fit.robust}
     freedoms = {"small-sample": float(fit.operators - 1), "paper": np.inf}
-    found: dict[Mode, ScopeResult] = {}
+    results: dict[Mode, ScopeResult] = {}
     for mode in MODES:
         covariance, df = covariances[mode], freedoms[mode]
-        base = replace(blank, model=model, warnings=(*blank.warnings, *said))
+        base = replace(blank, model=model, warnings=(*blank.warnings, *notes))
         if covariance is None:
-            found[mode] = refuse(
+            results[mode] = refuse(
                 base,
                 "an operator has so much leverage that its residuals can't be corrected: too few "
                 f"operators ({fit.operators}) for {len(names)} coefficients",
             )
             continue
-        found[mode] = _in_mode(base, frame, fit, names, covariance, df)
-    return found
+        results[mode] = _in_mode(base, frame, fit, names, covariance, df)
+    return results
 
 
 def _in_mode(
@@ -461,15 +461,15 @@ def _check_separation(frame: Frame, design: Float[np.ndarray, "n p"], names: lis
 
 
 def _warnings(frame: Frame, fit: GeeFit) -> list[str]:
-    said = [f"{cell}; the model shares its other rows" for cell in one_sided_cells(frame)]
+    notes = [f"{cell}; the model shares its other rows" for cell in one_sided_cells(frame)]
     if fit.operators <= len(fit.beta):
-        said.append(
+        notes.append(
             f"{fit.operators} operators for {len(fit.beta)} coefficients: the sandwich covariance "
             "is singular, and its standard errors are far too small"
         )
     if fit.alpha < 0:
-        said.append(
+        notes.append(
             f"the working correlation is negative ({fit.alpha:.3f}): rows of one operator are no "
             "more alike than those of different ones"
         )
-    return said
+    return notes

@@ -91,38 +91,38 @@ def write_tables(analysis: Analysis, folder: Path) -> list[str]:
 
 
 def _tables(analysis: Analysis) -> dict[str, list[dict[str, Any]]]:
-    found: dict[str, list[dict[str, Any]]] = {}
+    tables: dict[str, list[dict[str, Any]]] = {}
     for family, label in _FAMILIES.items():
-        found[family] = [
+        tables[family] = [
             {**where, label: name, **plain(entry)}
             for where, result in _scopes(analysis)
             for name, entry in getattr(result, family).items()
         ]
-    found["separated"] = [
+    tables["separated"] = [
         {**where, "retargeter": name, "against": other, **_flat(plain(one)), **plain(test)}
         for where, result in _scopes(analysis)
         for name, one in result.separated.items()
         for other, test in one.against.items()
     ]
-    found["warnings"] = [
+    tables["warnings"] = [
         {**where, "warning": text}
         for where, result in _scopes(analysis)
         for text in result.warnings
     ]
-    found["learning"] = [
+    tables["learning"] = [
         {"scope": scope, "index": index, "outcome": outcome, "retargeter": "all", **_flat(entry)}
         for scope, indices in analysis.learning.items()
         for index, outcomes in indices.items()
         for outcome, entry in outcomes.items()
     ]
-    found["spearman"] = [
+    tables["spearman"] = [
         {"metric": pair.split("~")[0], "outcome": pair.split("~")[1], **_flat(entry)}
         for pair, entry in analysis.spearman.items()
     ]
-    found["readings"] = reading_rows(analysis.readings)
-    found["flow"] = flow_rows(analysis.data.flow)
-    found["operators"] = [plain(one) for one in operator_means(analysis.data)]
-    return found
+    tables["readings"] = reading_rows(analysis.readings)
+    tables["flow"] = flow_rows(analysis.data.flow)
+    tables["operators"] = [plain(one) for one in operator_means(analysis.data)]
+    return tables
 
 
 def _scopes(analysis: Analysis) -> Iterator[tuple[dict[str, str], ScopeResult]]:
@@ -133,15 +133,15 @@ def _scopes(analysis: Analysis) -> Iterator[tuple[dict[str, str], ScopeResult]]:
 
 
 def _flat(entry: Mapping[str, Any]) -> dict[str, Any]:
-    found = {}
+    row = {}
     for key, value in plain(entry).items():
         if key in ("per_retargeter", "against"):
             continue
         if isinstance(value, Mapping):
-            found.update({f"{key}_{inner}": number for inner, number in value.items()})
+            row.update({f"{key}_{inner}": number for inner, number in value.items()})
         else:
-            found[key] = value
-    return found
+            row[key] = value
+    return row
 
 
 def _named(numbers: Mapping[str, float]) -> str:

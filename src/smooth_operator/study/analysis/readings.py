@@ -204,17 +204,17 @@ def full_success(trials: Trials, scope: str, baseline: str) -> ScopeResult:
         if rest is None:
             raise StudyError("no retargeter has both full successes and other trials")
         fit = fit_with("success", rest)
-        found = compare(fit.means, fit.covariance, fit.freedom, cohen_h, baseline)
+        compared = compare(fit.means, fit.covariance, fit.freedom, cohen_h, baseline)
     except StudyError as error:
         return replace(blank, refused=str(error))
     return replace(
         blank,
-        emm=found.emm,
-        dunnett=found.dunnett,
-        pairs=found.pairs,
+        emm=compared.emm,
+        dunnett=compared.dunnett,
+        pairs=compared.pairs,
         n=len(rest),
         operators=fit.operators,
-        warnings=found.warnings,
+        warnings=compared.warnings,
     )
 
 
@@ -416,20 +416,20 @@ def interactions(data: StudyData, baseline: str) -> dict[Outcome, Interaction | 
 
 def _frames(data: StudyData, baseline: str) -> dict[Outcome, Frame]:
     success = success_frame(data.trials, POOLED, baseline)
-    found: dict[Outcome, Frame] = {
+    frames: dict[Outcome, Frame] = {
         "success": split(success)[0] or success,  # without those that never or always succeed
         "time": time_frame(data.trials, POOLED, baseline),
     }
     if data.questionnaires is not None:
-        found["tlx"] = tlx_frame(data.questionnaires, POOLED, baseline)
-    return found
+        frames["tlx"] = tlx_frame(data.questionnaires, POOLED, baseline)
+    return frames
 
 
 def _second_rater(data: StudyData, seed: int) -> Agreement | Refused | None:
     second = data.second_ratings
     if second is None:
         return None
-    given = {
+    by_trial = {
         (str(who), str(task), int(block), int(trial)): float(score)
         for who, task, block, trial, score in zip(
             second.operator, second.task, second.block, second.trial_in_block, second.score,
@@ -438,7 +438,7 @@ def _second_rater(data: StudyData, seed: int) -> Agreement | Refused | None:
     }  # fmt: skip
     trials = data.trials
     scores = [
-        given.get((str(who), str(task), int(block), int(trial)), np.nan)
+        by_trial.get((str(who), str(task), int(block), int(trial)), np.nan)
         for who, task, block, trial in zip(
             trials.operator, trials.task, trials.block, trials.trial_in_block, strict=True
         )

@@ -22,8 +22,8 @@ class Drawn:
 
 def drawn(value: float, draws: np.ndarray) -> Drawn:
     """A number and the 2.5 and 97.5 % points of what the bootstrap has (draws,), NaN left out."""
-    known = draws[np.isfinite(draws)]
-    low, high = np.percentile(known, [2.5, 97.5]) if len(known) else (np.nan, np.nan)
+    finite = draws[np.isfinite(draws)]
+    low, high = np.percentile(finite, [2.5, 97.5]) if len(finite) else (np.nan, np.nan)
     return Drawn(float(value), float(low), float(high))
 
 

@@ -154,18 +154,18 @@ def _read(
     planned: Mapping[str, float | None],
     seed: int,
 ) -> TimeToSuccess:
-    kept = np.isin(trials.task, tasks) & ~(trials.success & np.isnan(trials.time))
-    left_out = int(np.sum(np.isin(trials.task, tasks)) - np.sum(kept))
-    operators, group = np.unique(trials.operator[kept], return_inverse=True)
+    usable = np.isin(trials.task, tasks) & ~(trials.success & np.isnan(trials.time))
+    left_out = int(np.sum(np.isin(trials.task, tasks)) - np.sum(usable))
+    operators, group = np.unique(trials.operator[usable], return_inverse=True)
     if len(operators) < 2:
         raise StudyError(f"{len(operators)} operator(s): at least two are needed")
     weights = operator_weights(len(operators), seed=seed)[:, group]
-    task, retargeter = trials.task[kept], trials.retargeter[kept]
-    ended, given_up = _ends(trials, kept)
+    task, retargeter = trials.task[usable], trials.retargeter[usable]
+    ended, given_up = _ends(trials, usable)
     limits = {}
     for name in tasks:
-        known = ended[(task == name) & np.isfinite(ended)]
-        limit = planned.get(name) or (float(known.max()) if len(known) else None)
+        ends = ended[(task == name) & np.isfinite(ended)]
+        limit = planned.get(name) or (float(ends.max()) if len(ends) else None)
         if limit is None:
             raise StudyError(f"no trial of task {name} has a time")
         limits[name] = float(limit)
@@ -173,7 +173,7 @@ def _read(
     early: dict[str, list[np.ndarray]] = {name: [] for name in retargeters}
     late: dict[str, list[np.ndarray]] = {name: [] for name in retargeters}
     gone: dict[str, list[np.ndarray]] = {name: [] for name in retargeters}
-    events = np.where(trials.success[kept], SUCCESS, COMPETING)
+    events = np.where(trials.success[usable], SUCCESS, COMPETING)
     for name in retargeters:
         for one in tasks:
             rows = (task == one) & (retargeter == name)
@@ -182,10 +182,10 @@ def _read(
             limit = limits[one]
             # A failure never succeeds, whenever it ended: without a duration the limit serves.
             times = np.where(np.isfinite(ended[rows]), ended[rows], limit)
-            found = incidence(times, events[rows], weights[:, rows])
-            mean[name].append(found.restricted_mean(limit))
-            early[name].append(found.at(min(EARLY, limit)))
-            late[name].append(found.at(limit))
+            curve = incidence(times, events[rows], weights[:, rows])
+            mean[name].append(curve.restricted_mean(limit))
+            early[name].append(curve.at(min(EARLY, limit)))
+            late[name].append(curve.at(limit))
             if np.isfinite(ended[rows]).all():
                 onward = np.where(given_up[rows], CENSORED, events[rows])
                 censored = incidence(ended[rows], onward, weights[:, rows])
@@ -212,13 +212,13 @@ def _read(
 
 
 def _ends(
-    trials: Trials, kept: np.ndarray
+    trials: Trials, usable: np.ndarray
 ) -> tuple[Float[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
     """When trials ended [s], NaN where unknown; and which failures ended without a drop."""
-    ended = np.where(trials.success, trials.time, trials.duration)[kept]
-    lines = trials.line[kept]
+    ended = np.where(trials.success, trials.time, trials.duration)[usable]
+    lines = trials.line[usable]
     dropped = np.array([any(word in str(line).lower() for word in _DROPPED) for line in lines])
-    return ended, ~trials.success[kept] & ~dropped
+    return ended, ~trials.success[usable] & ~dropped
 
 
 def _drawn(samples: Mapping[str, np.ndarray]) -> dict[str, Drawn]:

@@ -52,20 +52,24 @@ class Command:
     waited_s: float = 0.0
 
 
-def command_of(said: Mapping[str, Any], role: Role) -> Command:
+def command_of(message: Mapping[str, Any], role: Role) -> Command:
     """A command from a page, checked as far as it can be without the study.
 
     Raises:
         StudyError: it is none, or not one that this page may give.
     """
-    token, do, operator = said.get("token"), said.get("do"), said.get("operator", "")
+    token, do, operator = message.get("token"), message.get("do"), message.get("operator", "")
     if not isinstance(token, str) or len(token) not in _TOKEN or not token.isprintable():
         raise StudyError(f"a command needs a token of 8 to 128 characters, not {token!r}")
     if not isinstance(do, str) or do not in (*EVENTS, *OTHER):
         raise StudyError(f"no such command: {do!r}; reload the page")
     if role == "operator" and do not in OPERATOR_MAY:
         raise StudyError(f"the operator's page may not do {do!r}")
-    after, fields, waited = said.get("after"), said.get("fields", {}), said.get("waited_s", 0.0)
+    after, fields, waited = (
+        message.get("after"),
+        message.get("fields", {}),
+        message.get("waited_s", 0.0),
+    )
     if not isinstance(operator, str) or not isinstance(fields, Mapping):
         raise StudyError("a command needs an operator and its fields; reload the page")
     if after is not None and (isinstance(after, bool) or not isinstance(after, int)):

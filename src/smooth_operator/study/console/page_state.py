@@ -93,7 +93,7 @@ def time_left(progress: Progress) -> float:
     scored = [trial for trial in progress.trials if trial.counts]
     times = [trial.time_s for trial in scored if trial.time_s is not None]
     done = Counter((trial.block.task.name, trial.block.number) for trial in scored)
-    asked = Counter((q.block.task.name, q.block.number) for q in progress.questionnaires)
+    answered = Counter((q.block.task.name, q.block.number) for q in progress.questionnaires)
     left, blocks = 0.0, 0
     for block in progress.blocks:
         if progress.over or progress.finished(block):
@@ -103,7 +103,7 @@ def time_left(progress: Progress) -> float:
         guess = TRIAL_S if limit is None else min(TRIAL_S, limit / 2)
         trial_s = sum(times) / len(times) if times else guess
         left += (block.task.trials - done[key]) * (trial_s + BETWEEN_S)
-        left += (len(block.questionnaires) - asked[key]) * QUESTIONNAIRE_S
+        left += (len(block.questionnaires) - answered[key]) * QUESTIONNAIRE_S
         left += QUESTIONNAIRE_S * (protocol.weights and bool(block.questionnaires))
         if not done[key]:
             left += protocol.familiarisation_s + BLOCK_S
@@ -139,7 +139,7 @@ def forms_view(progress: Progress) -> list[dict[str, Any]]:
     ``state`` is ``filled``, ``paper`` (to be typed in), ``due`` or ``later``; ``can`` is whether it
     may be typed in now.
     """
-    found = []
+    views = []
     for form in progress.plan.protocol.forms:
         at, answers = progress.forms.get(form.name, (None, None))
         who = progress.typed.get(form.name, "")
@@ -149,7 +149,7 @@ def forms_view(progress: Progress) -> list[dict[str, Any]]:
             at, who = progress.on_paper[form.name]
         elif answers is None:
             state = "due" if progress.step.form == form.name else "later"
-        found.append(
+        views.append(
             {
                 **form_view(progress, form),
                 "state": state,
@@ -159,16 +159,16 @@ def forms_view(progress: Progress) -> list[dict[str, Any]]:
                 "can": progress.can_type(form),
             }
         )
-    return found
+    return views
 
 
 def _field(field: FormField, progress: Progress) -> dict[str, Any]:
-    made = asdict(field)
+    view = asdict(field)
     if field.kind == "ranking":
-        made["ranked"] = [
+        view["ranked"] = [
             {"label": label, "where": _met(label, progress)} for label in progress.ranked_labels()
         ]
-    return made
+    return view
 
 
 def _met(label: str, progress: Progress) -> str:
@@ -244,8 +244,8 @@ def asked_key(progress: Progress, step: Step) -> str:
     undone = sum(isinstance(record.event, Undone) for record in progress.records)
     block = step.block
     where = "" if block is None else f"{block.task.name}/{block.number}"
-    asked = step.point or step.form or ""
-    return f"{progress.operator}/{where}/{step.what}/{asked}/{undone}"
+    name = step.point or step.form or ""
+    return f"{progress.operator}/{where}/{step.what}/{name}/{undone}"
 
 
 def place(block: Block, condition: str | None, progress: Progress) -> dict[str, Any]:
@@ -380,8 +380,8 @@ def asked_view(progress: Progress, words: TlxWords) -> dict[str, Any] | None:
     what = progress.step.what
     if what not in ("questionnaire", "weights"):
         return None
-    asked = scales_view(words) if what == "questionnaire" else {"pairs": pairs_view(words)}
-    return {"key": asked_key(progress, progress.step), **asked}
+    view = scales_view(words) if what == "questionnaire" else {"pairs": pairs_view(words)}
+    return {"key": asked_key(progress, progress.step), **view}
 
 
 def scored_view(progress: Progress, named: Named) -> list[dict[str, Any]]:

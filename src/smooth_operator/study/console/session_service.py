@@ -106,7 +106,7 @@ class OperatorChoice:
 
     def _latest(self) -> str | None:
         """Who did something last and is not done yet."""
-        found: list[tuple[datetime, str]] = []
+        latest: list[tuple[datetime, str]] = []
         codes = self._store.plan.codes
         over = {code for code in codes if self._store.progress(code).over}
         for code in codes:
@@ -114,9 +114,9 @@ class OperatorChoice:
                 event = record.event
                 who = event.operator if isinstance(event, Chosen) else code
                 if who in codes and who not in over:
-                    found.append((record.at, who))
+                    latest.append((record.at, who))
                     break
-        return max(found)[1] if found else None
+        return max(latest)[1] if latest else None
 
     def _left_before(self) -> str | None:
         """Who was left in a trial or in free movement before this program was started."""
@@ -404,17 +404,17 @@ class SessionService:
 
     def _seen(self, operator: str, mark: tuple[int, int]) -> Progress:
         """An operator's progress, read again only where something was written."""
-        known = self._known_progress.get(operator)
-        if known is None or known[0] != mark:
-            known = self._known_progress[operator] = (mark, self._store.progress(operator))
-        return known[1]
+        cached = self._known_progress.get(operator)
+        if cached is None or cached[0] != mark:
+            cached = self._known_progress[operator] = (mark, self._store.progress(operator))
+        return cached[1]
 
     def _known(self, command: Command) -> int | None:
         """Number of the event that this very command has caused already."""
-        known = self._store.recorded(command.token)
-        if known is None:
+        written = self._store.recorded(command.token)
+        if written is None:
             return None
-        whose, record = known
+        whose, record = written
         if whose != command.operator or record.event.kind != EVENTS[command.do]:
             raise StudyError(f"token {command.token!r} belongs to another command already")
         return record.number

@@ -155,10 +155,10 @@ class Switch:
         with self._turn:
             status = self.ask("status")
             running = _running(status)
-            wanted = self._answered.get(condition.name)
-            if wanted is None:  # a console that was started again
-                wanted = (condition.method, condition.preset or _default_preset(running))
-            right = running == wanted
+            target = self._answered.get(condition.name)
+            if target is None:  # a console that was started again
+                target = (condition.method, condition.preset or _default_preset(running))
+            right = running == target
             state: State = "ready" if right else "unknown"
             if not right and self.heard.state == "refused":
                 self._hear(_seen(status, "refused", self.heard.detail))
@@ -254,7 +254,7 @@ def _default_preset(running: tuple[str, str | None]) -> str | None:
 
 def _seen(status: Mapping[str, Any], state: State, detail: str = "") -> Heard:
     task, operators = status.get("task"), status.get("operators")
-    known = operators.items() if isinstance(operators, Mapping) else ()
+    sources = operators.items() if isinstance(operators, Mapping) else ()
     rate, there = status.get("rate"), status.get("object")
     return Heard(
         state,
@@ -262,7 +262,7 @@ def _seen(status: Mapping[str, Any], state: State, detail: str = "") -> Heard:
         _running(status),
         None if task is None else str(task),
         standing(status.get("trial")),
-        tuple(sorted((str(side), str(source)) for side, source in known)),
+        tuple(sorted((str(side), str(source)) for side, source in sources)),
         float(rate) if isinstance(rate, int | float) else None,
         task is not None or status.get("simulation") is True,
         there if isinstance(there, bool) else None,

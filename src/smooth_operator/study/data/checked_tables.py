@@ -71,7 +71,7 @@ class Checked:
 
     def words(self, column: str) -> list[str]:
         """Names; none may be empty, and two must differ by more than case."""
-        found: list[str] = []
+        words_: list[str] = []
         first: dict[str, tuple[int, str]] = {}
         for number, row in self.rows:
             text = str(row[column]).strip() if row[column] is not None else ""
@@ -85,12 +85,12 @@ class Checked:
                     f"{brief(text)} and {brief(known)} of {self.unit} {at} differ only in case; "
                     "write both the same way",
                 )
-            found.append(text)
-        return found
+            words_.append(text)
+        return words_
 
     def counts(self, column: str) -> list[int]:
         """Whole numbers from 1."""
-        found = []
+        counts_ = []
         for number, row in self.rows:
             value = _number(row[column])
             if value is None or not 1 <= value <= _MOST_COUNT or value != int(value):
@@ -98,8 +98,8 @@ class Checked:
                     number, column, f"expected a whole number from 1 on, came {brief(row[column])}"
                 )
                 value = 1.0
-            found.append(int(value))
-        return found
+            counts_.append(int(value))
+        return counts_
 
     def numbers(
         self, column: str, expected: str, allowed: Any, *, optional: bool = True
@@ -112,32 +112,32 @@ class Checked:
             allowed: takes a number, returns whether it is.
             optional: whether the field may be empty.
         """
-        found = []
+        numbers_ = []
         for number, row in self.rows:
             if is_missing(row[column]):
                 if not optional:
                     self.complain(number, column, f"expected {expected}; the field is empty")
-                found.append(math.nan)
+                numbers_.append(math.nan)
                 continue
             value = _number(row[column])
             if value is None or not allowed(value):
                 self.complain(number, column, f"expected {expected}, came {brief(row[column])}")
                 value = math.nan
-            found.append(value)
-        return found
+            numbers_.append(value)
+        return numbers_
 
     def unique(self, columns: Sequence[str]) -> None:
         """Notes rows that are there twice."""
-        seen: dict[tuple[str, ...], int] = {}
+        rows_of: dict[tuple[str, ...], int] = {}
         for number, row in self.rows:
             key = tuple(str(row[column]).strip() for column in columns)
-            if key in seen:
+            if key in rows_of:
                 what = listed(f"{c} {k}" for c, k in zip(columns, key, strict=True))
                 self.problems.append(
-                    f"{self.unit} {number}: the same {what} as {self.unit} {seen[key]}; every "
+                    f"{self.unit} {number}: the same {what} as {self.unit} {rows_of[key]}; every "
                     "trial and questionnaire may be there once"
                 )
-            seen.setdefault(key, number)
+            rows_of.setdefault(key, number)
 
 
 def is_missing(value: Any) -> bool:
@@ -239,9 +239,9 @@ def make_trials(name: str, rows: Rows, unit: str = "row") -> tuple[Trials, tuple
 def _more(table: Checked) -> dict[str, np.ndarray]:
     """What a table of trials has of ``MORE_TRIAL_COLUMNS``, by the names of ``Trials``."""
     there = [column for column in MORE_TRIAL_COLUMNS if column in table.rows[0][1]]
-    found: dict[str, np.ndarray] = {}
+    columns_: dict[str, np.ndarray] = {}
     if "duration_s" in there:
-        found["duration"] = np.array(
+        columns_["duration"] = np.array(
             table.numbers("duration_s", "a time in seconds from 0, or nothing", lambda x: x >= 0)
         )
     for column, most in (("resets", 100), ("place", 10**6), ("amended", 1)):
@@ -252,12 +252,12 @@ def _more(table: Checked) -> dict[str, np.ndarray]:
                 f"a whole number from {least} to {most}, or nothing",
                 lambda x, least=least, most=most: least <= x <= most and x == int(x),
             )
-            found[column] = np.nan_to_num(np.array(values), nan=-1.0).astype(int)
+            columns_[column] = np.nan_to_num(np.array(values), nan=-1.0).astype(int)
     for column, name in (("line", "line"), ("started_at", "started")):
         if column in there:
             words = ["" if is_missing(row[column]) else str(row[column]) for _, row in table.rows]
-            found[name] = np.array(words, str)
-    return found
+            columns_[name] = np.array(words, str)
+    return columns_
 
 
 def make_questionnaires(
@@ -325,8 +325,8 @@ def _weights(table: Checked) -> Float[np.ndarray, "n 6"] | None:
         )
         for column in WEIGHT_COLUMNS
     ]
-    found = np.array(columns).T.reshape(-1, len(ITEMS))
-    for (number, row), weights in zip(table.rows, found, strict=True):
+    weights_ = np.array(columns).T.reshape(-1, len(ITEMS))
+    for (number, row), weights in zip(table.rows, weights_, strict=True):
         known = [not is_missing(row[column]) for column in WEIGHT_COLUMNS]
         if any(known) and not all(known):
             table.complain(
@@ -339,7 +339,7 @@ def _weights(table: Checked) -> Float[np.ndarray, "n 6"] | None:
                 f"expected weights that are {PAIRS} together, as of {PAIRS} pairs; they are "
                 f"{weights.sum():g}",
             )
-    return None if np.isnan(found).all() else found
+    return None if np.isnan(weights_).all() else weights_
 
 
 def make_metrics(name: str, rows: Rows, unit: str = "row") -> SimulationMetrics:

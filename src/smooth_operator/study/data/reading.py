@@ -139,19 +139,19 @@ def _undone(one: Mapping[str, Any], conditions: Mapping[Any, str]) -> Iterator[s
     events = {event["number"]: event for event in one.get("events", ())}
     for event in events.values():
         if event["kind"] == "undone" and event["fields"]["number"] in events:
-            taken = events[event["fields"]["number"]]["fields"]
-            where = (str(one["operator"]), taken.get("task"), taken.get("block"))
+            fields = events[event["fields"]["number"]]["fields"]
+            where = (str(one["operator"]), fields.get("task"), fields.get("block"))
             if where in conditions:
                 yield conditions[where]
 
 
 def _answers(one: Mapping[str, Any]) -> dict[str, Any]:
     """All forms of an operator together, by field; a field of two forms has the form in front."""
-    found: dict[str, Any] = {}
+    answers_: dict[str, Any] = {}
     for form, filled in one["forms"].items():
         for field, answer in filled["answers"].items():
-            found[f"{form}.{field}" if field in found else field] = answer
-    return found
+            answers_[f"{form}.{field}" if field in answers_ else field] = answer
+    return answers_
 
 
 NAMES: Final = ("trials.csv", "tlx.csv", "sim_metrics.csv")
@@ -236,15 +236,15 @@ def read_study(paths: Sequence[str | Path], *, texts: Sequence[tuple[str, str]] 
 
 def _files(path: Path) -> list[Path]:
     if path.is_dir():
-        found = [path / name for name in NAMES if (path / name).is_file()]
-        if path / NAMES[0] not in found and (path / EXPORT).is_file():
-            found = [path / EXPORT, *(file for file in found if file.name == NAMES[2])]
-        if not found:
+        files = [path / name for name in NAMES if (path / name).is_file()]
+        if path / NAMES[0] not in files and (path / EXPORT).is_file():
+            files = [path / EXPORT, *(file for file in files if file.name == NAMES[2])]
+        if not files:
             raise StudyError(
                 f"the folder {str(path)!r} holds no study: expected {', '.join(NAMES[:-1])} and, "
                 f"if there is one, {NAMES[-1]}"
             )
-        return found
+        return files
     if not path.is_file():
         raise StudyError(f"no such file: {str(path)!r}; expected tables (.csv), JSON, or a folder")
     return [path]
@@ -353,7 +353,7 @@ def _from_json(name: str, content: Mapping[str, Any]) -> list[tuple[str, Rows, s
     if not isinstance(content.get("trials"), list):
         raise StudyError(f"{name}: expected an object with a list of trials ({', '.join(KEYS)})")
     needed = {**{k: sorted(v) for k, v in _KINDS.items()}, KEYS[2]: list(METRIC_COLUMNS)}
-    found: list[tuple[str, Rows, str]] = []
+    tables: list[tuple[str, Rows, str]] = []
     for key in KEYS:
         entries = content.get(key)
         if not entries:
@@ -366,10 +366,10 @@ def _from_json(name: str, content: Mapping[str, Any]) -> list[tuple[str, Rows, s
             lacking = [column for column in needed[key] if column not in entry]
             if lacking and lacking != ["time_s"]:
                 raise StudyError(f"{name}: entry {number} of {key!r} has no {lacking[0]!r}")
-            wanted = dict.fromkeys([*needed[key], *columns])
-            rows.append((number, {**wanted, **entry}))
-        found.append((key, rows, f"{key} entry"))
-    return found
+            required = dict.fromkeys([*needed[key], *columns])
+            rows.append((number, {**required, **entry}))
+        tables.append((key, rows, f"{key} entry"))
+    return tables
 
 
 def _strange_names(data: StudyData, files: Mapping[str, str]) -> tuple[str, ...]:
@@ -384,8 +384,8 @@ def _strange_names(data: StudyData, files: Mapping[str, str]) -> tuple[str, ...]
         for column in ("operator", "task", "retargeter"):
             if not hasattr(table, column):
                 continue
-            known = _distinct(data.trials, column)
-            strange = [word for word in _distinct(table, column) if word not in known]
+            names = _distinct(data.trials, column)
+            strange = [word for word in _distinct(table, column) if word not in names]
             if strange:
                 more = f" and {len(strange) - 5} more" if len(strange) > 5 else ""
                 notes.append(
@@ -425,7 +425,7 @@ def with_second_ratings(data: StudyData, file: str | Path) -> StudyData:
             f"{', '.join(SECOND_COLUMNS)}; missing: {', '.join(missing)}"
         )
     table = Checked(file.name, rows)
-    found = SecondRatings(
+    ratings = SecondRatings(
         operator=np.array(table.words("operator")),
         task=np.array(table.words("task")),
         block=np.array(table.counts("block"), int),
@@ -436,14 +436,16 @@ def with_second_ratings(data: StudyData, file: str | Path) -> StudyData:
     )
     table.unique(_KEY)
     trials = data.trials
-    known = set(zip(trials.operator, trials.task, trials.block, trials.trial_in_block, strict=True))
+    trials_ = set(
+        zip(trials.operator, trials.task, trials.block, trials.trial_in_block, strict=True)
+    )
     for k, (number, _) in enumerate(rows):
-        key = (found.operator[k], found.task[k], found.block[k], found.trial_in_block[k])
-        if key not in known:
+        key = (ratings.operator[k], ratings.task[k], ratings.block[k], ratings.trial_in_block[k])
+        if key not in trials_:
             where = ", ".join(f"{c} {v}" for c, v in zip(_KEY, key, strict=True))
             table.problems.append(f"row {number}: the study has no trial of {where}")
     table.raise_if_any()
-    return replace(data, second_ratings=found)
+    return replace(data, second_ratings=ratings)
 
 
 _SHOWN: Final = 5

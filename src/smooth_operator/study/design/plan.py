@@ -240,30 +240,30 @@ def _rows(
             tie = lot(protocol.seed, "row", salt, code, task, row)
             cost[i, row] = _USED * counts[row] + uneven + 0.5 * tie
             cost[i, row] += _AGAIN * (row in had)
-    picked, found = linear_sum_assignment(cost)
-    return {tasks[i]: int(row) for i, row in zip(picked, found, strict=True)}
+    picked, rows_ = linear_sum_assignment(cost)
+    return {tasks[i]: int(row) for i, row in zip(picked, rows_, strict=True)}
 
 
 def _task_order(
     protocol: Protocol, before: Sequence[Enrolment], code: str, tasks: Sequence[str], salt: int
 ) -> list[str]:
     """The tasks in the order in which the operator does them."""
-    known = [task.name for task in protocol.tasks]
+    names = [task.name for task in protocol.tasks]
     for task in tasks:
         protocol.task(task)
         if tasks.count(task) > 1:
             raise StudyError(f"operator {code}: task {task!r} is named twice")
-    listed = sorted(tasks, key=known.index)
+    listed = sorted(tasks, key=names.index)
     if protocol.task_order == "listed" or len(listed) < 2:
         return listed
-    seen = Counter(tuple(one.rows) for one in before if set(one.rows) == set(listed))
-    so_far = balance([o for o, n in seen.items() for _ in range(n)], listed)
+    counts = Counter(tuple(one.rows) for one in before if set(one.rows) == set(listed))
+    so_far = balance([o for o, n in counts.items() for _ in range(n)], listed)
     ranked = []
     for row in balanced_rows(len(listed)):
         order = tuple(listed[k] for k in row)
         uneven = sum(so_far.places[name, place] for place, name in enumerate(order))
         tie = lot(protocol.seed, "tasks", salt, code, *order)
-        ranked.append((seen[order], uneven, tie, order))
+        ranked.append((counts[order], uneven, tie, order))
     return list(min(ranked)[-1])
 
 
@@ -394,13 +394,13 @@ class Plan:
             StudyError: the operator does all of these tasks already, or the code can't be one.
         """
         check_name(operator, "operator")
-        wanted = [task.name for task in self.protocol.tasks] if tasks is None else list(tasks)
+        names = [task.name for task in self.protocol.tasks] if tasks is None else list(tasks)
         present = [one for one in self.enrolled if one.code not in absent]
-        new = enrolled(self.protocol, self.orders, present, operator, wanted)
+        new = enrolled(self.protocol, self.orders, present, operator, names)
         if operator not in self.codes:
             return replace(self, enrolled=(*self.enrolled, new))
         if new == self.enrolment(operator):
-            raise StudyError(f"operator {operator} does {', '.join(wanted)} already")
+            raise StudyError(f"operator {operator} does {', '.join(names)} already")
         return replace(
             self, enrolled=tuple(new if one.code == operator else one for one in self.enrolled)
         )

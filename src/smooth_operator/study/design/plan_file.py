@@ -127,8 +127,8 @@ def _protocol(entries: Entries) -> Protocol:
     margins = entries.table("margins", {})
     # Where a plan was drawn and names no primary endpoint, none was planned.
     primary = entries.text("primary", "" if "orders" in entries.names else PRIMARY)
-    asked = entries.texts("questionnaires", POINTS)
-    for point in asked:
+    points = entries.texts("questionnaires", POINTS)
+    for point in points:
         if point not in POINTS:
             raise entries.error("questionnaires", f"expected some of {', '.join(POINTS)}")
     return Protocol(
@@ -138,7 +138,7 @@ def _protocol(entries: Entries) -> Protocol:
         baseline=entries.text("baseline"),
         operators=entries.whole("operators"),
         familiarisation_s=entries.number("familiarisation_s", 120.0),
-        questionnaires=tuple(point for point in POINTS if point in asked),
+        questionnaires=tuple(point for point in POINTS if point in points),
         weights=entries.flag("weights", False),
         resets=entries.whole("resets", 1),
         reset_cap=entries.number("reset_cap", 0.5),
@@ -195,11 +195,11 @@ def _enrolled(entries: Entries) -> tuple[Enrolment, ...]:
     if "enrolled" not in entries.names:
         return ()
     operators = entries.table("enrolled")
-    made = []
+    enrolled = []
     for code in operators.names:
         rows = operators.table(code)
-        made.append(Enrolment(code, {task: rows.whole(task) - 1 for task in rows.names}))
-    return tuple(made)
+        enrolled.append(Enrolment(code, {task: rows.whole(task) - 1 for task in rows.names}))
+    return tuple(enrolled)
 
 
 def _lines(plan: Plan) -> Iterator[str]:

@@ -65,7 +65,7 @@ def margins_of(words: Iterable[str]) -> dict[str, float]:
         StudyError: a margin can't be one.
         UnknownNameError: there is no such outcome.
     """
-    found: dict[str, float] = {}
+    margins: dict[str, float] = {}
     for word in words:
         outcome, _, number = word.partition("=")
         try:
@@ -74,11 +74,11 @@ def margins_of(words: Iterable[str]) -> dict[str, float]:
             raise ValueError(
                 f"expected OUTCOME=DIFFERENCE as in success=0.1, not {word!r}"
             ) from None
-        if outcome in found:
+        if outcome in margins:
             raise ValueError(f"{outcome} comes twice")
-        found[outcome] = margin
-    check_margins(found)
-    return found
+        margins[outcome] = margin
+    check_margins(margins)
+    return margins
 
 
 def check_margins(margins: Mapping[str, float]) -> None:
@@ -287,16 +287,16 @@ class Protocol:
             "midpoint": (task.trials + 1) // 2,
             "final": task.trials,
         }
-        found: dict[int, Point] = {}
+        trials: dict[int, Point] = {}
         for point in self.questionnaires:
             if point not in after:
                 raise UnknownNameError("questionnaire point", point, after)
             trial = after[point]
-            if trial in found:
+            if trial in trials:
                 raise StudyError(
                     f"task {task.name!r}: with {task.trials} trial(s) a block, questionnaires "
-                    f"{found[trial]!r} and {point!r} would both follow trial {trial}; have more "
+                    f"{trials[trial]!r} and {point!r} would both follow trial {trial}; have more "
                     "trials or fewer questionnaires"
                 )
-            found[trial] = point
-        return dict(sorted(found.items()))
+            trials[trial] = point
+        return dict(sorted(trials.items()))

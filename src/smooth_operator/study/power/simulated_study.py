@@ -129,7 +129,7 @@ def assumptions_for(
     Raises:
         StudyError: a condition is given that the study hasn't, or one has no value.
     """
-    found: dict[str, Mapping[str, float]] = {}
+    values_of: dict[str, Mapping[str, float]] = {}
     for what, given, known in (
         ("success", success, PAPER_SUCCESS),
         ("time_s", time_s, PAPER_TIME_S),
@@ -148,8 +148,8 @@ def assumptions_for(
                 f"what {what} of {', '.join(lacking)} is to be expected? Give it, as "
                 f"{lacking[0]}=VALUE; only the paper's four methods have their own values"
             )
-        found[what] = {name: float(values[name]) for name in conditions}
-    return Assumptions(**found, **more)  # type: ignore[arg-type]
+        values_of[what] = {name: float(values[name]) for name in conditions}
+    return Assumptions(**values_of, **more)  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,7 +195,7 @@ def layout(plan: Plan) -> Layout:
     conditions = (baseline, *sorted(set(protocol.condition_names) - {baseline}))
     tasks = tuple(task.name for task in protocol.tasks)
     trials: list[tuple[int, int, int, int]] = []
-    asked: list[tuple[int, int, int, int]] = []
+    questionnaires: list[tuple[int, int, int, int]] = []
     for block in plan.schedule():
         key = (
             plan.codes.index(block.operator),
@@ -203,11 +203,11 @@ def layout(plan: Plan) -> Layout:
             conditions.index(block.condition.name),
         )
         trials += [(*key, block.trial_global(k)) for k in range(1, block.task.trials + 1)]
-        asked += [
+        questionnaires += [
             (*key, (block.number - 1) * len(POINTS) + POINTS.index(point) + 1)
             for point in block.questionnaires.values()
         ]
-    return Layout(conditions, tasks, plan.codes, _rows(trials), _rows(asked))
+    return Layout(conditions, tasks, plan.codes, _rows(trials), _rows(questionnaires))
 
 
 def _rows(rows: list[tuple[int, int, int, int]]) -> Rows:
@@ -261,7 +261,7 @@ class Simulator:
                 for name in layout.conditions
             ]
         )
-        trials, asked = layout.trials, layout.questionnaires
+        trials, questionnaires = layout.trials, layout.questionnaires
         seconds = np.array([truth.time_s[name] for name in layout.conditions])
         points = np.array([truth.workload[name] for name in layout.conditions])
         self._mean_logit = (
@@ -275,9 +275,9 @@ class Simulator:
             + truth.practice.time_s * _centred(trials)
         )
         self._mean_workload = (
-            points[asked.condition]
-            + offsets[asked.task, 2]
-            + truth.practice.workload * _centred(asked)
+            points[questionnaires.condition]
+            + offsets[questionnaires.task, 2]
+            + truth.practice.workload * _centred(questionnaires)
         )
         self._root = np.linalg.cholesky(_CORRELATION)
 
@@ -285,7 +285,7 @@ class Simulator:
         """One study."""
         truth, layout = self._truth, self._layout
         operators, conditions = len(layout.operators), len(layout.conditions)
-        trials, asked = layout.trials, layout.questionnaires
+        trials, questionnaires = layout.trials, layout.questionnaires
         between = rng.standard_normal((operators, 3)) @ self._root.T * _three(truth.operators)
         own = rng.standard_normal((operators, conditions, 3)) * _three(truth.interaction)
         shift = between[:, None] + own
@@ -293,7 +293,7 @@ class Simulator:
         success = rng.random(len(logit)) < expit(logit)
         time = self._mean_time + shift[trials.operator, trials.condition, 1]
         time = time + truth.trials.time_s * rng.standard_normal(len(time))
-        workload = self._mean_workload + shift[asked.operator, asked.condition, 2]
+        workload = self._mean_workload + shift[questionnaires.operator, questionnaires.condition, 2]
         workload = workload + truth.trials.workload * rng.standard_normal(len(workload))
         scales = workload[:, None] + _SCALES
         scales = scales + truth.scales * rng.standard_normal(scales.shape)

@@ -73,15 +73,17 @@ class Analyst:
 
     def verdicts(self, study: Simulated) -> Iterator[Verdict]:
         """All outcomes and scopes, in both modes."""
-        trials, asked = self._layout.trials, self._layout.questionnaires
+        trials, questionnaires = self._layout.trials, self._layout.questionnaires
         for scope in self._scopes:
             rows = self._within(trials, scope)
             yield from self._success(self._frame(trials, study.success.astype(float), rows), scope)
             yield from self._linear(
                 self._frame(trials, study.time_s, rows & study.success), "time", scope
             )
-            if len(asked.index):
-                frame = self._frame(asked, study.workload, self._within(asked, scope))
+            if len(questionnaires.index):
+                frame = self._frame(
+                    questionnaires, study.workload, self._within(questionnaires, scope)
+                )
                 yield from self._linear(frame, "tlx", scope)
 
     def _within(self, rows: Rows, scope: str) -> Bool[np.ndarray, " n"]:
@@ -90,20 +92,20 @@ class Analyst:
         return np.asarray(rows.task == self._layout.tasks.index(scope))
 
     def _frame(
-        self, rows: Rows, outcome: Float[np.ndarray, " n"], kept: Bool[np.ndarray, " n"]
+        self, rows: Rows, outcome: Float[np.ndarray, " n"], used: Bool[np.ndarray, " n"]
     ) -> Frame:
-        conditions, condition = np.unique(rows.condition[kept], return_inverse=True)
-        tasks, task = np.unique(rows.task[kept], return_inverse=True)
-        operators, group = np.unique(rows.operator[kept], return_inverse=True)
+        conditions, condition = np.unique(rows.condition[used], return_inverse=True)
+        tasks, task = np.unique(rows.task[used], return_inverse=True)
+        operators, group = np.unique(rows.operator[used], return_inverse=True)
         return Frame(
-            outcome=outcome[kept],
+            outcome=outcome[used],
             retargeters=tuple(self._layout.conditions[k] for k in conditions),
             retargeter=condition,
             tasks=tuple(self._layout.tasks[k] for k in tasks),
             task=task,
             operators=tuple(self._layout.operators[k] for k in operators),
             group=group,
-            index=rows.index[kept].astype(float),
+            index=rows.index[used].astype(float),
             baseline=self._layout.conditions[0],
         )
 
@@ -126,17 +128,17 @@ class Analyst:
             yield from _refusals("success", scope, str(error))
             return
         means = response_means(frame, fit.beta)
-        found = _verdict("success", scope, "paper", frame, means, fit.robust, lambda _: np.inf)
-        yield _with_separated(found, separated, frame)
+        verdict = _verdict("success", scope, "paper", frame, means, fit.robust, lambda _: np.inf)
+        yield _with_separated(verdict, separated, frame)
         if fit.mancl_derouen is None:
             reason = "an operator's leverage can't be corrected"
             yield Verdict("success", scope, "small-sample", {}, {}, reason)
             return
         df = float(fit.operators - 1)
-        found = _verdict(
+        verdict = _verdict(
             "success", scope, "small-sample", frame, means, fit.mancl_derouen, lambda _: df
         )
-        yield _with_separated(found, separated, frame)
+        yield _with_separated(verdict, separated, frame)
 
     def _linear(self, frame: Frame, outcome: Outcome, scope: str) -> Iterator[Verdict]:
         try:
@@ -170,8 +172,8 @@ def _with_separated(verdict: Verdict, separated: dict[str, Separated], frame: Fr
     if not separated or verdict.refused is not None:
         return verdict
     against, pairs = dict(verdict.against), dict(verdict.pairs)
-    for name, found in separated.items():
-        for other, test in found.against.items():
+    for name, result in separated.items():
+        for other, test in result.against.items():
             # As the pairs of the analysis are named: the baseline first, then by name.
             turned = other == frame.baseline or (name != frame.baseline and other < name)
             key = (other, name) if turned else (name, other)
@@ -325,12 +327,12 @@ def count(
         return {"refused": 1}
     values = {"success": truth.success, "time": truth.time_s, "tlx": truth.workload}
     value = values[verdict.outcome]
-    found: Counts = {}
+    counts: Counts = {}
     margin = (margins or {}).get(verdict.outcome)
     if margin is not None:
         for name, smallest in verdict.smallest_margin.items():
             if smallest < margin:
-                found[f"equivalent:{name}"] = 1
+                counts[f"equivalent:{name}"] = 1
     families = {
         "dunnett": {name: (name, baseline, sign) for name, sign in verdict.against.items()},
         "holm": {f"{a}-{b}": (a, b, sign) for (a, b), sign in verdict.pairs.items()},
@@ -341,14 +343,14 @@ def count(
             really = int(np.sign(value[a] - value[b]))
             true += really != 0
             if sign and sign == really:
-                found[f"{family}:{name}"] = 1
+                counts[f"{family}:{name}"] = 1
                 right += 1
             wrong = wrong or (sign != 0 and sign != really)
         if wrong:
-            found[f"family:{family}"] = 1
+            counts[f"family:{family}"] = 1
         if true and right == true:
-            found[f"{family}:all"] = 1
-    return found
+            counts[f"{family}:all"] = 1
+    return counts
 
 
 def rate(hits: int, studies: int) -> Rate:

@@ -347,8 +347,8 @@ class Withdrawn(Event):
     reason: str = ""
 
     def _line(self, named: Named, sums: bool) -> str:
-        kept = "the data is kept" if self.keep else "the data is left out"
-        return f"Withdrew, {kept}" + _why(self.reason)
+        data = "the data is kept" if self.keep else "the data is left out"
+        return f"Withdrew, {data}" + _why(self.reason)
 
     def _change(self, state: OperatorState, record: Record) -> None:
         state.withdraw(record.at, self)
@@ -610,12 +610,12 @@ def event_of(kind: str, values: Mapping[str, Any]) -> Event:
         raise StudyError(f"no event is called {kind!r}; expected one of {', '.join(EVENTS)}")
     event = EVENTS[kind]
     hints = get_type_hints(event)
-    known = [f.name for f in fields(event)]
+    names = [f.name for f in fields(event)]
     needed = {f.name for f in fields(event) if f.default is dataclasses.MISSING}
-    missing, unknown = sorted(needed - set(values)), sorted(set(values) - set(known))
+    missing, unknown = sorted(needed - set(values)), sorted(set(values) - set(names))
     if missing or unknown:
         raise StudyError(
-            f"event {kind!r} has the fields {', '.join(known) or '(none)'}"
+            f"event {kind!r} has the fields {', '.join(names) or '(none)'}"
             + (f"; missing: {', '.join(missing)}" if missing else "")
             + (f"; unknown: {', '.join(unknown)}" if unknown else "")
         )

@@ -94,7 +94,7 @@ def study_json(store: StudyStore, operators: Sequence[str] | None = None) -> dic
     """
     plan = store.plan
     codes = plan.codes if operators is None else tuple(operators)
-    made: dict[str, Any] = {
+    content: dict[str, Any] = {
         "format": FORMAT,
         "study": plan_table(plan),
         "erased": list(store.erased),
@@ -106,13 +106,13 @@ def study_json(store: StudyStore, operators: Sequence[str] | None = None) -> dic
     for code in codes:
         progress = store.progress(code)
         places = {(b.task.name, b.number): n for n, b in enumerate(progress.blocks, 1)}
-        made["trials"] += [
+        content["trials"] += [
             _trial(code, trial, places) for trial in progress.trials if _counts(trial)
         ]
-        made["questionnaires"] += list(_questionnaires(progress))
-        made["weights"] += list(_weights(progress))
-        made["operators"].append(operator_json(progress))
-    return made
+        content["questionnaires"] += list(_questionnaires(progress))
+        content["weights"] += list(_weights(progress))
+        content["operators"].append(operator_json(progress))
+    return content
 
 
 def _counts(trial: Trial) -> bool:
@@ -143,8 +143,8 @@ def _trial(code: str, trial: Trial, places: Mapping[tuple[str, int], int]) -> di
 
 
 def _questionnaires(progress: Progress) -> Iterator[dict[str, Any]]:
-    for asked in progress.questionnaires:
-        block = asked.block
+    for questionnaire in progress.questionnaires:
+        block = questionnaire.block
         winners = progress.winners.get((block.task.name, block.number))
         chosen = {} if winners is None else weights(winners)
         yield {
@@ -152,16 +152,16 @@ def _questionnaires(progress: Progress) -> Iterator[dict[str, Any]]:
             "task": block.task.name,
             "retargeter": block.condition.name,
             "block": block.number,
-            "point": asked.point,
-            **{name: asked.ratings[name] for name in SCALE_NAMES},
+            "point": questionnaire.point,
+            **{name: questionnaire.ratings[name] for name in SCALE_NAMES},
             **{
                 column: chosen.get(name)
                 for column, name in zip(WEIGHT_COLUMNS, SCALE_NAMES, strict=True)
             },
-            "raw_workload": raw_workload(asked.ratings),
-            "weighted_workload": winners and weighted_workload(asked.ratings, winners),
-            "answered_at": asked.at.isoformat(),
-            "typed_by": asked.who or None,
+            "raw_workload": raw_workload(questionnaire.ratings),
+            "weighted_workload": winners and weighted_workload(questionnaire.ratings, winners),
+            "answered_at": questionnaire.at.isoformat(),
+            "typed_by": questionnaire.who or None,
         }
 
 

@@ -206,9 +206,9 @@ def read_words(path: Path) -> TlxWords:
     scales.only(*SCALE_NAMES)
     texts = entries.table("texts", {})
     texts.only(*TEXTS)
-    given = {name: texts.text(name, empty=False) for name in texts.names}
+    by_name = {name: texts.text(name, empty=False) for name in texts.names}
     return TlxWords(tuple(_scale(scales.table(name), name) for name in SCALE_NAMES),
-                    {**TEXTS, **given})  # fmt: skip
+                    {**TEXTS, **by_name})  # fmt: skip
 
 
 def _scale(entries: Entries, name: str) -> Scale:

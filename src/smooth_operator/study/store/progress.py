@@ -354,14 +354,14 @@ class OperatorState:
     def undone(self) -> Counter[str]:
         """Condition -> how many events of its blocks were undone."""
         conditions = {(b.task.name, b.number): b.condition.name for b in self.blocks}
-        found: Counter[str] = Counter()
+        counts: Counter[str] = Counter()
         for record in self.records:
             if isinstance(record.event, Undone):
                 event = self.records[record.event.number - 1].event
                 key = (getattr(event, "task", ""), getattr(event, "block", 0))
                 if key in conditions:
-                    found[conditions[key]] += 1
-        return found
+                    counts[conditions[key]] += 1
+        return counts
 
     def ranking(self) -> tuple[str, ...]:
         """Conditions as the operator ranked them, from the best on; empty if not asked."""
@@ -489,8 +489,13 @@ class OperatorState:
 
     def _form_step(self, when: When) -> Step | None:
         for form in self.plan.protocol.forms:
-            known = self.forms.get(form.name)
-            if form.when == "before" and when == "before" and known and form.refused(known[1]):
+            answered = self.forms.get(form.name)
+            if (
+                form.when == "before"
+                and when == "before"
+                and answered
+                and form.refused(answered[1])
+            ):
                 return Step("refused", form=form.name)
         if when == "before" and self.started:
             return None  # the plan may have gained a form since
@@ -549,10 +554,10 @@ class Progress(OperatorState):
 
     def _undo(self, number: int) -> None:
         left_out = next(r for r in self._effective if r.number == number)
-        kept = [record for record in self._effective if record.number != number]
+        remaining = [record for record in self._effective if record.number != number]
         records = self.records
         fresh = Progress(self.plan, self.operator)
-        for record in kept:
+        for record in remaining:
             fresh._take(record)
         self.__dict__.update(fresh.__dict__)
         self.records = records
@@ -630,8 +635,8 @@ def _check_typed(state: OperatorState, event: FormAnswered) -> None:
     """Refuses a form that an experimenter types in where that can't be."""
     form = next((f for f in state.plan.protocol.forms if f.name == event.form), None)
     if form is None or not state.can_type(form):
-        known = "the study has no such form" if form is None else "it is not due yet"
-        raise _refusal(state, f"form {event.form!r} can't be typed in: {known}")
+        reason = "the study has no such form" if form is None else "it is not due yet"
+        raise _refusal(state, f"form {event.form!r} can't be typed in: {reason}")
     if form.name in state.forms and not event.reason.strip():
         raise _refusal(
             state, f"form {form.name!r} is filled in already; state why it is to be replaced"

@@ -169,8 +169,8 @@ class StudyStore:
         event = event_of(event.kind, payload(event))  # as strict as reading it back will be
         with self._database.writing() as connection:
             self._take_turn(connection, operator)
-            if token is not None and (known := self._by_token(connection, token)) is not None:
-                whose, record = known
+            if token is not None and (written := self._by_token(connection, token)) is not None:
+                whose, record = written
                 if whose != operator or record.event != event:
                     raise StudyError(f"token {token!r} belongs to another event already")
                 return record
@@ -208,8 +208,8 @@ class StudyStore:
         """
         with self._database.writing() as connection:
             self._take_turn(connection, withdrawn)
-            if token is not None and (known := self._by_token(connection, token)) is not None:
-                return known[1]
+            if token is not None and (written := self._by_token(connection, token)) is not None:
+                return written[1]
             progress = self._caught_up(connection, withdrawn)
             if progress.withdrawn is None:
                 raise StudyError(f"operator {withdrawn} has not withdrawn; nobody can replace them")
@@ -428,8 +428,8 @@ def _check_revision(name: str, before: Plan, plan: Plan, begun: Sequence[Row]) -
             continue
         was = before.enrolment(row["operator"])
         now = {one.code: one for one in plan.enrolled}.get(row["operator"])
-        kept = None if now is None else dict(list(now.rows.items())[: len(was.rows)])
-        if kept is None or list(kept.items()) != list(was.rows.items()):
+        first_rows = None if now is None else dict(list(now.rows.items())[: len(was.rows)])
+        if first_rows is None or list(first_rows.items()) != list(was.rows.items()):
             raise StudyError(
                 f"operator {row['operator']} has begun with {dict(was.rows)}; tasks can be added "
                 "at the end, not taken away or given another row"

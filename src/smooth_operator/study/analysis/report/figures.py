@@ -91,12 +91,12 @@ def _operator_rates(analysis: Analysis, scope: str) -> list[np.ndarray]:
     """Observed rate of each operator with each retargeter; NaN where there is none."""
     trials = analysis.data.trials
     rows = within(trials, scope)
-    found = []
+    rates = []
     for operator in np.unique(trials.operator[rows]):
         own = rows & (trials.operator == operator)
         chosen = [own & (trials.retargeter == name) for name in analysis.retargeters]
-        found.append(np.array([trials.success[c].mean() if c.any() else np.nan for c in chosen]))
-    return found
+        rates.append(np.array([trials.success[c].mean() if c.any() else np.nan for c in chosen]))
+    return rates
 
 
 def time_figure(analysis: Analysis, colors: Mapping[str, str]) -> Figure:
@@ -192,13 +192,13 @@ def radar_figure(analysis: Analysis, colors: Mapping[str, str]) -> Figure | None
             values = [_item(analysis, scope, item, name) for item in ITEMS]
             if any(value is None for value in values):
                 continue
-            known = np.array(values, float)
-            top = max(top, float(known.max()))
+            finite = np.array(values, float)
+            top = max(top, float(finite.max()))
             axes.plot(
-                np.append(angles, angles[0]), np.append(known, known[0]), color=colors[name],
+                np.append(angles, angles[0]), np.append(finite, finite[0]), color=colors[name],
                 label=name if scope == scopes[0] else None, linewidth=1.6,
             )  # fmt: skip
-            axes.fill(angles, known, color=colors[name], alpha=0.07)
+            axes.fill(angles, finite, color=colors[name], alpha=0.07)
         axes.set_xticks(angles, ITEMS)
         axes.tick_params(labelsize=7.5)
         axes.set_title(scope_name(scope))
@@ -218,19 +218,19 @@ def _item(analysis: Analysis, scope: str, item: str, name: str) -> float | None:
 
 def correlation_figure(analysis: Analysis) -> Figure | None:
     """Rank correlations of simulation metrics (rows) with outcomes (columns)."""
-    known = {pair: e for pair, e in analysis.spearman.items() if "rho" in e}
-    if not known:
+    correlated = {pair: e for pair, e in analysis.spearman.items() if "rho" in e}
+    if not correlated:
         return None
     from matplotlib.figure import Figure
 
-    metrics = _distinct(pair.split("~")[0] for pair in known)
-    outcomes = _distinct(pair.split("~")[1] for pair in known)
+    metrics = _distinct(pair.split("~")[0] for pair in correlated)
+    outcomes = _distinct(pair.split("~")[1] for pair in correlated)
     values = np.full((len(metrics), len(outcomes)), np.nan)
     figure = Figure(
         figsize=(2.0 + 1.7 * len(outcomes), 1.2 + 0.6 * len(metrics)), layout="constrained"
     )
     axes = figure.subplots()
-    for pair, entry in known.items():
+    for pair, entry in correlated.items():
         metric, outcome = pair.split("~")
         row, column = metrics.index(metric), outcomes.index(outcome)
         values[row, column] = entry["rho"]
@@ -372,20 +372,24 @@ def residual_figure(analysis: Analysis, colors: Mapping[str, str]) -> Figure | N
         if analysis.results[MODES[0]][outcome][POOLED].refused is None
     ]
     fitted = [(outcome, frame, _residuals(frame)) for outcome, frame in rows]
-    known = [(outcome, frame, found) for outcome, frame, found in fitted if found is not None]
-    if not known:
+    panels = [
+        (outcome, frame, residuals_)
+        for outcome, frame, residuals_ in fitted
+        if residuals_ is not None
+    ]
+    if not panels:
         return None
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(8.4, 2.9 * len(known)), layout="constrained")
-    grid = figure.subplots(len(known), 2, squeeze=False)
-    for (left, right), (outcome, frame, residuals) in zip(grid, known, strict=True):
+    figure = Figure(figsize=(8.4, 2.9 * len(panels)), layout="constrained")
+    grid = figure.subplots(len(panels), 2, squeeze=False)
+    for (left, right), (outcome, frame, residuals) in zip(grid, panels, strict=True):
         expected = frame.outcome - residuals
         for j, name in enumerate(frame.retargeters):
             own = frame.retargeter == j
             left.plot(
                 expected[own], residuals[own], ".", color=colors[name], markersize=3.5, alpha=0.6,
-                label=name if outcome == known[0][0] else None,
+                label=name if outcome == panels[0][0] else None,
             )  # fmt: skip
         left.axhline(0, color=GRID, linewidth=0.8)
         left.set_xlabel(f"fitted {_UNITS[outcome]}")
@@ -396,12 +400,12 @@ def residual_figure(analysis: Analysis, colors: Mapping[str, str]) -> Figure | N
 
 
 def _frames(analysis: Analysis) -> dict[Outcome, Frame]:
-    found: dict[Outcome, Frame] = {
+    frames: dict[Outcome, Frame] = {
         "time": time_frame(analysis.data.trials, POOLED, analysis.baseline)
     }
     if analysis.data.questionnaires is not None:
-        found["tlx"] = tlx_frame(analysis.data.questionnaires, POOLED, analysis.baseline)
-    return found
+        frames["tlx"] = tlx_frame(analysis.data.questionnaires, POOLED, analysis.baseline)
+    return frames
 
 
 def _residuals(frame: Frame) -> np.ndarray | None:
@@ -431,20 +435,20 @@ def incidence_figure(analysis: Analysis, colors: Mapping[str, str]) -> Figure | 
     tasks, trials = analysis.scopes[1:], analysis.data.trials
     figure = Figure(figsize=(1.0 + 2.6 * len(tasks), 3.1), layout="constrained")
     row = figure.subplots(1, len(tasks), sharey=True, squeeze=False)[0]
-    kept = ~(trials.success & np.isnan(trials.time))
+    usable = ~(trials.success & np.isnan(trials.time))
     for axes, task in zip(row, tasks, strict=True):
         limit = reading.limits[task]
         for name in analysis.retargeters:
-            rows = kept & (trials.task == task) & (trials.retargeter == name)
+            rows = usable & (trials.task == task) & (trials.retargeter == name)
             if not rows.any():
                 continue
             times = np.where(trials.success[rows], trials.time[rows], limit)
             events = np.where(trials.success[rows], SUCCESS, COMPETING)
-            found = incidence(times, events, np.ones((1, int(rows.sum()))))
-            inside = found.times <= limit
+            curve = incidence(times, events, np.ones((1, int(rows.sum()))))
+            inside = curve.times <= limit
             axes.step(
-                [0.0, *found.times[inside], limit],
-                100 * np.array([0.0, *found.reached[0, inside], found.at(limit)[0]]),
+                [0.0, *curve.times[inside], limit],
+                100 * np.array([0.0, *curve.reached[0, inside], curve.at(limit)[0]]),
                 where="post", color=colors[name], linewidth=1.5,
                 label=name if task == tasks[0] else None,
             )  # fmt: skip

@@ -77,7 +77,13 @@ def time_table(analysis: Analysis, scope: str) -> Html:
         header = f"{against}, had the given up gone on [s]"
         columns.append((header, reading.if_gone_on_difference, 1.0, True))
     rows = [
-        [name, *(_drawn(found.get(name), 1, scale, sign=sign) for _, found, scale, sign in columns)]
+        [
+            name,
+            *(
+                _drawn(figures.get(name), 1, scale, sign=sign)
+                for _, figures, scale, sign in columns
+            ),
+        ]
         for name in analysis.retargeters
     ]
     headers = ("retargeter", *(header for header, *_ in columns))
@@ -132,40 +138,44 @@ def interaction_table(analysis: Analysis) -> Html:
 
 def rater_table(analysis: Analysis) -> Html:
     """Agreement of two raters."""
-    found = analysis.readings.second_rater
-    if found is None or isinstance(found, Refused):
-        return paragraph(found.refused, "warning") if found else Html("")
+    agreement = analysis.readings.second_rater
+    if agreement is None or isinstance(agreement, Refused):
+        return paragraph(agreement.refused, "warning") if agreement else Html("")
     rows = [
-        ["weighted κ", _drawn(found.kappa, 2)],
-        ["κ of equal scores", _drawn(found.kappa_unweighted, 2)],
-        ["κ of success", _drawn(found.kappa_success, 2)],
-        ["equal scores", f"{number(100 * found.agreed, 1)} % of {found.n} trials"],
+        ["weighted κ", _drawn(agreement.kappa, 2)],
+        ["κ of equal scores", _drawn(agreement.kappa_unweighted, 2)],
+        ["κ of success", _drawn(agreement.kappa_success, 2)],
+        ["equal scores", f"{number(100 * agreement.agreed, 1)} % of {agreement.n} trials"],
     ]
-    counts = [[score, *map(str, row.values())] for score, row in found.table.items()]
+    counts = [[score, *map(str, row.values())] for score, row in agreement.table.items()]
     return join(
         [
-            _table(("measure", f"[95 %, {found.operators} operators drawn]"), rows),
-            _table(("first rater, second:", *found.table), counts),
+            _table(("measure", f"[95 %, {agreement.operators} operators drawn]"), rows),
+            _table(("first rater, second:", *agreement.table), counts),
         ]
     )
 
 
 def preference_table(analysis: Analysis) -> Html:
     """Final rankings."""
-    found = analysis.readings.preference
-    if found is None or isinstance(found, Refused):
-        return paragraph(found.refused, "warning") if found else Html("")
+    preference = analysis.readings.preference
+    if preference is None or isinstance(preference, Refused):
+        return paragraph(preference.refused, "warning") if preference else Html("")
     rows = [
-        [name, _drawn(found.mean_rank[name], 2), _drawn(found.strength[name], 2)]
-        for name in sorted(found.mean_rank, key=lambda one: found.mean_rank[one].estimate)
+        [name, _drawn(preference.mean_rank[name], 2), _drawn(preference.strength[name], 2)]
+        for name in sorted(preference.mean_rank, key=lambda one: preference.mean_rank[one].estimate)
     ]
-    said = (
-        f"Friedman's χ² = {number(found.friedman)}, p {_equals(found.p)} (permutation), Kendall's "
-        f"W = {number(found.kendall_w)}; {found.operators} operators"
-        + (f", {found.left_out} without a whole ranking left out." if found.left_out else ".")
+    note = (
+        f"Friedman's χ² = {number(preference.friedman)}, p {_equals(preference.p)} (permutation), "
+        f"Kendall's W = {number(preference.kendall_w)}; {preference.operators} operators"
+        + (
+            f", {preference.left_out} without a whole ranking left out."
+            if preference.left_out
+            else "."
+        )
     )
     headers = ("retargeter", "mean rank (1 is best)", "Bradley–Terry strength")
-    return join([_table(headers, rows), paragraph(said, "soft")])
+    return join([_table(headers, rows), paragraph(note, "soft")])
 
 
 def _difference(test: Any, scale: float, digits: int) -> str:

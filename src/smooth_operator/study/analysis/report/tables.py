@@ -80,13 +80,13 @@ def term_names(result: ScopeResult) -> dict[str, str]:
     """What each coefficient is, by its name in the results."""
     retargeters = list(result.emm)
     tasks = sorted({task for row in _cells(result).values() for task in row})
-    found = {INTERCEPT: f"intercept: {retargeters[0]}" if retargeters else "intercept"}
+    names = {INTERCEPT: f"intercept: {retargeters[0]}" if retargeters else "intercept"}
     if len(tasks) > 1 and retargeters:
-        found[INTERCEPT] += f", task {tasks[0]}"
-    found |= {f"retargeter{name}": f"{name} instead of {retargeters[0]}" for name in retargeters}
-    found |= {f"task{name}": f"task {name} instead of {tasks[0]}" for name in tasks}
-    found[INDEX] = "trial index, per standard deviation"
-    return {name: found.get(name, name) for name in result.coefficients}
+        names[INTERCEPT] += f", task {tasks[0]}"
+    names |= {f"retargeter{name}": f"{name} instead of {retargeters[0]}" for name in retargeters}
+    names |= {f"task{name}": f"task {name} instead of {tasks[0]}" for name in tasks}
+    names[INDEX] = "trial index, per standard deviation"
+    return {name: names.get(name, name) for name in result.coefficients}
 
 
 def slope_name(index: str) -> str:
@@ -236,8 +236,8 @@ def learning_table(learning: Mapping[str, Any]) -> Html:
         for outcome, entry in outcomes.items()
     ]
     raw = {i: _slope_p(entry) for i, (*_, entry) in enumerate(entries)}
-    known = {i: p for i, p in raw.items() if p is not None and not math.isnan(p)}
-    adjusted = dict(zip(known, holm(list(known.values())), strict=True))
+    tested = {i: p for i, p in raw.items() if p is not None and not math.isnan(p)}
+    adjusted = dict(zip(tested, holm(list(tested.values())), strict=True))
     rows = []
     for i, (scope, index, outcome, entry) in enumerate(entries):
         name = name_cell(f"{scope_name(scope)}: {_OUTCOMES[outcome]} {slope_name(index)}")
@@ -261,7 +261,7 @@ def learning_table(learning: Mapping[str, Any]) -> Html:
                 escape(p_text(adjusted.get(i))),
             ]
         )
-    headers = ["slope", "a step", "SE", "p raw", f"p Holm, {len(known)} slopes"]
+    headers = ["slope", "a step", "SE", "p raw", f"p Holm, {len(tested)} slopes"]
     return table([Html(header) for header in headers], rows)
 
 
@@ -305,7 +305,7 @@ def warning_list(result: ScopeResult) -> Html:
 def model_facts(result: ScopeResult) -> Html:
     """Formula and variances in a line."""
     facts = dict(result.model)
-    said = [
+    parts = [
         f"{facts.get('kind', '')}: {facts.get('formula', '')}",
         f"{result.n} rows, {result.operators} operators",
     ]
@@ -315,7 +315,7 @@ def model_facts(result: ScopeResult) -> Html:
             f"{_LEVELS.get(name, name)} {number(math.sqrt(value))}"
             for name, value in variances.items()
         )
-        said.append(f"standard deviations: {', '.join(spreads)}")
+        parts.append(f"standard deviations: {', '.join(spreads)}")
     if "alpha" in facts:
-        said.append(f"working correlation {number(facts['alpha'], 3)}")
-    return element("p", escape("; ".join(said)), class_="soft")
+        parts.append(f"working correlation {number(facts['alpha'], 3)}")
+    return element("p", escape("; ".join(parts)), class_="soft")
