@@ -168,9 +168,9 @@ def _outcomes(protocol: Protocol) -> Iterator[str]:
     if outcome:
         yield f"- **Primary:** {_TITLES[outcome]}, {_scope(scope)}."
         yield (
-            f"- **Exploratory:** all else, of {', '.join(_TITLES[one] for one in outcomes)}, over "
-            "all tasks together and in each; learning over trials; correlations with simulation; the "
-            "further readings of the report."
+            f"- **Exploratory:** all else, of {', '.join(_TITLES[one] for one in outcomes)}, "
+            "over all tasks together and in each; learning over trials; correlations with "
+            "simulation; the further readings of the report."
         )
     else:
         yield f"- **Exploratory:** {', '.join(_TITLES[one] for one in outcomes)}, in every scope."
