@@ -105,8 +105,9 @@ def in_words(name: str, result: Separated) -> str:
     share, side = ("all", "at least") if result.rate else ("none", "at most")
     return (
         f"{name} succeeded in {share} of {result.trials} trials of {result.operators} "
-        f"operators: it is left out of the model; its success rate is {side} "
-        f"{100 * result.bound:.1f} % (exact 95 % bound with operators as units; {100 * result.bound_if_independent:.1f} % if all "
+        "operators: it is left out of the model; its success rate is "
+        f"{side} {100 * result.bound:.1f} % (exact 95 % bound with operators as units; "
+        f"{100 * result.bound_if_independent:.1f} % if all "
         "trials were independent). It is compared by an exact test that swaps retargeters within "
         f"operators: {_tests(result)}"
     )
