@@ -34,10 +34,12 @@ class Event:
     Attributes:
         kind: name in the store and in exports.
         word: name of the pages' command that causes it; empty where none does.
+        due: steps of the protocol in which it is expected; further rules are in ``progress``.
     """
 
     kind: ClassVar[str]
     word: ClassVar[str] = ""
+    due: ClassVar[tuple[str, ...]] = ()
 
     def in_words(self, named: Named, *, sums: bool = True) -> str:
         """The event in a line for people.
@@ -76,6 +78,7 @@ class Calibrated(Event):
 
     kind: ClassVar[str] = "calibrated"
     word: ClassVar[str] = "calibrated"
+    due: ClassVar[tuple[str, ...]] = ("calibrate",)
     task: str
     detail: str = ""
 
@@ -98,6 +101,7 @@ class BlockStarted(_OfBlock):
 
     kind: ClassVar[str] = "block_started"
     word: ClassVar[str] = "start_block"
+    due: ClassVar[tuple[str, ...]] = ("start_block",)
     condition: str
     method: str = field(default="", compare=False)
     preset: str = field(default="", compare=False)
@@ -119,6 +123,7 @@ class FamiliarisationStarted(_OfBlock):
 
     kind: ClassVar[str] = "familiarisation_started"
     word: ClassVar[str] = "start_familiarisation"
+    due: ClassVar[tuple[str, ...]] = ("start_familiarisation",)
     clock: str = field(default="", compare=False)
 
     def _line(self, named: Named, sums: bool) -> str:
@@ -134,6 +139,7 @@ class FamiliarisationEnded(_OfBlock):
 
     kind: ClassVar[str] = "familiarisation_ended"
     word: ClassVar[str] = "end_familiarisation"
+    due: ClassVar[tuple[str, ...]] = ("familiarise",)
 
     def _line(self, named: Named, sums: bool) -> str:
         return "Free movement ended"
@@ -153,6 +159,7 @@ class TrialStarted(_OfTrial):
 
     kind: ClassVar[str] = "trial_started"
     word: ClassVar[str] = "start_trial"
+    due: ClassVar[tuple[str, ...]] = ("start_trial",)
     clock: str = field(default="", compare=False)
 
     def _line(self, named: Named, sums: bool) -> str:
@@ -168,6 +175,7 @@ class TrialReset(_OfTrial):
 
     kind: ClassVar[str] = "trial_reset"
     word: ClassVar[str] = "reset"
+    due: ClassVar[tuple[str, ...]] = ("trial", "paused")
 
     def _line(self, named: Named, sums: bool) -> str:
         return f"Trial {self.trial}: object put back"
@@ -190,6 +198,7 @@ class TrialScored(_OfTrial):
 
     kind: ClassVar[str] = "trial_scored"
     word: ClassVar[str] = "score"
+    due: ClassVar[tuple[str, ...]] = ("trial",)
     line: str
     score: float
     time_s: float
@@ -212,6 +221,7 @@ class TrialVoided(_OfTrial):
 
     kind: ClassVar[str] = "trial_voided"
     word: ClassVar[str] = "void"
+    due: ClassVar[tuple[str, ...]] = ("trial", "paused")
     reason: str
 
     def _line(self, named: Named, sums: bool) -> str:
@@ -232,6 +242,7 @@ class TrialPaused(_OfTrial):
 
     kind: ClassVar[str] = "trial_paused"
     word: ClassVar[str] = "pause"
+    due: ClassVar[tuple[str, ...]] = ("trial",)
     reason: str = ""
     clock: str = field(default="", compare=False)
 
@@ -254,6 +265,7 @@ class TrialResumed(_OfTrial):
 
     kind: ClassVar[str] = "trial_resumed"
     word: ClassVar[str] = "resume"
+    due: ClassVar[tuple[str, ...]] = ("paused",)
     paused_s: float = field(default=0.0, compare=False)
 
     def _line(self, named: Named, sums: bool) -> str:
@@ -302,6 +314,13 @@ class BlockEnded(_OfBlock):
 
     kind: ClassVar[str] = "block_ended"
     word: ClassVar[str] = "end_block"
+    due: ClassVar[tuple[str, ...]] = (
+        "start_block",
+        "start_familiarisation",
+        "start_trial",
+        "questionnaire",
+        "weights",
+    )
     reason: str
 
     def _line(self, named: Named, sums: bool) -> str:
@@ -403,6 +422,7 @@ class FormAnswered(Event):
 
     kind: ClassVar[str] = "form_answered"
     word: ClassVar[str] = "form"
+    due: ClassVar[tuple[str, ...]] = ("form",)
     form: str
     answers: Mapping[str, Any]
     who: str = ""
@@ -432,6 +452,7 @@ class FormOnPaper(Event):
 
     kind: ClassVar[str] = "form_on_paper"
     word: ClassVar[str] = "paper"
+    due: ClassVar[tuple[str, ...]] = ("form",)
     form: str
     who: str
 
@@ -454,6 +475,7 @@ class Answered(_OfBlock):
 
     kind: ClassVar[str] = "questionnaire_answered"
     word: ClassVar[str] = "answer"
+    due: ClassVar[tuple[str, ...]] = ("questionnaire",)
     point: Point
     ratings: Mapping[str, int]
     who: str = ""
@@ -481,6 +503,7 @@ class Weighed(_OfBlock):
 
     kind: ClassVar[str] = "weights_answered"
     word: ClassVar[str] = "weigh"
+    due: ClassVar[tuple[str, ...]] = ("weights",)
     winners: tuple[str, ...]
     shown: tuple[str, ...] = field(default=(), compare=False)
     who: str = ""
@@ -512,6 +535,7 @@ class BreakEnded(Event):
 
     kind: ClassVar[str] = "break_ended"
     word: ClassVar[str] = "end_break"
+    due: ClassVar[tuple[str, ...]] = ("break",)
 
     def _line(self, named: Named, sums: bool) -> str:
         return "Break ended"

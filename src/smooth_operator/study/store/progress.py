@@ -19,28 +19,18 @@ from smooth_operator.study.design.protocol import Point
 from smooth_operator.study.store.events import (
     ASIDE,
     Amended,
-    Answered,
     BlockEnded,
-    BlockStarted,
     BreakEnded,
     BreakStarted,
-    Calibrated,
     Event,
-    FamiliarisationEnded,
-    FamiliarisationStarted,
     FormAnswered,
     FormOnPaper,
     Recalibrated,
     Record,
     Replaces,
-    TrialPaused,
     TrialReset,
-    TrialResumed,
     TrialScored,
-    TrialStarted,
-    TrialVoided,
     Undone,
-    Weighed,
     Withdrawn,
 )  # fmt: skip
 
@@ -51,22 +41,6 @@ What: TypeAlias = Literal[
     "trial", "paused", "questionnaire", "weights", "break", "refused", "withdrawn", "done",
 ]  # fmt: skip
 
-_WANTED: Final[dict[What, tuple[type[Event], ...]]] = {
-    "form": (FormAnswered, FormOnPaper),
-    "calibrate": (Calibrated,),
-    "start_block": (BlockStarted, BlockEnded),
-    "start_familiarisation": (FamiliarisationStarted, BlockEnded),
-    "familiarise": (FamiliarisationEnded,),
-    "start_trial": (TrialStarted, BlockEnded),
-    "trial": (TrialReset, TrialScored, TrialVoided, TrialPaused),
-    "paused": (TrialReset, TrialVoided, TrialResumed),
-    "questionnaire": (Answered, BlockEnded),
-    "weights": (Weighed, BlockEnded),
-    "break": (BreakEnded,),
-    "refused": (),
-    "withdrawn": (),
-    "done": (),
-}
 _UNBROKEN: Final = ("break", "trial", "paused", "familiarise", "refused", "withdrawn", "done")
 """Steps in which no break can begin."""
 _UNCALIBRATED: Final = ("form", "calibrate", "trial", "paused", "refused", "withdrawn", "done")
@@ -616,7 +590,7 @@ def check_event(state: OperatorState, event: Event) -> None:
 
 
 def _check_due(state: OperatorState, event: Event, step: Step) -> None:
-    if not isinstance(event, _WANTED[step.what]):
+    if step.what not in event.due:
         more = "; score or void its trial first" if isinstance(event, BlockEnded) else ""
         raise _refusal(state, f"{event.kind!r} is not due; {named(step)} is{more}")
     if isinstance(event, FormAnswered | FormOnPaper):
