@@ -191,8 +191,8 @@ def _chi(freedom: float) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k
     if not np.isfinite(freedom):
         return np.ones(1), np.ones(1)
     half = freedom / 2
-    ends = [np.log(f(half, 1e-17) / half) / 2 for f in (gammaincinv, gammainccinv)]
-    logs, step = np.linspace(*ends, _CHI_NODES, retstep=True)
+    low, high = (np.log(f(half, 1e-17) / half) / 2 for f in (gammaincinv, gammainccinv))
+    logs, step = np.linspace(low, high, _CHI_NODES, retstep=True)
     squares = np.exp(2 * logs)
     density = np.log(2) + half * np.log(half) - gammaln(half) + freedom * logs - half * squares
     return np.exp(logs), step * np.exp(density)
