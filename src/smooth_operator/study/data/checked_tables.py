@@ -71,7 +71,7 @@ class Checked:
 
     def words(self, column: str) -> list[str]:
         """Names; none may be empty, and two must differ by more than case."""
-        words_: list[str] = []
+        texts: list[str] = []
         first: dict[str, tuple[int, str]] = {}
         for number, row in self.rows:
             text = str(row[column]).strip() if row[column] is not None else ""
@@ -85,12 +85,12 @@ class Checked:
                     f"{brief(text)} and {brief(known)} of {self.unit} {at} differ only in case; "
                     "write both the same way",
                 )
-            words_.append(text)
-        return words_
+            texts.append(text)
+        return texts
 
     def counts(self, column: str) -> list[int]:
         """Whole numbers from 1."""
-        counts_ = []
+        wholes = []
         for number, row in self.rows:
             value = _number(row[column])
             if value is None or not 1 <= value <= _MOST_COUNT or value != int(value):
@@ -98,8 +98,8 @@ class Checked:
                     number, column, f"expected a whole number from 1 on, came {brief(row[column])}"
                 )
                 value = 1.0
-            counts_.append(int(value))
-        return counts_
+            wholes.append(int(value))
+        return wholes
 
     def numbers(
         self, column: str, expected: str, allowed: Any, *, optional: bool = True
@@ -112,19 +112,19 @@ class Checked:
             allowed: takes a number, returns whether it is.
             optional: whether the field may be empty.
         """
-        numbers_ = []
+        floats = []
         for number, row in self.rows:
             if is_missing(row[column]):
                 if not optional:
                     self.complain(number, column, f"expected {expected}; the field is empty")
-                numbers_.append(math.nan)
+                floats.append(math.nan)
                 continue
             value = _number(row[column])
             if value is None or not allowed(value):
                 self.complain(number, column, f"expected {expected}, came {brief(row[column])}")
                 value = math.nan
-            numbers_.append(value)
-        return numbers_
+            floats.append(value)
+        return floats
 
     def unique(self, columns: Sequence[str]) -> None:
         """Notes rows that are there twice."""
@@ -239,9 +239,9 @@ def make_trials(name: str, rows: Rows, unit: str = "row") -> tuple[Trials, tuple
 def _more(table: Checked) -> dict[str, np.ndarray]:
     """What a table of trials has of ``MORE_TRIAL_COLUMNS``, by the names of ``Trials``."""
     there = [column for column in MORE_TRIAL_COLUMNS if column in table.rows[0][1]]
-    columns_: dict[str, np.ndarray] = {}
+    arrays: dict[str, np.ndarray] = {}
     if "duration_s" in there:
-        columns_["duration"] = np.array(
+        arrays["duration"] = np.array(
             table.numbers("duration_s", "a time in seconds from 0, or nothing", lambda x: x >= 0)
         )
     for column, most in (("resets", 100), ("place", 10**6), ("amended", 1)):
@@ -252,12 +252,12 @@ def _more(table: Checked) -> dict[str, np.ndarray]:
                 f"a whole number from {least} to {most}, or nothing",
                 lambda x, least=least, most=most: least <= x <= most and x == int(x),
             )
-            columns_[column] = np.nan_to_num(np.array(values), nan=-1.0).astype(int)
+            arrays[column] = np.nan_to_num(np.array(values), nan=-1.0).astype(int)
     for column, name in (("line", "line"), ("started_at", "started")):
         if column in there:
             words = ["" if is_missing(row[column]) else str(row[column]) for _, row in table.rows]
-            columns_[name] = np.array(words, str)
-    return columns_
+            arrays[name] = np.array(words, str)
+    return arrays
 
 
 def make_questionnaires(
@@ -325,8 +325,8 @@ def _weights(table: Checked) -> Float[np.ndarray, "n 6"] | None:
         )
         for column in WEIGHT_COLUMNS
     ]
-    weights_ = np.array(columns).T.reshape(-1, len(ITEMS))
-    for (number, row), weights in zip(table.rows, weights_, strict=True):
+    chosen = np.array(columns).T.reshape(-1, len(ITEMS))
+    for (number, row), weights in zip(table.rows, chosen, strict=True):
         known = [not is_missing(row[column]) for column in WEIGHT_COLUMNS]
         if any(known) and not all(known):
             table.complain(
@@ -339,7 +339,7 @@ def _weights(table: Checked) -> Float[np.ndarray, "n 6"] | None:
                 f"expected weights that are {PAIRS} together, as of {PAIRS} pairs; they are "
                 f"{weights.sum():g}",
             )
-    return None if np.isnan(weights_).all() else weights_
+    return None if np.isnan(chosen).all() else chosen
 
 
 def make_metrics(name: str, rows: Rows, unit: str = "row") -> SimulationMetrics:

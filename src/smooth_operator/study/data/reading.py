@@ -147,11 +147,11 @@ def _undone(one: Mapping[str, Any], conditions: Mapping[Any, str]) -> Iterator[s
 
 def _answers(one: Mapping[str, Any]) -> dict[str, Any]:
     """All forms of an operator together, by field; a field of two forms has the form in front."""
-    answers_: dict[str, Any] = {}
+    fields: dict[str, Any] = {}
     for form, filled in one["forms"].items():
         for field, answer in filled["answers"].items():
-            answers_[f"{form}.{field}" if field in answers_ else field] = answer
-    return answers_
+            fields[f"{form}.{field}" if field in fields else field] = answer
+    return fields
 
 
 NAMES: Final = ("trials.csv", "tlx.csv", "sim_metrics.csv")
@@ -436,12 +436,12 @@ def with_second_ratings(data: StudyData, file: str | Path) -> StudyData:
     )
     table.unique(_KEY)
     trials = data.trials
-    trials_ = set(
+    places = set(
         zip(trials.operator, trials.task, trials.block, trials.trial_in_block, strict=True)
     )
     for k, (number, _) in enumerate(rows):
         key = (ratings.operator[k], ratings.task[k], ratings.block[k], ratings.trial_in_block[k])
-        if key not in trials_:
+        if key not in places:
             where = ", ".join(f"{c} {v}" for c, v in zip(_KEY, key, strict=True))
             table.problems.append(f"row {number}: the study has no trial of {where}")
     table.raise_if_any()

@@ -240,8 +240,8 @@ def _rows(
             tie = lot(protocol.seed, "row", salt, code, task, row)
             cost[i, row] = _USED * counts[row] + uneven + 0.5 * tie
             cost[i, row] += _AGAIN * (row in had)
-    picked, rows_ = linear_sum_assignment(cost)
-    return {tasks[i]: int(row) for i, row in zip(picked, rows_, strict=True)}
+    picked, columns = linear_sum_assignment(cost)
+    return {tasks[i]: int(row) for i, row in zip(picked, columns, strict=True)}
 
 
 def _task_order(

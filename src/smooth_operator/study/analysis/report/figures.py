@@ -373,9 +373,9 @@ def residual_figure(analysis: Analysis, colors: Mapping[str, str]) -> Figure | N
     ]
     fitted = [(outcome, frame, _residuals(frame)) for outcome, frame in rows]
     panels = [
-        (outcome, frame, residuals_)
-        for outcome, frame, residuals_ in fitted
-        if residuals_ is not None
+        (outcome, frame, remainders)
+        for outcome, frame, remainders in fitted
+        if remainders is not None
     ]
     if not panels:
         return None
