@@ -27,8 +27,8 @@ from smooth_operator.study.chunks import chunk_values
 from smooth_operator.study.design.plan import make_plan
 from smooth_operator.study.design.protocol import Condition, Protocol, Task
 from smooth_operator.study.power.simulated_study import Simulated
-from smooth_operator.study.power.study_rows import Layout, Rows, layout
-from smooth_operator.study.power.tally import rate
+from smooth_operator.study.power.simulated_study import Layout, Rows, layout
+from smooth_operator.study.power.verdicts import rate
 from smooth_operator.study.power.verdicts import Analyst
 
 Three = tuple[float, float, float]

@@ -25,7 +25,7 @@ from smooth_operator.simulation.scenes.scene_registry import scene_for
 from smooth_operator.simulation.tasks.task_registry import task_named
 from smooth_operator.study.chunks import chunk_values
 from smooth_operator.study.data.checked_tables import QUESTIONNAIRE_COLUMNS, TRIAL_COLUMNS
-from smooth_operator.study.design.draws import lot
+from smooth_operator.study.design.latin import lot
 from smooth_operator.study.design.plan import Plan, make_plan, scaled
 from smooth_operator.study.design.plan_file import plan_table
 from smooth_operator_research.code import research_digest

@@ -2,12 +2,29 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from jaxtyping import Float
 
 DRAWS: Final = 2000
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """A number with its 95 % percentile interval of a bootstrap over operators."""
+
+    estimate: float
+    lower: float
+    upper: float
+
+
+def drawn(value: float, draws: np.ndarray) -> Drawn:
+    """A number and the 2.5 and 97.5 % points of what the bootstrap has (draws,), NaN left out."""
+    finite = draws[np.isfinite(draws)]
+    low, high = np.percentile(finite, [2.5, 97.5]) if len(finite) else (np.nan, np.nan)
+    return Drawn(float(value), float(low), float(high))
 
 
 def operator_weights(operators: int, *, seed: int, draws: int = DRAWS) -> Float[np.ndarray, "k g"]:

@@ -1,10 +1,11 @@
-"""Tables of the report."""
+"""Tables of the report, and numbers and names as a reader expects them."""
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Final
 
 from smooth_operator.reporting.html import (
     Html,
@@ -17,16 +18,85 @@ from smooth_operator.reporting.html import (
     table,
     text_table,
 )
-from smooth_operator.study.analysis.holm import holm
-from smooth_operator.study.analysis.report.number_text import (
-    number,
-    p_text,
-    signed,
-    span,
-    with_minus,
-)
-from smooth_operator.study.analysis.report.plain_names import slope_name, term_names
+from smooth_operator.study.analysis.dunnett import holm
+from smooth_operator.study.analysis.frame import INDEX, INTERCEPT
 from smooth_operator.study.analysis.results import POOLED, Outcome, ScopeResult
+
+MINUS = "\N{MINUS SIGN}"
+
+
+def number(value: float | None, digits: int = 2) -> str:
+    """A number with so many decimals; a dash where there is none, ∞ for infinity."""
+    if value is None or math.isnan(value):
+        return "–"
+    if math.isinf(value):
+        return "∞" if value > 0 else f"{MINUS}∞"
+    text = f"{value:.{digits}f}"
+    if text.startswith("-"):
+        text = text[1:] if not text.strip("-0.") else MINUS + text[1:]
+    return text
+
+
+def signed(value: float | None, digits: int = 2) -> str:
+    """A number with its sign, + or minus; none for a zero."""
+    text = number(value, digits)
+    plain = value is None or not math.isfinite(value) or not text.strip("0.")
+    return text if plain or text.startswith(MINUS) else f"+{text}"
+
+
+def span(lower: float | None, upper: float | None, digits: int = 2, *, sign: bool = False) -> str:
+    """An interval."""
+    shown = signed if sign else number
+    return f"{shown(lower, digits)} to {shown(upper, digits)}"
+
+
+def with_minus(text: str) -> str:
+    """A sentence with minus signs for the hyphens of its numbers."""
+    return re.sub(r"(?<![\w.,)-])-(?=\d)", MINUS, text)
+
+
+def p_text(p: float | None) -> str:
+    """A p-value as it is printed."""
+    if p is None or math.isnan(p):
+        return "–"
+    return "< 0.001" if p < 0.001 else f"{p:.3f}"
+
+
+def p_said(p: float | None) -> str:
+    """``p = 0.012`` or ``p < 0.001``."""
+    text = p_text(p)
+    return f"p {text}" if text.startswith("<") else f"p = {text}"
+
+
+_SLOPES: Final = {
+    "trial_global": "per trial of the task",
+    "trial_in_block": "per trial of the block",
+    "tlx_index": "per questionnaire of the task",
+    "in_block": "per questionnaire of the block",
+}
+
+
+def term_names(result: ScopeResult) -> dict[str, str]:
+    """What each coefficient is, by its name in the results."""
+    retargeters = list(result.emm)
+    tasks = sorted({task for row in _cells(result).values() for task in row})
+    names = {INTERCEPT: f"intercept: {retargeters[0]}" if retargeters else "intercept"}
+    if len(tasks) > 1 and retargeters:
+        names[INTERCEPT] += f", task {tasks[0]}"
+    names |= {f"retargeter{name}": f"{name} instead of {retargeters[0]}" for name in retargeters}
+    names |= {f"task{name}": f"task {name} instead of {tasks[0]}" for name in tasks}
+    names[INDEX] = "trial index, per standard deviation"
+    return {name: names.get(name, name) for name in result.coefficients}
+
+
+def slope_name(index: str) -> str:
+    """What a learning slope is counted in."""
+    return _SLOPES.get(index, index)
+
+
+def _cells(result: ScopeResult) -> dict[str, dict[str, int]]:
+    return dict(result.diagnostics.get("rows_per_cell", {}))
+
 
 DIGITS: dict[Outcome, tuple[float, int, str]] = {
     "success": (100.0, 1, "%"),
@@ -34,7 +104,9 @@ DIGITS: dict[Outcome, tuple[float, int, str]] = {
     "tlx": (1.0, 2, "points"),
 }
 
+
 _OUTCOMES = {"success": "success", "time": "completion time", "tlx": "workload"}
+
 
 _LEVELS = {
     "operator": "operators",
@@ -164,8 +236,8 @@ def learning_table(learning: Mapping[str, Any]) -> Html:
         for outcome, entry in outcomes.items()
     ]
     raw = {i: _slope_p(entry) for i, (*_, entry) in enumerate(entries)}
-    known = {i: p for i, p in raw.items() if p is not None and not math.isnan(p)}
-    adjusted = dict(zip(known, holm(list(known.values())), strict=True))
+    tested = {i: p for i, p in raw.items() if p is not None and not math.isnan(p)}
+    adjusted = dict(zip(tested, holm(list(tested.values())), strict=True))
     rows = []
     for i, (scope, index, outcome, entry) in enumerate(entries):
         name = name_cell(f"{scope_name(scope)}: {_OUTCOMES[outcome]} {slope_name(index)}")
@@ -189,7 +261,7 @@ def learning_table(learning: Mapping[str, Any]) -> Html:
                 escape(p_text(adjusted.get(i))),
             ]
         )
-    headers = ["slope", "a step", "SE", "p raw", f"p Holm, {len(known)} slopes"]
+    headers = ["slope", "a step", "SE", "p raw", f"p Holm, {len(tested)} slopes"]
     return table([Html(header) for header in headers], rows)
 
 
@@ -233,7 +305,7 @@ def warning_list(result: ScopeResult) -> Html:
 def model_facts(result: ScopeResult) -> Html:
     """Formula and variances in a line."""
     facts = dict(result.model)
-    said = [
+    parts = [
         f"{facts.get('kind', '')}: {facts.get('formula', '')}",
         f"{result.n} rows, {result.operators} operators",
     ]
@@ -243,7 +315,7 @@ def model_facts(result: ScopeResult) -> Html:
             f"{_LEVELS.get(name, name)} {number(math.sqrt(value))}"
             for name, value in variances.items()
         )
-        said.append(f"standard deviations: {', '.join(spreads)}")
+        parts.append(f"standard deviations: {', '.join(spreads)}")
     if "alpha" in facts:
-        said.append(f"working correlation {number(facts['alpha'], 3)}")
-    return element("p", escape("; ".join(said)), class_="soft")
+        parts.append(f"working correlation {number(facts['alpha'], 3)}")
+    return element("p", escape("; ".join(parts)), class_="soft")
