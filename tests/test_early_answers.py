@@ -319,7 +319,7 @@ def test_a_run_says_who_answers(compiler: Compiler) -> None:
         if tick.provisional and not status:
             session = LiveSession(loops[0], make_request(method=METHOD), (), Path())
             session.watch(tick)
-            look = session.look(text=False, fields=0)
+            look = session.look(text=False, settings=0)
             status.append(modes(look["hands"]))
             session.close()
             compiler.go.set()

@@ -13,7 +13,7 @@ from smooth_operator.cli.subcommands import Group
 from smooth_operator.errors import ConfigError, UnknownNameError
 
 _OPTION = re.compile(r"--?[A-Za-z]")
-_HELP = frozenset({"-h", "--help"})
+_HELP = frozenset({"-h", "--help", "--help-all"})
 _POSITIONAL: Any = get_args(Positional[int])[1]
 
 

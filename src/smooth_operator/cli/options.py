@@ -20,13 +20,13 @@ from smooth_operator.cli.glove_simulator_options import GloveSimulate
 from smooth_operator.cli.grammar import check_words
 from smooth_operator.cli.hands_options import Hands
 from smooth_operator.cli.hardware_options import Hardware
-from smooth_operator.cli.help_text import document, wrapped_output
+from smooth_operator.cli.help_text import document, without_rare, wrapped_output
 from smooth_operator.cli.latency_options import Latency
 from smooth_operator.cli.retarget_options import Retarget
 from smooth_operator.cli.sample_options import Sample
 from smooth_operator.cli.study_options import Study
 from smooth_operator.cli.subcommands import Group, described
-from smooth_operator.cli.teleop_options import Teleop
+from smooth_operator.cli.teleop import Teleop
 from smooth_operator.cli.train_options import Train
 from smooth_operator.cli.tune_options import Tune
 from smooth_operator.cli.view_options import View
@@ -152,6 +152,8 @@ def parse(arguments: Sequence[str]) -> Command:
         SmoothOperatorError: there is no such command or option.
     """
     name = arguments[0] if arguments else ""
+    whole = "--help-all" in arguments
+    arguments = ["--help" if word == "--help-all" else word for word in arguments]
     commands = _commands(name)
     check_words(commands, arguments)
     flags = (tyro.conf.FlagCreatePairsOff,)
@@ -160,10 +162,12 @@ def parse(arguments: Sequence[str]) -> Command:
         if name in commands:
             kind: Any = commands[name]
             document(kind)
+            if not whole and {"-h", "--help"} & set(arguments):
+                kind = without_rare(kind)
             chosen: Command = tyro.cli(
                 kind,
                 prog=f"smooth-operator {name}",
-                description=described(kind),
+                description=described(kind, whole),
                 args=list(arguments[1:]),
                 config=flags,
             )

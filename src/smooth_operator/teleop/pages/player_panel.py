@@ -7,10 +7,10 @@ from typing import Protocol
 
 import viser
 
-from smooth_operator.teleop.pages.callbacks import asked
 from smooth_operator.teleop.pages.playback import Playback
 from smooth_operator.teleop.pages.status_panel import legend, metrics_table, status_line
 from smooth_operator.teleop.pages.timeline import Timeline
+from smooth_operator.teleop.pages.viser_server import add_hotkeys, from_person
 
 SPEEDS = (0.1, 4.0)
 """Slowest and fastest playback, as a multiple of real time."""
@@ -77,21 +77,24 @@ class Panel:
             meshes = gui.add_checkbox(
                 "Meshes", runs[0].show_meshes, hint="the maker's, or simple shapes"
             )
-            meshes.on_update(asked(lambda event: controls.set_meshes(event.target.value)))
+            meshes.on_update(from_person(lambda event: controls.set_meshes(event.target.value)))
         view = gui.add_button("Reset view", color="gray", icon=viser.Icon.FOCUS_CENTERED)
         gui.add_html(legend(runs))
 
-        self._play.on_click(asked(lambda _: controls.toggle()))
-        step.on_click(asked(lambda event: controls.step(int(event.target.value))))
-        speed.on_update(asked(lambda event: controls.set_speed(event.target.value)))
-        looping.on_update(asked(lambda event: controls.set_loop(event.target.value)))
-        overlay.on_update(asked(lambda event: controls.set_overlay(event.target.value)))
-        vectors.on_update(asked(lambda event: controls.set_keyvectors(event.target.value)))
-        view.on_click(asked(lambda event: controls.aim(event.client)))
+        self._play.on_click(from_person(lambda _: controls.toggle()))
+        step.on_click(from_person(lambda event: controls.step(int(event.target.value))))
+        speed.on_update(from_person(lambda event: controls.set_speed(event.target.value)))
+        looping.on_update(from_person(lambda event: controls.set_loop(event.target.value)))
+        overlay.on_update(from_person(lambda event: controls.set_overlay(event.target.value)))
+        vectors.on_update(from_person(lambda event: controls.set_keyvectors(event.target.value)))
+        view.on_click(from_person(lambda event: controls.aim(event.client)))
         # letters, not space and arrows: those also press the button or slider that has the focus
-        gui.add_command("Play / pause", hotkey="K").on_trigger(asked(lambda _: controls.toggle()))
-        gui.add_command("Step back", hotkey="J").on_trigger(asked(lambda _: controls.step(-1)))
-        gui.add_command("Step forward", hotkey="L").on_trigger(asked(lambda _: controls.step(1)))
+        add_hotkeys(
+            gui,
+            ("Play / pause", "K", controls.toggle),
+            ("Step back", "J", lambda: controls.step(-1)),
+            ("Step forward", "L", lambda: controls.step(1)),
+        )
         self._timeline = Timeline(gui, runs, controls.scrub)
         self._build_side_panel(gui)
 

@@ -11,9 +11,9 @@ import viser
 from jaxtyping import Float
 from viser import uplot
 
-from smooth_operator.teleop.pages.callbacks import asked
 from smooth_operator.teleop.pages.palette import RUN_COLORS, css, finger_colors
 from smooth_operator.teleop.pages.playback import PINCH_DISTANCE, Playback
+from smooth_operator.teleop.pages.viser_server import from_person
 
 HEIGHT: Final = 255
 """Height of the whole panel [px]; the camera keeps the hands above it."""
@@ -123,10 +123,10 @@ class Timeline:
                     "Finger", self._curves.fingers, initial_value=self._curves.fingers[0],
                     hint="whose distance from the thumb is drawn",
                 )  # fmt: skip
-                finger.on_update(asked(lambda event: self._choose(event.target.value)))
+                finger.on_update(from_person(lambda event: self._choose(event.target.value)))
         self._add_plot()
         self._panel.float(x=0, y=-1, width=_LEAST)
-        self.slider.on_update(asked(lambda event: scrub(int(event.target.value))))
+        self.slider.on_update(from_person(lambda event: scrub(int(event.target.value))))
 
     def show(self, frame: int) -> None:
         """Move slider and cursor."""

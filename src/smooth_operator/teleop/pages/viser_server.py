@@ -3,18 +3,26 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+import http
+import re
+import secrets
+import threading
+from collections.abc import Callable, Coroutine, Iterator
+from dataclasses import dataclass
 from typing import Any, Final
 from weakref import WeakKeyDictionary
 
 import rich
 import viser
 from viser import _messages
+from viser.infra import _infra
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.teleop.pages.ports import free_port
-from smooth_operator.teleop.pages.viser_auth import auth_for, authenticated
-from smooth_operator.web.addresses import lan_addresses
+from smooth_operator.web.addresses import is_local, lan_addresses
+from smooth_operator.web.auth import TokenAuth
+from smooth_operator.web.files import shielded
+from smooth_operator.web.quiet import quiet_options
 
 _TOKENS: Final[WeakKeyDictionary[viser.ViserServer, str | None]] = WeakKeyDictionary()
 
@@ -89,3 +97,121 @@ def _quiet_viser() -> Iterator[None]:
         yield
     finally:
         console.quiet = before
+
+
+_SIGNS: Final = re.compile(r"^(?:i(?=mport)|e(?=xport))|[!-/:-@\[-`{-~]")
+
+
+def plain(text: str) -> str:
+    """Any text as Markdown that shows it letter by letter, in one line.
+
+    viser compiles Markdown as MDX, which holds HTML, and JavaScript in braces or after ``import``
+    and ``export`` at the beginning of a line. What people write into a file (a name, a source, a
+    note) is none of that, so every sign that could mean something goes in as its number.
+    """
+    return _SIGNS.sub(lambda found: f"&#{ord(found[0])};", " ".join(text.split()))
+
+
+def add_hotkeys(gui: viser.GuiApi, *hotkeys: tuple[str, Any, Callable[[], None]]) -> None:
+    """Add commands: (name, key as viser calls it, action)."""
+
+    def add(name: str, key: Any, action: Callable[[], None]) -> None:
+        gui.add_command(name, hotkey=key).on_trigger(from_person(lambda _: action()))
+
+    for hotkey in hotkeys:
+        add(*hotkey)
+
+
+def from_person(action: Callable[[Any], None]) -> Callable[[Any], Coroutine[Any, Any, None]]:
+    """Wrap an action as a callback that answers people only.
+
+    Handles also call back when the program itself writes a value; such events have no client.
+    Coroutines run in order on the server's event loop, plain functions in a pool without order.
+    """
+
+    async def callback(event: Any) -> None:
+        if event.client is not None:
+            action(event)
+
+    return callback
+
+
+_POLICY: Final = (
+    "default-src 'self' data: blob: 'unsafe-inline' 'unsafe-eval'; "
+    "connect-src 'self' data: blob: ws: wss:; frame-src 'none'; object-src 'none'; "
+    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+"""viser's page is one file with its script in it, and makes WebAssembly and workers from that. It
+loads nothing from elsewhere, and no page frames it."""
+_PATCHING = threading.Lock()
+
+
+def auth_for(host: str) -> TokenAuth:
+    """Asks for a token unless only this machine reaches ``host``."""
+    return TokenAuth(None if is_local(host) else {"page": secrets.token_urlsafe(24)})
+
+
+@dataclass
+class Patched:
+    """Whether a server of viser was started that authenticates.
+
+    Attributes:
+        applied: False if this release of viser starts its server by other means.
+    """
+
+    applied: bool = False
+
+
+@contextlib.contextmanager
+def authenticated(auth: TokenAuth) -> Iterator[Patched]:
+    """Servers of viser that are started in this block refuse what ``auth`` refuses.
+
+    viser has no option for this. So the function that it starts its server with is wrapped, for
+    viser alone, while it starts.
+
+    Yields:
+        Whether that worked; look at it after the start.
+    """
+    with _PATCHING:
+        patched = Patched()
+        viser: Any = _infra
+        plain = viser.websockets
+        server = plain.asyncio.server
+        asking = _Module(server, serve=_asking(auth, patched, server.serve))
+        viser.websockets = _Module(plain, asyncio=_Module(plain.asyncio, server=asking))
+        try:
+            yield patched
+        finally:
+            viser.websockets = plain
+
+
+class _Module:
+    """A module with some names replaced."""
+
+    def __init__(self, module: Any, **replaced: Any) -> None:
+        self._module = module
+        self.__dict__.update(replaced)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._module, name)
+
+
+def _asking(auth: TokenAuth, patched: Patched, serve: Callable[..., Any]) -> Callable[..., Any]:
+    def serve_and_ask(*args: Any, process_request: Callable[..., Any], **options: Any) -> Any:
+        def answer(connection: Any, request: Any) -> Any:
+            refusal = auth.refusal(connection, request) or _not_a_client(connection, request)
+            return refusal or process_request(connection, request)
+
+        patched.applied = True
+        options |= quiet_options("smooth_operator.page")
+        return serve(*args, process_request=shielded(answer, _POLICY), **options)
+
+    return serve_and_ask
+
+
+def _not_a_client(connection: Any, request: Any) -> Any:
+    """Refuses a WebSocket that is not of a page of viser, which would print a line for it."""
+    protocols = request.headers.get_all("Sec-WebSocket-Protocol")
+    if "Upgrade" not in request.headers or any("viser-v" in each for each in protocols):
+        return None
+    return connection.respond(http.HTTPStatus.BAD_REQUEST, "no client of this page\n")

@@ -15,7 +15,6 @@ from smooth_operator.teleop.sources.webcam.hand_labels import SeenHand, Tracks, 
 from smooth_operator.teleop.sources.webcam.mediapipe_hands import HandLandmarker
 from smooth_operator.teleop.sources.webcam.model_file import hand_model
 from smooth_operator.teleop.sources.webcam.one_euro import OneEuroConfig, OneEuroState, one_euro
-from smooth_operator.teleop.sources.webcam.seen_picture import SeenPicture
 from smooth_operator.types import HandFrame, Side
 
 Points: TypeAlias = Literal["world", "picture"]
@@ -65,9 +64,6 @@ class PictureTracker:
     Raises:
         MissingExtraError: MediaPipe is not installed.
         SourceError: the model can't be had or loaded.
-
-    Attributes:
-        seen: the last picture, with the hands that were found; None before there is one.
     """
 
     def __init__(self, config: PictureConfig) -> None:
@@ -79,8 +75,6 @@ class PictureTracker:
         self._tracks = Tracks()
         self._filter = OneEuroConfig(config.smoothing) if config.smoothing else None
         self._filtered: dict[Side, OneEuroState] = {}
-        self._count = 0
-        self.seen: SeenPicture | None = None
 
     def frames(self, pixels: UInt8[np.ndarray, "h w 3"], time: float) -> list[HandFrame]:
         """The hands of a picture, at most one of each side.
@@ -96,10 +90,6 @@ class PictureTracker:
         turned = self._cv2.flip(colours, 1) if self._config.mirrored else colours
         seen = self._landmarker.find(turned, time)
         hands, self._tracks = assign_sides(seen, self._tracks, time)
-        self._count += 1
-        self.seen = SeenPicture(
-            self._count, turned, {side: hand.picture[:, :2] for side, hand in hands.items()}
-        )
         return [
             HandFrame(self._landmarks(side, hand, time), time, side, valid=hand.inside)
             for side, hand in hands.items()

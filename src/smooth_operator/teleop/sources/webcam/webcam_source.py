@@ -15,7 +15,6 @@ from smooth_operator.teleop.sources.webcam.picture_tracker import (
     PictureTracker,
     Points,
 )
-from smooth_operator.teleop.sources.webcam.seen_picture import SeenPicture
 from smooth_operator.teleop.sources.webcam.video_file import VideoFile
 from smooth_operator.types import HandFrame
 
@@ -38,16 +37,10 @@ class _Pictures(ThreadedSource):
         super().stop()
         atexit.unregister(self.stop)
 
-    def picture(self) -> SeenPicture | None:
-        """The newest picture, with the hands found in it; None before there is one. Any thread."""
-        tracker: PictureTracker | None = self.__dict__.get("_tracker")
-        return None if tracker is None else tracker.seen
-
     def _hold(self, pictures: Camera | VideoFile, tracker: PictureTracker) -> None:
         """Keep what was opened for the thread."""
-        # the settings are frozen, these are none
+        # the settings are frozen, this is none
         object.__setattr__(self, "_opened", (pictures, tracker))
-        object.__setattr__(self, "_tracker", tracker)
         atexit.register(self.stop)  # a thread in native code must not meet the interpreter's end
 
     def _config(self) -> PictureConfig:
