@@ -1,4 +1,4 @@
-"""ROS 2 without ROS 2: its messages over DDS, by CycloneDDS's Python binding (extra ``ros2``).
+"""ROS 2 messages over DDS, by CycloneDDS's Python binding (extra ``ros2``); needs no ROS 2.
 
 A ROS 2 topic ``/a/b`` is the DDS topic ``rt/a/b``, the type ``std_msgs/msg/String`` is
 ``std_msgs::msg::dds_::String_``, and the samples are plain CDR (XCDR 1).
@@ -32,7 +32,6 @@ from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
 from smooth_operator.errors import ConfigError, RecordingError
-from smooth_operator.teleop.ros2.loopback_filter import keep_network_out
 from smooth_operator.teleop.ros2.messages import (
     M,
     Message,
@@ -232,8 +231,6 @@ class _Domains:
                     domain = Domain(number, _CONFIG.format(general=_GENERAL[reach]))
                 except DDSException as error:
                     raise endpoint.error(_refused(number, error)) from error
-                if reach == "localhost":
-                    keep_network_out(number)
             cls._joined[number] = reach, domain, users + 1
 
     @classmethod

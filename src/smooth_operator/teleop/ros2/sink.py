@@ -12,9 +12,18 @@ import numpy as np
 
 from smooth_operator.errors import ConfigError, SinkError
 from smooth_operator.hands.hand import Hand
-from smooth_operator.teleop.ros2.backends import open_transport
-from smooth_operator.teleop.ros2.commands import KINDS, Kind, joint_message
-from smooth_operator.teleop.ros2.joints import UNITS, Layout, Unit, joint_layout, table_layout
+from smooth_operator.teleop.ros2.commands import (
+    KINDS,
+    UNITS,
+    Kind,
+    Layout,
+    Unit,
+    joint_layout,
+    joint_message,
+    pose_message,
+    table_layout,
+    transform_message,
+)
 from smooth_operator.teleop.ros2.messages import (
     Header,
     JointState,
@@ -24,13 +33,12 @@ from smooth_operator.teleop.ros2.messages import (
     TFMessage,
     Time,
 )
-from smooth_operator.teleop.ros2.poses import pose_message, transform_message
 from smooth_operator.teleop.ros2.transport import (
     TF_DEPTH,
-    Backend,
     Endpoint,
     Network,
     Transport,
+    open_transport,
     topic_name,
 )
 from smooth_operator.teleop.sinks.hand_state import HandState
@@ -41,7 +49,7 @@ from smooth_operator.types import Side
 
 @dataclass(frozen=True)
 class Ros2Sink(ThreadedSink):
-    """Publishes commands on ROS 2 topics, by rclpy or, without ROS 2, by CycloneDDS.
+    """Publishes commands on ROS 2 topics.
 
     ``std_msgs/String`` on ``<topic>_mode`` says what the loop does, whenever that changes:
     ``tracking``, ``holding``, ..., ``stalled`` when no commands come, ``ended``. A driver stops its
@@ -76,11 +84,9 @@ class Ros2Sink(ThreadedSink):
         tf: send both wrists as transforms on ``/tf``, too.
         base: name of the frame that the target is in; default: the one that the command names.
         frame: name of the frame of the target on ``/tf``.
-        node: name of the node (rclpy).
         domain: ROS domain, 0 to 232; default: ``ROS_DOMAIN_ID``.
-        network: ``localhost`` or ``subnet``, for CycloneDDS; default: what ROS 2's variables say,
+        network: ``localhost`` or ``subnet``; default: what ROS 2's variables say,
             else localhost.
-        backend: ``rclpy``, ``cyclonedds``, or ``auto``: rclpy where it can be imported.
 
     Raises:
         ConfigError: a setting is outside its range, or a name is none that ROS 2 takes.
@@ -105,10 +111,8 @@ class Ros2Sink(ThreadedSink):
     tf: bool = False
     base: str | None = None
     frame: str = "{hand}_{side}_wrist"
-    node: str = "smooth_operator"
     domain: int | None = None
     network: Network | None = None
-    backend: Backend = "auto"
 
     def __post_init__(self) -> None:
         for side in ("right", "left"):
@@ -136,7 +140,7 @@ class Ros2Sink(ThreadedSink):
 
     @property
     def note(self) -> str:
-        """By which library the open sink sends, and whom that reaches."""
+        """The domain of the open sink, and the machines that it reaches."""
         found: str = getattr(self, "_reach", "")
         return found
 
@@ -156,9 +160,7 @@ class Ros2Sink(ThreadedSink):
         return link
 
     def _endpoint(self) -> Endpoint:
-        return Endpoint(
-            "the ros2 sink", SinkError, self.node, self.domain, self.network, self.backend
-        )
+        return Endpoint("the ros2 sink", SinkError, self.domain, self.network)
 
     def _layout(self, hand: Hand) -> Layout:
         if self.table is not None:
