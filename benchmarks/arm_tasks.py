@@ -24,7 +24,7 @@ from smooth_operator.simulation.tasks.demonstration import PERIOD_S, load_demons
 from smooth_operator.simulation.tasks.perturbation import draw_perturbation
 from smooth_operator.simulation.tasks.task_registry import TASKS
 from smooth_operator.simulation.tasks.trial_loop import perform
-from smooth_operator.teleop.arm.rig import build_arms
+from smooth_operator.teleop.arm.controller import build_arms
 from smooth_operator.teleop.arm.settings import ArmSettings
 
 APPROACH_S, SETTLE_S, STAYS_S = 5.0, 1.0, 2.0

@@ -42,7 +42,7 @@ from smooth_operator.reporting.run_report import BenchmarkError, Report
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.recording.log import LogWriter
 from smooth_operator.teleop.recording.log_reader import read_log
-from smooth_operator.teleop.sinks import recorder
+from smooth_operator.teleop.sinks import record as recorder
 from smooth_operator.teleop.sinks.record import RecordSink
 from smooth_operator.teleop.sinks.tick import Tick
 

@@ -19,8 +19,7 @@ from mcap.writer import CompressionType, Writer
 
 from smooth_operator.landmarks import BONES, WRIST
 from smooth_operator.teleop.recording.loop_state import LoopState
-from smooth_operator.teleop.sinks.hand_state import HandState
-from smooth_operator.teleop.sinks.tick import ArmCommand, WristCommand
+from smooth_operator.teleop.sinks.tick import ArmCommand, HandState, WristCommand
 from smooth_operator.types import HandFrame, JointCommand, Status
 
 OWN = ("/hand", "/command", "/status", "/timing", "/config", "/arm", "/loop", "/state", "/wrist")

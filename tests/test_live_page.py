@@ -48,10 +48,9 @@ from smooth_operator.teleop.runtime.limiter import Limiter
 from smooth_operator.teleop.runtime.loop import TeleopLoop
 from smooth_operator.teleop.runtime.pipeline import HandPipeline
 from smooth_operator.teleop.runtime.settings import LimitsConfig, LoopConfig, SafetyConfig
-from smooth_operator.teleop.sinks.hand_state import HandState
 from smooth_operator.teleop.sinks.runner import SinkRunner
 from smooth_operator.teleop.sinks.sink import Sink
-from smooth_operator.teleop.sinks.tick import Mode, Tick
+from smooth_operator.teleop.sinks.tick import HandState, Mode, Tick
 from smooth_operator.teleop.sources.live import Running, SourceHealth, ThreadedSource
 from smooth_operator.types import Side
 

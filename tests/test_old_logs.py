@@ -22,8 +22,7 @@ from smooth_operator.teleop.recording import Log, LogWriter, read_log
 from smooth_operator.teleop.recording.log_reader import count_log_frames
 from smooth_operator.teleop.recording.loop_state import LoopState
 from smooth_operator.teleop.runtime.log_timing import log_timing
-from smooth_operator.teleop.sinks.hand_state import HandState
-from smooth_operator.teleop.sinks.tick import ArmCommand, WristCommand
+from smooth_operator.teleop.sinks.tick import ArmCommand, HandState, WristCommand
 from smooth_operator.types import HandFrame, JointCommand, Status
 
 FRAMES = 30

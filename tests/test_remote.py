@@ -45,8 +45,8 @@ from smooth_operator.teleop.pages.viser_server import close_server, open_server
 from smooth_operator.teleop.recording import read_log
 from smooth_operator.teleop.runtime.loop import TeleopLoop
 from smooth_operator.teleop.runtime.pipeline import HandPipeline
-from smooth_operator.teleop.runtime.remote import remote
 from smooth_operator.teleop.runtime.remote_client import RemoteTeleop
+from smooth_operator.teleop.runtime.rpc_server import remote
 from smooth_operator.teleop.runtime.settings import LoopConfig
 from smooth_operator.teleop.sinks.record import RecordSink
 from smooth_operator.teleop.sinks.runner import SinkRunner

@@ -39,9 +39,8 @@ from smooth_operator.teleop.ros2.messages import Message
 from smooth_operator.teleop.ros2.sink import Ros2Sink
 from smooth_operator.teleop.ros2.source import Ros2Source
 from smooth_operator.teleop.ros2.transport import Endpoint, open_transport
-from smooth_operator.teleop.sinks.hand_state import HandState
 from smooth_operator.teleop.sinks.registry import build_sink
-from smooth_operator.teleop.sinks.tick import ArmCommand, Mode, Tick, WristCommand
+from smooth_operator.teleop.sinks.tick import ArmCommand, HandState, Mode, Tick, WristCommand
 from smooth_operator.teleop.sources.live import Mailbox
 from smooth_operator.teleop.sources.registry import build_source
 from smooth_operator.types import HandFrame, Side

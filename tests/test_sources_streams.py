@@ -32,10 +32,8 @@ from smooth_operator.errors import (
 from smooth_operator.landmarks import FROM_MANUS_25, METACARPALS_MANUS_25
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.sources.live import Running, ThreadedSource
-from smooth_operator.teleop.sources.manus.glove_faults import GloveFaults
-from smooth_operator.teleop.sources.manus.glove_simulator import Glove, GloveSimulator
-from smooth_operator.teleop.sources.manus.manus_message import read_manus, write_manus
-from smooth_operator.teleop.sources.manus.manus_stream import ManusStream
+from smooth_operator.teleop.sources.manus.glove_simulator import Glove, GloveFaults, GloveSimulator
+from smooth_operator.teleop.sources.manus.manus_message import ManusStream, read_manus, write_manus
 from smooth_operator.teleop.sources.payload import MAX_BYTES, read_payload
 from smooth_operator.teleop.sources.udp import UdpSource
 from smooth_operator.teleop.sources.zmq_stream import ZmqSource

@@ -32,7 +32,7 @@ from smooth_operator.teleop.sources.manus.manus_message import read_manus, write
 from smooth_operator.teleop.sources.payload import read_payload
 from smooth_operator.teleop.sources.replay import Replay
 from smooth_operator.teleop.sources.synthetic_live import SyntheticSource
-from smooth_operator.teleop.sources.webxr.packet import HEADER, read_packet
+from smooth_operator.teleop.sources.webxr.link import HEADER, read_packet
 from smooth_operator.types import CommandTrajectory, HandFrame, HandRecording
 
 POSE = [0.3, -0.2, 1.1, 0.6, 0.0, 0.8, 0.0]

@@ -30,9 +30,9 @@ from smooth_operator.teleop.recording.convert import (
     read_episode,
     write_episode,
 )
+from smooth_operator.teleop.sources.webcam.camera import is_video
 from smooth_operator.teleop.sources.webcam.picture_tracker import PictureConfig
-from smooth_operator.teleop.sources.webcam.video_file import is_video
-from smooth_operator.teleop.sources.webcam.video_recording import track_video
+from smooth_operator.teleop.sources.webcam.webcam_source import track_video
 
 _SUFFIX_OF: dict[Format, str] = {"mcap": ".mcap", "npz": ".npz", "hdf5": ".h5"}
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from smooth_operator.cli.glove_simulator_options import GloveSimulate
-from smooth_operator.teleop.sources.manus.glove_faults import GloveFaults
-from smooth_operator.teleop.sources.manus.glove_simulator import LATE_S, GloveSimulator
+from smooth_operator.teleop.sources.manus.glove_simulator import LATE_S, GloveFaults, GloveSimulator
 from smooth_operator.terminal import printable
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import mink
@@ -11,13 +12,17 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError
+from smooth_operator.hands.hand import Hand
 from smooth_operator.simulation.arms.arm import ArmSpec
 from smooth_operator.simulation.arms.arm_model import FLANGE, arm_spec
+from smooth_operator.simulation.arms.carried import CarriedHand
 from smooth_operator.simulation.arms.hand_mount import HandMount
 from smooth_operator.simulation.arms.rigid import Matrix, angle_between, matrix_of, pose_of, rigid
 from smooth_operator.teleop.arm.clearance import Clearance, ClearanceConfig
+from smooth_operator.teleop.arm.settings import ArmSettings, place_arms
 from smooth_operator.teleop.runtime.limiter import MAX_STEP_S, JointLimiter
 from smooth_operator.teleop.sinks.tick import ArmCommand
+from smooth_operator.types import Side
 
 _WRIST: Final = "wrist"
 
@@ -377,3 +382,39 @@ def _quaternion_of(rotation: np.ndarray) -> np.ndarray:
     quaternion = np.zeros(4)
     mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(rotation).ravel())
     return quaternion
+
+
+@dataclass(frozen=True, eq=False)
+class ArmOfHand:
+    """An arm with its hand.
+
+    Attributes:
+        carried: what a simulation and a page build.
+        controller: what the loop asks.
+    """
+
+    carried: CarriedHand
+    controller: ArmController
+
+
+def build_arms(settings: ArmSettings, hands: Mapping[Side, Hand]) -> dict[Side, ArmOfHand]:
+    """An arm for each hand; between two there is a wall.
+
+    Args:
+        settings: of all arms.
+        hands: side -> robot hand.
+
+    Raises:
+        ConfigError: an arm can't reach its home pose with the hand.
+    """
+    built = {}
+    for side, carried in place_arms(settings, hands).items():
+        controller = ArmController(
+            carried.arm,
+            carried.mount,
+            ArmControlConfig(collisions=settings.collisions),
+            table=None if settings.no_table else settings.table,
+            wall=-float(carried.base[1, 3]) if len(hands) > 1 else None,
+        )
+        built[side] = ArmOfHand(replace(carried, home=controller.home), controller)
+    return built

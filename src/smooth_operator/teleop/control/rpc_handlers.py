@@ -1,6 +1,6 @@
 """RPC handlers of ``teleop --control``: the commands that change what the hands are driven by.
 
-In addition to those of ``smooth_operator.teleop.runtime.remote``:
+In addition to those of ``smooth_operator.teleop.runtime.rpc_server``:
 
     {"do": "method", "method": "dexpilot", "preset": "default"}
         another method; compiled while the old one goes on, and answered when the hands go over to

@@ -48,8 +48,7 @@ from smooth_operator.teleop.recording.schemas import (
     VERSION,
     WRIST,
 )
-from smooth_operator.teleop.sinks.hand_state import HandState
-from smooth_operator.teleop.sinks.tick import ArmCommand, WristCommand
+from smooth_operator.teleop.sinks.tick import ArmCommand, HandState, WristCommand
 from smooth_operator.types import HandFrame, JointCommand, Side, Status
 
 

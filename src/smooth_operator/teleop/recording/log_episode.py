@@ -21,8 +21,7 @@ from smooth_operator.teleop.recording.log import LogWriter
 from smooth_operator.teleop.recording.log_reader import Log, read_log
 from smooth_operator.teleop.recording.log_records import read_summary
 from smooth_operator.teleop.recording.schemas import SCHEMAS
-from smooth_operator.teleop.sinks.hand_state import HandState
-from smooth_operator.teleop.sinks.tick import ArmCommand, WristCommand
+from smooth_operator.teleop.sinks.tick import ArmCommand, HandState, WristCommand
 from smooth_operator.types import HandRecording, JointCommand, Side, Status
 
 _CHUNK_BYTES = 1 << 20  # a crash loses the whole new file anyway, and larger chunks are smaller

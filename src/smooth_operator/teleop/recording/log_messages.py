@@ -21,8 +21,7 @@ from smooth_operator.teleop.recording.wire import (
     varint,
     whole,
 )
-from smooth_operator.teleop.sinks.hand_state import HandState
-from smooth_operator.teleop.sinks.tick import ArmCommand, WristCommand
+from smooth_operator.teleop.sinks.tick import ArmCommand, HandState, WristCommand
 from smooth_operator.types import HandFrame, Status
 
 _MAX_LOG_TIME: Final = 2**64 - 1

@@ -41,9 +41,8 @@ from smooth_operator.teleop.ros2.transport import (
     open_transport,
     topic_name,
 )
-from smooth_operator.teleop.sinks.hand_state import HandState
-from smooth_operator.teleop.sinks.threaded_sink import Link, ThreadedSink
-from smooth_operator.teleop.sinks.tick import Tick
+from smooth_operator.teleop.sinks.sink import Link, ThreadedSink
+from smooth_operator.teleop.sinks.tick import HandState, Tick
 from smooth_operator.types import Side
 
 

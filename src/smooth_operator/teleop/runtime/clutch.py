@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator import poses
-from smooth_operator.teleop.runtime.pose_limiter import PoseLimiter
+from smooth_operator.teleop.runtime.limiter import PoseLimiter
 from smooth_operator.teleop.runtime.settings import LoopConfig
 from smooth_operator.teleop.sinks.tick import Mode, WristCommand
 from smooth_operator.teleop.sources.live import Arrival

@@ -13,9 +13,8 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.teleop.runtime.controls import Controls
-from smooth_operator.teleop.runtime.limiter import Limiter
+from smooth_operator.teleop.runtime.limiter import Limiter, RateLimiter
 from smooth_operator.teleop.runtime.pipeline import HandPipeline
-from smooth_operator.teleop.runtime.rate_limiter import RateLimiter
 from smooth_operator.teleop.runtime.settings import LoopConfig
 from smooth_operator.teleop.runtime.statistics import LoopStatistics
 from smooth_operator.teleop.sinks.runner import SinkRunner

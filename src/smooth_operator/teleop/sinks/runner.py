@@ -19,9 +19,8 @@ from jaxtyping import Float
 from smooth_operator.errors import ConfigError, SmoothOperatorError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.simulation.arms.carried import CarriedHand
-from smooth_operator.teleop.sinks.hand_state import HandState
 from smooth_operator.teleop.sinks.sink import Sink
-from smooth_operator.teleop.sinks.tick import Tick
+from smooth_operator.teleop.sinks.tick import HandState, Tick
 from smooth_operator.teleop.sources.live import Clock
 from smooth_operator.types import Side
 

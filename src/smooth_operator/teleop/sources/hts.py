@@ -9,8 +9,7 @@ from typing import Final, Literal, TypeAlias
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.headsets.hts_lines import HtsHands, begins_line, parse_line
-from smooth_operator.teleop.sources.message_receiver import Message
-from smooth_operator.teleop.sources.one_sender import OneSender
+from smooth_operator.teleop.sources.message_receiver import Message, OneSender
 from smooth_operator.teleop.sources.payload import Reading
 from smooth_operator.teleop.sources.stream import Hands, Inbox, StreamSource, sides_of
 from smooth_operator.teleop.sources.tcp_inbox import Sockets, TcpInbox, Together, split_lines

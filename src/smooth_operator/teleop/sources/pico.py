@@ -15,8 +15,7 @@ from smooth_operator.headsets.pico_packets import (
     split_packets,
 )
 from smooth_operator.headsets.repeats import Repeats
-from smooth_operator.teleop.sources.message_receiver import Message
-from smooth_operator.teleop.sources.one_sender import OneSender
+from smooth_operator.teleop.sources.message_receiver import Message, OneSender
 from smooth_operator.teleop.sources.payload import Reading
 from smooth_operator.teleop.sources.stream import Hands, Inbox, StreamSource, sides_of
 from smooth_operator.teleop.sources.tcp_inbox import TcpInbox

@@ -90,7 +90,7 @@ def _takes_hands(source: object) -> bool:
 def _word_for(path: Path) -> str | None:
     """The source that a file is for, by its name."""
     from smooth_operator.formats.registry import recording_suffixes
-    from smooth_operator.teleop.sources.webcam.video_file import is_video
+    from smooth_operator.teleop.sources.webcam.camera import is_video
 
     if is_video(path):
         return "video"

@@ -11,9 +11,15 @@ from dataclasses import dataclass
 from smooth_operator.errors import ConfigError, SourceError
 from smooth_operator.io.anatomy import layout_order
 from smooth_operator.teleop.sources.message_receiver import Message
-from smooth_operator.teleop.sources.message_stamps import StampUnit
-from smooth_operator.teleop.sources.payload import MAX_BYTES, Forms, PayloadReader, Reading
-from smooth_operator.teleop.sources.point_forms import MatrixOrder, QuaternionOrder
+from smooth_operator.teleop.sources.payload import (
+    MAX_BYTES,
+    Forms,
+    MatrixOrder,
+    PayloadReader,
+    QuaternionOrder,
+    Reading,
+    StampUnit,
+)
 from smooth_operator.teleop.sources.stream import KEPT, Hands, StreamSource, only_side, sides_of
 from smooth_operator.types import Side
 

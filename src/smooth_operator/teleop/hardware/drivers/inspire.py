@@ -23,6 +23,7 @@ from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError, SinkError, require
 from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
+from smooth_operator.teleop.hardware.bus_lock import is_serial
 from smooth_operator.teleop.hardware.device import (
     DeviceLostError,
     Reading,
@@ -30,7 +31,6 @@ from smooth_operator.teleop.hardware.device import (
     WrongAnswerError,
 )
 from smooth_operator.teleop.hardware.hardware_sink import HardwareSink
-from smooth_operator.teleop.hardware.serial_port import is_serial
 
 MOTORS: Final = 6
 PORT: Final = 6000

@@ -14,12 +14,10 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.simulation.arms.arm_model import arm_spec
 from smooth_operator.simulation.arms.carried import CarriedHand, WristKinematics
 from smooth_operator.simulation.arms.rigid import inverse, matrix_of, pose_of, rigid
-from smooth_operator.teleop.arm.places import place_arms
-from smooth_operator.teleop.arm.settings import ArmSettings
-from smooth_operator.teleop.pages.body_nodes import BodyNodes
-from smooth_operator.teleop.pages.hand_view import HandView
+from smooth_operator.teleop.arm.settings import ArmSettings, place_arms
+from smooth_operator.teleop.pages.hand_view import HandView, body_meshes
+from smooth_operator.teleop.pages.human import BodyNodes
 from smooth_operator.teleop.pages.live.scenery_nodes import SceneryNodes
-from smooth_operator.teleop.pages.meshes import body_meshes
 from smooth_operator.teleop.pages.palette import PALM, SIMULATED, Rgb
 from smooth_operator.types import Side
 

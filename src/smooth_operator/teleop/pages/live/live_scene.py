@@ -21,13 +21,17 @@ from smooth_operator.human.operator import FingerProfile, OperatorProfile
 from smooth_operator.human.palm_axes import human_palm_axes
 from smooth_operator.landmarks import FINGERS, TIPS
 from smooth_operator.teleop.arm.settings import ArmSettings
-from smooth_operator.teleop.pages.aiming import Aiming
-from smooth_operator.teleop.pages.body_nodes import BodyNodes, TipBalls
 from smooth_operator.teleop.pages.hand_view import HandView
-from smooth_operator.teleop.pages.human import HumanView, keyvector_colors, thumb_lines
+from smooth_operator.teleop.pages.human import (
+    BodyNodes,
+    HumanView,
+    TipBalls,
+    keyvector_colors,
+    thumb_lines,
+)
 from smooth_operator.teleop.pages.live.arm_room import ArmRoom
 from smooth_operator.teleop.pages.live.scenery_nodes import SceneryNodes
-from smooth_operator.teleop.pages.page_layout import FOREARM, GAP, upright
+from smooth_operator.teleop.pages.page_layout import FOREARM, GAP, Aiming, upright
 from smooth_operator.teleop.pages.palette import SIMULATED, Rgb
 from smooth_operator.types import Side
 
