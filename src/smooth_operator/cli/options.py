@@ -16,7 +16,6 @@ from smooth_operator.cli.convert_options import Convert
 from smooth_operator.cli.dataset_options import Dataset
 from smooth_operator.cli.demo_options import Demo
 from smooth_operator.cli.doctor_options import Doctor
-from smooth_operator.cli.glove_simulator_options import GloveSimulate
 from smooth_operator.cli.grammar import check_words
 from smooth_operator.cli.hands_options import Hands
 from smooth_operator.cli.hardware_options import Hardware
@@ -58,8 +57,6 @@ _EXAMPLES = """Examples:
       a model of the learning-based method for a hand and its operator
   smooth-operator tune sbr mine.npz --vary pose_weight=0.01:0.1:log --output out
       the numbers of a preset searched, never on what is held out
-  smooth-operator glove-simulator
-      a moving hand as a MANUS glove sends it, for teleop --source manus
   smooth-operator hands list
       the robot hands; hands show NAME has joints and limits, and a page
   smooth-operator hardware list
@@ -81,7 +78,6 @@ Command: TypeAlias = (
     | Dataset
     | Demo
     | Doctor
-    | GloveSimulate
     | Hands
     | Hardware
     | Latency
@@ -112,7 +108,6 @@ _COMMANDS: Final[dict[str, type[Command]]] = {
     "hands": Hands,
     "hardware": Hardware,
     "calibrate": Calibrate,
-    "glove-simulator": GloveSimulate,
     "study": Study,
     "doctor": Doctor,
 }

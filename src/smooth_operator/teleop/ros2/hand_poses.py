@@ -19,7 +19,7 @@ from smooth_operator.teleop.ros2.messages import (
     PoseStamped,
     String,
 )
-from smooth_operator.teleop.sources.manus.manus_message import read_glove, read_manus
+from smooth_operator.teleop.sources.manus_gloves import read_glove, read_manus
 from smooth_operator.teleop.sources.payload import Reading, hand_frame, read_payload
 from smooth_operator.types import HandFrame, Side
 

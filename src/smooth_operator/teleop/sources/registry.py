@@ -39,7 +39,7 @@ SOURCES: Final = Registry(
         ),
         "pico": Entry(f"{_HERE}.pico:PicoSource", "the PICO app XRoboToolkit: pico:0.0.0.0"),
         "manus": Entry(
-            f"{_HERE}.manus.manus_stream:ManusStream",
+            f"{_HERE}.manus_gloves:ManusStream",
             "the ZeroMQ stream of glove bridges (extra zmq)",
         ),
         "zmq": Entry(f"{_HERE}.zmq_stream:ZmqSource", "landmarks over ZeroMQ (extra zmq)"),

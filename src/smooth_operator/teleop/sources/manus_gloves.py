@@ -271,7 +271,7 @@ def _read_csv(
 
 @dataclass(frozen=True)
 class ManusStream(StreamSource):
-    """Each message a hand or two, as ``smooth_operator.teleop.sources.manus.manus_message`` says.
+    """Each message a hand or two, as ``smooth_operator.teleop.sources.manus_gloves`` says.
 
     Attributes:
         address: of the bridge; it need not be running yet.

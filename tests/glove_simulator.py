@@ -1,4 +1,7 @@
-"""Simulator of a MANUS glove and its bridge (extra ``zmq``)."""
+"""Simulator of a MANUS glove and its bridge, for tests and benchmarks (extra ``zmq``).
+
+As a program: ``python tests/glove_simulator.py --address tcp://127.0.0.1:8000 --drop 0.1``.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +15,7 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
+import tyro
 
 from smooth_operator.errors import ConfigError, SourceError
 from smooth_operator.formats.readers import read_recording
@@ -19,7 +23,7 @@ from smooth_operator.synthetic.operator import SyntheticOperator
 from smooth_operator.synthetic.settings import check_range, check_seed
 from smooth_operator.synthetic.tracker import TrackerModel
 from smooth_operator.teleop.sources.live import Clock, Stopping, on_time
-from smooth_operator.teleop.sources.manus.manus_message import write_manus
+from smooth_operator.teleop.sources.manus_gloves import write_manus
 from smooth_operator.teleop.sources.stream import Hands, sides_of
 from smooth_operator.teleop.sources.zmq_stream import load_zmq
 from smooth_operator.types import HandFrame, HandRecording, Side
@@ -353,3 +357,14 @@ def _mirrored(frame: HandFrame, side: Side) -> HandFrame:
         if frame.orientations is None
         else frame.orientations * np.array([1.0, -1.0, 1.0, -1.0]),
     )
+
+
+def main() -> None:
+    """Publish until the time is over or Ctrl-C."""
+    with tyro.cli(GloveSimulator, config=(tyro.conf.OmitArgPrefixes,)).open() as glove:
+        print(glove.address, flush=True)  # for a script that waits for it
+        glove.run()
+
+
+if __name__ == "__main__":
+    main()
