@@ -142,10 +142,10 @@ class SmoothHandRetargeter(interface.BaseRetargeter):
     def _compute_fn(self, inputs: Any, outputs: Any, context: Any) -> None:
         self._now = context.graph_time.real_time_ns * 1e-9
         self._obey(context.execution_events)
-        given = inputs[self._input]
+        value = inputs[self._input]
         arrival, wrist = None, None
-        if not given.is_none:
-            frame, wrist = self._read(given)
+        if not value.is_none:
+            frame, wrist = self._read(value)
             arrival = Arrival(frame, self._now)
         tick = self._pipeline.step(self._now, arrival)
         for place, joint in enumerate(self._chosen):
@@ -170,16 +170,16 @@ class SmoothHandRetargeter(interface.BaseRetargeter):
         if events.reset:
             self._pipeline.switch(self.retargeter)
 
-    def _read(self, given: Any) -> tuple[HandFrame, Float[np.ndarray, "7"] | None]:
+    def _read(self, value: Any) -> tuple[HandFrame, Float[np.ndarray, "7"] | None]:
         """A frame, and the wrist in our world where it is valid."""
         index = tensor_types.HandInputIndex
-        points = np.from_dlpack(given[index.JOINT_POSITIONS]).astype(np.float64)
-        valid = np.from_dlpack(given[index.JOINT_VALID]).astype(bool)
-        turns = np.from_dlpack(given[index.JOINT_ORIENTATIONS]).astype(np.float64)
-        taken, bases = list(FROM_OPENXR_26), list(METACARPALS_OPENXR_26)
+        points = np.from_dlpack(value[index.JOINT_POSITIONS]).astype(np.float64)
+        valid = np.from_dlpack(value[index.JOINT_VALID]).astype(bool)
+        turns = np.from_dlpack(value[index.JOINT_ORIENTATIONS]).astype(np.float64)
+        rows, bases = list(FROM_OPENXR_26), list(METACARPALS_OPENXR_26)
         metacarpals = np.where(valid[bases, None], points[bases], np.nan)
         frame = HandFrame(
-            points[taken], self._now, self._side, valid=valid[taken], metacarpals=metacarpals
+            points[rows], self._now, self._side, valid=valid[rows], metacarpals=metacarpals
         )
         pose = to_ours(np.concatenate([points[_WRIST], turns[_WRIST]])[_WXYZ], self._world)
         return frame, pose if valid[_WRIST] and is_valid(pose) else None

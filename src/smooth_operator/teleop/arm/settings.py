@@ -63,9 +63,9 @@ def read_arm(text: str) -> ArmSettings:
         ConfigError, UnknownNameError: a setting is unknown or can't be read.
     """
     name, _, rest = text.partition(":")
-    made = settings_from_text(ArmSettings, f"{name}{',' * bool(rest)}{rest}", "arm", name)
-    assert isinstance(made, ArmSettings)
-    return made
+    settings = settings_from_text(ArmSettings, f"{name}{',' * bool(rest)}{rest}", "arm", name)
+    assert isinstance(settings, ArmSettings)
+    return settings
 
 
 def place_arms(settings: ArmSettings, hands: Mapping[Side, Hand]) -> dict[Side, CarriedHand]:

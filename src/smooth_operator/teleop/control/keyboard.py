@@ -75,7 +75,7 @@ def actions(
 @contextlib.contextmanager
 def keyboard(
     loop: TeleopLoop,
-    said: Reporter,
+    reporter: Reporter,
     more: Mapping[str, Callable[[], None]] = {},
     words: str = "",
 ) -> Iterator[None]:
@@ -83,13 +83,13 @@ def keyboard(
 
     Args:
         loop: the running loop.
-        said: where lines for the person at the keys go.
+        reporter: where lines for the person at the keys go.
         more: other keys.
         words: what those do.
     """
-    with keys(actions(loop, lambda text: said.note(text, matters=True), more)) as there:
+    with keys(actions(loop, lambda text: reporter.note(text, matters=True), more)) as there:
         if there:
-            said.note(WORDS + words)
+            reporter.note(WORDS + words)
         yield
 
 

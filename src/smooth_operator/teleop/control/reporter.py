@@ -40,14 +40,14 @@ class LoggingReporter:
 
 
 def summarise(
-    loop: TeleopLoop, seconds: float, said: Reporter, more: Mapping[str, Any]
+    loop: TeleopLoop, seconds: float, reporter: Reporter, more: Mapping[str, Any]
 ) -> dict[str, Any]:
     """Summary of a loop that has ended.
 
     Args:
         loop: the loop.
         seconds: how long it ran [s].
-        said: takes what a person should know.
+        reporter: takes what a person should know.
         more: further entries.
 
     Returns:
@@ -68,35 +68,35 @@ def summarise(
     }
     for sink in sinks:
         if sink.failed:
-            said.note(f"{sink.label}: failed {sink.failed} times: {sink.detail}", matters=True)
+            reporter.note(f"{sink.label}: failed {sink.failed} times: {sink.detail}", matters=True)
     if health.state == "failed":
-        said.note(f"{loop.source.label}: {health.detail}", matters=True)
+        reporter.note(f"{loop.source.label}: {health.detail}", matters=True)
     for side, reasons in summary["frames_refused"].items():
         if reasons:
-            said.note(f"{side}: frames refused: {_counted(reasons)}", matters=True)
+            reporter.note(f"{side}: frames refused: {_counted(reasons)}", matters=True)
     if summary["frames_unusable"]:
         why = _counted(summary["frames_unusable_by_reason"])
-        said.note(f"frames of no use: {why}", matters=True)
+        reporter.note(f"frames of no use: {why}", matters=True)
     added = summary["added_latency_ms"]
     if added:
-        said.note(
+        reporter.note(
             f"{summary['frames_answered']} frames in {seconds:.1f} s, commands at "
             f"{summary['rate_hz']:.0f} Hz; received to sent p50 {added['p50']:.2f} ms, "
             f"p99 {added['p99']:.2f} ms; {100 * summary['deadlines_missed_share']:.2f} % late"
         )
         if summary["frames_provisional"]:
-            said.note(
+            reporter.note(
                 f"{summary['frames_provisional']} of them were answered by the first stage or on "
                 "the way from it, while the method compiled"
             )
     else:
-        said.note(
+        reporter.note(
             f"no frame came from {loop.source.label} in {seconds:.1f} s; {health.detail}",
             matters=True,
         )
     for side, delay in summary["motion_delay_ms"].items():
         if delay is not None:
-            said.note(f"{side}: from command to measured motion {delay:.0f} ms")
+            reporter.note(f"{side}: from command to measured motion {delay:.0f} ms")
     plain: dict[str, Any] = json.loads(to_json(summary))
     return plain
 

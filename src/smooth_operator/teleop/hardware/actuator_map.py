@@ -231,8 +231,8 @@ class BoundMap:
 
     def angles(self, positions: Float[np.ndarray, " n"]) -> Float[np.ndarray, " a"]:
         """(a,) drive angles [rad] of joint positions [rad]."""
-        found: np.ndarray = self._weights @ positions
-        return found
+        result: np.ndarray = self._weights @ positions
+        return result
 
     def commands(self, angles: Float[np.ndarray, " a"]) -> Float[np.ndarray, " a"]:
         """(a,) commands for drive angles [rad], not limited to the ends."""
@@ -241,8 +241,8 @@ class BoundMap:
 
     def clip(self, commands: Float[np.ndarray, " a"]) -> Float[np.ndarray, " a"]:
         """Commands within the ends."""
-        kept: np.ndarray = np.clip(commands, self.ends[:, 0], self.ends[:, 1])
-        return kept
+        clipped: np.ndarray = np.clip(commands, self.ends[:, 0], self.ends[:, 1])
+        return clipped
 
     def drive_angles(self, commands: Float[np.ndarray, " a"]) -> Float[np.ndarray, " a"]:
         """(a,) drive angles [rad] that commands, or measured positions, stand for; NaN for NaN."""
@@ -256,8 +256,8 @@ class BoundMap:
             NaN for a joint that no actuator moves, or whose actuator's position is NaN.
         """
         angles = self.drive_angles(commands) - self._weights @ self._offset
-        found: np.ndarray = self._spread(angles) + self._offset
-        return found
+        result: np.ndarray = self._spread(angles) + self._offset
+        return result
 
     def joint_velocities(
         self, commands: Float[np.ndarray, " a"], rates: Float[np.ndarray, " a"]
@@ -269,13 +269,13 @@ class BoundMap:
 
     def _spread(self, angles: Float[np.ndarray, " a"]) -> Float[np.ndarray, " n"]:
         missing = ~np.isfinite(angles)
-        found: np.ndarray = self._gears @ (self._inverse @ np.where(missing, 0.0, angles))
+        spread: np.ndarray = self._gears @ (self._inverse @ np.where(missing, 0.0, angles))
         unknown = ~self.known
         if missing.any():
             lost = (np.abs(self._inverse[:, missing]) > _KNOWN).any(axis=1)
             unknown = unknown | ((np.abs(self._gears) @ lost) > 0)
-        found[unknown] = np.nan
-        return found
+        spread[unknown] = np.nan
+        return spread
 
 
 _Curve: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]

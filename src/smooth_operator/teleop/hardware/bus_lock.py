@@ -218,8 +218,8 @@ def only_port(driver: str, extra: str) -> str:
     ports = serial_ports()
     if len(ports) == 1:
         return next(iter(ports))
-    found = ", ".join(ports) or "none"
+    names = ", ".join(ports) or "none"
     raise SinkError(
-        f"{driver}: name the serial port, such as {driver}:/dev/ttyUSB0; there are: {found}. "
+        f"{driver}: name the serial port, such as {driver}:/dev/ttyUSB0; there are: {names}. "
         "Check cable and power if the hand's is not among them"
     )

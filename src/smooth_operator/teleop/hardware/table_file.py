@@ -87,12 +87,12 @@ def find_table(wanted: str, driver: str, side: Side) -> Path:
 def list_tables() -> list[Path]:
     """All tables that can be named, the user's first; a built-in one that it replaces is left
     out."""
-    found: dict[str, Path] = {}
+    tables: dict[str, Path] = {}
     for folder in (user_tables_folder(), built_in_tables()):
         if folder.is_dir():
             for path in sorted(folder.glob("*_*.toml")):
-                found.setdefault(path.name, path)
-    return list(found.values())
+                tables.setdefault(path.name, path)
+    return list(tables.values())
 
 
 def read_table(path: Path) -> ActuatorMap:

@@ -188,15 +188,15 @@ class HandWorker:
     @property
     def note(self) -> str:
         """What a person should know now; empty if all is well."""
-        said, since, reading = [], self._busy_since, self.reading
+        facts, since, reading = [], self._busy_since, self.reading
         if since is not None and (waited := time.perf_counter() - since) > _HANGS_S:
-            said.append(f"no answer from the bus for {waited:.1f} s")
+            facts.append(f"no answer from the bus for {waited:.1f} s")
         if self._trouble:
-            said.append(f"{self._trouble}; it is tried again every second")
+            facts.append(f"{self._trouble}; it is tried again every second")
         elif self._doing != "following":
-            said.append(self._doing)
+            facts.append(self._doing)
         if reading is not None and not self._trouble:
-            said += self._warnings(reading)
+            facts += self._warnings(reading)
         count = self.statistics
         slow = count.slow if count.slow > _MANY * count.cycles else 0
         counted = {
@@ -205,20 +205,20 @@ class HandWorker:
             "losses": count.lost,
             "commands not finite": count.not_finite,
         }
-        said += [f"{number} {what}" for what, number in counted.items() if number]
-        return "; ".join(said)
+        facts += [f"{number} {what}" for what, number in counted.items() if number]
+        return "; ".join(facts)
 
     def _warnings(self, reading: Reading) -> list[str]:
         names = self._map.table.names
-        said = [*reading.errors, *self._watch.warnings]
+        warnings = [*reading.errors, *self._watch.warnings]
         held = [name for name, way in zip(names, self._guard.squeezing, strict=True) if way]
         if held:
-            said.append(f"squeezes no further: {', '.join(held)}")
+            warnings.append(f"squeezes no further: {', '.join(held)}")
         if reading.temperatures is not None:
             pairs = zip(names, reading.temperatures, strict=True)
             hot = [f"{name} {t:.0f} °C" for name, t in pairs if t >= self._map.table.hot]
-            said += [f"hot: {', '.join(hot)}"] if hot else []
-        return said
+            warnings += [f"hot: {', '.join(hot)}"] if hot else []
+        return warnings
 
     def _run(self) -> None:
         try:
@@ -238,10 +238,10 @@ class HandWorker:
 
     def _lose(self, error: Exception) -> None:
         """The device is gone: say so, and wait before it is opened again."""
-        known = isinstance(error, SinkError)
+        expected = isinstance(error, SinkError)
         # Who sees the loss sees no measurement from before it.
         self.state = self.reading = None
-        self.statistics.latest = self._trouble = str(error if known else _described(error))
+        self.statistics.latest = self._trouble = str(error if expected else _described(error))
         self.statistics.lost += 1
         self._close()
         with self._change:
@@ -447,7 +447,7 @@ class BusStatistics:
     def summary(self) -> dict[str, Any]:
         """Plain values; times of the last cycles in ms."""
         times = self._times[np.isfinite(self._times)]
-        found: dict[str, Any] = {
+        figures: dict[str, Any] = {
             "cycles": self.cycles,
             "wrong_answers": self.wrong,
             "slow_cycles": self.slow,
@@ -457,5 +457,5 @@ class BusStatistics:
         }
         if len(times):
             p50, p99 = np.percentile(times, (50, 99))
-            found["cycle_ms"] = {"p50": float(p50), "p99": float(p99), "max": float(times.max())}
-        return found
+            figures["cycle_ms"] = {"p50": float(p50), "p99": float(p99), "max": float(times.max())}
+        return figures

@@ -261,12 +261,12 @@ def above(
     """
     vertices, faces = mesh.vertices, mesh.faces
     height = (vertices - point) @ normal
-    kept = height > 0
-    if kept.all():
+    inside = height > 0
+    if inside.all():
         return mesh
-    if not kept.any():
+    if not inside.any():
         return None
-    count = kept[faces].sum(axis=1)
+    count = inside[faces].sum(axis=1)
 
     def turned(chosen: Int[np.ndarray, "n 3"], first: Int[np.ndarray, " n"]) -> Any:
         """The corners of each face in their order, from another one on; as three columns."""
@@ -277,8 +277,8 @@ def above(
         return np.asarray(vertices[a] + share[:, None] * (vertices[b] - vertices[a]))
 
     one, two = faces[count == 1], faces[count == 2]
-    a, b, c = turned(one, kept[one].argmax(axis=1))  # a stays
-    d, e, f = turned(two, kept[two].argmin(axis=1))  # d goes
+    a, b, c = turned(one, inside[one].argmax(axis=1))  # a stays
+    d, e, f = turned(two, inside[two].argmin(axis=1))  # d goes
     edges = [crossing(a, b), crossing(a, c), crossing(e, d), crossing(f, d)]
     ends = np.cumsum([len(vertices), *map(len, edges)])
     ab, ac, ed, fd = (np.arange(ends[k], ends[k + 1]) for k in range(4))
@@ -309,15 +309,15 @@ def without_forearm(
         point: where it is cut, in the frame of ``poses`` [m].
         distal: unit vector along the forearm, toward the fingers.
     """
-    kept: dict[int, trimesh.Trimesh] = {}
+    cut: dict[int, trimesh.Trimesh] = {}
     for body, whole in meshes.items():
         mesh: trimesh.Trimesh | None = whole
         if owner[body] < 0:
             rotation, position = poses[body]
             mesh = above(whole, rotation.T @ (point - position), rotation.T @ distal)
         if mesh is not None:
-            kept[body] = mesh
-    return kept
+            cut[body] = mesh
+    return cut
 
 
 def finger_of_body(

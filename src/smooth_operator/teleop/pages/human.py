@@ -74,18 +74,18 @@ class HumanView:
             landmarks: (21, 3) [m]; NaN where there is none.
             pinched: (F-1,) which fingers pinch with the thumb; their tips are lit up and grow.
         """
-        seen = np.isfinite(landmarks).all(axis=-1)
-        points = np.where(seen[:, None], landmarks, 0.0)
+        present = np.isfinite(landmarks).all(axis=-1)
+        points = np.where(present[:, None], landmarks, 0.0)
         lit = lit_tips(pinched)
         radii, colors = self._radii.copy(), self._colors.copy()
         radii[self._tips[lit]], colors[self._tips[lit]] = _PINCHED, HIGHLIGHT
         self._joints.batched_positions = points
         # a missing landmark has size zero; unchanged arrays are not sent again
-        self._joints.batched_scales = np.where(seen, radii, 0.0)
+        self._joints.batched_scales = np.where(present, radii, 0.0)
         self._joints.batched_colors = linear(colors)
 
         start, end = points[_PARENTS], points[_CHILDREN]
-        both = (seen[_PARENTS] & seen[_CHILDREN])[:, None]
+        both = (present[_PARENTS] & present[_CHILDREN])[:, None]
         length = np.linalg.norm(end - start, axis=-1, keepdims=True)
         size = np.concatenate([np.repeat(self._bone_radii[:, None], 2, axis=1), length], axis=1)
         self._bones.batched_positions = (start + end) / 2

@@ -137,11 +137,11 @@ def status_line(runs: Sequence[Playback], frame: int) -> str:
         f"<b>frame {frame}</b>/{len(times) - 1}",
         f"<b>{times[frame]:.2f}</b>/{times[-1]:.2f} s",
     )
-    said = [_said(run, frame, named=len(runs) > 1) for run in runs]
+    lines = [_said(run, frame, named=len(runs) > 1) for run in runs]
     return (
         f'<div id="playback-status" data-frame="{frame}" role="status" '
         'style="padding:0.4em 0.8em;font-size:0.875em;font-variant-numeric:tabular-nums">'
-        f"{' · '.join(parts)}<br>{'<br>'.join(said)}</div>"
+        f"{' · '.join(parts)}<br>{'<br>'.join(lines)}</div>"
     )
 
 
@@ -183,17 +183,19 @@ def _chips(names: Sequence[str], colors: Sequence[str], sign: str) -> str:
 def metrics_table(runs: Sequence[Playback]) -> str:
     """Figures of each run as HTML, group by group: value, unit, the better direction, meaning."""
     flat = [dict(_flatten(run.metrics or {})) for run in runs]
-    known = {metric.name: metric for metric in known_metrics()}
+    metrics = {metric.name: metric for metric in known_metrics()}
     names = list(dict.fromkeys(name for figures in flat for name in figures))
     parts = []
     for group, question in {**GROUPS, "": "Other"}.items():
         own = [n for n in names if _group_of(n) == group]
         if own:
-            rows = "".join(_row(n, known.get(n), [figures.get(n) for figures in flat]) for n in own)
-            title, _, asked = question.partition(": ")
+            rows = "".join(
+                _row(n, metrics.get(n), [figures.get(n) for figures in flat]) for n in own
+            )
+            title, _, detail = question.partition(": ")
             parts.append(
                 f"<details open><summary style='cursor:pointer;font-weight:600;padding:0.5em 0 0'>"
-                f"{html.escape(title)}</summary><div style='{_SOFT}'>{html.escape(asked)}</div>"
+                f"{html.escape(title)}</summary><div style='{_SOFT}'>{html.escape(detail)}</div>"
                 f"<table style='width:100%;border-collapse:collapse'>{_head(runs)}{rows}</table>"
                 "</details>"
             )
@@ -216,16 +218,16 @@ def _head(runs: Sequence[Playback]) -> str:
 
 def _row(name: str, metric: Metric | None, values: Sequence[Any]) -> str:
     unit = f" [{metric.unit}]" if metric and metric.unit else ""
-    said = ""
+    meaning = ""
     if metric:
         better = f"; {metric.better}" if metric.goal else ""
-        said = f"<div style='{_SOFT}'>{html.escape(metric.meaning + better)}</div>"
+        meaning = f"<div style='{_SOFT}'>{html.escape(metric.meaning + better)}</div>"
     words = html.escape(name.replace("_", " ").replace(".", " "))
     cells = "".join(
         f"<td style='text-align:right;vertical-align:top;padding-left:0.6em'>{_cell(value)}</td>"
         for value in values
     )
-    return f"<tr><td style='padding:0.25em 0'>{words}{unit}{said}</td>{cells}</tr>"
+    return f"<tr><td style='padding:0.25em 0'>{words}{unit}{meaning}</td>{cells}</tr>"
 
 
 def _group_of(name: str) -> str:

@@ -197,5 +197,5 @@ def _cut(
     mujoco.mj_kinematics(playback.model, data)
     poses = {body: (data.xmat[body].reshape(3, 3), data.xpos[body]) for body in meshes}
     up = view_axes(playback)[1]
-    kept = without_forearm(meshes, poses, owner, playback.robot_wrist - FOREARM * up, up)
-    return kept or meshes
+    cut = without_forearm(meshes, poses, owner, playback.robot_wrist - FOREARM * up, up)
+    return cut or meshes

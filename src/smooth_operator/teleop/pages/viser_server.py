@@ -112,7 +112,7 @@ def plain(text: str) -> str:
     and ``export`` at the beginning of a line. What people write into a file (a name, a source, a
     note) is none of that, so every sign that could mean something goes in as its number.
     """
-    return _SIGNS.sub(lambda found: f"&#{ord(found[0])};", " ".join(text.split()))
+    return _SIGNS.sub(lambda sign: f"&#{ord(sign[0])};", " ".join(text.split()))
 
 
 def add_hotkeys(gui: viser.GuiApi, *hotkeys: tuple[str, Any, Callable[[], None]]) -> None:
@@ -322,9 +322,9 @@ def serve_page(page: _Page, doing: str, *, open_browser: bool, block: bool) -> _
         The page: stopped if ``block``, running otherwise.
     """
     # standard error: standard output may be a result that a program reads
-    wanted = page._wanted_port
-    taken = "" if wanted in (0, page.port) else f" (port {wanted} was taken)"
-    print_note(f"{doing} {page.url}{taken}{'; Ctrl-C ends' if block else ''}")
+    port = page._wanted_port
+    note = "" if port in (0, page.port) else f" (port {port} was taken)"
+    print_note(f"{doing} {page.url}{note}{'; Ctrl-C ends' if block else ''}")
     if open_browser:
         open_page(page.url)
     if block:

@@ -164,13 +164,13 @@ def table_layout(hand: Hand, table: str) -> TableLayout:
         UnknownNameError: the hand has no joint of a name in it.
     """
     side = hand.spec.side
-    found = read_table(find_table(table.replace("{side}", side), "ros2", side))
-    if found.side != side:
+    read = read_table(find_table(table.replace("{side}", side), "ros2", side))
+    if read.side != side:
         raise ConfigError(
-            f"ros2: {found.file} is of the {found.side} hand, and commands are for the {side} one; "
+            f"ros2: {read.file} is of the {read.side} hand, and commands are for the {side} one; "
             "put {side} into the name of the table"
         )
-    return TableLayout(found.bind(hand))
+    return TableLayout(read.bind(hand))
 
 
 def joint_layout(
@@ -198,15 +198,15 @@ def joint_layout(
 
 
 def _matching(hand: Hand, pattern: str) -> list[int]:
-    found = [i for i, name in enumerate(hand.joint_names) if fnmatchcase(name, pattern)]
-    if not found:
+    indices = [i for i, name in enumerate(hand.joint_names) if fnmatchcase(name, pattern)]
+    if not indices:
         raise UnknownNameError(
             f"joint of hand {hand.name!r}:",
             pattern,
             hand.joint_names,
             "joints= takes all, actuated, or names separated by blanks.",
         )
-    return found
+    return indices
 
 
 def pose_message(pose: Float[np.ndarray, "7"]) -> Pose:

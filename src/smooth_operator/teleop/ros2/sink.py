@@ -119,8 +119,8 @@ class Ros2Sink(ThreadedSink):
         self._endpoint()
         if not self.joints.strip():
             raise ConfigError("ros2: joints must be all, actuated or names of joints, not nothing")
-        given = (self.joints, self.prefix, self.unit, self.scale, self.offset)
-        if self.table is not None and given != ("auto", "", "rad", 1.0, 0.0):
+        settings = (self.joints, self.prefix, self.unit, self.scale, self.offset)
+        if self.table is not None and settings != ("auto", "", "rad", 1.0, 0.0):
             raise ConfigError(
                 "ros2: the table says names, order and unit; leave out joints, prefix, unit, scale "
                 "and offset"
@@ -140,8 +140,8 @@ class Ros2Sink(ThreadedSink):
     @property
     def note(self) -> str:
         """The domain of the open sink, and the machines that it reaches."""
-        found: str = getattr(self, "_reach", "")
-        return found
+        reach: str = getattr(self, "_reach", "")
+        return reach
 
     def connect(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> Link:
         """Open the transport and its publishers."""
@@ -268,29 +268,29 @@ class _Publisher:
             return
         self._states[tick.side] = state
         age = max(0, round((time.perf_counter() - state.stamp) * 1e9))
-        known = np.isfinite(state.positions)
-        names = [name for name, good in zip(state.names, known, strict=True) if good]
-        rates = None if state.velocities is None else state.velocities[known]
+        measured = np.isfinite(state.positions)
+        names = [name for name, good in zip(state.names, measured, strict=True) if good]
+        rates = None if state.velocities is None else state.velocities[measured]
         sent = [] if rates is None or not np.isfinite(rates).all() else rates.tolist()
         header = Header(Time.of(max(0, stamp.nanoseconds - age)))
-        publish(JointState(header, names, state.positions[known].tolist(), sent))
+        publish(JointState(header, names, state.positions[measured].tolist(), sent))
 
     def _wrists(self, tick: Tick, stamp: Time) -> None:
         """Publish the wrist's target and the operator's wrist, as far as there are."""
-        found = []
+        poses = []
         if tick.wrist is not None:
             parent = self._sink.base or tick.wrist.world
-            found.append(("wrist", parent, self._frames[tick.side], tick.wrist.pose))
+            poses.append(("wrist", parent, self._frames[tick.side], tick.wrist.pose))
         frame = None if tick.arrival is None else tick.arrival.frame
         if frame is not None and frame.T_world_wrist is not None:
             child = f"human_{tick.side}_wrist"
-            found.append(("human_wrist", frame.world or "world", child, frame.T_world_wrist))
-        found = [each for each in found if all(map(math.isfinite, each[-1].tolist()))]
-        for name, parent, _, pose in found:
+            poses.append(("human_wrist", frame.world or "world", child, frame.T_world_wrist))
+        poses = [each for each in poses if all(map(math.isfinite, each[-1].tolist()))]
+        for name, parent, _, pose in poses:
             if publish := self._publish[tick.side].get(name):
                 publish(PoseStamped(Header(stamp, parent), pose_message(pose)))
-        if self._tf is not None and found:
-            transforms = [transform_message(Header(stamp, p), c, pose) for _, p, c, pose in found]
+        if self._tf is not None and poses:
+            transforms = [transform_message(Header(stamp, p), c, pose) for _, p, c, pose in poses]
             self._tf(TFMessage(transforms))
 
     def _is_due(self, tick: Tick) -> bool:

@@ -120,13 +120,13 @@ class Ros2Source(StreamSource):
 
     def _topics(self) -> dict[str, Side | None]:
         """Topic -> side of its hands, None where a message says it."""
-        found: dict[str, Side | None] = {}
+        topics: dict[str, Side | None] = {}
         names = self.topic.split() or [self.topic]
         for name in names:
             for side in self.sides:
                 topic = topic_name(name, "ros2", side=side)
-                found[topic] = side if "{side}" in name else only_side(self.side)
-        return found
+                topics[topic] = side if "{side}" in name else only_side(self.side)
+        return topics
 
     def _wrist_topics(self) -> Mapping[str, Side]:
         if self.wrist is None:

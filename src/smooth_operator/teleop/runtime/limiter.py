@@ -150,11 +150,11 @@ class JointLimiter:
         up = np.minimum(stoppable_speed(self._high - self.q, dt, a), top)
         return down, up, a * min(dt, (self._last_dt + dt) / 2)
 
-    def _go(self, wanted: Float[np.ndarray, " m"], dt: float) -> Float[np.ndarray, " m"]:
+    def _go(self, target: Float[np.ndarray, " m"], dt: float) -> Float[np.ndarray, " m"]:
         """Take a step at the velocity within the limits that is nearest to the one wanted."""
         down, up, change = self._room(dt)
         # Acceleration comes last: a joint that is too fast for new limits slows down to them.
-        velocity = np.clip(wanted, -down, up)
+        velocity = np.clip(target, -down, up)
         velocity = np.clip(velocity, self.velocity - change, self.velocity + change)
         q = np.asarray(np.clip(self.q + velocity * dt, self._start, self._end))
         self.velocity = (q - self.q) / dt
@@ -302,7 +302,7 @@ class PoseLimiter:
 
     def _go(
         self,
-        wanted: Float[np.ndarray, "3"],
+        target: Float[np.ndarray, "3"],
         turn: Float[np.ndarray, "3"],
         dt: float,
         share: float,
@@ -321,7 +321,7 @@ class PoseLimiter:
         each = np.where(needed > usual * 1.001, needed, usual)
         velocity = _nearest(
             self.velocity,
-            wanted,
+            target,
             config.velocity * share * brief,
             max(config.acceleration, math.sqrt(each @ each)) * shorter,
             stoppable_speed(place - low, dt, each),
@@ -362,7 +362,7 @@ def _towards(
 
 def _nearest(
     before: Float[np.ndarray, "3"],
-    wanted: Float[np.ndarray, "3"],
+    target: Float[np.ndarray, "3"],
     top: float,
     change: float,
     down: Float[np.ndarray, "3"] | float = math.inf,
@@ -376,7 +376,7 @@ def _nearest(
 
     Args:
         before: the last velocity.
-        wanted: the one that is asked for.
+        target: the one that is asked for.
         top: largest speed; it may have become lower.
         change: largest length of the change.
         down: largest speed against each axis.
@@ -386,7 +386,7 @@ def _nearest(
     slow = _cut(braked, top)
     if math.dist(slow, before) >= change:
         return _reach(before, braked, slow, change)
-    return _reach(before, slow, _cut(np.clip(wanted, -down, up), top), change)
+    return _reach(before, slow, _cut(np.clip(target, -down, up), top), change)
 
 
 def _reach(

@@ -111,38 +111,38 @@ class MotionDelay:
         commands, states = self._commands, self._states
         if commands is None or states is None:
             return None
-        asked, wanted = commands.newest()
-        seen, measured = states.newest()
-        if len(asked) < 3 or len(seen) < 3 or wanted.shape[1] != measured.shape[1]:
+        sent_at, commanded = commands.newest()
+        measured_at, measured = states.newest()
+        if len(sent_at) < 3 or len(measured_at) < 3 or commanded.shape[1] != measured.shape[1]:
             return None
-        begin, end = max(asked[0] + _LONGEST_S, seen[0]), min(asked[-1], seen[-1])
+        begin, end = max(sent_at[0] + _LONGEST_S, measured_at[0]), min(sent_at[-1], measured_at[-1])
         if end - begin < _LEAST_S:
             return None
         lags = round(_LONGEST_S / _GRID_S)
         grid = np.arange(begin, end, _GRID_S)
         before = np.arange(-lags, len(grid)) * _GRID_S + begin
-        known = np.isfinite(measured).all(axis=0)
-        moved = _velocities(grid, seen, measured[:, known])
-        asked_for = _velocities(before, asked, wanted[:, known])
+        complete = np.isfinite(measured).all(axis=0)
+        moved = _velocities(grid, measured_at, measured[:, complete])
+        asked_for = _velocities(before, sent_at, commanded[:, complete])
         moving = (moved.std(axis=0) > _MOVES) & (asked_for.std(axis=0) > _MOVES)
         if not moving.any():
             return None
         moved, asked_for = moved[:, moving], asked_for[:, moving]
         moved, asked_for = moved - moved.mean(axis=0), asked_for - asked_for.mean(axis=0)
         count = len(moved)
-        found = np.empty(lags + 1)
+        scores = np.empty(lags + 1)
         for lag in range(lags + 1):
             part = asked_for[lags - lag : lags - lag + count]
-            found[lag] = (part * moved).sum() / np.sqrt((part**2).sum() * (moved**2).sum())
-        best = int(found.argmax())
-        if found[best] < _TRUSTED:
+            scores[lag] = (part * moved).sum() / np.sqrt((part**2).sum() * (moved**2).sum())
+        best = int(scores.argmax())
+        if scores[best] < _TRUSTED:
             return None
         shift = 0.0
         if 0 < best < lags:
-            left, top, right = found[best - 1 : best + 2]
+            left, top, right = scores[best - 1 : best + 2]
             curve = left - 2 * top + right
             shift = 0.5 * (left - right) / curve if curve < 0 else 0.0
-        return Delay((best + shift) * _GRID_S, float(found[best]))
+        return Delay((best + shift) * _GRID_S, float(scores[best]))
 
 
 def _velocities(

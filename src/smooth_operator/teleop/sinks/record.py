@@ -431,11 +431,12 @@ def take_paths(path: Path, sides: Sequence[Side], *, overwrite: bool) -> dict[Si
     """
     if not is_folder(path):
         files = _files(path, sides)
-        taken = [] if overwrite else [file for file in files.values() if file.exists()]
-        if taken:
+        present = [] if overwrite else [file for file in files.values() if file.exists()]
+        if present:
             raise OutputError(
-                f"can't write {str(taken[0])!r}: a file stands there already; choose another name, "
-                "give a folder for numbered takes, or ask to overwrite it (overwrite=true)"
+                f"can't write {str(present[0])!r}: a file stands there already; "
+                "choose another name, give a folder for numbered takes, or ask to overwrite it "
+                "(overwrite=true)"
             )
         return files
     try:

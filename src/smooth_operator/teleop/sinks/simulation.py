@@ -243,13 +243,13 @@ class Simulation(Sink):
 
     def _scene(self, side: Side) -> ScenePhysics:
         world = self._world
-        found = None if world is None else world.physics.get(side)
-        if not isinstance(found, ScenePhysics):
+        physics = None if world is None else world.physics.get(side)
+        if not isinstance(physics, ScenePhysics):
             raise SinkError(
                 f"mujoco: there is no scene around a {side} hand: "
                 + ("it is not open" if world is None else "ask for one with mujoco:task=card")
             )
-        return found
+        return physics
 
     def close(self) -> None:
         """Stop; a second call does nothing."""
@@ -396,10 +396,10 @@ class World:
     def _step(self, seconds: float, now: float) -> None:
         for side, physics in self.physics.items():
             with self._changed:
-                frozen, asked = side in self._frozen, side in self._there
+                frozen, there = side in self._frozen, side in self._there
             if frozen:
                 self.seen[side] = _measured(side, physics, now)
-                if asked and isinstance(physics, ScenePhysics):
+                if there and isinstance(physics, ScenePhysics):
                     self._show(side, physics)  # the object may be put back meanwhile
                 continue
             if not physics.advance(seconds):

@@ -69,13 +69,13 @@ def read_manus(
         RecordingError: it can't be read, with the reason.
     """
     check_size(data)
-    found = _TOPIC.match(data)
-    if found is None:
+    topic_match = _TOPIC.match(data)
+    if topic_match is None:
         return _read_csv(data, gloves, side, received)
-    topic = found[1].decode().lower().rpartition("/")[2]
-    known: Side | None = topic if topic in ("right", "left") else side  # type: ignore[assignment]
-    message = parse_json(data[found.end() :])
-    return tuple(read_glove(hand, gloves, known, received) for hand in _hands(message))
+    topic = topic_match[1].decode().lower().rpartition("/")[2]
+    expected: Side | None = topic if topic in ("right", "left") else side  # type: ignore[assignment]
+    message = parse_json(data[topic_match.end() :])
+    return tuple(read_glove(hand, gloves, expected, received) for hand in _hands(message))
 
 
 def write_manus(frame: HandFrame) -> bytes:
@@ -93,10 +93,10 @@ def write_manus(frame: HandFrame) -> bytes:
     quaternions = np.full((NODES, 4), np.nan)
     if frame.orientations is not None:
         quaternions[list(FROM_MANUS_25)] = frame.orientations
-    seen = np.isfinite(positions).all(axis=1), np.isfinite(quaternions).all(axis=1)
-    numbers = np.hstack([positions, quaternions])[np.repeat(np.stack(seen, 1), (3, 4), axis=1)]
+    present = np.isfinite(positions).all(axis=1), np.isfinite(quaternions).all(axis=1)
+    numbers = np.hstack([positions, quaternions])[np.repeat(np.stack(present, 1), (3, 4), axis=1)]
     return (
-        _template(*(tuple(flags.tolist()) for flags in seen)) % tuple(numbers.tolist())
+        _template(*(tuple(flags.tolist()) for flags in present)) % tuple(numbers.tolist())
     ).encode()
 
 
@@ -121,9 +121,9 @@ def _hands(message: Any) -> list[Mapping[str, Any]]:
         shared = {k: message[k] for k in ("stamp", "timestamp", "session", "world") if k in message}
         if "hands" in message or "gloves" in message:
             hands = message.get("hands", message.get("gloves"))
-        elif found := [key for key in message if key.lower() in ("right", "left")]:
+        elif keys := [key for key in message if key.lower() in ("right", "left")]:
             hands = [
-                {"side": key, **message[key]} for key in found if isinstance(message[key], dict)
+                {"side": key, **message[key]} for key in keys if isinstance(message[key], dict)
             ]
         else:
             return [message]
@@ -164,17 +164,17 @@ def read_glove(
     return Reading(frame, stamp is not None, read_session(message))
 
 
-def _side(label: Any, glove: Any, gloves: Mapping[str, Side], known: Side | None) -> Side:
+def _side(label: Any, glove: Any, gloves: Mapping[str, Side], otherwise: Side | None) -> Side:
     if str(glove).lower() in gloves:  # the user knows better than a bridge that is starting
         return gloves[str(glove).lower()]
     if str(label).lower() in ("unknown", "none", ""):
         label = None
-    if label is None and known is None:
+    if label is None and otherwise is None:
         raise RecordingError(
             f"the message does not say which hand glove {glove!r} is on; name it: "
             f"right_glove={glove} or left_glove={glove}, or take one hand only: side=right"
         )
-    return read_side(label, known)
+    return read_side(label, otherwise)
 
 
 def _read_nodes(

@@ -405,9 +405,9 @@ def points_of_matrices(
             place), or an upper left part is no rotation.
     """
     whole = np.isfinite(matrices).all(axis=(1, 2))
-    found = matrices[whole]
+    complete = matrices[whole]
     by_rows, by_columns = (
-        bool((np.abs(last - _LAST) < _CLOSE).all()) for last in (found[:, 3], found[:, :, 3])
+        bool((np.abs(last - _LAST) < _CLOSE).all()) for last in (complete[:, 3], complete[:, :, 3])
     )
     if order == "columns" or (order == "auto" and by_columns and not by_rows):
         matrices, placed = np.swapaxes(matrices, 1, 2), by_columns
@@ -516,8 +516,8 @@ def read_stamp(message: Mapping[str, Any], unit: StampUnit = "s") -> float | Non
         if likely
         else "; give the source stamp_unit=s, ms, us or ns, whichever the tracker sends"
     )
-    said = "in seconds" if unit == "s" else f"in {unit} (stamp_unit={unit})"
-    raise RecordingError(f"the stamp must be {said}, not {stamp:.6g}{hint}")
+    expected = "in seconds" if unit == "s" else f"in {unit} (stamp_unit={unit})"
+    raise RecordingError(f"the stamp must be {expected}, not {stamp:.6g}{hint}")
 
 
 def _finite(value: int | float) -> bool:

@@ -79,10 +79,10 @@ class PicoSource(StreamSource):
         data, host, connection = message
         sender: OneSender = getattr(self, "_sender")  # noqa: B009  (set in connect())
         repeats: Repeats = getattr(self, "_repeats")  # noqa: B009
-        found = read_packet(data, self.axes)  # what is no packet does not choose the sender
+        packet = read_packet(data, self.axes)  # what is no packet does not choose the sender
         sender.check(host, received)
-        frames = tuple(frame for frame in map(repeats.new, found.frames) if frame is not None)
-        if found.stamp is None:
+        frames = tuple(frame for frame in map(repeats.new, packet.frames) if frame is not None)
+        if packet.stamp is None:
             frames = tuple(dataclasses.replace(frame, stamp=received) for frame in frames)
         session = f"{host.decode()} {connection.decode()}"
-        return [Reading(frame, found.stamp is not None, session) for frame in frames]
+        return [Reading(frame, packet.stamp is not None, session) for frame in frames]

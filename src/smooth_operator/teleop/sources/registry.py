@@ -73,12 +73,12 @@ def build_source(text: str, hands: Hands | None = None) -> LiveSource:
             raise ConfigError(
                 f"{text!r} is a file, and a source is a word and what it takes: write {word}:{text}"
             )
-    made = build_component(SOURCES, text)
-    if hands is not None and _takes_hands(made):
+    source = build_component(SOURCES, text)
+    if hands is not None and _takes_hands(source):
         settings = SOURCES.split(text)[1].split(",")
         if not any(part.startswith("side=") for part in settings):
-            made = dataclasses.replace(made, side=hands)
-    return cast("LiveSource", made)
+            source = dataclasses.replace(source, side=hands)
+    return cast("LiveSource", source)
 
 
 def _takes_hands(source: object) -> bool:

@@ -144,8 +144,8 @@ class ZmqInbox:
                 f"ZeroMQ can't {'listen on' if bind else 'connect to'} {address!r} ({error}); an "
                 "address looks like tcp://127.0.0.1:5557"
             ) from error
-        found = self._socket.getsockopt(zmq.LAST_ENDPOINT).rstrip(b"\0").decode()
-        self.address = found if bind and found else address
+        endpoint = self._socket.getsockopt(zmq.LAST_ENDPOINT).rstrip(b"\0").decode()
+        self.address = endpoint if bind and endpoint else address
 
     def _set_up(self, pattern: Pattern, topic: str) -> None:
         zmq = self._zmq

@@ -198,8 +198,8 @@ class AbilityDevice:
         if self._line is None:
             raise DeviceLostError("ability: the hand is not open")
         try:
-            found = getattr(self._line, what)
-            return found(*values) if callable(found) else found
+            member = getattr(self._line, what)
+            return member(*values) if callable(member) else member
         except serial.SerialTimeoutException as error:
             raise WrongAnswerError(f"ability: {self._port} takes nothing") from error
         except (OSError, TypeError) as error:  # TypeError: pyserial, while the port is closing

@@ -184,15 +184,15 @@ class InspireDevice:
         )
 
     def _errors(self) -> tuple[str, ...]:
-        found = []
+        texts = []
         flags = self._slow.get(_ERROR, np.zeros(MOTORS, int))
         statuses = self._slow.get(_STATUS, np.zeros(MOTORS, int))
         for name, flag, status in zip(self._table.names, flags, statuses, strict=True):
             words = [text for bit, text in enumerate(_ERRORS) if int(flag) >> bit & 1]
             if not words and int(status) in _STATUSES:
                 words = [_STATUSES[int(status)]]
-            found += [f"{name}: {text}" for text in words]
-        return tuple(found)
+            texts += [f"{name}: {text}" for text in words]
+        return tuple(texts)
 
     def settings(self) -> Sequence[Setting]:
         """Force and speed; see ``HandDevice``."""

@@ -214,12 +214,12 @@ class LinkerDevice:
             )
         return self._reading()
 
-    def _collect(self, bus: CanBus, deadline: float, wanted: list[int] | None = None) -> None:
+    def _collect(self, bus: CanBus, deadline: float, fields: list[int] | None = None) -> None:
         """Take frames of the hand until all wanted ones are there, or the time is over."""
         for identifier, data in bus.until(deadline):
             if identifier == self._identifier and data:
                 self._answers[data[0]] = data[1:]
-            if wanted is not None and all(kind in self._answers for kind in wanted):
+            if fields is not None and all(kind in self._answers for kind in fields):
                 return
 
     def _reading(self) -> Reading:

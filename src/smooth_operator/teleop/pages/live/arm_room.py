@@ -72,8 +72,8 @@ class ArmRoom:
                 for z in (z0, z1)
             ]
         )
-        seen = _SCALE * corners @ self._rows.T
-        self._low, self._high = seen.min(axis=0), seen.max(axis=0)
+        projected = _SCALE * corners @ self._rows.T
+        self._low, self._high = projected.min(axis=0), projected.max(axis=0)
         if not settings.no_table:
             scene.add_grid(
                 "/room/table", _SCALE * _TABLE[0], _SCALE * _TABLE[0], plane="xy",

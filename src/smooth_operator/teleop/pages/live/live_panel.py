@@ -92,29 +92,29 @@ class LivePanel:
         gui.main_panel.dock_right()
         panel.dock_below(gui.main_panel)
 
-    def show(self, seen: Mapping[str, Any], delay: float = 0.0) -> None:
+    def show(self, state: Mapping[str, Any], delay: float = 0.0) -> None:
         """Show what the loop sends.
 
         Args:
-            seen: what ``LiveSession.look`` gave.
+            state: what ``LiveSession.look`` gave.
             delay: how late the slowest browser shows it [s].
         """
-        self._modes.content = live_texts.modes(seen["hands"])
-        wrists = [hand.get("wrist") for hand in seen["hands"].values()]
+        self._modes.content = live_texts.modes(state["hands"])
+        wrists = [hand.get("wrist") for hand in state["hands"].values()]
         self._released = any(wrist is not None and wrist["released"] for wrist in wrists)
-        shown = live_texts.trial(seen.get("trial"))
+        shown = live_texts.trial(state.get("trial"))
         if shown != self._trial.content:
             self._trial.content = shown
             self._trial.visible = bool(shown)
-        if "status" in seen:
-            self._summary.content = live_texts.summary(seen["status"])
-            self._timing.content = live_texts.timing(seen["status"])
+        if "status" in state:
+            self._summary.content = live_texts.summary(state["status"])
+            self._timing.content = live_texts.timing(state["status"])
             self._legend.content = live_texts.legend(
                 self._fingers, self._scene.simulated, self._scene.has_task
             )
             self._slow.content = live_texts.slow(delay)
             self._slow.visible = bool(self._slow.content)
-            self._show_controls(seen["controls"])
+            self._show_controls(state["controls"])
 
     # -- building -----------------------------------------------------------------------------
 

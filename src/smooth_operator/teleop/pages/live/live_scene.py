@@ -154,21 +154,21 @@ class LiveScene:
                 if self._room is not None:
                     self._room.draw(side, hands[side])
 
-    def draw_scenery(self, seen: Mapping[str, Any]) -> None:
+    def draw_scenery(self, scenery: Mapping[str, Any]) -> None:
         """Show what the hands work on; see ``Scenery``."""
-        self.scenery_number = seen["number"]
-        if "parts" in seen:
+        self.scenery_number = scenery["number"]
+        if "parts" in scenery:
             for side, view in self._sides.items():
-                view.scenery.show(seen["parts"].get(side, ()))
+                view.scenery.show(scenery["parts"].get(side, ()))
                 if self._room is not None:
-                    self._room.show_scenery(side, seen["parts"].get(side, ()))
-                view.face(seen["views"].get(side), seen["poses"].get(side))
+                    self._room.show_scenery(side, scenery["parts"].get(side, ()))
+                view.face(scenery["views"].get(side), scenery["poses"].get(side))
             self._floor.visible = not self.has_task  # which stands on its own floor
             self._aim()
         for side, view in self._sides.items():
-            pose, fixture = seen["poses"].get(side), seen["fixtures"].get(side)
+            pose, fixture = scenery["poses"].get(side), scenery["fixtures"].get(side)
             view.scenery.draw(pose)
-            view.scenery.hide_object(side in seen.get("away", ()))
+            view.scenery.hide_object(side in scenery.get("away", ()))
             if self._room is not None:
                 there = self._room.draw_scenery(side, pose, fixture)
                 if there is not None:  # what stands in the room goes past a hand that moves
@@ -177,8 +177,8 @@ class LiveScene:
     def set_operators(self, operators: Mapping[Side, Mapping[str, Any] | None]) -> None:
         """Which calibrations correct the human hands."""
         for side, view in self._sides.items():
-            found = operators.get(side)
-            view.operator = None if found is None else operator_of(found)
+            operator = operators.get(side)
+            view.operator = None if operator is None else operator_of(operator)
 
     def set_overlay(self, overlay: bool) -> None:
         """Each human hand inside its robot, or side by side."""
@@ -374,8 +374,8 @@ class _SideView:
         points = np.concatenate([self._points, end[None]])
         if object_pose is not None:
             points = np.concatenate([points, self.scenery.bounds(object_pose)])
-        seen = points @ rows.T
-        self.low, self.high = seen.min(axis=0), seen.max(axis=0)
+        extent = points @ rows.T
+        self.low, self.high = extent.min(axis=0), extent.max(axis=0)
         for label in self._labels:
             label.position = end
 

@@ -52,7 +52,7 @@ class LiveSession:
 
     Args:
         loop: the running loop.
-        asked: what the run was begun with.
+        request: what the run was begun with.
         sinks: those that it was begun with; of a simulated hand among them the state is shown, and
             what it works on.
         folder: where recordings go.
@@ -64,7 +64,7 @@ class LiveSession:
     def __init__(
         self,
         loop: TeleopLoop,
-        asked: RetargetRequest,
+        request: RetargetRequest,
         sinks: Sequence[Sink] = (),
         folder: Path = Path(),
         *,
@@ -74,10 +74,10 @@ class LiveSession:
     ) -> None:
         self.loop = loop
         self._trial = trial
-        self.switcher = MethodSwitcher(loop, asked) if switcher is None else switcher
+        self.switcher = MethodSwitcher(loop, request) if switcher is None else switcher
         self.blind = blind
         self.recordings = Recordings(loop.sinks, folder / "takes", self._configuration)
-        self._asked, self._folder = asked, folder
+        self._asked, self._folder = request, folder
         self._simulation = simulated_hands(sinks)
         self._scenery = None if self._simulation is None else Scenery(self._simulation)
         self._ticks: dict[Side, Tick] = {}
@@ -105,9 +105,9 @@ class LiveSession:
     def watch(self, tick: Tick) -> None:
         """Take note of a tick; called by the loop after its sinks."""
         self._ticks[tick.side] = tick
-        seen = self.loop.pipelines[tick.side].seen
-        if seen is not None and seen is not self._arrivals.get(tick.side):
-            self._arrivals[tick.side] = seen
+        arrival = self.loop.pipelines[tick.side].seen
+        if arrival is not None and arrival is not self._arrivals.get(tick.side):
+            self._arrivals[tick.side] = arrival
         if tick.events:
             self._note(tick)
 
@@ -211,9 +211,9 @@ class LiveSession:
         for side, meter in self._frames.items():
             meter.count(loop.mailbox.received_of[side], now)
         stages = {
-            name: {key: round(found[key], 3) for key in ("p50", "p99")}
-            for name, found in statistics.recent(500).items()
-            if found and not (self.blind and name in _TELLING)
+            name: {key: round(percentiles[key], 3) for key in ("p50", "p99")}
+            for name, percentiles in statistics.recent(500).items()
+            if percentiles and not (self.blind and name in _TELLING)
         }
         return {
             "rates": {side: meter.rate for side, meter in self._commands.items()},
@@ -222,7 +222,7 @@ class LiveSession:
             "stages": stages,
             "missed_share": statistics.missed_share,
             "motion_delay": {
-                side: None if (found := delay.now()) is None else found.seconds
+                side: None if (percentiles := delay.now()) is None else percentiles.seconds
                 for side, delay in list(statistics.motion.items())
             },
             "unusable": statistics.unusable,
@@ -232,7 +232,7 @@ class LiveSession:
             "events": [(round(now - at, 1), words) for at, words in list(self._events)],
         }
 
-    def _controls(self, known: int) -> dict[str, Any]:
+    def _controls(self, shown_number: int) -> dict[str, Any]:
         switcher = self.switcher
         supervisors = [pipeline.supervisor for pipeline in self.loop.pipelines.values()]
         shown, number = switcher.wanted, self.settings_number
@@ -253,7 +253,7 @@ class LiveSession:
         if not self.blind:
             controls["method"], controls["preset"] = shown.method, shown.preset
             controls["presets"] = live_presets()
-        if number != known:
+        if number != shown_number:
             if not self.blind:
                 controls["settings"] = values(shown.shown, METHOD_SETTINGS)
             controls["loop_settings"] = values(self.loop.config, LOOP_SETTINGS)
@@ -298,11 +298,11 @@ def _arm(arm: ArmCommand, wrist: WristCommand | None) -> dict[str, Any]:
 
 def _wrist(arrival: Arrival, tick: Tick, released: bool) -> dict[str, Any] | None:
     """The state of a wrist; None with a tracker that has none."""
-    found, command = arrival.frame.T_world_wrist, tick.wrist
-    if found is None or command is None:
+    pose, command = arrival.frame.T_world_wrist, tick.wrist
+    if pose is None or command is None:
         return None
     return {
-        "tracked": bool(command.valid and is_valid(found)),
+        "tracked": bool(command.valid and is_valid(pose)),
         "world": arrival.frame.world or "its world",
         "engaged": command.engaged,
         "released": released,
@@ -418,12 +418,12 @@ class Scenery:
     def __init__(self, simulation: LiveSimulation) -> None:
         self._simulation = simulation
 
-    def look(self, sides: Sequence[Side], known: int) -> dict[str, Any]:
+    def look(self, sides: Sequence[Side], shown_number: int) -> dict[str, Any]:
         """What to draw.
 
         Args:
             sides: the hands.
-            known: the number of the scenes whose shapes the page has.
+            shown_number: the number of the scenes whose shapes the page has.
 
         Returns:
             ``number`` of the scenes; ``poses``: side -> position [m] and quaternion (w x y z) of
@@ -444,7 +444,7 @@ class Scenery:
                         shown["away"].append(side)
                 if (base := simulation.arm_base(side)) is not None:
                     shown["fixtures"][side] = _fixture(mount, base)
-            if number != known:
+            if number != shown_number:
                 shown["parts"] = {
                     side: [_part(mount, part) for part in simulation.parts_of(side)]
                     for side, mount in mounts.items()
@@ -452,7 +452,7 @@ class Scenery:
                 shown["views"] = {side: _view(simulation.scene_of(side), side) for side in sides}
         except SinkError:  # no task, or the scene is just being changed
             shown["poses"] = {}
-            if number != known:
+            if number != shown_number:
                 shown["parts"], shown["views"] = {}, {}
         return shown
 

@@ -62,31 +62,31 @@ def modes(hands: Mapping[str, Mapping[str, Any]]) -> str:
     return f'<div id="live-modes" role="status" style="{_BOX}">{"".join(rows) or "…"}</div>'
 
 
-def _wrist(seen: Mapping[str, Any] | None) -> str:
+def _wrist(wrist: Mapping[str, Any] | None) -> str:
     """Whether the tracker has a wrist, and whether that moves the robot's."""
-    if seen is None:
+    if wrist is None:
         return "wrist: not tracked"
     what = (
         "moves the robot's"
-        if seen["engaged"]
+        if wrist["engaged"]
         else "released (C)"
-        if seen["released"]
+        if wrist["released"]
         else "lost: the robot's is held"
-        if not seen["tracked"]
+        if not wrist["tracked"]
         else "the robot's is held"
     )
-    return f"wrist in {html.escape(seen['world'])}: {what}"
+    return f"wrist in {html.escape(wrist['world'])}: {what}"
 
 
 def _arm(arm: Mapping[str, Any]) -> str:
     """What an arm does, how far its wrist is off, and how near it is to something."""
-    said = [_ARM_STATES.get(arm["state"], html.escape(arm["state"]))]
+    facts = [_ARM_STATES.get(arm["state"], html.escape(arm["state"]))]
     error, clearance = arm["position_error"], arm["clearance"]
     if error is not None and error > _OFF:  # False for NaN
-        said.append(f"the wrist is {1e3 * error:.0f} mm off")
+        facts.append(f"the wrist is {1e3 * error:.0f} mm off")
     if clearance is not None and clearance < _NEAR:
-        said.append(f"{1e3 * clearance:.0f} mm from touching something")
-    return f"arm: {', '.join(said)}"
+        facts.append(f"{1e3 * clearance:.0f} mm from touching something")
+    return f"arm: {', '.join(facts)}"
 
 
 def summary(status: Mapping[str, Any]) -> str:
@@ -118,9 +118,9 @@ def timing(status: Mapping[str, Any]) -> str:
     head = "".join(f'<th style="{_CELL}">{w}</th>' for w in ("", "p50 [ms]", "p99 [ms]"))
     rows = "".join(
         f'<tr><td style="padding-right:0.9em">{html.escape(name)}</td>'
-        f'<td style="{_CELL}">{found["p50"]:.2f}</td><td style="{_CELL}">{found["p99"]:.2f}</td>'
-        "</tr>"
-        for name, found in _in_order(status["stages"])
+        f'<td style="{_CELL}">{figures["p50"]:.2f}</td>'
+        f'<td style="{_CELL}">{figures["p99"]:.2f}</td></tr>'
+        for name, figures in _in_order(status["stages"])
     )
     refused: dict[str, int] = {}
     for reasons in status["refused"].values():
@@ -240,27 +240,27 @@ STYLE: Final = """<style>
 </style>"""
 
 
-def trial(seen: Mapping[str, Any] | None) -> str:
+def trial(state: Mapping[str, Any] | None) -> str:
     """Task, number, clock and sign of a trial, as HTML; empty without a task.
 
     Args:
-        seen: what ``TaskTrials.shown`` gave.
+        state: what ``TaskTrials.shown`` gave.
     """
-    if seen is None:
+    if state is None:
         return ""
-    phase, sign = _phase(seen)
-    number, count = seen["number"], seen["count"]
+    phase, sign = _phase(state)
+    number, count = state["number"], state["count"]
     which = "" if not number else f"trial {number}" + (f" of {count}" if count else "")
-    head = " · ".join(filter(None, (seen["title"], which)))
+    head = " · ".join(filter(None, (state["title"], which)))
     return (
         f'<div id="live-trial" role="status" data-phase="{phase}">{html.escape(head)}'
-        f"<b>{html.escape(sign)}</b>{html.escape(seen['instruction'])}</div>"
+        f"<b>{html.escape(sign)}</b>{html.escape(state['instruction'])}</div>"
     )
 
 
-def _phase(seen: Mapping[str, Any]) -> tuple[str, str]:
-    phase, elapsed, limit = seen["phase"], seen["elapsed_s"], seen["limit_s"]
-    if seen.get("paused"):
+def _phase(state: Mapping[str, Any]) -> tuple[str, str]:
+    phase, elapsed, limit = state["phase"], state["elapsed_s"], state["limit_s"]
+    if state.get("paused"):
         return "paused", "Paused: keep your hand as it is"
     if phase == "waiting":
         return phase, "Hand away from the object"
@@ -270,7 +270,7 @@ def _phase(seen: Mapping[str, Any]) -> tuple[str, str]:
         return phase, f"{_clock(elapsed)} of {_clock(limit)}"
     if phase == "done":
         return phase, f"Over: {_clock(elapsed)}"
-    return phase, "Wait" if seen["object"] else "Move freely"
+    return phase, "Wait" if state["object"] else "Move freely"
 
 
 def _clock(seconds: float) -> str:

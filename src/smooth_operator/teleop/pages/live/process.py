@@ -96,20 +96,20 @@ class _Page:
         while True:
             begun = time.monotonic()
             watched = bool(self._server.get_clients())
-            wanted, self._configuration_wanted = self._configuration_wanted, False
+            configuration, self._configuration_wanted = self._configuration_wanted, False
             text = watched and begun >= next_text
-            seen = self._link.look(
+            state = self._link.look(
                 text=text,
                 settings=self._panel.settings_number,
                 scenery=self._scene.scenery_number,
-                configuration=wanted,
+                configuration=configuration,
             )
             if watched:
                 self._show_meshes()
-                self._draw(seen)
-            if wanted:
+                self._draw(state)
+            if configuration:
                 self._server.send_file_download(
-                    "configuration.json", seen["configuration"].encode(), save_immediately=True
+                    "configuration.json", state["configuration"].encode(), save_immediately=True
                 )
             if text:
                 next_text = begun + _TEXT_S
@@ -136,18 +136,18 @@ class _Page:
                 self._scene.add_meshes(views)
                 self._panel.show_meshes(bool(views), note)
 
-    def _draw(self, seen: dict[str, Any]) -> None:
+    def _draw(self, state: dict[str, Any]) -> None:
         """Send what has changed; to a slow browser in two steps, see ``Pace``."""
         with self._server.atomic():
-            self._scene.draw_lines(seen["hands"])
-            self._panel.show(seen, self._pace.delay)
+            self._scene.draw_lines(state["hands"])
+            self._panel.show(state, self._pace.delay)
         if self._pace.slow:
             self._server.flush()
             self._pace.wait()
         with self._server.atomic():
-            self._scene.draw_bodies(seen["hands"])
-            if "scenery" in seen:
-                self._scene.draw_scenery(seen["scenery"])
+            self._scene.draw_bodies(state["hands"])
+            if "scenery" in state:
+                self._scene.draw_scenery(state["scenery"])
         self._server.flush()
 
     def download(self) -> None:
@@ -282,8 +282,8 @@ class Pace:
 
 def period_for(delay: float) -> float:
     """Least time between two drawn frames for a browser that shows them so late [s]."""
-    wanted = delay if delay < _LATE_S else _SETTLE * delay
-    return min(max(_FASTEST_S, wanted), _SLOWEST_S)
+    period = delay if delay < _LATE_S else _SETTLE * delay
+    return min(max(_FASTEST_S, period), _SLOWEST_S)
 
 
 def _round_trip(client: Any) -> float:

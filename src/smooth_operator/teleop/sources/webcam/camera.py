@@ -152,21 +152,23 @@ def _advice(cv2: Any, name: int | str) -> str:
     """What was tried, and what there is."""
     backends = cv2.videoio_registry.getCameraBackends()
     tried = ", ".join(cv2.videoio_registry.getBackendName(b) for b in backends)
-    said = f"Tried through {tried or 'no interface at all'}."
+    advice = f"Tried through {tried or 'no interface at all'}."
     if sys.platform.startswith("linux"):
         devices = sorted(glob.glob("/dev/video*"))
         shut = [d for d in devices if not os.access(d, os.R_OK | os.W_OK)]
         there = f"of these: {', '.join(devices)}" if devices else "no camera: /dev/video* is empty"
-        said += f" This machine has {there}."
+        advice += f" This machine has {there}."
         if shut:
-            said += f" You may not use {', '.join(shut)}: join the group 'video' and log in again."
+            advice += (
+                f" You may not use {', '.join(shut)}: join the group 'video' and log in again."
+            )
     elif sys.platform == "darwin":
-        said += " Allow this terminal the camera: System Settings, Privacy & Security, Camera."
+        advice += " Allow this terminal the camera: System Settings, Privacy & Security, Camera."
     elif sys.platform == "win32":
-        said += " Allow desktop apps the camera: Settings, Privacy & security, Camera."
+        advice += " Allow desktop apps the camera: Settings, Privacy & security, Camera."
     if name == 0:
-        said += " Another camera is webcam:1 and so on; without one there is video:FILE."
-    return said
+        advice += " Another camera is webcam:1 and so on; without one there is video:FILE."
+    return advice
 
 
 def opencv() -> Any:

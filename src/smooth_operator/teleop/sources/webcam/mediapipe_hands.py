@@ -188,7 +188,7 @@ def model_cache() -> Path:
 
 
 def hand_model(
-    given: Path | None = None,
+    file: Path | None = None,
     *,
     url: str = MODEL_URL,
     sha256: str = MODEL_SHA256,
@@ -200,7 +200,7 @@ def hand_model(
     must what lies in the cache, each time. A damaged one there is fetched again.
 
     Args:
-        given: a path that the user named.
+        file: a path that the user named.
         url: where it is fetched from.
         sha256: of the published file.
         progress: called in a download; by default a line on standard error, if that is a terminal.
@@ -210,30 +210,30 @@ def hand_model(
             what came is not the published file.
         OutputError: it can't be kept.
     """
-    named = given or Path(os.environ.get(SWITCH, "").strip())
+    named = file or Path(os.environ.get(SWITCH, "").strip())
     if str(named) not in ("", "."):
-        return _checked(named.expanduser(), "model" if given else SWITCH)
-    kept = model_cache()
-    if _sha256_of(kept) != sha256:
-        _fetch(url, sha256, kept, progress or _line)
-    return kept
+        return _checked(named.expanduser(), "model" if file else SWITCH)
+    cached = model_cache()
+    if _sha256_of(cached) != sha256:
+        _fetch(url, sha256, cached, progress or _line)
+    return cached
 
 
-def _checked(path: Path, asked: str) -> Path:
+def _checked(path: Path, origin: str) -> Path:
     """A file that the user named."""
     if not path.is_file():
         raise SourceError(
-            f"{asked}: there is no file {str(path)!r}; give the path of a hand_landmarker.task, or "
-            f"leave it out to have it fetched from {MODEL_URL}"
+            f"{origin}: there is no file {str(path)!r}; give the path of a hand_landmarker.task, "
+            f"or leave it out to have it fetched from {MODEL_URL}"
         )
     try:
         with zipfile.ZipFile(path) as archive:
-            found = _NETWORK in archive.namelist()
+            present = _NETWORK in archive.namelist()
     except (zipfile.BadZipFile, OSError):
-        found = False
-    if not found:
+        present = False
+    if not present:
         raise SourceError(
-            f"{asked}: {path} is no MediaPipe hand landmarker, an archive that holds {_NETWORK}; "
+            f"{origin}: {path} is no MediaPipe hand landmarker, an archive that holds {_NETWORK}; "
             f"fetch it again from {MODEL_URL}"
         )
     return path

@@ -87,8 +87,8 @@ class PictureTracker:
         """
         colours = self._cv2.cvtColor(pixels, self._cv2.COLOR_BGR2RGB)
         turned = self._cv2.flip(colours, 1) if self._config.mirrored else colours
-        seen = self._landmarker.find(turned, time)
-        hands, self._tracks = assign_sides(seen, self._tracks, time)
+        hands_seen = self._landmarker.find(turned, time)
+        hands, self._tracks = assign_sides(hands_seen, self._tracks, time)
         return [
             HandFrame(self._landmarks(side, hand, time), time, side, valid=hand.inside)
             for side, hand in hands.items()
@@ -120,8 +120,8 @@ def landmarks_of(hand: SeenHand, points: Points) -> Float[np.ndarray, "21 3"]:
     if points == "world":
         return hand.world
     centred = hand.picture - hand.picture.mean(axis=0)
-    wanted = np.linalg.norm(hand.world - hand.world.mean(axis=0))
-    scaled: np.ndarray = centred * (wanted / max(float(np.linalg.norm(centred)), 1e-9))
+    size = np.linalg.norm(hand.world - hand.world.mean(axis=0))
+    scaled: np.ndarray = centred * (size / max(float(np.linalg.norm(centred)), 1e-9))
     return scaled
 
 
@@ -184,13 +184,13 @@ def one_euro(
     step = math.inf if state is None else stamp - state.stamp
     if state is None or not 0.0 < step <= config.gap:
         return OneEuroState(points, np.zeros_like(points), stamp)
-    known = np.isfinite(state.points).all(axis=1, keepdims=True)
-    before = np.where(known, state.points, points)
+    complete = np.isfinite(state.points).all(axis=1, keepdims=True)
+    before = np.where(complete, state.points, points)
     velocity = np.where(np.isfinite(state.velocity), state.velocity, 0.0)
     velocity = velocity + _share(config.speed_cutoff, step) * ((points - before) / step - velocity)
     speed = np.linalg.norm(velocity, axis=1, keepdims=True)
     moved = before + _share(config.cutoff + config.gain * speed, step) * (points - before)
-    return OneEuroState(moved, np.where(known, velocity, 0.0), stamp)
+    return OneEuroState(moved, np.where(complete, velocity, 0.0), stamp)
 
 
 def _share(cutoff: float | np.ndarray, step: float) -> np.ndarray:

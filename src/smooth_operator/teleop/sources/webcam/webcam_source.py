@@ -240,9 +240,9 @@ class Counts:
     hands: int = 0
 
     def __str__(self) -> str:
-        seen = self.pictures - self.late
+        tried = self.pictures - self.late
         late = f", {self.late} left out since they were late" if self.late else ""
-        return f"a hand on {self.hands} of {seen} pictures{late}"
+        return f"a hand on {self.hands} of {tried} pictures{late}"
 
 
 def _say(running: Running, frames: list[HandFrame]) -> None:
@@ -292,22 +292,22 @@ def track_video(
             stamps.append(time)
             if progress is not None:
                 progress(len(stamps), max(video.count, len(stamps)))
-    seen = Counter(found for hands in pictures for found in hands)
-    wanted = side or (seen.most_common(1)[0][0] if seen else "right")
-    if not seen[wanted]:
-        others = f", but a {next(iter(seen))} hand is on {seen.total()}" if seen else ""
+    counts = Counter(each_side for hands in pictures for each_side in hands)
+    chosen = side or (counts.most_common(1)[0][0] if counts else "right")
+    if not counts[chosen]:
+        others = f", but a {next(iter(counts))} hand is on {counts.total()}" if counts else ""
         raise RecordingError(
-            f"{path}: no {wanted if side else ''} hand is on any of its {len(stamps)} "
+            f"{path}: no {chosen if side else ''} hand is on any of its {len(stamps)} "
             f"pictures{others}. If the video is mirrored, say so; otherwise more light, and the "
             "whole hand in view, help".replace("  ", " ")
         )
     landmarks = np.full((len(stamps), NUM_LANDMARKS, 3), np.nan)
     valid = np.zeros((len(stamps), NUM_LANDMARKS), bool)
     for i, hands in enumerate(pictures):
-        if (frame := hands.get(wanted)) is not None:
+        if (frame := hands.get(chosen)) is not None:
             landmarks[i], valid[i] = frame.landmarks, frame.valid
     recording = HandRecording(
-        landmarks, np.array(stamps), wanted, valid, name=path.stem, meta={"source": path.name}
+        landmarks, np.array(stamps), chosen, valid, name=path.stem, meta={"source": path.name}
     )
     check_recording(recording, str(path))
     return recording

@@ -161,12 +161,12 @@ class Link:
         except TimeoutError:
             await connection.close(NOT_UNDERSTOOD, "no greeting came")
             return False
-        said = json_object(hello) or {}
-        code = said.get("code")
-        if said.get("type") != "hello" or not isinstance(code, str):
+        answer = json_object(hello) or {}
+        code = answer.get("code")
+        if answer.get("type") != "hello" or not isinstance(code, str):
             await connection.close(NOT_UNDERSTOOD, "expected a greeting with the pairing code")
             return False
-        if said.get("protocol") != PROTOCOL:
+        if answer.get("protocol") != PROTOCOL:
             await connection.close(NOT_UNDERSTOOD, "the page is of another version: reload it")
             return False
         verdict = self._pairing.check(code, address)
@@ -208,15 +208,15 @@ class Link:
             self._mailbox.post(frame, received=received, session=self._session)
 
     async def _talk(self, connection: ServerConnection, message: str, received: float) -> None:
-        said = json_object(message) or {}
-        at = said.get("at")
-        if said.get("type") != "ping" or not isinstance(at, int | float):
+        content = json_object(message) or {}
+        at = content.get("at")
+        if content.get("type") != "ping" or not isinstance(at, int | float):
             self._count_bad()
             return
         self._bad_in_a_row = 0
-        self._tracking = said.get("tracking") is True
-        self._round_trip = _number(said.get("round_trip"))
-        self._offset = _number(said.get("offset"))
+        self._tracking = content.get("tracking") is True
+        self._round_trip = _number(content.get("round_trip"))
+        self._offset = _number(content.get("offset"))
         answer = {"type": "pong", "at": at, "host": received, "rate": round(self._rate(), 1)}
         await connection.send(json.dumps(answer))
 
