@@ -66,7 +66,8 @@ def without_rare(kind: type) -> type:
         for field in dataclasses.fields(kind)
         if field.name in rare
     }
-    namespace["__annotations__"] = {name: Suppress[hints[name]] for name in namespace}
+    suppress: Any = Suppress
+    namespace["__annotations__"] = {name: suppress[hints[name]] for name in namespace}
     namespace["__doc__"] = kind.__doc__
     copy = type(kind.__name__, (kind,), namespace)
     return dataclasses.dataclass(frozen=True, kw_only=True)(copy)

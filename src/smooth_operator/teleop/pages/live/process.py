@@ -163,10 +163,6 @@ class _Page:
         self._scene.aiming.forget(client)
 
 
-if __name__ == "__main__":
-    main()
-
-
 class LoopEnded(Exception):
     """Nobody answers any more: the loop's process has closed the pipe, or is gone."""
 
@@ -296,3 +292,7 @@ def _round_trip(client: Any) -> float:
     except RuntimeError:  # it has left, or keeps no such things, and says so
         pass
     return time.monotonic() - start
+
+
+if __name__ == "__main__":
+    main()
