@@ -18,7 +18,7 @@ from smooth_operator.teleop.ros2.transport import (
 )
 from smooth_operator.teleop.sources.message_receiver import Message
 from smooth_operator.teleop.sources.payload import Reading
-from smooth_operator.teleop.sources.stream import KEPT, Hands, StreamSource, only_side, sides_of
+from smooth_operator.teleop.sources.stream import KEPT, Hands, StreamSource, only_side
 from smooth_operator.types import Side
 
 
@@ -81,11 +81,6 @@ class Ros2Source(StreamSource):
     def label(self) -> str:
         """What it is, in a few words."""
         return f"ROS 2 {self.topic}"
-
-    @property
-    def sides(self) -> tuple[Side, ...]:
-        """The hands that it takes."""
-        return sides_of(self.side)
 
     def connect(self) -> Ros2Inbox:
         """Open the transport and its subscriptions."""

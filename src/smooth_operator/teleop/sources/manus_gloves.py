@@ -304,11 +304,6 @@ class ManusStream(StreamSource):
         return f"MANUS gloves at {self.address}"
 
     @property
-    def sides(self) -> tuple[Side, ...]:
-        """The hands that it takes."""
-        return sides_of(self.side)
-
-    @property
     def gloves(self) -> dict[str, Side]:
         """Glove id -> side, where known."""
         named: dict[str, Side] = {}

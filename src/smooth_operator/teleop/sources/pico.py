@@ -6,7 +6,6 @@ import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from smooth_operator.errors import ConfigError
 from smooth_operator.headsets.pico_packets import (
     PORT,
     Axes,
@@ -17,9 +16,8 @@ from smooth_operator.headsets.pico_packets import (
 from smooth_operator.headsets.repeats import Repeats
 from smooth_operator.teleop.sources.message_receiver import Message, OneSender
 from smooth_operator.teleop.sources.payload import Reading
-from smooth_operator.teleop.sources.stream import Hands, Inbox, StreamSource, sides_of
+from smooth_operator.teleop.sources.stream import Hands, Inbox, StreamSource, check_port, sides_of
 from smooth_operator.teleop.sources.tcp_inbox import TcpInbox
-from smooth_operator.types import Side
 
 
 @dataclass(frozen=True)
@@ -47,19 +45,13 @@ class PicoSource(StreamSource):
     axes: Axes = "openxr"
 
     def __post_init__(self) -> None:
-        if not 0 <= self.port <= 65_535:
-            raise ConfigError(f"port must be 0 to 65535, not {self.port}")
+        check_port(self.port)
         sides_of(self.side)
 
     @property
     def label(self) -> str:
         """What it is, in a few words."""
         return "XRoboToolkit (PICO)"
-
-    @property
-    def sides(self) -> tuple[Side, ...]:
-        """The hands that it takes."""
-        return sides_of(self.side)
 
     @property
     def hint(self) -> str:

@@ -19,7 +19,6 @@ from smooth_operator.teleop.sources.payload import (
     StampUnit,
 )
 from smooth_operator.teleop.sources.stream import KEPT, Hands, StreamSource, only_side, sides_of
-from smooth_operator.types import Side
 
 
 @dataclass(frozen=True)
@@ -65,11 +64,6 @@ class ZmqSource(StreamSource):
     def label(self) -> str:
         """What it is, in a few words."""
         return f"ZeroMQ {self.address}"
-
-    @property
-    def sides(self) -> tuple[Side, ...]:
-        """The hands that it takes."""
-        return sides_of(self.side)
 
     def connect(self) -> ZmqInbox:
         """Open the socket."""
