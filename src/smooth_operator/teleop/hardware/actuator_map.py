@@ -169,6 +169,17 @@ class ActuatorMap:
         default = np.nan if self.limit is None else self.limit
         return np.array([default if a.limit is None else a.limit for a in self.actuators], float)
 
+    def check_count(self, count: int, hand: str) -> None:
+        """Refuse a table with another number of actuators than the hand has.
+
+        Raises:
+            ConfigError: with the file, the hand (``an Ability Hand``) and both numbers.
+        """
+        if len(self.actuators) != count:
+            raise ConfigError(
+                f"{self.file}: {hand} has {count} actuators, not {len(self.actuators)}"
+            )
+
     def bind(self, hand: Hand) -> BoundMap:
         """The map for the joints of a loaded hand.
 

@@ -95,10 +95,7 @@ class AbilityDevice:
     """
 
     def __init__(self, table: ActuatorMap, port: str, baud: int, address: int) -> None:
-        if len(table.actuators) != MOTORS:
-            raise ConfigError(
-                f"{table.file}: an Ability Hand has {MOTORS} actuators, not {len(table.actuators)}"
-            )
+        table.check_count(MOTORS, "an Ability Hand")
         self._table, self._port, self._baud, self._address = table, port, baud, address
         self._line: Any = None
         self._expected = False

@@ -137,10 +137,7 @@ class AllegroDevice:
     """
 
     def __init__(self, table: ActuatorMap, port: str) -> None:
-        if len(table.actuators) != MOTORS:
-            raise ConfigError(
-                f"{table.file}: an Allegro Hand has {MOTORS} actuators, not {len(table.actuators)}"
-            )
+        table.check_count(MOTORS, "an Allegro Hand")
         version = table.settings.get("version")
         if version not in VERSIONS:
             raise ConfigError(f"{table.file}: version must be v4 or v5, not {version!r}")

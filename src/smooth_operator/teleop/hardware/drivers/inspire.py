@@ -103,10 +103,7 @@ class InspireDevice:
     """
 
     def __init__(self, table: ActuatorMap, port: str) -> None:
-        if len(table.actuators) != MOTORS:
-            raise ConfigError(
-                f"{table.file}: an Inspire hand has {MOTORS} actuators, not {len(table.actuators)}"
-            )
+        table.check_count(MOTORS, "an Inspire hand")
         self._table, self._port = table, port
         number = port.partition(":")[2]
         self._serial = is_serial(port)

@@ -123,11 +123,7 @@ class LinkerDevice:
 
     def __init__(self, table: ActuatorMap, port: str, model: str) -> None:
         self._model = MODELS[model]
-        if len(table.actuators) != self._model.motors:
-            raise ConfigError(
-                f"{table.file}: a LinkerHand {model.upper()} has {self._model.motors} actuators, "
-                f"not {len(table.actuators)}"
-            )
+        table.check_count(self._model.motors, f"a LinkerHand {model.upper()}")
         speed, gap = table.settings.get("speed", _SPEED), table.settings.get("gap_ms", 1.0)
         if not isinstance(speed, int) or not 1 <= speed <= 255:
             raise ConfigError(f"{table.file}: speed must be 1 to 255, not {speed!r}")

@@ -82,10 +82,7 @@ class Revo2Device:
     """
 
     def __init__(self, table: ActuatorMap, port: str, baud: int) -> None:
-        if len(table.actuators) != MOTORS:
-            raise ConfigError(
-                f"{table.file}: a Revo2 has {MOTORS} actuators, not {len(table.actuators)}"
-            )
+        table.check_count(MOTORS, "a Revo2")
         speed = table.settings.get("speed", 1000)
         number = table.settings.get("device_id", _NUMBERS[table.side])
         for what, value, low, high in (("speed", speed, 1, 1000), ("device_id", number, 1, 255)):

@@ -81,10 +81,7 @@ class WujiDevice:
     """
 
     def __init__(self, table: ActuatorMap, port: str, cutoff: float) -> None:
-        if len(table.actuators) != MOTORS:
-            raise ConfigError(
-                f"{table.file}: a Wuji Hand has {MOTORS} actuators, not {len(table.actuators)}"
-            )
+        table.check_count(MOTORS, "a Wuji Hand")
         self._table, self._port, self._cutoff = table, port, cutoff
         self._hand: Any = None
         self._controller: Any = None
