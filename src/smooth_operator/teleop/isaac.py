@@ -58,13 +58,13 @@ class SmoothHandRetargeter(interface.BaseRetargeter):
     Args:
         hand: name of the robot hand, the path of a spec file, a description or a loaded hand.
         side: ``right`` or ``left``; None for that of the hand, ``right`` for a name.
-        name: of the node; None for ``smooth_hand_right`` or ``smooth_hand_left``.
-        method: of retargeting.
-        preset: of the method; None for its default.
+        name: name of the node; None for ``smooth_hand_right`` or ``smooth_hand_left``.
+        method: retargeting method.
+        preset: preset of the method; None for its default.
         joints: ``all``, or the ``actuated`` ones alone, without those that follow others.
         world: axes of the input: ``openxr`` (y up) as ``HandsSource`` has it; ``z_up`` after a
             ``HandTransform`` into a z-up base.
-        limits: of the joints; None for the defaults.
+        limits: limits of the joints; None for the defaults.
         safety: what happens on loss; None for the defaults, with the last command held for ever.
         compile: do it now; otherwise at the first frame or with ``warm_up``.
 

@@ -63,7 +63,7 @@ class Clearance(mink.Limit):
 
     Args:
         arm: the arm; its base frame is the world.
-        model: of it, with a body ``FLANGE``.
+        model: model of the arm, with a body ``FLANGE``.
         hand: capsules of the hand; None for none.
         rest: (n,) pose in which nothing touches; pairs that overlap in it are left out [rad].
         table: height of the table [m]; None for none.

@@ -401,7 +401,7 @@ def build_arms(settings: ArmSettings, hands: Mapping[Side, Hand]) -> dict[Side, 
     """An arm for each hand; between two there is a wall.
 
     Args:
-        settings: of all arms.
+        settings: settings of all arms.
         hands: side -> robot hand.
 
     Raises:

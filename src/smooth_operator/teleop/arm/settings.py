@@ -27,7 +27,7 @@ class ArmSettings:
     Attributes:
         name: ``panda``, ``ur5e``, ``xarm7`` or ``iiwa14``.
         adapter: thickness of the plate between flange and hand [m].
-        roll: of the hand about the flange's axis [degrees]; as suits the arm if left out.
+        roll: roll of the hand about the flange's axis [degrees]; as suits the arm if left out.
         spacing: between the bases of two arms [m]; each keeps to its side of the middle.
         table: height of the table above the bases [m].
         no_table: the arms stand free.
@@ -72,7 +72,7 @@ def place_arms(settings: ArmSettings, hands: Mapping[Side, Hand]) -> dict[Side, 
     """Each hand on its arm, in the arm's nominal posture; two arms stand next to each other.
 
     Args:
-        settings: of all arms.
+        settings: settings of all arms.
         hands: side -> robot hand.
     """
     arm = arm_named(settings.name)

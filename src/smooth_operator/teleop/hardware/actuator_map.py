@@ -104,8 +104,8 @@ class ActuatorMap:
     Attributes:
         driver: name of the driver that speaks its protocol.
         hand: name of the robot hand whose joints the table maps.
-        side: of the hand.
-        unit: of the commands, for people: ``deg``, ``0-1000``.
+        side: side of the hand.
+        unit: unit of the commands, for people: ``deg``, ``0-1000``.
         actuators: in the order in which a driver gets commands and answers.
         limit: most current [mA], or force, in the driver's unit, for actuators without their own;
             None to leave the device's as it is.

@@ -44,7 +44,7 @@ class ActuatorMover:
         seconds: how long a motion over the table's whole range of an actuator takes [s].
 
     Attributes:
-        names: of the actuators.
+        names: names of the actuators.
 
     Raises:
         SinkError: it can't be opened, or a position is not known.

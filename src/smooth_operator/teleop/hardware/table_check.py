@@ -172,8 +172,8 @@ def blank_table(
     Args:
         driver: name of the driver.
         hand: the hand's model.
-        ids: of the actuators.
-        unit: of the commands.
+        ids: ids of the actuators.
+        unit: unit of the commands.
         ends: from where to where an actuator may be tried.
         limit: most current or force, in the driver's unit; None for the device's own.
     """

@@ -65,7 +65,7 @@ def find_table(wanted: str, driver: str, side: Side) -> Path:
         wanted: a path, ending in ``.toml``; or a name; or empty for the driver's name. A user's
             table of that name goes before the built-in one.
         driver: name of the driver.
-        side: of the hand.
+        side: side of the hand.
 
     Raises:
         ConfigError: there is none.

@@ -60,7 +60,7 @@ class WorkerSettings:
     """How a worker treats its hand.
 
     Attributes:
-        period: of a cycle, at least [s].
+        period: period of a cycle, at least [s].
         silence_s: how long a command counts [s].
         lost_s: time without one right answer after which the device counts as lost [s].
         guard: limits of the commands.
@@ -81,7 +81,7 @@ class HandWorker:
         bus: what only one program may use at a time (``BusLock``). It is locked while the device is
             open: a port that is gone may come back as another device's.
         actuators: its map.
-        side: of the hand.
+        side: side of the hand.
         hand: name of the robot hand.
         settings: see there.
         statistics: to go on counting in; None for new ones.

@@ -256,8 +256,8 @@ def above(
 
     Args:
         mesh: the surface.
-        point: of the plane, in the mesh's frame [m].
-        normal: of the plane, toward the part that stays.
+        point: point of the plane, in the mesh's frame [m].
+        normal: normal of the plane, toward the part that stays.
     """
     vertices, faces = mesh.vertices, mesh.faces
     height = (vertices - point) @ normal

@@ -133,9 +133,10 @@ class BodyNodes:
         meshes: body -> its surface.
         owner: (nbody,) finger of each body, -1 for the palm.
         root: name of the parent node.
-        color: of all of it; as its fingers are if left out.
+        color: colour of all bodies; as its fingers are if left out.
         opacity: 0 to 1; None for solid.
-        scale: of each body about its own origin: a little less hides it in one that stands alike.
+        scale: scale of each body about its own origin: a little less hides it in one that stands
+            alike.
     """
 
     def __init__(
@@ -194,8 +195,8 @@ class TipBalls:
 
     Args:
         scene: where to draw.
-        count: of fingers.
-        name: of the node.
+        count: number of fingers.
+        name: name of the node.
     """
 
     def __init__(self, scene: viser.SceneApi, count: int, name: str) -> None:

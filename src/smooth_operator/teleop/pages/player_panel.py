@@ -379,7 +379,7 @@ class Timeline:
 
         Args:
             client: number of the browser.
-            canvas_width: of its canvas [px]; None once it has left.
+            canvas_width: width of its canvas [px]; None once it has left.
         """
         with self._lock:
             before = min(self._widths.values(), default=0.0)

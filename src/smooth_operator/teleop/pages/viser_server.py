@@ -69,7 +69,7 @@ def run_script(server: viser.ViserServer, source: str) -> None:
     that has lost the connection, so a script has to look whether it has run.
 
     Args:
-        server: of ``open_server``.
+        server: result of ``open_server``.
         source: JavaScript.
     """
     interface: Any = server.gui
@@ -82,7 +82,7 @@ def page_url(host: str, server: viser.ViserServer) -> str:
     Args:
         host: that it listens on; for all addresses of this machine, the one that leads to its
             network is named, which works here, too.
-        server: of ``open_server``.
+        server: result of ``open_server``.
     """
     port, token = int(server.get_port()), _TOKENS.get(server)
     if host in ("0.0.0.0", "::"):

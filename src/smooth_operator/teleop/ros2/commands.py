@@ -55,7 +55,7 @@ def joint_message(
 
     Args:
         kind: the message.
-        stamp: of a joint state.
+        stamp: time of a joint state.
         names: (k,) of the joints.
         positions: (k,) in the driver's unit.
         velocities: (k,) of a joint state; empty for none.

@@ -56,7 +56,7 @@ class Ros2Sink(ThreadedSink):
     publishing.
 
     Attributes:
-        topic: of the commands; ``{hand}`` and ``{side}`` stand for the hand's.
+        topic: topic of the commands; ``{hand}`` and ``{side}`` stand for the hand's.
         message: ``joint_state``, ``trajectory`` (one point, to be reached after ``duration``) or
             ``array`` (numbers alone, in the order of the joints).
         joints: ``all``, ``actuated``, or names of joints separated by blanks, in their order, with

@@ -27,8 +27,8 @@ class Ros2Source(StreamSource):
     """Each message a hand: from a publisher of any kind, reliable or best effort.
 
     Attributes:
-        topic: of the hands; ``{side}`` stands for right and left; several names may stand there,
-            separated by blanks.
+        topic: topic of the hands; ``{side}`` stands for right and left; several names may stand
+            there, separated by blanks.
         side: the hands that are taken. ``both`` needs ``{side}`` in the topic, or messages that
             say it (``json``, ``manus_glove``).
         message: ``pose_array``: ``geometry_msgs/PoseArray`` of 21, 25 or 26 poses; ``json``:

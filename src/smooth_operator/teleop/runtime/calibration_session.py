@@ -27,7 +27,7 @@ class Moment:
         number: which of the prompts, from 0.
         phase: ``settle``, get there; ``hold``, keep it; ``wait``, no hand is seen.
         done: share of the whole calibration that is done, 0 to 1.
-        left_s: of this phase [s].
+        left_s: time left of this phase [s].
     """
 
     prompt: Prompt

@@ -270,7 +270,7 @@ class PoseLimiter:
             dt: time since the last command [s].
             moving: velocity [m/s] and angular velocity [rad/s] of the target; None if it stands. It
                 is followed without lag where the limits allow.
-            share: of the velocity limits.
+            share: share of the velocity limits.
 
         Returns:
             (7,) command.

@@ -38,7 +38,7 @@ class Delay(NamedTuple):
 
     Attributes:
         seconds: from the command's time to the measured motion [s].
-        correlation: of the velocities at that delay, 0 to 1.
+        correlation: correlation of the velocities at that delay, 0 to 1.
     """
 
     seconds: float

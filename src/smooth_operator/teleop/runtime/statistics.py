@@ -39,7 +39,7 @@ class LoopStatistics:
     """Counts and times of a loop; written by the loop, read by anyone.
 
     Args:
-        period: of the loop [s].
+        period: period of the loop [s].
 
     Attributes:
         motion: side -> delay from command to motion, of the hands that are measured.

@@ -34,7 +34,7 @@ class Simulation(Sink):
 
     Attributes:
         rate: steps of the physics per second [Hz].
-        bandwidth: of the servos [Hz]; higher follows faster and pushes harder.
+        bandwidth: bandwidth of the servos [Hz]; higher follows faster and pushes harder.
         gravity: pull along -z of the model's world, wherever that points in it.
         task: what the hands work on, each on its own; gravity is on then.
 
@@ -279,7 +279,7 @@ class World:
     """The thread that steps the physics of all hands in real time.
 
     Args:
-        physics: of each hand.
+        physics: physics of each hand.
         events: where it is said what went wrong.
         carried: arms that carry hands.
     """

@@ -77,7 +77,7 @@ class ArmCommand:
     """A command to the arm that carries a hand.
 
     Attributes:
-        name: of the arm.
+        name: name of the arm.
         joint_names: (n,) from the base.
         positions: (n,) within all limits [rad].
         velocity: (n,) from the command before [rad/s].
@@ -116,13 +116,13 @@ class Tick:
             tracker's clock, or the time of the tick where no frame is answered.
         velocity: (n,) velocity of all joints [rad/s], for drivers that feed it forward.
         mode: what the loop is doing.
-        time: of the command, by the loop's clock [s]; the limits hold from one such time to the
-            next.
-        number: of the tick, counted from 0 for each hand.
-        status: of the frame that it answers; None where it answers none.
+        time: time of the command, by the loop's clock [s]; the limits hold from one such time to
+            the next.
+        number: number of the tick, counted from 0 for each hand.
+        status: status of the frame that it answers; None where it answers none.
         arrival: that frame.
         stages: name -> how long it took [ms], in order; empty where no frame is answered.
-        tracking_loss: of the frame; NaN where none is answered.
+        tracking_loss: loss of the frame; NaN where none is answered.
         scale: robot size over human size in the frame; NaN where none is answered.
         events: what happened at this tick, a sentence each: a mode that changed, frames refused.
         driver: what the hand is driven by, if the loop knows; the same object until it
@@ -163,7 +163,7 @@ class HandState:
     Attributes:
         side: which hand.
         hand: name of the robot hand.
-        stamp: of the measurement, by the loop's clock [s].
+        stamp: time of the measurement, by the loop's clock [s].
         names: (n,) joint names, in the model's own order, coupled ones included.
         positions: (n,) measured joint positions [rad]; NaN where the hand measures none.
         velocities: (n,) measured joint velocities [rad/s], or None.

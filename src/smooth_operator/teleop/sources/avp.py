@@ -25,8 +25,8 @@ class AvpSource(StreamSource):
     that is sent again unchanged while the fingers move is not valid.
 
     Attributes:
-        address: of the headset, as the app shows it.
-        port: of the app.
+        address: address of the headset, as the app shows it.
+        port: port of the app.
         side: the hands that are taken.
 
     Raises:

@@ -274,7 +274,7 @@ class ManusStream(StreamSource):
     """Each message a hand or two, as ``smooth_operator.teleop.sources.manus_gloves`` says.
 
     Attributes:
-        address: of the bridge; it need not be running yet.
+        address: address of the bridge; it need not be running yet.
         side: the hands that are taken. With one hand alone, messages that do not say which hand
             they are of are taken for it.
         right_glove: id of the right glove, for a bridge that does not say which hand is which.

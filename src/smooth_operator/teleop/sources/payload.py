@@ -362,7 +362,7 @@ def read_points(
     """Points and, where the form has them, their orientations.
 
     Args:
-        value: of JSON: n rows of x y z; objects ``{"x": , "y": , "z": }`` (MediaPipe; other keys
+        value: JSON value: n rows of x y z; objects ``{"x": , "y": , "z": }`` (MediaPipe; other keys
             are left alone); rows of x y z and a quaternion; 4 x 4 matrices, as rows of rows or 16
             numbers each; or all numbers of x y z in one row. A row that is null is missing.
         what: its name, for messages.

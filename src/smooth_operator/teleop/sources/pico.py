@@ -32,8 +32,8 @@ class PicoSource(StreamSource):
         host: address to listen on; ``0.0.0.0`` for the whole network, which a headset needs.
         port: TCP port; the app connects to 63901 and to no other.
         side: the hands that are taken.
-        axes: of the joints: ``openxr``, right-handed, or ``unity``, left-handed, for an app that
-            sends them so.
+        axes: axes of the joints: ``openxr``, right-handed, or ``unity``, left-handed, for an app
+            that sends them so.
 
     Raises:
         ConfigError: a setting is outside its range.

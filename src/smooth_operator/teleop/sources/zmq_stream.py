@@ -28,7 +28,7 @@ class ZmqSource(StreamSource):
     A message may have a topic before it, as a separate part or as the words that ``topic`` gives.
 
     Attributes:
-        address: of the publisher; it need not be there yet.
+        address: address of the publisher; it need not be there yet.
         side: the hand of a message that does not say, and the only one that is taken; with
             ``both`` each message must say.
         bind: listen on the address, for publishers that connect.

@@ -51,8 +51,8 @@ class AbilitySink(HardwareSink):
 
     Attributes:
         port: its serial port.
-        baud: of the port; the hand's own is 460800.
-        address: of the hand on its line.
+        baud: baud rate of the port; the hand's own is 460800.
+        address: address of the hand on its line.
 
     Raises:
         ConfigError: a setting is out of its range.
@@ -85,10 +85,10 @@ class AbilityDevice:
     driver sets nothing that a restart could lose, and the protocol has nothing to read back.
 
     Args:
-        table: of the hand.
+        table: table of the hand.
         port: a serial port.
-        baud: of the port.
-        address: of the hand.
+        baud: baud rate of the port.
+        address: address of the hand.
 
     Raises:
         ConfigError: the table has not six actuators.

@@ -69,7 +69,7 @@ class DynamixelBus:
     Args:
         port: the serial port.
         baud: bits per second.
-        ids: of the servos, in the order in which values are given and come back.
+        ids: ids of the servos, in the order in which values are given and come back.
         names: what messages call them.
         extra: the extra that brings the SDK, for the message where it is missing.
 

@@ -94,8 +94,8 @@ class InspireDevice:
     in mA, ``Reading.touch`` the six forces [g].
 
     Args:
-        table: of the hand. Its settings may have ``device_id`` (1), ``speed`` and ``force``, the
-            hand's own limits: 0 to 1000, and 0 to 3000 g. ``limit`` is the most current [mA].
+        table: table of the hand. Its settings may have ``device_id`` (1), ``speed`` and ``force``,
+            the hand's own limits: 0 to 1000, and 0 to 3000 g. ``limit`` is the most current [mA].
         port: ``ADDRESS`` or ``ADDRESS:PORT`` for TCP; a serial port such as ``/dev/ttyUSB0``.
 
     Raises:

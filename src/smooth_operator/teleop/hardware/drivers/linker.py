@@ -81,7 +81,7 @@ class LinkerSink(HardwareSink):
 
     Attributes:
         port: a CAN channel, ``can0`` or ``INTERFACE:CHANNEL`` of python-can.
-        model: of the hand; it chooses the table, too, unless one is named.
+        model: model of the hand; it chooses the table, too, unless one is named.
     """
 
     driver: ClassVar[str] = "linker"
@@ -112,9 +112,9 @@ class LinkerDevice:
     report currents.
 
     Args:
-        table: of the hand. ``limit`` is the hand's torque (L10) or current (L20), 0 to 255. Its
-            settings may have ``speed`` (0 to 255) and ``gap_ms``, the time between two frames.
-        port: of the CAN bus.
+        table: table of the hand. ``limit`` is the hand's torque (L10) or current (L20), 0 to 255.
+            Its settings may have ``speed`` (0 to 255) and ``gap_ms``, the time between two frames.
+        port: port of the CAN bus.
         model: ``l10`` or ``l20``.
 
     Raises:

@@ -43,7 +43,7 @@ class Revo2Sink(HardwareSink):
 
     Attributes:
         port: its serial port.
-        baud: of the port.
+        baud: baud rate of the port.
 
     Raises:
         ConfigError: a setting is out of its range.
@@ -73,9 +73,9 @@ class Revo2Device:
     its motors off, so ``relax`` does nothing.
 
     Args:
-        table: of the hand. Its settings may have ``speed`` (1 to 1000) and ``device_id``.
+        table: table of the hand. Its settings may have ``speed`` (1 to 1000) and ``device_id``.
         port: a serial port.
-        baud: of the port.
+        baud: baud rate of the port.
 
     Raises:
         ConfigError: the table has not six actuators, or a setting is out of range.

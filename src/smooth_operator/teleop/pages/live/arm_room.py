@@ -39,7 +39,7 @@ class ArmRoom:
     Args:
         scene: where to draw.
         hands: side -> robot hand.
-        settings: of the arms.
+        settings: settings of the arms.
         measured: whether the arms are measured.
     """
 
@@ -120,7 +120,7 @@ class ArmRoom:
 
         Args:
             side: which hand's.
-            pose: of the object in the palm frame of the task's own fixture.
+            pose: pose of the object in the palm frame of the task's own fixture.
             fixture: pose of that frame in the arm's base.
 
         Returns:

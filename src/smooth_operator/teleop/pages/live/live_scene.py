@@ -363,7 +363,7 @@ class _SideView:
 
         Args:
             axes: (3, 3) rows right, up and toward the viewer in the palm frame; None for the palm.
-            object_pose: of what the hand works on, which is to be in the picture, too.
+            object_pose: pose of what the hand works on, which is to be in the picture, too.
         """
         rows = self._axes if axes is None else np.asarray(axes, float)
         turn, wxyz = _VIEW.T @ rows, np.empty(4)

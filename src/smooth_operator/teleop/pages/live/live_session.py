@@ -327,7 +327,7 @@ class RateMeter:
         window: least time over which it is measured [s].
 
     Attributes:
-        rate: of the last whole window [Hz]; None before there is one.
+        rate: rate of the last whole window [Hz]; None before there is one.
     """
 
     def __init__(self, window: float) -> None:
@@ -340,7 +340,7 @@ class RateMeter:
 
         Args:
             number: how many there have been.
-            time: of that, by a clock that never goes back [s].
+            time: time of the count, by a clock that never goes back [s].
         """
         if self._start is None:
             self._start = number, time
@@ -365,7 +365,7 @@ class Recordings:
     nobody.
 
     Args:
-        sinks: of the running loop.
+        sinks: sinks of the running loop.
         folder: where the takes go.
         configuration: what has changed since the run began, for the log.
     """

@@ -171,7 +171,7 @@ def legend(fingers: Sequence[str], simulated: bool, task: bool) -> str:
     """What is drawn, each with its sign: the hands, and the colours of the fingers.
 
     Args:
-        fingers: of the robot hand, thumb first.
+        fingers: fingers of the robot hand, thumb first.
         simulated: whether a simulated robot is drawn.
         task: whether it works on a task, and then it is the solid one.
     """

@@ -22,7 +22,7 @@ class SceneryNodes:
     Args:
         scene: where to draw.
         root: name of the node of the palm frame.
-        scale: of all of it.
+        scale: scale of everything.
     """
 
     def __init__(self, scene: viser.SceneApi, root: str, scale: float = 1.0) -> None:

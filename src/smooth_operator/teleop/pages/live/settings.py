@@ -79,7 +79,7 @@ def changed(config: Any, settings: tuple[Setting, ...], path: str, value: Any) -
     Args:
         config: a dataclass.
         settings: those that may be changed.
-        path: of the setting.
+        path: path of the setting.
         value: a number; None if the setting can be automatic.
 
     Raises:

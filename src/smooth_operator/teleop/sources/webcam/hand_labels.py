@@ -91,7 +91,7 @@ def assign_sides(
     Args:
         seen: the hands of one picture.
         tracks: where they were before; ``Tracks()`` at the start.
-        time: of the picture [s]; if it goes back, what was before is forgotten.
+        time: time of the picture [s]; if it goes back, what was before is forgotten.
 
     Returns:
         side -> hand, at most one of each; and the new tracks.

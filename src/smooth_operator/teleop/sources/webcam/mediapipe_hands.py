@@ -79,7 +79,7 @@ class HandLandmarker:
 
         Args:
             picture: red, green, blue; not mirrored.
-            time: of the picture [s]; where it goes back, or stands, a millisecond is taken.
+            time: time of the picture [s]; where it goes back, or stands, a millisecond is taken.
 
         Raises:
             SourceError: MediaPipe failed.

@@ -80,7 +80,7 @@ class PictureTracker:
 
         Args:
             pixels: blue, green, red.
-            time: of the picture [s]; becomes the stamp.
+            time: time of the picture [s]; becomes the stamp.
 
         Raises:
             SourceError: MediaPipe failed.
@@ -130,9 +130,9 @@ class OneEuroConfig:
     """How strongly is filtered.
 
     Attributes:
-        cutoff: of a point at rest [Hz]; lower is smoother, and later.
+        cutoff: cutoff of a point at rest [Hz]; lower is smoother, and later.
         gain: by how much the cutoff rises with speed [Hz per m/s].
-        speed_cutoff: of the low-pass on the speed itself [Hz].
+        speed_cutoff: cutoff of the low-pass on the speed [Hz].
         gap: after a longer gap in the stamps the filter restarts [s].
     """
 
@@ -156,7 +156,7 @@ class OneEuroState:
     Attributes:
         points: (N, 3) filtered points [m].
         velocity: (N, 3) their filtered velocity [m/s].
-        stamp: of the last frame [s].
+        stamp: time of the last frame [s].
     """
 
     points: Float[np.ndarray, "N 3"]
@@ -173,7 +173,7 @@ def one_euro(
     """Filter one frame.
 
     Args:
-        state: of the last frame; None at the start.
+        state: state of the last frame; None at the start.
         points: (N, 3) [m]; one that is not finite stays so, and restarts when it is back.
         stamp: time of the frame [s]; if it stands or goes back, the filter restarts.
         config: how strongly.

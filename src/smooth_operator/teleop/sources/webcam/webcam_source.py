@@ -74,8 +74,8 @@ class Webcam(_Pictures):
         confidence: how sure the tracker must be that there is a hand, 0 to 1.
         points: ``world`` or ``picture``, see ``PictureConfig``.
         smoothing: cutoff of a filter for a hand at rest [Hz]; 0 filters nothing, 4 is mild.
-        width: of the picture that is asked for [pixels].
-        height: of the picture that is asked for [pixels].
+        width: width of the picture that is asked for [pixels].
+        height: height of the picture that is asked for [pixels].
         rate: pictures per second that are asked for [Hz].
         model: the hand-landmarker file; fetched once if left out.
     """

@@ -61,7 +61,7 @@ class LinkState:
     """How the link to the headset is.
 
     Attributes:
-        address: of the headset; None if none is connected.
+        address: address of the headset; None if none is connected.
         session: number of this connection, from 1 on; 0 before the first.
         tracking: whether the headset's page says that it tracks.
         frames: hand frames received since the source was started.
@@ -257,7 +257,7 @@ class Packet:
     """One moment.
 
     Attributes:
-        number: of the XR frame.
+        number: number of the XR frame.
         stamp: by the page's clock [s].
         frames: those of the hands that the headset sees, left first.
     """
