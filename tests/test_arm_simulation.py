@@ -20,8 +20,7 @@ from smooth_operator.simulation.arms.catalogue import ARMS
 from smooth_operator.simulation.scenes import ScenePhysics, scene_for
 from smooth_operator.simulation.scenes.arm_physics import ArmPhysics
 from smooth_operator.teleop import teleoperate
-from smooth_operator.teleop.arm.places import place_arms
-from smooth_operator.teleop.arm.settings import ArmSettings, read_arm
+from smooth_operator.teleop.arm.settings import ArmSettings, place_arms, read_arm
 from smooth_operator.teleop.sinks.simulation import Simulation
 from smooth_operator.teleop.sinks.sink import Sink
 from smooth_operator.teleop.sinks.tick import ArmCommand, Mode, Tick

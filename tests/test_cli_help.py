@@ -86,11 +86,21 @@ def test_a_command_runs_the_function_with_its_options(monkeypatch: pytest.Monkey
 @pytest.mark.parametrize("width", [80, 120])
 def test_help_is_wrapped_once_and_fits(width: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", str(width))
-    for words, _ in [((), None), *commands()]:
+    for words, _ in [((), None), *commands(), (("teleop", "--help-all"), None)]:
         text = printed(monkeypatch, *words, "--help")
         assert list(ragged(text, width)) == [], words
         longest = max(text.splitlines(), key=len)
         assert len(longest) <= width, longest
+
+
+def test_rare_options_are_in_the_long_help_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    short, whole = (printed(monkeypatch, "teleop", word) for word in ("--help", "--help-all"))
+    assert len(short.split()) <= 700
+    assert "--help-all" in short
+    listed = set(re.findall(r"^│ (--[a-z][\w.-]*)", short, re.MULTILINE))
+    assert {"--source", "--sink", "--hand", "--method", "--estop"} <= listed
+    rest = set(re.findall(r"^│ (--[a-z][\w.-]*)", whole, re.MULTILINE)) - listed
+    assert {"--priority", "--limits.velocity", "--safety.stale-s"} <= rest
 
 
 def test_what_is_indented_keeps_its_lines(capsys: pytest.CaptureFixture[str]) -> None:

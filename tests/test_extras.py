@@ -261,7 +261,6 @@ LACK = {
     "calibrate in.npz --output operator.json": "lab",
     "tune sbr in.npz --vary pose_weight=0.01:0.1:log --output tuned": "lab",
     "train geort in.npz --output trained": "lab",
-    "glove-simulator": "zmq",
     "study analyze x.csv --output analysis": "study",
     "study power plan": "study",
     "study run plan": "study",

@@ -28,12 +28,11 @@ from smooth_operator.hands.registry import MODELS, load_hand
 from smooth_operator.metrics import Trace
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.pages.hand_page import HandPage
-from smooth_operator.teleop.pages.hand_view import HandView
+from smooth_operator.teleop.pages.hand_view import HandView, coarser
 from smooth_operator.teleop.pages.live.live_page import PageSetup
 from smooth_operator.teleop.pages.live.live_scene import LiveScene
-from smooth_operator.teleop.pages.meshes import coarser
 from smooth_operator.teleop.pages.playback import Playback
-from smooth_operator.teleop.pages.robot import RobotView
+from smooth_operator.teleop.pages.player_scene import RobotView
 from smooth_operator.teleop.pages.viser_server import close_server, open_server
 from smooth_operator.types import CommandTrajectory, Side
 

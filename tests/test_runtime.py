@@ -19,8 +19,8 @@ from smooth_operator.landmarks import LAYOUTS
 from smooth_operator.methods.retargeter import RetargetState
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.runtime import statistics as run_statistics
-from smooth_operator.teleop.runtime.delay import TrackerDelay
 from smooth_operator.teleop.runtime.limiter import Limiter
+from smooth_operator.teleop.runtime.motion_delay import TrackerDelay
 from smooth_operator.teleop.runtime.pipeline import COMPILED, COMPILING, HandPipeline
 from smooth_operator.teleop.runtime.plausible import finger_curl, implausible
 from smooth_operator.teleop.runtime.settings import LimitsConfig, LoopConfig, SafetyConfig

@@ -29,7 +29,7 @@ from smooth_operator.study.store.events import (
     Undone,
     Withdrawn,
 )
-from smooth_operator.study.store.export import export_study, study_json
+from smooth_operator.study.store.export import export_study
 from smooth_operator.study.store.study_store import StudyStore, open_study
 from smooth_operator.version import __version__
 

@@ -299,7 +299,7 @@ def test_switches_work_from_another_program(
     retargeters: dict[Side, Retargeter], frames: list[HandFrame]
 ) -> None:
     zmq = pytest.importorskip("zmq")
-    from smooth_operator.teleop.runtime.remote import remote
+    from smooth_operator.teleop.runtime.rpc_server import remote
 
     sink = Keeper()
     loop = looped(retargeters, Player(frames * 2), sink)

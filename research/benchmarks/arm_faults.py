@@ -27,7 +27,7 @@ from smooth_operator import Retargeter, load_hand, poses
 from smooth_operator.simulation.scenes.arm_physics import ArmPhysics
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.synthetic.wrist import WristMotion
-from smooth_operator.teleop.arm.rig import build_arms
+from smooth_operator.teleop.arm.controller import build_arms
 from smooth_operator.teleop.arm.settings import ArmSettings
 from smooth_operator.teleop.runtime.pipeline import HandPipeline
 from smooth_operator.teleop.runtime.settings import LoopConfig

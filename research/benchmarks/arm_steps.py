@@ -17,7 +17,7 @@ import numpy as np
 
 from smooth_operator import load_hand, poses
 from smooth_operator.synthetic.wrist import WristMotion
-from smooth_operator.teleop.arm.rig import build_arms
+from smooth_operator.teleop.arm.controller import build_arms
 from smooth_operator.teleop.arm.settings import ArmSettings
 
 

@@ -36,7 +36,7 @@ from smooth_operator import load_hand
 from smooth_operator.hands.hand import Hand
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.recording.log_reader import read_log
-from smooth_operator.teleop.sinks import recorder
+from smooth_operator.teleop.sinks import record as recorder
 from smooth_operator.teleop.sinks.record import RecordSink
 from smooth_operator.teleop.sinks.tick import Tick
 from smooth_operator_research.run_report import BenchmarkError, Report

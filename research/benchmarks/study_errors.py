@@ -26,10 +26,8 @@ from smooth_operator.study.analysis.results import MODES, OUTCOMES, POOLED
 from smooth_operator.study.chunks import chunk_values
 from smooth_operator.study.design.plan import make_plan
 from smooth_operator.study.design.protocol import Condition, Protocol, Task
-from smooth_operator.study.power.simulated_study import Simulated
-from smooth_operator.study.power.simulated_study import Layout, Rows, layout
-from smooth_operator.study.power.verdicts import rate
-from smooth_operator.study.power.verdicts import Analyst
+from smooth_operator.study.power.simulated_study import Layout, Rows, Simulated, layout
+from smooth_operator.study.power.verdicts import Analyst, rate
 
 Three = tuple[float, float, float]
 """Of success [logit], time [s] and workload [points]."""

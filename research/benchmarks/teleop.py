@@ -37,7 +37,7 @@ FAULTS = {
     "drop": 0.1, "silence-every": 15, "silence": 2.5, "missing": 0.03, "duplicate": 0.02,
     "reorder": 0.02, "swap": 0.02, "garbage": 0.02, "restart-every": 40,
 }  # fmt: skip
-"""Options of ``glove-simulator``."""
+"""Options of ``tests/glove_simulator.py``."""
 
 ROBOT = """
 import sys, zmq
@@ -47,6 +47,9 @@ socket.subscribe(b"")
 while True:
     socket.recv()
 """
+
+
+GLOVE = Path(__file__).resolve().parents[1] / "tests" / "glove_simulator.py"
 
 
 def program(*arguments: str) -> list[str]:
@@ -179,7 +182,7 @@ def run(
     """
     gloves, commands = free_address(), free_address()
     faults = [f"--{name}={value}" for name, value in FAULTS.items()] if options.faults else []
-    glove = Process(program("glove-simulator", "--address", gloves, "--quiet", *faults))
+    glove = Process([sys.executable, str(GLOVE), "--address", gloves, *faults])
     robot = Process([sys.executable, "-c", ROBOT, commands])
     glove.start()
     robot.start()

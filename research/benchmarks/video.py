@@ -25,14 +25,15 @@ from smooth_operator.metrics import evaluate
 from smooth_operator.metrics.assemble import assemble_trace
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.sources.live import Mailbox
-from smooth_operator.teleop.sources.webcam.camera import opencv
-from smooth_operator.teleop.sources.webcam.one_euro import OneEuroConfig, OneEuroState, one_euro
+from smooth_operator.teleop.sources.webcam.camera import VideoFile, opencv
 from smooth_operator.teleop.sources.webcam.picture_tracker import (
+    OneEuroConfig,
+    OneEuroState,
     PictureConfig,
     PictureTracker,
     Points,
+    one_euro,
 )
-from smooth_operator.teleop.sources.webcam.video_file import VideoFile
 from smooth_operator.teleop.sources.webcam.webcam_source import Video
 from smooth_operator.types import Side
 from smooth_operator_research.run_report import BenchmarkError, Report

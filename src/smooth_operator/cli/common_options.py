@@ -34,10 +34,14 @@ class Common:
         work: ``package.module:function``, called with the options. It is imported when the command
             runs, so that ``--help`` loads none of it.
         details: help below the first line of the class's docstring.
+        more: help that only ``--help-all`` shows.
+        rare: fields that only ``--help-all`` shows.
     """
 
     work: ClassVar[str]
     details: ClassVar[str]
+    more: ClassVar[str] = ""
+    rare: ClassVar[frozenset[str]] = frozenset()
 
     debug: bool = False
     """Show the traceback of an error (also: SMOOTH_OPERATOR_DEBUG=1)."""

@@ -103,7 +103,7 @@ def convert(options: Convert) -> None:
     """
     from smooth_operator.cli.console import Progressing
     from smooth_operator.teleop.recording.convert import Source, find_sources, format_of, losses
-    from smooth_operator.teleop.sources.webcam.video_file import is_video
+    from smooth_operator.teleop.sources.webcam.camera import is_video
 
     progress = Progressing(options.quiet)
     to = format_of(options.output, options.to)
@@ -268,7 +268,7 @@ def _load(source: Source, commands: Path | None, options: Convert, several: bool
     from smooth_operator.formats.frames import frame_slice
     from smooth_operator.formats.readers import rated_if_unstamped
     from smooth_operator.teleop.recording.convert import read_episode
-    from smooth_operator.teleop.sources.webcam.video_file import is_video
+    from smooth_operator.teleop.sources.webcam.camera import is_video
 
     if is_video(source.path):
         episode = _track(source.path, options)
@@ -297,7 +297,7 @@ def _track(path: Path, options: Convert) -> Episode:
     from smooth_operator.formats.checks import check_rate
     from smooth_operator.formats.episode import Episode
     from smooth_operator.teleop.sources.webcam.picture_tracker import PictureConfig
-    from smooth_operator.teleop.sources.webcam.video_recording import track_video
+    from smooth_operator.teleop.sources.webcam.webcam_source import track_video
 
     config = PictureConfig(mirrored=options.mirrored)
     recording = track_video(path, side=options.side, config=config)

@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from itertools import pairwise
 from typing import Annotated, Any, get_args, get_type_hints
 
-from tyro.conf import arg
+from tyro.conf import Suppress, arg
 
 _NARROWEST = 40
 _BOXED = re.compile(r"\s*(\x1b\[[0-9;]*m)*[╭│╰|+]")
@@ -44,6 +44,24 @@ def document(kind: type) -> None:
     for hint in get_type_hints(kind, include_extras=True).values():
         for part in _dataclasses_in(hint):
             document(part)
+
+
+def without_rare(kind: type) -> type:
+    """A copy of a command's class whose help leaves out the rare options."""
+    rare: frozenset[str] = getattr(kind, "rare", frozenset())
+    if not rare:
+        return kind
+    hints = get_type_hints(kind, include_extras=True)
+    namespace: dict[str, Any] = {
+        field.name: dataclasses.field(default=field.default, default_factory=field.default_factory)
+        for field in dataclasses.fields(kind)
+        if field.name in rare
+    }
+    suppress: Any = Suppress
+    namespace["__annotations__"] = {name: suppress[hints[name]] for name in namespace}
+    namespace["__doc__"] = kind.__doc__
+    copy = type(kind.__name__, (kind,), namespace)
+    return dataclasses.dataclass(frozen=True, kw_only=True)(copy)
 
 
 @functools.cache

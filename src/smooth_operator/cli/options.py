@@ -15,16 +15,15 @@ from smooth_operator.cli.convert import Convert
 from smooth_operator.cli.dataset_options import Dataset
 from smooth_operator.cli.demo import Demo
 from smooth_operator.cli.doctor_options import Doctor
-from smooth_operator.cli.glove_simulator_options import GloveSimulate
 from smooth_operator.cli.hands import Hands
 from smooth_operator.cli.hardware_options import Hardware
-from smooth_operator.cli.help_text import document, wrapped_output
+from smooth_operator.cli.help_text import document, without_rare, wrapped_output
 from smooth_operator.cli.latency import Latency
 from smooth_operator.cli.retarget import Retarget
 from smooth_operator.cli.sample import Sample
 from smooth_operator.cli.study_options import Study
 from smooth_operator.cli.subcommands import Group, described
-from smooth_operator.cli.teleop_options import Teleop
+from smooth_operator.cli.teleop import Teleop
 from smooth_operator.cli.train import Train
 from smooth_operator.cli.tune_options import Tune
 from smooth_operator.cli.view import View
@@ -54,8 +53,6 @@ _EXAMPLES = """Examples:
       a model of the learning-based method for a hand and its operator
   smooth-operator tune sbr mine.npz --vary pose_weight=0.01:0.1:log --output out
       the numbers of a preset searched, never on what is held out
-  smooth-operator glove-simulator
-      a moving hand as a MANUS glove sends it, for teleop --source manus
   smooth-operator hands list
       the robot hands; hands show NAME has joints and limits, and a page
   smooth-operator hardware list
@@ -76,7 +73,6 @@ Command: TypeAlias = (
     | Dataset
     | Demo
     | Doctor
-    | GloveSimulate
     | Hands
     | Hardware
     | Latency
@@ -104,7 +100,6 @@ _COMMANDS: Final[dict[str, type[Command]]] = {
     "hands": Hands,
     "hardware": Hardware,
     "calibrate": Calibrate,
-    "glove-simulator": GloveSimulate,
     "study": Study,
     "doctor": Doctor,
 }
@@ -169,8 +164,11 @@ def parse(arguments: Sequence[str]) -> Command:
         SystemExit: 0 after printing help, 2 after saying what is wrong with the arguments.
         SmoothOperatorError: there is no such command.
     """
-    arguments = _in_research(arguments)
+    whole = "--help-all" in arguments
+    arguments = _in_research(["--help" if w == "--help-all" else w for w in arguments])
     name = arguments[0] if arguments else ""
+    whole = "--help-all" in arguments
+    arguments = ["--help" if word == "--help-all" else word for word in arguments]
     commands = _commands(name)
     flags = (tyro.conf.FlagCreatePairsOff,)
     for_a_shell = any(word.startswith("--tyro-") for word in arguments)  # completions
@@ -194,10 +192,12 @@ def parse(arguments: Sequence[str]) -> Command:
             )
         kind: Any = commands[name]
         document(kind)
+        if not whole and {"-h", "--help"} & set(arguments):
+            kind = without_rare(kind)
         chosen: Command = tyro.cli(
             kind,
             prog=f"smooth-operator {name.replace('.', ' ')}",
-            description=described(kind),
+            description=described(kind, whole),
             args=list(arguments[1:]),
             config=flags,
         )

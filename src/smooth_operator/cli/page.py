@@ -58,8 +58,8 @@ def playback(
             ``on_model``. Simple shapes if left out; with it, they are there for a switch.
         label: text above the robot.
     """
+    from smooth_operator.teleop.pages.hand_view import simple_meshes
     from smooth_operator.teleop.pages.playback import SimpleShapes
-    from smooth_operator.teleop.pages.simple_shapes import simple_meshes
 
     simple = None
     model = drawn or hand

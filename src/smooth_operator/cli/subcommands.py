@@ -8,9 +8,12 @@ from typing import Any
 from smooth_operator.cli.help_text import unwrapped
 
 
-def described(kind: Any) -> str:
-    """Help of a subcommand: docstring and details of its class."""
-    return unwrapped(f"{inspect.getdoc(kind)}\n\n{kind.details}")
+def described(kind: Any, whole: bool = True) -> str:
+    """Help of a command: its class's docstring and details; all of them if ``whole``."""
+    text = f"{inspect.getdoc(kind)}\n\n{kind.details}"
+    if getattr(kind, "rare", ()):
+        text += f"\n\n{kind.more}" if whole else "\n\nMore options and explanations: --help-all"
+    return unwrapped(text)
 
 
 class Group:

@@ -33,9 +33,8 @@ from smooth_operator.signals import ended_by_signals
 from smooth_operator.teleop.arm.settings import ArmSettings, read_arm
 from smooth_operator.teleop.control.keyboard import keyboard
 from smooth_operator.teleop.control.method_switcher import MethodSwitcher
-from smooth_operator.teleop.control.reporter import LoggingReporter, Reporter
+from smooth_operator.teleop.control.reporter import LoggingReporter, Reporter, summarise
 from smooth_operator.teleop.control.rpc_handlers import RpcHandlers
-from smooth_operator.teleop.control.summary import summarise
 from smooth_operator.teleop.control.task_trials import TaskTrials, with_task
 from smooth_operator.teleop.run_page import PageSettings, begun_page, show_page
 from smooth_operator.teleop.runtime.limiter import Limiter
@@ -59,7 +58,7 @@ from smooth_operator.teleop.sources.replay import Replay
 from smooth_operator.types import Side
 
 if TYPE_CHECKING:
-    from smooth_operator.teleop.arm.rig import ArmOfHand
+    from smooth_operator.teleop.arm.controller import ArmOfHand
 
 Task: TypeAlias = Literal["card", "cube", "screwdriver"]
 """A task of the study."""
@@ -301,13 +300,13 @@ def _checked(
     arms: dict[Side, ArmOfHand] = {}
     if carrier is not None:
         require("an arm", "arm", "mink", "daqp")
-        from smooth_operator.teleop.arm.rig import build_arms
+        from smooth_operator.teleop.arm.controller import build_arms
 
         arms = build_arms(carrier, hands)
         sinks.use_arms({side: one.carried for side, one in arms.items()})
     sinks.check(hands)
     if control is not None:
-        from smooth_operator.teleop.runtime.remote import check_address
+        from smooth_operator.teleop.runtime.rpc_server import check_address
 
         check_address(control)
     if page is not None:
@@ -437,7 +436,7 @@ def _remote(
     if address is None:
         yield
         return
-    from smooth_operator.teleop.runtime.remote import remote
+    from smooth_operator.teleop.runtime.rpc_server import remote
 
     with remote(loop, address, handlers.by_command, handlers.status) as bound:
         said.note(f"switches at {bound}")

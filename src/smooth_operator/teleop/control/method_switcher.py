@@ -233,14 +233,3 @@ def _tell(request: Future[DriverSpec], outcome: DriverSpec | Exception) -> None:
             request.set_result(outcome)
         else:
             request.set_exception(outcome)
-
-
-def checked(operator: OperatorProfile | None) -> OperatorProfile:
-    """The operator, where there is one.
-
-    Raises:
-        ConfigError: there is none.
-    """
-    if operator is None:
-        raise ConfigError("there is no finished calibration; calibrate first")
-    return operator

@@ -43,8 +43,7 @@ from smooth_operator.teleop.recording.log_types import (
     schema_data,
 )
 from smooth_operator.teleop.recording.mcap_writer import COMPRESSIONS, McapWriter
-from smooth_operator.teleop.sinks.hand_state import HandState
-from smooth_operator.teleop.sinks.tick import ArmCommand, WristCommand
+from smooth_operator.teleop.sinks.tick import ArmCommand, HandState, WristCommand
 from smooth_operator.types import HandFrame, JointCommand, Side, Status
 
 _MAX_LOG_TIME: Final = 2**64 - 1

@@ -1,1 +1,1 @@
-"""ROS 2 messages, with a ROS 2 installation (rclpy) or without one (CycloneDDS, extra ``ros2``)."""
+"""ROS 2 messages by CycloneDDS (extra ``ros2``), with or without a ROS 2 installation."""

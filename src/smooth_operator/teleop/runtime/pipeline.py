@@ -10,8 +10,8 @@ import numpy as np
 
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.teleop.runtime.clutch import Clutch
-from smooth_operator.teleop.runtime.delay import TrackerDelay
 from smooth_operator.teleop.runtime.limiter import Limiter
+from smooth_operator.teleop.runtime.motion_delay import TrackerDelay
 from smooth_operator.teleop.runtime.plausible import SessionCheck, implausible
 from smooth_operator.teleop.runtime.settings import LoopConfig
 from smooth_operator.teleop.runtime.supervisor import Supervisor

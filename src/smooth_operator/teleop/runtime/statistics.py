@@ -39,7 +39,7 @@ class LoopStatistics:
     """Counts and times of a loop; written by the loop, read by anyone.
 
     Args:
-        period: of the loop [s].
+        period: period of the loop [s].
 
     Attributes:
         motion: side -> delay from command to motion, of the hands that are measured.
@@ -124,7 +124,7 @@ class LoopStatistics:
             "added_latency_ms": percentiles(self._added.newest()),
             "stages_ms": {name: percentiles(t.newest()) for name, t in self._stages.items()},
             "motion_delay_ms": {
-                side: None if (found := delay.now()) is None else 1e3 * found.seconds
+                side: None if (estimate := delay.now()) is None else 1e3 * estimate.seconds
                 for side, delay in self.motion.items()
             },
             "mode_share": {mode.value: self._modes[mode] / max(total, 1) for mode in self._modes},
@@ -137,8 +137,8 @@ def percentiles(values: Any) -> dict[str, float]:
     array = array[np.isfinite(array)]
     if not len(array):
         return {}
-    found = np.percentile(array, _PERCENTILES)
+    quantiles = np.percentile(array, _PERCENTILES)
     named: Mapping[str, float] = {
-        f"p{p:g}": float(v) for p, v in zip(_PERCENTILES, found, strict=True)
+        f"p{p:g}": float(v) for p, v in zip(_PERCENTILES, quantiles, strict=True)
     }
     return {**named, "max": float(array.max())}

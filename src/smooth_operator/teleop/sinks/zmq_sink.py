@@ -13,9 +13,8 @@ from smooth_operator.errors import ConfigError, MissingExtraError, SinkError
 from smooth_operator.formats.jsonable import numbers
 from smooth_operator.hands.hand import Hand
 from smooth_operator.poses import is_valid
-from smooth_operator.teleop.sinks.hand_state import HandState
-from smooth_operator.teleop.sinks.threaded_sink import Link, ThreadedSink
-from smooth_operator.teleop.sinks.tick import ArmCommand, Tick
+from smooth_operator.teleop.sinks.sink import Link, ThreadedSink
+from smooth_operator.teleop.sinks.tick import ArmCommand, HandState, Tick
 from smooth_operator.types import Side
 
 FORMAT: Final = 1

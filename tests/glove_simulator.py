@@ -1,28 +1,31 @@
-"""Simulator of a MANUS glove and its bridge (extra ``zmq``)."""
+"""Simulator of a MANUS glove and its bridge, for tests and benchmarks (extra ``zmq``).
+
+As a program: ``python tests/glove_simulator.py --address tcp://127.0.0.1:8000 --drop 0.1``.
+"""
 
 from __future__ import annotations
 
+import math
 import random
 import threading
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Final
 
 import numpy as np
+import tyro
 
 from smooth_operator.errors import ConfigError, SourceError
 from smooth_operator.formats.readers import read_recording
 from smooth_operator.synthetic.operator import SyntheticOperator
 from smooth_operator.synthetic.settings import check_range, check_seed
 from smooth_operator.synthetic.tracker import TrackerModel
-from smooth_operator.teleop.sources.live import Clock
-from smooth_operator.teleop.sources.manus.glove_faults import GloveFaults
-from smooth_operator.teleop.sources.manus.manus_message import write_manus
-from smooth_operator.teleop.sources.pacing import Stopping, on_time
+from smooth_operator.teleop.sources.live import Clock, Stopping, on_time
+from smooth_operator.teleop.sources.manus_gloves import write_manus
 from smooth_operator.teleop.sources.stream import Hands, sides_of
-from smooth_operator.teleop.sources.zmq_inbox import load_zmq
+from smooth_operator.teleop.sources.zmq_stream import load_zmq
 from smooth_operator.types import HandFrame, HandRecording, Side
 
 ROUND_S: Final = 20.0
@@ -35,6 +38,59 @@ _GLOVES: Final[dict[Side, int]] = {"right": 1001, "left": 1002}
 _OTHER: Final[dict[Side, Side]] = {"right": "left", "left": "right"}
 _FINGER: Final = (slice(1, 5), slice(5, 9), slice(9, 13), slice(13, 17), slice(17, 21))
 _QUEUE = 64  # of a subscriber that does not read; what is more is not sent to it
+
+
+_SHARES: Final = ("drop", "missing", "duplicate", "reorder", "swap", "garbage")
+
+
+@dataclass(frozen=True)
+class GloveFaults:
+    """Faults of a glove or its bridge; none by default. Shares are of the ticks, drawn at random.
+
+    Attributes:
+        drop: share of ticks whose messages are never sent.
+        silence_every: every so often the glove falls silent [s]; 0 is never.
+        silence: for so long [s].
+        missing: share of ticks with missing nodes: a finger, or the whole hand, by turns.
+        duplicate: share of ticks that repeat the stamp of the one before.
+        reorder: share of ticks whose messages are sent after those of the next tick.
+        swap: share of ticks with the hands' sides exchanged.
+        garbage: share of ticks whose messages are cut off in the middle.
+        restart_every: time between restarts of the glove [s]: another session, stamps from 0;
+            0 is never.
+
+    Raises:
+        ConfigError: a figure is outside its range.
+    """
+
+    drop: float = 0.0
+    silence_every: float = 0.0
+    silence: float = 2.0
+    missing: float = 0.0
+    duplicate: float = 0.0
+    reorder: float = 0.0
+    swap: float = 0.0
+    garbage: float = 0.0
+    restart_every: float = 0.0
+
+    def __post_init__(self) -> None:
+        for each in fields(self):
+            share = each.name in _SHARES
+            check_range(
+                each.name, getattr(self, each.name), 0.0, 1.0 if share else math.inf,
+                "" if share else "s",
+            )  # fmt: skip
+        if 0.0 < self.silence_every <= self.silence:
+            raise ConfigError(
+                f"silence_every must be longer than the silence of {self.silence:g} s, not "
+                f"{self.silence_every:g} s"
+            )
+
+    def silent_at(self, time: float) -> bool:
+        """Whether it is silent at a time since the start [s]: at the end of each stretch."""
+        if not self.silence_every:
+            return False
+        return time % self.silence_every >= self.silence_every - self.silence
 
 
 @dataclass(frozen=True)
@@ -301,3 +357,14 @@ def _mirrored(frame: HandFrame, side: Side) -> HandFrame:
         if frame.orientations is None
         else frame.orientations * np.array([1.0, -1.0, 1.0, -1.0]),
     )
+
+
+def main() -> None:
+    """Publish until the time is over or Ctrl-C."""
+    with tyro.cli(GloveSimulator, config=(tyro.conf.OmitArgPrefixes,)).open() as glove:
+        print(glove.address, flush=True)  # for a script that waits for it
+        glove.run()
+
+
+if __name__ == "__main__":
+    main()

@@ -17,24 +17,28 @@ from __future__ import annotations
 import functools
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.errors import RecordingError
+from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.landmarks import FROM_MANUS_25, METACARPALS_MANUS_25
-from smooth_operator.teleop.sources.message_stamps import read_stamp
+from smooth_operator.teleop.sources.message_receiver import Message
 from smooth_operator.teleop.sources.payload import (
     Reading,
     check_size,
     hand_frame,
     parse_json,
+    read_numbers,
     read_session,
     read_side,
+    read_stamp,
     read_wrist,
 )
-from smooth_operator.teleop.sources.point_forms import read_numbers
+from smooth_operator.teleop.sources.stream import Hands, StreamSource, only_side, sides_of
+from smooth_operator.teleop.sources.zmq_stream import Pattern, ZmqInbox
 from smooth_operator.types import HandFrame, Side
 
 NODES: Final = 25
@@ -65,13 +69,13 @@ def read_manus(
         RecordingError: it can't be read, with the reason.
     """
     check_size(data)
-    found = _TOPIC.match(data)
-    if found is None:
+    topic_match = _TOPIC.match(data)
+    if topic_match is None:
         return _read_csv(data, gloves, side, received)
-    topic = found[1].decode().lower().rpartition("/")[2]
-    known: Side | None = topic if topic in ("right", "left") else side  # type: ignore[assignment]
-    message = parse_json(data[found.end() :])
-    return tuple(read_glove(hand, gloves, known, received) for hand in _hands(message))
+    topic = topic_match[1].decode().lower().rpartition("/")[2]
+    expected: Side | None = topic if topic in ("right", "left") else side  # type: ignore[assignment]
+    message = parse_json(data[topic_match.end() :])
+    return tuple(read_glove(hand, gloves, expected, received) for hand in _hands(message))
 
 
 def write_manus(frame: HandFrame) -> bytes:
@@ -89,10 +93,10 @@ def write_manus(frame: HandFrame) -> bytes:
     quaternions = np.full((NODES, 4), np.nan)
     if frame.orientations is not None:
         quaternions[list(FROM_MANUS_25)] = frame.orientations
-    seen = np.isfinite(positions).all(axis=1), np.isfinite(quaternions).all(axis=1)
-    numbers = np.hstack([positions, quaternions])[np.repeat(np.stack(seen, 1), (3, 4), axis=1)]
+    present = np.isfinite(positions).all(axis=1), np.isfinite(quaternions).all(axis=1)
+    numbers = np.hstack([positions, quaternions])[np.repeat(np.stack(present, 1), (3, 4), axis=1)]
     return (
-        _template(*(tuple(flags.tolist()) for flags in seen)) % tuple(numbers.tolist())
+        _template(*(tuple(flags.tolist()) for flags in present)) % tuple(numbers.tolist())
     ).encode()
 
 
@@ -117,9 +121,9 @@ def _hands(message: Any) -> list[Mapping[str, Any]]:
         shared = {k: message[k] for k in ("stamp", "timestamp", "session", "world") if k in message}
         if "hands" in message or "gloves" in message:
             hands = message.get("hands", message.get("gloves"))
-        elif found := [key for key in message if key.lower() in ("right", "left")]:
+        elif keys := [key for key in message if key.lower() in ("right", "left")]:
             hands = [
-                {"side": key, **message[key]} for key in found if isinstance(message[key], dict)
+                {"side": key, **message[key]} for key in keys if isinstance(message[key], dict)
             ]
         else:
             return [message]
@@ -160,17 +164,17 @@ def read_glove(
     return Reading(frame, stamp is not None, read_session(message))
 
 
-def _side(label: Any, glove: Any, gloves: Mapping[str, Side], known: Side | None) -> Side:
+def _side(label: Any, glove: Any, gloves: Mapping[str, Side], otherwise: Side | None) -> Side:
     if str(glove).lower() in gloves:  # the user knows better than a bridge that is starting
         return gloves[str(glove).lower()]
     if str(label).lower() in ("unknown", "none", ""):
         label = None
-    if label is None and known is None:
+    if label is None and otherwise is None:
         raise RecordingError(
             f"the message does not say which hand glove {glove!r} is on; name it: "
             f"right_glove={glove} or left_glove={glove}, or take one hand only: side=right"
         )
-    return read_side(label, known)
+    return read_side(label, otherwise)
 
 
 def _read_nodes(
@@ -263,3 +267,58 @@ def _read_csv(
         )
         readings.append(Reading(frame))
     return tuple(readings)
+
+
+@dataclass(frozen=True)
+class ManusStream(StreamSource):
+    """Each message a hand or two, as ``smooth_operator.teleop.sources.manus_gloves`` says.
+
+    Attributes:
+        address: address of the bridge; it need not be running yet.
+        side: the hands that are taken. With one hand alone, messages that do not say which hand
+            they are of are taken for it.
+        right_glove: id of the right glove, for a bridge that does not say which hand is which.
+        left_glove: id of the left glove.
+        pattern: ``sub`` for bridges that publish, ``pull`` for those that push (Bidex).
+        bind: listen on the address, for a bridge that connects.
+
+    Raises:
+        ConfigError: a setting is outside its range.
+    """
+
+    address: str = "tcp://127.0.0.1:8000"
+    side: Hands = "both"
+    right_glove: str | None = None
+    left_glove: str | None = None
+    pattern: Pattern = "sub"
+    bind: bool = False
+
+    def __post_init__(self) -> None:
+        sides_of(self.side)
+        if self.right_glove is not None and self.right_glove == self.left_glove:
+            raise ConfigError(f"right_glove and left_glove are both {self.right_glove!r}")
+
+    @property
+    def label(self) -> str:
+        """What it is, in a few words."""
+        return f"MANUS gloves at {self.address}"
+
+    @property
+    def gloves(self) -> dict[str, Side]:
+        """Glove id -> side, where known."""
+        named: dict[str, Side] = {}
+        if self.right_glove is not None:
+            named[self.right_glove.lower()] = "right"
+        if self.left_glove is not None:
+            named[self.left_glove.lower()] = "left"
+        return named
+
+    def connect(self) -> ZmqInbox:
+        """Open the socket."""
+        return ZmqInbox("the source 'manus'", self.address, bind=self.bind, pattern=self.pattern)
+
+    def read(self, message: Message, received: float) -> Sequence[Reading]:
+        """The hands of a message."""
+        return read_manus(
+            b" ".join(message), gloves=self.gloves, side=only_side(self.side), received=received
+        )
