@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
 
@@ -10,6 +11,7 @@ import numpy as np
 import viser
 from jaxtyping import Float, UInt8
 
+from smooth_operator.errors import SmoothOperatorError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import (
     MIN_CONDITION,
@@ -21,6 +23,7 @@ from smooth_operator.human.operator import FingerProfile, OperatorProfile
 from smooth_operator.human.palm_axes import human_palm_axes
 from smooth_operator.landmarks import FINGERS, TIPS
 from smooth_operator.teleop.arm.settings import ArmSettings
+from smooth_operator.teleop.opencv import opencv
 from smooth_operator.teleop.pages.hand_view import HandView
 from smooth_operator.teleop.pages.human import (
     BodyNodes,
@@ -77,6 +80,10 @@ class LiveScene:
             self._sides[side].add_meshes(HandView(hand))
         self._room = None if arm is None else ArmRoom(server.scene, hands, arm, simulated)
         self._server = server
+        # viser encodes pictures by OpenCV where it can be imported; an import of its own that fails
+        # would leave a folder on the module path that ends processes which are started later.
+        with contextlib.suppress(SmoothOperatorError):
+            opencv()
         server.scene.set_background_image(background(), format="png")
         self._floor = server.scene.add_grid(
             "/floor", _FLOOR, _FLOOR, plane="xy", cell_size=0.02, section_size=0.1,

@@ -14,16 +14,11 @@ from typing import Any, Final, TypeAlias
 from jaxtyping import UInt8
 from numpy import ndarray
 
-from smooth_operator.errors import MissingExtraError, SourceError
+from smooth_operator.errors import SourceError
+from smooth_operator.teleop.opencv import opencv
 
 RETRY_S: Final = 1.0
 """Pause between attempts to open a camera again [s]."""
-
-_INSTALL: Final = {
-    "linux": "It needs libraries of the system: sudo apt install libgl1 libglib2.0-0 libxcb1 "
-    "(Debian, Ubuntu), or an OpenCV without windows, see docs/how-to/webcam.md"
-}
-"""System -> what OpenCV needs there."""
 
 # OpenCV comes without types that mypy may rely on.
 Capture: TypeAlias = Any
@@ -171,35 +166,6 @@ def _advice(cv2: Any, name: int | str) -> str:
     return advice
 
 
-def opencv() -> Any:
-    """OpenCV's module, without its own messages, which this package words better.
-
-    Raises:
-        MissingExtraError: it is not installed.
-        SourceError: it is installed, but can't be loaded; with the libraries that it needs.
-    """
-    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # read when the first file is opened
-    path = list(sys.path)
-    try:
-        import cv2
-    except ModuleNotFoundError as error:
-        raise MissingExtraError("reading a camera or a video", "webcam") from error
-    except ImportError as error:
-        # OpenCV's loader leaves its folder on the path, where its `typing` hides Python's own from
-        # every process that is started later, and a mark that makes a second import fail otherwise.
-        sys.path[:] = path
-        for name in [name for name in sys.modules if name.partition(".")[0] == "cv2"]:
-            del sys.modules[name]
-        vars(sys).pop("OpenCV_LOADER", None)
-        advice = _INSTALL.get(
-            sys.platform,
-            "Install it again: python -m pip install --force-reinstall opencv-contrib-python",
-        )
-        raise SourceError(f"OpenCV can't be loaded: {error}. {advice}") from error
-    getattr(cv2.utils, "logging", cv2).setLogLevel(0)  # moved there in OpenCV 5; 0 is silent
-    return cv2
-
-
 SUFFIXES: Final = (".mp4", ".m4v", ".mov", ".avi", ".mkv", ".webm")
 """Of files that are taken for videos by their name."""
 
@@ -225,9 +191,9 @@ class VideoFile:
     """
 
     def __init__(self, path: Path) -> None:
-        cv2 = opencv()
         if not path.is_file():
             raise SourceError(f"{path}: no such file; check the name and the folder")
+        cv2 = opencv()
         self._time_ms = cv2.CAP_PROP_POS_MSEC
         self._capture = cv2.VideoCapture(str(path))
         rate = self._capture.get(cv2.CAP_PROP_FPS) if self._capture.isOpened() else 0.0

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.teleop.sources.webcam.camera import opencv
+from smooth_operator.teleop.opencv import opencv
 from smooth_operator.teleop.sources.webcam.hand_labels import SeenHand, Tracks, assign_sides
 from smooth_operator.teleop.sources.webcam.mediapipe_hands import HandLandmarker, hand_model
 from smooth_operator.types import HandFrame, Side
