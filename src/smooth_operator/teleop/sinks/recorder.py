@@ -13,7 +13,8 @@ from typing import Any, Final
 
 from smooth_operator.errors import OutputError, SinkError
 from smooth_operator.hands.hand import Hand
-from smooth_operator.teleop.recording.log import LogWriter, LoopState
+from smooth_operator.teleop.recording.log import LogWriter
+from smooth_operator.teleop.recording.log_types import LoopState
 from smooth_operator.teleop.recording.robot_points import landmark_keypoints
 from smooth_operator.teleop.sinks.hand_state import HandState
 from smooth_operator.teleop.sinks.stamps import StampMap
