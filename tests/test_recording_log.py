@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import subprocess
 import sys
 import textwrap
@@ -21,11 +22,13 @@ from protobuf_log import decoded, plain
 
 from smooth_operator.errors import ConfigError, OutputError, RecordingError
 from smooth_operator.formats.readers import read_recording
+from smooth_operator.teleop import recording as recording_package
 from smooth_operator.teleop.recording import LogWriter, read_log
 from smooth_operator.teleop.recording.mcap_writer import McapWriter
 from smooth_operator.types import HandFrame, HandRecording, JointCommand, Side, Status
 
 NAMES = ("base", "tip")
+PROTO = Path(recording_package.__file__).parent / "proto"
 
 
 def recording(frames: int = 40, *, side: Side = "right", rich: bool = True) -> HandRecording:
@@ -168,6 +171,23 @@ def test_types_carry_their_units(tmp_path: Path) -> None:
         assert described >= len(message.field) - 2, schema.name
         assert (4, 0) in notes
     assert len(own) == 5
+
+
+def test_descriptors_are_those_of_the_proto_files() -> None:
+    files = FileDescriptorSet.FromString((PROTO / "messages.binpb").read_bytes()).file
+    own = {file.name: file for file in files if not file.name.startswith("google/")}
+    assert own.keys() == {path.name for path in PROTO.glob("*.proto")}
+    for name, file in own.items():
+        found = set()
+        left = list(file.message_type)
+        for message in left:  # which grows
+            left += message.nested_type
+            found |= {(field.name, field.number) for field in message.field}
+            found |= {(v.name, v.number) for enum in message.enum_type for v in enum.value}
+        text = re.sub("//.*", "", (PROTO / name).read_text())
+        assert found == {(n, int(k)) for n, k in re.findall(r"(\w+) = (\d+);", text)}, name
+    (code,) = own["status.proto"].message_type[0].enum_type
+    assert {v.name: v.number for v in code.value} == {s.name: int(s) for s in Status}
 
 
 def test_numbers_that_are_not_finite_come_back_as_unknown(tmp_path: Path) -> None:

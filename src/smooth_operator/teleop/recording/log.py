@@ -11,7 +11,6 @@ import math
 import os
 import time
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, Final, Literal
@@ -39,6 +38,7 @@ from smooth_operator.teleop.recording.log_types import (
     TIMING,
     VERSION,
     WRIST,
+    LoopState,
     message_class,
     schema_data,
 )
@@ -47,34 +47,6 @@ from smooth_operator.teleop.sinks.tick import ArmCommand, HandState, WristComman
 from smooth_operator.types import HandFrame, JointCommand, Side, Status
 
 _MAX_LOG_TIME: Final = 2**64 - 1
-
-
-@dataclass(frozen=True)
-class LoopState:
-    """The loop at one command.
-
-    Attributes:
-        number: number of the tick, counted from 0.
-        mode: what the loop did, as ``tracking`` or ``holding``.
-        time: when the command was ready, by the loop's clock [s].
-        received: when the frame that it answers came in, by the loop's clock [s]; None where the
-            command answers none.
-        tracker_stamp: stamp of that frame by the tracker's own clock [s].
-        session: which start of the tracker it belongs to.
-        tracking_loss: loss of the frame; NaN where none is answered.
-        scale: robot size over human size; NaN where none is answered.
-        events: what happened, a sentence each.
-    """
-
-    number: int
-    mode: str
-    time: float
-    received: float | None = None
-    tracker_stamp: float | None = None
-    session: int | None = None
-    tracking_loss: float = math.nan
-    scale: float = math.nan
-    events: tuple[str, ...] = ()
 
 
 class LogWriter:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import IO, Any, Final
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from smooth_operator.errors import UPGRADE, RecordingError, brief, listed
 from smooth_operator.formats.arm_track import ArmTrack
@@ -40,6 +40,7 @@ from smooth_operator.teleop.recording.log_types import (
     VERSION,
     WRIST,
     DecodeError,
+    LoopTrack,
     McapError,
     lz4_frame,
     mcap_reader,
@@ -72,36 +73,6 @@ _DAMAGE: Final = (
 
 class DamagedError(Exception):
     """The bytes end, or make no sense, from here on."""
-
-
-@dataclass(frozen=True, eq=False)
-class LoopTrack:
-    """The loop over all commands of a log; T is their number.
-
-    Attributes:
-        numbers: (T,) numbers of the ticks; -1 where the log does not say.
-        modes: (T,) what the loop did; empty where the log does not say.
-        times: (T,) when each command was ready, by the loop's clock [s].
-        received: (T,) when the frame that it answers came in [s]; NaN where it answers none.
-        tracker_stamps: (T,) the frame's stamp by the tracker's own clock [s], or NaN.
-        tracking_loss: (T,) loss of the frame, or NaN.
-        scale: (T,) robot size over human size, or NaN.
-        events: index of a command -> what happened at it.
-    """
-
-    numbers: Int[np.ndarray, " T"]
-    modes: tuple[str, ...]
-    times: Float[np.ndarray, " T"]
-    received: Float[np.ndarray, " T"]
-    tracker_stamps: Float[np.ndarray, " T"]
-    tracking_loss: Float[np.ndarray, " T"]
-    scale: Float[np.ndarray, " T"]
-    events: Mapping[int, tuple[str, ...]]
-
-    @property
-    def answers(self) -> Bool[np.ndarray, " T"]:
-        """(T,) true where the command answers a frame."""
-        return np.asarray(np.isfinite(self.received))
 
 
 @dataclass(frozen=True, eq=False)

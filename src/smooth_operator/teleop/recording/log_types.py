@@ -9,9 +9,15 @@ Raises:
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 from typing import Any, Final
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
 
 from smooth_operator.errors import MissingExtraError
 
@@ -108,3 +114,61 @@ def schema_data(name: str) -> bytes:
     for file in needed:  # which grows
         needed += [by_name[other] for other in file.dependency]
     return bytes(FileDescriptorSet(file=reversed(needed)).SerializeToString(deterministic=True))
+
+
+@dataclass(frozen=True)
+class LoopState:
+    """The loop at one command.
+
+    Attributes:
+        number: number of the tick, counted from 0.
+        mode: what the loop did, as ``tracking`` or ``holding``.
+        time: when the command was ready, by the loop's clock [s].
+        received: when the frame that it answers came in, by the loop's clock [s]; None where the
+            command answers none.
+        tracker_stamp: stamp of that frame by the tracker's own clock [s].
+        session: which start of the tracker it belongs to.
+        tracking_loss: loss of the frame; NaN where none is answered.
+        scale: robot size over human size; NaN where none is answered.
+        events: what happened, a sentence each.
+    """
+
+    number: int
+    mode: str
+    time: float
+    received: float | None = None
+    tracker_stamp: float | None = None
+    session: int | None = None
+    tracking_loss: float = math.nan
+    scale: float = math.nan
+    events: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class LoopTrack:
+    """The loop over all commands of a log; T is their number.
+
+    Attributes:
+        numbers: (T,) numbers of the ticks; -1 where the log does not say.
+        modes: (T,) what the loop did; empty where the log does not say.
+        times: (T,) when each command was ready, by the loop's clock [s].
+        received: (T,) when the frame that it answers came in [s]; NaN where it answers none.
+        tracker_stamps: (T,) the frame's stamp by the tracker's own clock [s], or NaN.
+        tracking_loss: (T,) loss of the frame, or NaN.
+        scale: (T,) robot size over human size, or NaN.
+        events: index of a command -> what happened at it.
+    """
+
+    numbers: Int[np.ndarray, " T"]
+    modes: tuple[str, ...]
+    times: Float[np.ndarray, " T"]
+    received: Float[np.ndarray, " T"]
+    tracker_stamps: Float[np.ndarray, " T"]
+    tracking_loss: Float[np.ndarray, " T"]
+    scale: Float[np.ndarray, " T"]
+    events: Mapping[int, tuple[str, ...]]
+
+    @property
+    def answers(self) -> Bool[np.ndarray, " T"]:
+        """(T,) true where the command answers a frame."""
+        return np.asarray(np.isfinite(self.received))
