@@ -54,7 +54,8 @@ def check_words(commands: Mapping[str, type], arguments: Sequence[str]) -> None:
         name = word.split("=", 1)[0].replace("_", "-")
         single = name.startswith("-") and not name.startswith("--") and len(name) > 2
         if _OPTION.match(name) and not single and name not in known_options:
-            more = f"{program} --help says what each does."
+            overview = "--help-all" if getattr(kind, "rare", ()) else "--help"
+            more = f"{program} {overview} says what each does."
             raise UnknownNameError("option", name, known_options, more)
 
 
