@@ -33,12 +33,13 @@ from smooth_operator.human.alignment import reference_landmarks
 from smooth_operator.landmarks import NODE_LAYOUTS
 from smooth_operator.poses import wrist_from_landmarks
 from smooth_operator.teleop.ros2 import messages as ros
+from smooth_operator.teleop.ros2 import open_transport
 from smooth_operator.teleop.ros2 import sink as sink_module
 from smooth_operator.teleop.ros2.hand_poses import HandPoseReader
 from smooth_operator.teleop.ros2.messages import Message
 from smooth_operator.teleop.ros2.sink import Ros2Sink
 from smooth_operator.teleop.ros2.source import Ros2Source
-from smooth_operator.teleop.ros2.transport import Endpoint, open_transport
+from smooth_operator.teleop.ros2.transport import Endpoint
 from smooth_operator.teleop.sinks.registry import build_sink
 from smooth_operator.teleop.sinks.tick import ArmCommand, HandState, Mode, Tick, WristCommand
 from smooth_operator.teleop.sources.live import Mailbox

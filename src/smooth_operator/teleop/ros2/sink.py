@@ -12,6 +12,7 @@ import numpy as np
 
 from smooth_operator.errors import ConfigError, SinkError
 from smooth_operator.hands.hand import Hand
+from smooth_operator.teleop.ros2 import open_transport
 from smooth_operator.teleop.ros2.commands import (
     KINDS,
     UNITS,
@@ -38,7 +39,6 @@ from smooth_operator.teleop.ros2.transport import (
     Endpoint,
     Network,
     Transport,
-    open_transport,
     topic_name,
 )
 from smooth_operator.teleop.sinks.sink import Link, ThreadedSink

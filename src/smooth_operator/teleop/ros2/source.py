@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 from smooth_operator.errors import ConfigError, SourceError
 from smooth_operator.io.anatomy import layout_order
+from smooth_operator.teleop.ros2 import open_transport
 from smooth_operator.teleop.ros2.hand_poses import KINDS, Frame, HandPoseReader, Kind
 from smooth_operator.teleop.ros2.messages import PoseStamped
 from smooth_operator.teleop.ros2.transport import (
     Endpoint,
     Network,
     Transport,
-    open_transport,
     topic_name,
 )
 from smooth_operator.teleop.sources.message_receiver import Message

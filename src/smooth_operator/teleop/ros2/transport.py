@@ -13,7 +13,6 @@ from smooth_operator.errors import (
     RecordingError,
     SinkError,
     SourceError,
-    require,
 )
 from smooth_operator.teleop.ros2.messages import M, Message, Time
 
@@ -130,18 +129,3 @@ def _listed(words: Collection[str]) -> str:
 def describe(error: Exception) -> str:
     """An error of a library in one line."""
     return f"{type(error).__name__}: {' '.join(str(error).split())}"
-
-
-def open_transport(endpoint: Endpoint) -> Transport:
-    """Open a transport.
-
-    Raises:
-        MissingExtraError: CycloneDDS is not installed.
-        SinkError, SourceError: as ``endpoint.error`` says; the domain can't be joined.
-        ConfigError: a variable of the environment can't be read, or another part of this process
-            is in the domain with another network.
-    """
-    require(endpoint.feature, "ros2", "cyclonedds")
-    from smooth_operator.teleop.ros2.cyclone_transport import CycloneTransport
-
-    return CycloneTransport(endpoint)
