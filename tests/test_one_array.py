@@ -7,7 +7,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from smooth_operator.methods.one_array import Joined, joined, parted
+from smooth_operator.methods.one_array import Joined, joined, joins, parted
 
 TREE = {
     "positions": np.linspace(-1, 1, 6, dtype=np.float32).reshape(2, 3),
@@ -35,19 +35,9 @@ def test_a_tree_is_joined_bit_for_bit() -> None:
     assert same(parted(TREE, on_host), TREE)
     traced = jax.jit(lambda tree: parted(tree, joined(tree)))(TREE)
     assert same(traced, TREE)
-
-
-def test_kinds_of_other_lengths_are_joined_too() -> None:
-    tree = {
-        "short": np.array([-3, 7], np.int8),
-        "half": np.array([0.5, -np.inf], np.float16),
-        "long": np.array([2.0**-40, np.pi]),
-    }
-    with jax.enable_x64(True):
-        assert same(parted(tree, joined(tree)), tree)
-        assert same(jax.jit(lambda tree: parted(tree, joined(tree)))(tree), tree)
-    whole = Joined.of({"a": 1.5, "b": np.zeros(2)})  # as JAX would have them
-    assert [leaf.dtype for leaf in jax.tree.leaves(whole.tree)] == [np.float32] * 2
+    assert joins(TREE)
+    assert not joins({"a": np.zeros(2)})
+    assert not joins({"a": 1.0})
 
 
 def test_what_is_joined_is_a_tree_of_one_array() -> None:

@@ -141,8 +141,8 @@ class CompiledProgram:
         if self._run is not None:
             try:
                 return self._run(*arguments)
-            except (TypeError, ValueError):
-                self._run = None  # a program takes no other shapes
+            except (TypeError, ValueError, NotImplementedError):
+                self._run = None  # a program takes no other shapes, and no tracers
         signature = _signature(arguments)
         if signature is None:
             return compiled(self._function, wide=self._wide)(*arguments)

@@ -35,8 +35,7 @@ class Joined(Generic[Made]):
 
     @classmethod
     def of(cls, tree: Made) -> Joined[Made]:
-        """A tree on the host in one array, its kinds as JAX would have them."""
-        tree = jax.tree.map(lambda leaf: np.asarray(leaf, _kind(leaf)), tree)
+        """A tree that ``joins``."""
         return cls(joined(tree), jax.tree.map(lambda leaf: _SHAPE(leaf.shape, leaf.dtype), tree))
 
     @property
@@ -56,11 +55,18 @@ class Joined(Generic[Made]):
         return cls(*leaves, jax.tree.unflatten(structure, [_SHAPE(*each) for each in shapes]))
 
 
+def joins(tree: Any) -> bool:
+    """Whether a tree can be ``joined``."""
+    kinds = ("float32", "int32", "uint32", "bool")
+    return all(str(getattr(leaf, "dtype", None)) in kinds for leaf in jax.tree.leaves(tree))
+
+
 def joined(tree: Any) -> Float[Array, " n"]:
     """The arrays of a tree in one, bit for bit; of NumPy's arrays one of NumPy's."""
     leaves = jax.tree.leaves(tree)
     xp = array_namespace(*leaves)
-    one: Array = xp.concatenate([_words(xp.asarray(leaf).ravel(), xp) for leaf in leaves])
+    parts = [xp.asarray(leaf).ravel() for leaf in leaves]
+    one: Array = xp.concatenate([_as(part, np.float32, xp) for part in parts])
     return one
 
 
@@ -69,39 +75,18 @@ def parted(like: Made, joined: Float[Array, " n"] | Float[np.ndarray, " n"]) -> 
     leaves, structure = jax.tree.flatten(like)
     parts, done, xp = [], 0, array_namespace(joined)
     for leaf in leaves:
-        shape, kind = np.shape(leaf), _kind(leaf)
-        length = math.prod(shape) * max(kind.itemsize // 4, 1)
-        parts.append(_values(joined[done : done + length], kind, xp).reshape(shape))
-        done += length
+        shape = np.shape(leaf)
+        values = joined[done : done + math.prod(shape)].reshape(shape)
+        parts.append(_as(values, jax.dtypes.canonicalize_dtype(jnp.result_type(leaf)), xp))
+        done += math.prod(shape)
     tree: Made = jax.tree.unflatten(structure, parts)
     return tree
 
 
-def _kind(leaf: Any) -> np.dtype:
-    """The kind that JAX gives an array."""
-    kind: np.dtype = jax.dtypes.canonicalize_dtype(jnp.result_type(leaf))
-    return kind
-
-
-def _wide(kind: np.dtype) -> np.dtype:
-    """The kind of 32 bits or more that holds the values of a shorter one."""
-    if kind.itemsize >= 4:
-        return kind
-    return np.dtype(np.float32 if jnp.issubdtype(kind, jnp.floating) else np.int32)
-
-
-def _words(part: Any, xp: ModuleType) -> Any:
-    """Values as float32 of the same bits: two for one of 64 bits, truth and others as one."""
-    part = part.astype(_wide(part.dtype))
-    if xp is np:
-        return part.view(np.float32)
-    return jax.lax.bitcast_convert_type(part, np.float32).ravel()
-
-
-def _values(words: Any, kind: np.dtype, xp: ModuleType) -> Any:
-    """The values of ``_words``."""
-    wide = _wide(kind)
-    if xp is np:
-        return words.view(wide).astype(kind)
-    pairs = words.reshape(-1, wide.itemsize // 4) if wide.itemsize > 4 else words
-    return jax.lax.bitcast_convert_type(pairs, wide).astype(kind)
+def _as(part: Any, kind: Any, xp: ModuleType) -> Any:
+    """The same bits as another kind of 32 bits; truth as 0 or 1."""
+    if part.dtype == bool:
+        return part.astype(kind)
+    if np.dtype(kind) == np.dtype(bool):
+        return part != 0
+    return part.view(kind) if xp is np else jax.lax.bitcast_convert_type(part, kind)

@@ -22,7 +22,7 @@ from smooth_operator.human.alignment import (
 from smooth_operator.human.palm_axes import human_palm_axes
 from smooth_operator.io.anatomy import implausible
 from smooth_operator.methods.method import Compiling, HostMethod, Method
-from smooth_operator.methods.one_array import Joined, joined, parted
+from smooth_operator.methods.one_array import Joined, joined, joins, parted
 from smooth_operator.types import Status
 
 
@@ -30,8 +30,7 @@ class RetargetState(NamedTuple):
     """All that a retargeter remembers between frames; a pytree.
 
     Attributes:
-        kept: state of the method and q, ``Joined``; the state alone for a method whose solver runs
-            on the host, and within a traced program.
+        kept: state of the method; or that and q, ``Joined``.
         q: (m,) last good command of the actuated joints [rad].
         stamp: of the last frame [s], where the retargeter counts frames by a rate; else None. It
             stays on the host.
@@ -47,10 +46,11 @@ class RetargetState(NamedTuple):
         return self.kept.tree[0] if isinstance(self.kept, Joined) else self.kept
 
     def packed(self) -> RetargetState:
-        """The same with the method's state in one array."""
-        if isinstance(self.kept, Joined):
+        """The same with the method's state in one array, where it can be."""
+        both = self.kept, self.q
+        if isinstance(self.kept, Joined) or not joins(both):
             return self
-        return self._replace(kept=Joined.of(jax.device_get((self.kept, self.q))))
+        return self._replace(kept=Joined.of(jax.device_get(both)))
 
     def unpacked(self) -> RetargetState:
         """The same with the method's state as a tree, as ``frame_step`` takes it."""
@@ -121,23 +121,30 @@ def frame_program(method: Method, alignment: AlignmentConfig, compiling: Compili
         return _host_program(method.host, alignment, compiling)
     step = frame_step(method, alignment)
 
-    def packed(before: Array, landmarks: Array, valid: Array, ticks: Array) -> tuple[Array, Array]:
-        like = RetargetState(method.init(0), method.hand.neutral)
-        state, result = step(parted(like, before), landmarks, valid, ticks)
-        return joined(state), _pack(result.q, result.status, result.tracking_loss, result.scale)
+    def packed(before: Any, landmarks: Array, valid: Array, ticks: Array) -> tuple[Any, Array]:
+        one_array = isinstance(before, Array)
+        if one_array:
+            like = RetargetState(method.init(0), method.hand.neutral)
+            before = parted(like, before)
+        state, result = step(before, landmarks, valid, ticks)
+        flat = _pack(result.q, result.status, result.tracking_loss, result.scale)
+        return (joined(state) if one_array else state), flat
 
     run = compiling(packed)
 
     def program(
         state: RetargetState, landmarks: np.ndarray, valid: np.ndarray, ticks: np.uint32
     ) -> tuple[RetargetState, FrameResult]:
-        kept: Joined[Any] = state.packed().kept
-        after, flat = run(kept.array, landmarks, valid, ticks)
+        state = state.packed()
+        kept = state.kept
+        one_array = isinstance(kept, Joined)
+        after, flat = run(kept.array if one_array else state, landmarks, valid, ticks)
         numbers = np.asarray(flat)
         status, loss, scale = numbers[-3:].tolist()
         q = numbers[:-3]
-        state = RetargetState(Joined(after, kept.like), q)
-        return state, FrameResult(q, int(status), loss, scale)
+        if one_array:
+            after = RetargetState(Joined(after, kept.like), q)
+        return after, FrameResult(q, int(status), loss, scale)
 
     return program
 
