@@ -49,7 +49,7 @@ while True:
 """
 
 
-GLOVE = Path(__file__).resolve().parents[1] / "tests" / "glove_simulator.py"
+GLOVE = Path(__file__).resolve().parents[2] / "tests" / "glove_simulator.py"
 
 
 def program(*arguments: str) -> list[str]:
