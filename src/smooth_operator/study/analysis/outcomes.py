@@ -257,10 +257,10 @@ def analyze_linear(
             diagnostics={**blank.diagnostics, **checks},
             warnings=(*blank.warnings, *notes, *_singular(fit.variances), *compared.warnings),
         )
-    small, paper = results.get("small-sample"), results.get("paper")
-    if small is not None and small.refused is None:
-        apart = _preferences(small.model["variances"], unit)
-        results["small-sample"] = replace(small, warnings=(*small.warnings, *apart))
+    exact, paper = results.get("small-sample"), results.get("paper")
+    if exact is not None and exact.refused is None:
+        apart = _preferences(exact.model["variances"], unit)
+        results["small-sample"] = replace(exact, warnings=(*exact.warnings, *apart))
         if apart and paper is not None and paper.refused is None:
             results["paper"] = replace(paper, warnings=(*paper.warnings, *apart, _IGNORED))
     return results
