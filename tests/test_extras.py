@@ -21,7 +21,7 @@ from smooth_operator.errors import MissingExtraError, install_command, require
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = ROOT / "src" / "smooth_operator"
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-BASE = {"jax", "jaxtyping", "mujoco", "nlopt", "numpy", "rich", "scipy", "tyro"}
+BASE = {"flatbuffers", "jax", "jaxtyping", "mujoco", "nlopt", "numpy", "rich", "scipy", "tyro"}
 """Distributions that everyone gets; their modules have the same names."""
 EXTRAS = [
     "teleop",
@@ -103,7 +103,7 @@ def names(requirements: list[str]) -> set[str]:
     return {re.split(r"[\[<>=;]", text)[0] for text in requirements}
 
 
-def test_the_base_needs_eight_distributions() -> None:
+def test_the_base_needs_nine_distributions() -> None:
     assert names(PROJECT["dependencies"]) == BASE
 
 

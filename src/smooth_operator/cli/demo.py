@@ -45,6 +45,11 @@ def demo(options: Demo) -> None:
     Raises:
         SmoothOperatorError: with the reason; what stood in the folder is then as it was.
     """
+    from smooth_operator.errors import require
+
+    require("a report with figures", "lab", "matplotlib")
+    require("a log of the session", "teleop", "mcap", "viser")
+
     from smooth_operator.cli.console import Progressing, print_metrics
     from smooth_operator.cli.outputs import check_demo_folder, folder_for, staged
     from smooth_operator.cli.page import hand_to_draw

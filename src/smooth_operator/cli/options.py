@@ -167,8 +167,6 @@ def parse(arguments: Sequence[str]) -> Command:
     whole = "--help-all" in arguments
     arguments = _in_research(["--help" if w == "--help-all" else w for w in arguments])
     name = arguments[0] if arguments else ""
-    whole = "--help-all" in arguments
-    arguments = ["--help" if word == "--help-all" else word for word in arguments]
     commands = _commands(name)
     flags = (tyro.conf.FlagCreatePairsOff,)
     for_a_shell = any(word.startswith("--tyro-") for word in arguments)  # completions
@@ -184,7 +182,7 @@ def parse(arguments: Sequence[str]) -> Command:
     with contextlib.nullcontext() if for_a_shell else wrapped_output():
         if overview:
             tyro.extras.subcommand_cli_from_dict(
-                {name.replace(".", " "): kind for name, kind in commands.items()},
+                {name: kind for name, kind in commands.items() if "." not in name},
                 prog="smooth-operator",
                 description=f"Retarget a tracked human hand onto a robot hand.\n\n{_EXAMPLES}",
                 args=list(arguments) or ["--help"],

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
@@ -15,8 +15,10 @@ from smooth_operator.hand_files.menagerie import hand_with_meshes, has_meshes
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import FINGERS, TIPS
 from smooth_operator.metrics import Trace
-from smooth_operator.teleop.pages import Playback
 from smooth_operator.terminal import print_note
+
+if TYPE_CHECKING:
+    from smooth_operator.teleop.pages.playback import Playback
 
 
 def hand_to_draw(hand: Hand, options: Meshes) -> Hand | None:
@@ -59,7 +61,7 @@ def playback(
         label: text above the robot.
     """
     from smooth_operator.teleop.pages.hand_view import simple_meshes
-    from smooth_operator.teleop.pages.playback import SimpleShapes
+    from smooth_operator.teleop.pages.playback import Playback, SimpleShapes
 
     simple = None
     model = drawn or hand

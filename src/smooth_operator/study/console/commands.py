@@ -17,7 +17,8 @@ from smooth_operator.study.store.clock import Elapsed
 from smooth_operator.study.store.events import ASIDE, Amended, Event, event_of
 from smooth_operator.study.store.events import EVENTS as KINDS
 from smooth_operator.study.store.nasa_tlx import shown_pairs
-from smooth_operator.study.store.progress import Progress, Trial
+from smooth_operator.study.store.operator_state import Trial
+from smooth_operator.study.store.progress import Progress
 
 Role: TypeAlias = Literal["experimenter", "operator"]
 

@@ -29,7 +29,8 @@ from smooth_operator.study.store.nasa_tlx import (
     TlxWords,
     shown_pairs,
 )
-from smooth_operator.study.store.progress import Progress, Step
+from smooth_operator.study.store.operator_state import Step
+from smooth_operator.study.store.progress import Progress
 
 
 def naming(plan: Plan, blind: bool) -> Named:

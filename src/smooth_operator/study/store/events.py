@@ -20,7 +20,7 @@ from smooth_operator.study.design.protocol import Point
 from smooth_operator.study.store.nasa_tlx import check_ratings, check_winners, raw_workload
 
 if TYPE_CHECKING:
-    from smooth_operator.study.store.progress import OperatorState
+    from smooth_operator.study.store.operator_state import OperatorState
 
 Named: TypeAlias = Callable[[str], str]
 """From the name of a condition to what a reader may see."""

@@ -29,7 +29,8 @@ from smooth_operator.study.store.nasa_tlx import (
     weighted_workload,
     weights,
 )
-from smooth_operator.study.store.progress import Progress, Trial
+from smooth_operator.study.store.operator_state import Trial
+from smooth_operator.study.store.progress import Progress
 from smooth_operator.study.store.study_store import StudyStore
 
 FORMAT: Final = 1
