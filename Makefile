@@ -8,7 +8,7 @@ help: ## list the targets
 
 install: ## create .venv with the package and everything that the tests need
 	python3 -m venv .venv
-	.venv/bin/python -m pip install -q -c requirements.lock -e ".[test]"
+	.venv/bin/python -m pip install -q -c requirements.lock -e ".[test]" -e ./research
 
 check: ## what CI runs: install, tests, lint, types
 	bash .ci/run
@@ -27,7 +27,7 @@ docs: ## build the documentation site into build/site, and fail on a warning
 bench: ## latency per frame of the presets on a built-in recording, under build/
 	mkdir -p build
 	$(PYTHON) -m smooth_operator sample build/sample.npz --duration 10
-	$(PYTHON) benchmarks/retarget.py build/sample.npz
+	$(PYTHON) research/benchmarks/retarget.py build/sample.npz
 
 smoke: ## build sdist and wheel, and use each in an empty environment
 	bash .ci/smoke

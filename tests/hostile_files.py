@@ -25,7 +25,7 @@ from made_hands import hand_points
 
 from smooth_operator.formats.episode import Episode
 from smooth_operator.landmarks import FROM_MANUS_25, METACARPALS_MANUS_25
-from smooth_operator.types import CommandTrajectory, HandRecording, JointCommand, Status
+from smooth_operator.types import CommandTrajectory, HandRecording, Status
 
 FRAMES = 12
 
@@ -404,7 +404,7 @@ def seeds(folder: Path) -> dict[str, list[tuple[str, bytes, Mutate]]]:
               ("a.npy", stream.getvalue(), fuzzing.mutate_npy),
               ("b.npy", stream.getvalue(), fuzzing.mutate_bytes)]  # fmt: skip
     own = [("e.npz", npz, fuzzing.mutate_npz), ("e.mcap", log, mutate_log),
-           ("e.h5", h5, mutate_hdf5), ("old.mcap", _json_log(folder), mutate_log)]  # fmt: skip
+           ("e.h5", h5, mutate_hdf5)]  # fmt: skip
     study_json, trials = _study_json(), _TRIALS.encode()
     return {
         "recording": [*arrays, *own],
@@ -422,23 +422,6 @@ def seeds(folder: Path) -> dict[str, list[tuple[str, bytes, Mutate]]]:
         "trial": [("t.npz", _trial(folder), fuzzing.mutate_npz)],
         **dict.fromkeys(HANDS, _hands()),
     }  # fmt: skip
-
-
-def _json_log(folder: Path) -> bytes:
-    """A log as of version 2."""
-    from json_log import JsonLogWriter
-
-    one = good_episode()
-    assert one.recording is not None
-    assert one.commands is not None
-    with JsonLogWriter(folder / "old.mcap") as log:
-        log.write_origin({"name": "old", "meta": "{}"})
-        log.write_config({"method": "sbr"})
-        for frame, q in zip(one.recording, one.commands.joint_positions, strict=True):
-            log.write_hand(frame)
-            command = JointCommand(q, one.commands.joint_names, frame.time)
-            log.write_command(command, Status.OK, 1.0, {"solve": 0.5})
-    return (folder / "old.mcap").read_bytes()
 
 
 def _hands() -> list[tuple[str, bytes, Mutate]]:

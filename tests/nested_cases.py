@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 from study_cases import ITEMS, POINTS, Row, holes, simulate
 
-from smooth_operator.study.analysis.contrasts import coefficients, compare
-from smooth_operator.study.analysis.emm import linear_means
+from smooth_operator.study.analysis.contrasts import coefficients, compare, linear_means
 from smooth_operator.study.analysis.frame import Frame, make_frame
 from smooth_operator.study.analysis.mixed import fit_mixed
 from smooth_operator.study.analysis.results import ScopeResult
@@ -87,7 +86,7 @@ def intercepts_with_t(frame: Frame, *, limits: bool = False) -> ScopeResult:
     No mode reports it, but learning has its degrees of freedom, and R's figures of it are at hand.
     """
     design, names = frame.design()
-    fit = fit_mixed(design, frame.outcome, frame.group)
+    fit = fit_mixed(design, frame.outcome, {"operator": frame.group})
     means = linear_means(frame, fit.beta)
     compared = compare(
         means, fit.covariance, fit.satterthwaite, lambda a, b: a - b, frame.baseline, limits=limits
@@ -101,7 +100,7 @@ def intercepts_with_t(frame: Frame, *, limits: bool = False) -> ScopeResult:
         operators=len(frame.operators),
         model={
             "dunnett_correlation": compared.correlation,
-            "sd_operator": fit.sd_operator,
+            "sd_operator": fit.variances["operator"] ** 0.5,
             "log_likelihood": fit.log_likelihood,
         },
     )

@@ -16,7 +16,7 @@ from typing import Any
 from study_console import ratings
 
 from smooth_operator.study.console.commands import EVENTS
-from smooth_operator.study.store.opening import open_study
+from smooth_operator.study.store.study_store import open_study
 
 
 @dataclass

@@ -18,9 +18,9 @@ from study_console import ConsoleProcess, Tab, eventually
 from smooth_operator.errors import RemoteRefusedError
 from smooth_operator.simulation.tasks.rubrics import PAPER_TASKS
 from smooth_operator.study.console.commands import Command
-from smooth_operator.study.design.default_forms import DEFAULT_FORMS
+from smooth_operator.study.design.forms import DEFAULT_FORMS
 from smooth_operator.study.design.plan import Plan, make_plan, scaled
-from smooth_operator.study.design.plan_folder import write_plan_files
+from smooth_operator.study.design.plan_file import write_plan_files
 from smooth_operator.study.design.protocol import Condition, Protocol
 from smooth_operator.web.listening import listen
 

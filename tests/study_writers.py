@@ -6,7 +6,6 @@ of their own. As a script of its own it forks before anything starts a thread, a
 
 from __future__ import annotations
 
-import contextlib
 import os
 import random
 import signal
@@ -30,8 +29,8 @@ from smooth_operator.study.store.events import (
     Weighed,
 )
 from smooth_operator.study.store.nasa_tlx import PAIRS, SCALE_NAMES
-from smooth_operator.study.store.opening import open_study
 from smooth_operator.study.store.progress import Progress
+from smooth_operator.study.store.study_store import open_study
 
 STUDY = "twenty"
 
@@ -102,9 +101,6 @@ def fork_writer(target: str, operator: str, most: int, folder: Path, seed: int) 
 
 def main(what: str, target: str, folder: str, count: int, most: int) -> None:
     """``together``: that many operators at once. ``killed``: one, killed that many times."""
-    with contextlib.suppress(ImportError):  # once, and not in every writer
-        import sqlalchemy.dialects.postgresql.psycopg
-        import sqlalchemy.dialects.sqlite.pysqlite  # noqa: F401
     codes = small_plan().codes
     if what == "together":
         made = [

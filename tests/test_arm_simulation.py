@@ -20,8 +20,7 @@ from smooth_operator.simulation.arms.catalogue import ARMS
 from smooth_operator.simulation.scenes import ScenePhysics, scene_for
 from smooth_operator.simulation.scenes.arm_physics import ArmPhysics
 from smooth_operator.teleop import teleoperate
-from smooth_operator.teleop.arm.places import place_arms
-from smooth_operator.teleop.arm.settings import ArmSettings, read_arm
+from smooth_operator.teleop.arm.settings import ArmSettings, place_arms, read_arm
 from smooth_operator.teleop.sinks.simulation import Simulation
 from smooth_operator.teleop.sinks.sink import Sink
 from smooth_operator.teleop.sinks.tick import ArmCommand, Mode, Tick
@@ -139,7 +138,7 @@ def test_settings_of_an_arm_are_read_and_checked() -> None:
 
 @pytest.mark.parametrize(("arm", "task"), [("xarm7", "cube"), ("ur5e", "screwdriver")])
 def test_a_task_of_the_study_is_done_with_an_arm(arm: str, task: str) -> None:
-    path = Path(__file__).parents[1] / "benchmarks" / "arm_tasks.py"
+    path = Path(__file__).parents[1] / "research" / "benchmarks" / "arm_tasks.py"
     trial = runpy.run_path(str(path))["trial"](task, "mimic_p050", arm, 0, 1)
     assert trial["score"] == 1.0
     assert trial["off_mm"] < 3.0, "the arm holds against what the fingers press on"

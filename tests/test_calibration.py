@@ -413,7 +413,7 @@ def test_calibrate_and_retarget(tmp_path: Path, run: Run, monkeypatch: pytest.Mo
     assert np.ptp(plain[:, still]) > 0
 
     pages: list[Playback] = []
-    monkeypatch.setattr("smooth_operator.cli.view.serve", lambda runs, **_: pages.extend(runs))
+    monkeypatch.setattr("smooth_operator.teleop.pages.serve", lambda runs, **_: pages.extend(runs))
     assert run("view", tmp_path / "both.npz", glove)[0] == 0
     assert run("view", tmp_path / "plain.npz", glove)[0] == 0
     assert [len(page.fingers) for page in pages] == [3, 5]

@@ -63,7 +63,7 @@ def test_no_pair_is_left_out_that_meets_while_there_is_room(whole: Hand) -> None
     pairs = capsule_pairs(whole)
     assert len(pairs.pairs) < MOST
     q = poses_of(whole, 400)
-    true = penetration_depths(whole, whole.expand(q))
+    true = penetration_depths(whole, whole.full_configuration(q))
     assert true is not None
     deep = true > 0.004
     assert deep.mean() > 0.1
@@ -78,7 +78,7 @@ def test_of_too_many_pairs_those_are_kept_that_meet_most(whole: Hand, in_pieces:
     assert len(apart) > 0.9 * len(all_of_them)  # of so many, fewer poses are tried
     # in other poses, too, they know of nearly all that is deep
     q = poses_of(in_pieces, 400)
-    true = penetration_depths(in_pieces, in_pieces.expand(q))
+    true = penetration_depths(in_pieces, in_pieces.full_configuration(q))
     assert true is not None
     deep = true > 0.004
     assert (deepest(pairs, in_pieces, q)[deep] > 0).mean() > 0.9

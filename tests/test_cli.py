@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 import time
-import warnings
 from collections.abc import Callable
 from pathlib import Path
 
@@ -18,13 +17,13 @@ from live_time import until
 
 from smooth_operator import Retargeter, load_hand
 from smooth_operator.cli import main
-from smooth_operator.compilation import compile_cache as offline_cache
 from smooth_operator.errors import RecordingError
 from smooth_operator.formats.commands import read_commands
 from smooth_operator.formats.readers import read_recording
 from smooth_operator.methods.presets import PRESETS
 from smooth_operator.methods.sbr import SbrConfig
 from smooth_operator.metrics import METRICS
+from smooth_operator.plugins import Entry
 from smooth_operator.solvers.sampling import SamplingConfig
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.recording import read_log
@@ -361,7 +360,7 @@ def test_view_finds_the_frames_and_refuses_another_recording(
     arguments = (*TINY, "--frames", "7:19", "--output", out)
     assert run("retarget", glove, *arguments)[0] == 0
     pages = []
-    monkeypatch.setattr("smooth_operator.cli.view.serve", lambda page, **_: pages.append(page))
+    monkeypatch.setattr("smooth_operator.teleop.pages.serve", lambda page, **_: pages.append(page))
     status, _, err = run("view", out, glove)
     assert status == 0, err
     ((page,),) = pages
@@ -379,27 +378,6 @@ def test_view_finds_the_frames_and_refuses_another_recording(
     status, _, err = run("view", out, other)
     assert status == 2
     assert "was not made from" in err
-
-
-def test_the_cache_gives_way_where_it_can_not_be(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "file").touch()
-    for value in ("off", "0", str(tmp_path / "file" / "cache")):
-        monkeypatch.setenv("SMOOTH_OPERATOR_CACHE", value)
-        assert offline_cache.enable_cache() is None
-
-
-def test_a_damaged_cache_is_emptied_and_other_warnings_pass(tmp_path: Path) -> None:
-    (tmp_path / "jit-cache").touch()
-    with pytest.warns(UserWarning, match="heed me"), offline_cache.healing(tmp_path):
-        warnings.warn("heed me", stacklevel=1)
-    assert (tmp_path / "jit-cache").exists()
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        with offline_cache.healing(tmp_path):
-            warnings.warn("Error reading persistent compilation cache entry", stacklevel=1)
-    assert not (tmp_path / "jit-cache").exists()
 
 
 @pytest.mark.shared
@@ -433,3 +411,22 @@ def test_a_ctrl_c_that_the_garbage_collector_swallows_comes_again(
     assert main(["demo"]) == 130
     assert time.monotonic() - start < 5
     assert "stopped" in capsys.readouterr().err
+
+
+def test_a_command_of_research_says_what_to_install(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("smooth_operator.plugins._installed", lambda group: {})
+    for words in (["paper", "--output", "x"], ["bench", "--physics"], ["study", "simulate", "x"]):
+        assert main(words) == 2
+        assert "python -m pip install ./research" in capsys.readouterr().err
+
+
+def test_a_plugin_adds_a_command_to_a_group(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    entry = Entry("smooth_operator.cli.sample_options:Sample", "from elsewhere", "elsewhere")
+    monkeypatch.setattr("smooth_operator.plugins._installed", lambda group: {"study.draw": entry})
+    assert main(["study", "draw", "--help"]) == 0
+    assert "usage: smooth-operator study draw" in capsys.readouterr().out
+    assert main(["study", "drew"]) == 2

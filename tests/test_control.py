@@ -17,11 +17,10 @@ from live_time import until
 
 from smooth_operator import Retargeter, load_hand
 from smooth_operator.teleop.control.keyboard import keyboard
+from smooth_operator.teleop.runtime.limiter import EXTRA
 from smooth_operator.teleop.runtime.loop import TeleopLoop
 from smooth_operator.teleop.runtime.pipeline import HandPipeline
-from smooth_operator.teleop.runtime.rate_limiter import EXTRA
-from smooth_operator.teleop.runtime.remote import remote
-from smooth_operator.teleop.runtime.rpc_server import RpcServer
+from smooth_operator.teleop.runtime.rpc_server import RpcServer, remote
 from smooth_operator.teleop.runtime.settings import LoopConfig
 from smooth_operator.teleop.sinks.runner import SinkRunner
 from smooth_operator.teleop.sinks.tick import Mode, Tick

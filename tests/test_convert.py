@@ -21,7 +21,7 @@ from protobuf_log import decoded, plain
 
 from smooth_operator.cli import main
 from smooth_operator.episode_files.lerobot import write_dataset
-from smooth_operator.episode_files.lerobot.stats import column_statistics, joint_statistics
+from smooth_operator.episode_files.lerobot.tables import column_statistics, joint_statistics
 from smooth_operator.errors import (
     ConfigError,
     MissingExtraError,
@@ -34,7 +34,7 @@ from smooth_operator.formats.episode import Episode
 from smooth_operator.formats.readers import read_recording
 from smooth_operator.landmarks import LAYOUTS
 from smooth_operator.synthetic import SyntheticOperator
-from smooth_operator.teleop.recording import LogWriter, read_episode, read_log, write_episode
+from smooth_operator.teleop.recording import LogWriter, read_episode, write_episode
 from smooth_operator.teleop.recording.convert import Format
 from smooth_operator.types import CommandTrajectory, HandFrame, HandRecording, Side, Status
 
@@ -326,24 +326,6 @@ def test_log_has_a_topic_each_and_carries_its_origin(tmp_path: Path) -> None:
     assert {t: n for t, n in topics.items() if not t.startswith("/foxglove/")} == expected
     assert statuses[0]["reason"] == Status(statuses[0]["status"]).reason
     assert (origin["name"], json.loads(origin["meta"])) == ("a", {"glove_ids": [7]})
-
-
-def test_log_of_version_1_is_read(tmp_path: Path) -> None:
-    with (tmp_path / "old.mcap").open("wb") as stream:
-        writer = Writer(stream)
-        writer.start()
-        schema = writer.register_schema("x", "jsonschema", b'{"type":"object"}')
-        for topic, message in (
-            ("/timing", {"stamp": 1.5, "latency_ms": 0.5, "stages": []}),
-            ("/command", {"stamp": 1.5, "names": ["a"], "positions": [0.25], "status": 2}),
-        ):
-            channel = writer.register_channel(topic, "json", schema, {"version": "1"})
-            writer.add_message(channel, 0, json.dumps(message).encode(), 0, 0)
-        writer.finish()
-    commands = read_log(tmp_path / "old.mcap").commands
-    assert commands is not None
-    assert commands.status.tolist() == [Status.DEGENERATE_PALM]
-    assert commands.latency_ms.tolist() == [0.5]
 
 
 def test_hdf5_as_it_is_documented(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ import pytest
 import tyro
 from discovery_hands import Model, Part, make_hand, mjcf, urdf
 
-from smooth_operator.cli.hands_add_options import Add
+from smooth_operator.cli.hands_add import Add
 from smooth_operator.errors import ConfigError, HandModelError, UnknownNameError
 from smooth_operator.hands.hand import load_hand_spec
 from smooth_operator.hands.loading import load_model

@@ -7,7 +7,7 @@ import os
 import jax
 import pytest
 
-from smooth_operator.compilation.dispatch import dispatch_here
+from smooth_operator.compilation.start import dispatch_here
 from smooth_operator.methods.presets import method_config
 
 

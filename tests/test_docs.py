@@ -17,8 +17,12 @@ from smooth_operator.types import Status
 
 PROJECT = Path(__file__).resolve().parents[1]
 README = PROJECT / "README.md"
-PAGES = [README, *sorted((PROJECT / "docs").glob("**/*.md"))]
+PAGES = [
+    README,
+    *(p for top in ("docs", "research") for p in sorted((PROJECT / top).rglob("*.md"))),
+]
 SOURCE = PROJECT / "src" / "smooth_operator"
+RESEARCH = PROJECT / "research" / "src" / "smooth_operator_research"
 OTHER_NAMES = {
     "smooth_operator.method", "smooth_operator.origin",  # metadata records of the log
     "smooth_operator.sources", "smooth_operator.sinks", "smooth_operator.readers",  # entry points
@@ -143,10 +147,12 @@ def test_level_table_is_the_test_of_imports() -> None:
 def test_names_of_modules_and_files_exist(page: Path) -> None:
     """Dotted names of the package, and paths of its Python files."""
     text = page.read_text(encoding="utf-8")
-    dotted = set(re.findall(r"\bsmooth_operator(?:\.(?!md\b)\w+)+", text)) - OTHER_NAMES
+    dotted = (
+        set(re.findall(r"\bsmooth_operator(?:_research)?(?:\.(?!md\b)\w+)+", text)) - OTHER_NAMES
+    )
     absent = [name for name in sorted(dotted) if not resolves(name)]
     paths = set(re.findall(r"`((?:\w+/)+\w+\.py)\b", text))
-    places = (SOURCE, PROJECT)
+    places = (SOURCE, PROJECT, PROJECT / "research", RESEARCH)
     absent += [path for path in sorted(paths) if not any((p / path).is_file() for p in places)]
     assert absent == []
 
@@ -155,7 +161,7 @@ def test_names_of_modules_and_files_exist(page: Path) -> None:
 def test_sections_with_figures_name_their_command(page: Path) -> None:
     """A section with three rows of decimals or more says which command or program prints them."""
     command = re.compile(
-        r"smooth-operator \w|python (-m|benchmarks)|`[\w/]+\.py`|smooth_operator\.lab"
+        r"smooth-operator \w|python (-m|research/benchmarks)|`[\w/]+\.py`|smooth_operator_research"
     )
     decimals = re.compile(r"^\|.*\d\.\d.*\d\.\d", re.MULTILINE)
     sections = re.split(r"^(?=## )", page.read_text(encoding="utf-8"), flags=re.MULTILINE)

@@ -8,10 +8,8 @@ from pathlib import Path
 import pytest
 
 from smooth_operator.cli import doctor, main
-from smooth_operator.compilation import environment
+from smooth_operator.compilation import diagnosis
 from smooth_operator.compilation.diagnosis import StartTimes, start_times
-from smooth_operator.compilation.early_answers import MOST_STEP
-from smooth_operator.compilation.early_diagnosis import EarlyStart, early_start
 
 WORDS = ("doctor", "--method", "joint_angle", "--frames", "12", "--quiet")
 
@@ -26,8 +24,6 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> list[tuple[object, ...]]:
         return StartTimes(0.1, 0.4, 0.2, 0.3, 4.0, 5.0)
 
     monkeypatch.setattr(doctor, "start_times", start)
-    early = EarlyStart(0.7, 3.6, 4.1, 160, 12.0, 0.0195)
-    monkeypatch.setattr(doctor, "early_start", lambda *_: early)
     return asked
 
 
@@ -44,7 +40,6 @@ def test_what_was_found_and_measured(
     assert found["environment"]["programs"] == str(tmp_path / "programs")
     assert found["environment"]["cores"] >= 1
     assert [start["total"] for start in found["starts"]] == [5.0, 5.0]
-    assert found["early"]["step_rad"] == 0.0195
     assert found["frames"]["count"] == 12
     assert 0 < found["frames"]["p50_ms"] <= found["frames"]["p99_ms"]
     assert any("did not find the program" in line for line in found["advice"])
@@ -52,7 +47,6 @@ def test_what_was_found_and_measured(
     assert main(WORDS) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert "first frame 4.00 4.00" in said
-    assert "first command after 0.70 s, the method after 3.60 s" in said
     assert "SMOOTH_OPERATOR_CACHE is off, so each start compiles" in said
 
 
@@ -62,7 +56,7 @@ def test_two_opencvs_in_one_folder_are_named(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     versions = {"opencv-contrib-python": "5.1.0.95", "opencv-python-headless": "4.13.0.92"}
-    monkeypatch.setattr(environment, "_version", versions.get)
+    monkeypatch.setattr(diagnosis, "_version", versions.get)
     assert main([*WORDS, "--json"]) == 0
     advice = json.loads(capsys.readouterr().out)["advice"]
     both = "opencv-python-headless 4.13.0.92, opencv-contrib-python 5.1.0.95"
@@ -96,10 +90,3 @@ def test_a_fresh_process_is_timed() -> None:
     parts = [times.interpreter, times.import_jax, times.import_package, times.build]
     assert min(parts) > 0
     assert times.total == pytest.approx(sum(parts) + times.first_frame)
-
-
-def test_an_early_start_is_timed_and_its_steps_measured() -> None:
-    found = early_start("mimic_p050", "left", "joint_angle", None)
-    assert 0 < found.first_command < found.full_program <= found.own_commands
-    assert found.frames > 1
-    assert 0 < found.step_rad <= MOST_STEP + 1e-9

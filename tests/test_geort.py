@@ -272,7 +272,7 @@ def test_the_reach_is_that_of_the_joints_that_the_networks_command(
     q = np.tile(shared.neutral, (2000, 1))
     for finger, joint in ((0, 0), (1, 2)):  # t2 moves both fingers and stays at neutral
         q[:, joint] = np.linspace(low[joint], high[joint], len(q))
-        path = shared.tips(shared.expand(q))[:, finger]
+        path = shared.tips(shared.full_configuration(q))[:, finger]
         tips = data.reach[finger].T[::16]
         away = np.linalg.norm(tips[:, None] - path[None], axis=-1).min(axis=1)
         assert away.max() < 1e-4
@@ -650,7 +650,6 @@ def run(
     hand: Hand, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> Iterator[Callable[..., tuple[int, str]]]:
     """Runs a command for the quick hand: exit status and standard error."""
-    import smooth_operator.cli.train as command
 
     def quick(**chosen: int) -> GeortTraining:
         return replace(TINY, **chosen)  # type: ignore[arg-type]
@@ -661,11 +660,11 @@ def run(
         key = (data.digest, settings.epochs, settings.seed)
         return made.setdefault(key, GeortTrainer(hand, data, settings))
 
-    monkeypatch.setattr(command, "GeortTrainer", compiled_once)
+    monkeypatch.setattr("smooth_operator.lab.training.GeortTrainer", compiled_once)
     monkeypatch.setenv("SMOOTH_OPERATOR_CACHE", "off")
     monkeypatch.delenv("SMOOTH_OPERATOR_DEBUG", raising=False)
-    monkeypatch.setattr(command, "load_hand", lambda name, side: hand)
-    monkeypatch.setattr(command, "GeortTraining", quick)
+    monkeypatch.setattr("smooth_operator.hands.registry.load_hand", lambda name, side: hand)
+    monkeypatch.setattr("smooth_operator.lab.training.GeortTraining", quick)
 
     def call(*arguments: object) -> tuple[int, str]:
         capfd.readouterr()

@@ -21,8 +21,7 @@ from smooth_operator.teleop.hardware import bus_lock
 from smooth_operator.teleop.hardware.actuator_map import ActuatorMap, BoundMap
 from smooth_operator.teleop.hardware.device import HandDevice, WrongAnswerError
 from smooth_operator.teleop.hardware.hardware_sink import HardwareSink
-from smooth_operator.teleop.hardware.settings_watch import SettingsWatch
-from smooth_operator.teleop.hardware.table_file import built_in_tables, read_table
+from smooth_operator.teleop.hardware.table_file import SettingsWatch, built_in_tables, read_table
 from smooth_operator.teleop.sinks.tick import Mode, Tick
 from smooth_operator.types import JointCommand
 
@@ -322,7 +321,7 @@ def test_a_hand_that_restarts_in_motion_is_lost_and_limited_again(
         look(watch)
         readings.append(time.perf_counter())
 
-    monkeypatch.setattr("smooth_operator.teleop.hardware.settings_watch._EVERY_S", 0.0)
+    monkeypatch.setattr("smooth_operator.teleop.hardware.table_file._EVERY_S", 0.0)
     monkeypatch.setattr(SettingsWatch, "look", counted)
     if rig.reports:
         rig.patience(0.2)

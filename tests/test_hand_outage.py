@@ -139,7 +139,7 @@ class Run:
         self.wish: Callable[[float], float] = lambda now: 0.0
         self.mode: Callable[[float], Mode] = lambda now: Mode.TRACKING
         self.lock = str(folder / "port")
-        for module in ("worker", "agreed_reading", "settings_watch"):
+        for module in ("worker", "device", "table_file"):
             monkeypatch.setattr(f"smooth_operator.teleop.hardware.{module}.time", self.clock)
         monkeypatch.setattr("smooth_operator.teleop.hardware.worker._RETRY_S", 0.0)
         self.patch = monkeypatch

@@ -62,7 +62,7 @@ def test_the_mimic_hand_is_the_published_one(published: Hand) -> None:
 def test_every_landmark_is_where_the_published_model_has_it(published: Hand) -> None:
     ours = load_hand("mimic_p050", "right")
     q = limited_poses(np.random.default_rng(0), ours.limits, 1000)
-    theirs = mujoco_landmarks(published, published.expand(q))
+    theirs = mujoco_landmarks(published, published.full_configuration(q))
     positions = ours.landmark_positions(q)
     assert positions.shape == (1000, 21, 3)
     assert np.linalg.norm(positions - theirs, axis=-1).max() < 1e-6
@@ -81,7 +81,9 @@ def test_the_left_hand_mirrors_the_right() -> None:
     q = limited_poses(np.random.default_rng(1), right.limits, 100)
     mirrored = right.landmark_positions(q) * (-1, 1, 1)
     np.testing.assert_allclose(left.landmark_positions(q), mirrored, atol=1e-12)
-    np.testing.assert_allclose(mujoco_landmarks(left, left.expand(q)), mirrored, atol=1e-12)
+    np.testing.assert_allclose(
+        mujoco_landmarks(left, left.full_configuration(q)), mirrored, atol=1e-12
+    )
 
 
 def test_mirroring_slides_and_anchors(tmp_path: Path) -> None:
@@ -496,11 +498,3 @@ def test_mujoco_writes_no_file_into_the_working_folder(
     mujoco.mj_step(model, data)
     assert "unstable" in caplog.text  # told, by logging
     assert not list(tmp_path.iterdir())
-
-
-def test_former_names_of_the_full_configuration_still_work() -> None:
-    hand = load_hand("inspire_hand")
-    matrix, offset = hand.expansion
-    full = hand.full_configuration(hand.neutral)
-    np.testing.assert_array_equal(matrix @ hand.neutral + offset, full)
-    np.testing.assert_array_equal(hand.full_configuration(hand.neutral), full)

@@ -298,7 +298,7 @@ def test_a_wrong_answer_while_it_opens_is_asked_for_again(
 def test_a_limit_that_is_gone_is_a_lost_device_and_one_wrong_reading_is_not(
     make: Callable[..., FakeHandSink], hand: Hand, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("smooth_operator.teleop.hardware.settings_watch._EVERY_S", 0.02)
+    monkeypatch.setattr("smooth_operator.teleop.hardware.table_file._EVERY_S", 0.02)
     monkeypatch.setattr("smooth_operator.teleop.hardware.worker._RETRY_S", 0.02)
     sink = make(approach=10.0)
     with Driven(sink, hand) as driven:
@@ -323,7 +323,7 @@ def test_a_limit_that_the_hand_never_read_back_is_a_warning_and_no_loss(
     monkeypatch: pytest.MonkeyPatch,
     answer: float | None,
 ) -> None:
-    monkeypatch.setattr("smooth_operator.teleop.hardware.settings_watch._EVERY_S", 0.02)
+    monkeypatch.setattr("smooth_operator.teleop.hardware.table_file._EVERY_S", 0.02)
     sink = make(approach=10.0, prepare=lambda fake: setattr(fake, "limits_once", [answer] * 3))
     with Driven(sink, hand) as driven:
         driven.tick = tick_at(hand, 10.0)
@@ -343,7 +343,7 @@ def test_a_limit_that_the_hand_never_read_back_is_a_warning_and_no_loss(
 def test_a_lost_limit_ends_hardware_check(
     make: Callable[..., FakeHandSink], hand: Hand, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("smooth_operator.teleop.hardware.settings_watch._EVERY_S", 0.02)
+    monkeypatch.setattr("smooth_operator.teleop.hardware.table_file._EVERY_S", 0.02)
     sink = make()
     table = sink.actuators("right")
     device = sink.device(table)

@@ -134,7 +134,7 @@ def packed_log(path: Path, compression: str) -> Path:
         writer = Writer(stream, chunk_size=1 << 30, compression=CompressionType[compression])
         writer.start()
         schema = writer.register_schema("s", "jsonschema", b"{}")
-        channel = writer.register_channel("/hand", "json", schema, {"version": "2"})
+        channel = writer.register_channel("/hand", "protobuf", schema, {"version": "3"})
         for _ in range(4):
             writer.add_message(channel, 0, b" " * 20_000_000 + b"{}", 0)
         writer.finish()

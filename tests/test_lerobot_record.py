@@ -188,7 +188,7 @@ def test_each_action_is_a_command_that_was_sent_and_the_hand_follows(recorded: P
     # The arm moves, and its joints and its wrist are of one moment. How near it comes to the
     # action is up to its limits: on a slow machine the operator's clutch may wander out of reach.
     assert np.ptp(state[:, -7:-4], axis=0).max() > 0.003
-    from smooth_operator.teleop.arm.rig import build_arms  # needs mink
+    from smooth_operator.teleop.arm.controller import build_arms  # needs mink
 
     arm = build_arms(read_arm("panda"), {"right": hand})["right"].controller
     for row in state[::20]:

@@ -13,9 +13,8 @@ import pytest
 import trimesh
 
 from smooth_operator.cli import main
-from smooth_operator.cli.hands_options import Show
-from smooth_operator.cli.meshes import hand_to_draw
-from smooth_operator.cli.page import playback
+from smooth_operator.cli.hands_show import Show
+from smooth_operator.cli.page import hand_to_draw, playback
 from smooth_operator.errors import HandModelError, MissingExtraError, install_command
 from smooth_operator.formats.commands import write_commands
 from smooth_operator.hand_files.menagerie import (
@@ -29,12 +28,11 @@ from smooth_operator.hands.registry import MODELS, load_hand
 from smooth_operator.metrics import Trace
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.pages.hand_page import HandPage
-from smooth_operator.teleop.pages.hand_view import HandView
+from smooth_operator.teleop.pages.hand_view import HandView, coarser
 from smooth_operator.teleop.pages.live.live_page import PageSetup
 from smooth_operator.teleop.pages.live.live_scene import LiveScene
-from smooth_operator.teleop.pages.meshes import coarser
 from smooth_operator.teleop.pages.playback import Playback
-from smooth_operator.teleop.pages.robot import RobotView
+from smooth_operator.teleop.pages.player_scene import RobotView
 from smooth_operator.teleop.pages.viser_server import close_server, open_server
 from smooth_operator.types import CommandTrajectory, Side
 
@@ -167,7 +165,7 @@ def test_a_run_plays_on_the_vendors_model(
     hand = load_hand("shadow_hand")
     out, glove, positions = run_of(hand, tmp_path)
     pages: list[Playback] = []
-    monkeypatch.setattr("smooth_operator.cli.view.serve", lambda runs, **_: pages.extend(runs))
+    monkeypatch.setattr("smooth_operator.teleop.pages.serve", lambda runs, **_: pages.extend(runs))
     for model in (["--no-meshes"], ["--model", "menagerie"], []):
         assert main(["view", str(out), str(glove), "--hand", hand.name, *model]) == 0
     plain, real, here = pages  # what is on this machine is drawn without being asked for
@@ -198,7 +196,7 @@ def test_a_model_of_another_hand_is_refused_before_any_work(
     def never(*_: Any, **__: Any) -> None:
         raise AssertionError("it should not have come to this")
 
-    monkeypatch.setattr("smooth_operator.cli.demo.execute_shown", never)
+    monkeypatch.setattr("smooth_operator.cli.session.execute_shown", never)
     output = tmp_path / "demo"
     arguments = ["--model", str(MODELS / "leap_hand_right.xml"), "--output", str(output)]
     assert main(["demo", "--no-view", "--duration", "0.5", *arguments]) == 2

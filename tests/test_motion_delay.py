@@ -14,7 +14,7 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.teleop.runtime.motion_delay import MotionDelay, _Track
 from smooth_operator.teleop.runtime.statistics import LoopStatistics
-from smooth_operator.teleop.sinks.hand_state import HandState
+from smooth_operator.teleop.sinks.tick import HandState
 from smooth_operator.types import JointCommand
 
 

@@ -19,7 +19,6 @@ from smooth_operator.lab.datasets.retargeting import Recipe, retarget_clips
 from smooth_operator.lab.datasets.robot_clip import RobotClip
 from smooth_operator.lab.datasets.sources import find_items
 from smooth_operator.lab.datasets.work import read_item
-from smooth_operator.lab.objects.comparison import AWARE, BLIND, Judged, judge, table, targets
 from smooth_operator.lab.objects.contacts import ContactSettings, clip_scene, find_contacts
 from smooth_operator.lab.objects.hand_surface import HandSurface
 from smooth_operator.lab.objects.interaction_metrics import agreement, hand_depths
@@ -30,7 +29,6 @@ from smooth_operator.lab.objects.placement import (
     wrist_in_palm,
 )
 from smooth_operator.lab.objects.retargeter import ObjectAwareRetargeter, whole_config
-from smooth_operator.lab.objects.scenes import SceneSpec, bumpy_mesh, make_clip
 from smooth_operator.lab.objects.signed_distance import (
     Box,
     Capsule,
@@ -51,6 +49,8 @@ from smooth_operator.solvers.sampling import SamplingConfig
 from smooth_operator.solvers.trajectory import TrajectoryConfig
 from smooth_operator.synthetic.robot_landmarks import human_landmarks
 from smooth_operator.types import HandRecording
+from smooth_operator_research.objects.comparison import AWARE, BLIND, Judged, judge, table, targets
+from smooth_operator_research.objects.scenes import SceneSpec, bumpy_mesh, make_clip
 
 
 def has_libigl() -> bool:

@@ -6,7 +6,11 @@ import numpy as np
 import pytest
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.teleop.sources.webcam.one_euro import OneEuroConfig, OneEuroState, one_euro
+from smooth_operator.teleop.sources.webcam.picture_tracker import (
+    OneEuroConfig,
+    OneEuroState,
+    one_euro,
+)
 
 RATE = 30.0
 

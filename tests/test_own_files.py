@@ -11,8 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from smooth_operator.compilation import environment, program_cache
-from smooth_operator.compilation.program_cache import ProgramCache
+from smooth_operator.compilation import cache as program_cache
+from smooth_operator.compilation import diagnosis
+from smooth_operator.compilation.cache import ProgramCache
 from smooth_operator.errors import DocumentError
 from smooth_operator.result_cache.own_files import folder_problem, make_private, read_own_file
 
@@ -39,8 +40,8 @@ def with_an_entry(cache: Path) -> Path:
     """A kept program."""
     kept = program_cache.program_cache()
     assert kept is not None
-    kept.keep("p", b"code")
-    assert kept.find("p") == b"code"
+    kept.write("p", b"code")
+    assert kept.read("p") == b"code"
     program_cache._opened.cache_clear()
     return cache / "programs" / "p"
 
@@ -83,7 +84,7 @@ def test_a_folder_of_others_is_not_used(
         damage(folder)
     assert program_cache.program_cache() is None
     assert program_cache.own_folder(jax_folder) is None
-    assert words in environment.environment()["programs"]
+    assert words in diagnosis.environment()["programs"]
     messages = [record.message for record in caplog.records]
     assert [words in message for message in messages] == [True, True]
     assert all("SMOOTH_OPERATOR_CACHE may name another" in message for message in messages)
@@ -185,11 +186,11 @@ def test_an_entry_of_others_is_removed_and_compiled_again(
     entry = with_an_entry(cache)
     damage(entry, tmp_path / "elsewhere")
     kept = ProgramCache(entry.parent)
-    assert kept.find("p") is None
+    assert kept.read("p") is None
     assert words in caplog.text
     assert not os.path.lexists(entry)
-    kept.keep("p", b"new")
-    assert kept.find("p") == b"new"
+    kept.write("p", b"new")
+    assert kept.read("p") == b"new"
 
 
 @pytest.mark.parametrize(("damage", "words"), ENTRIES)
@@ -211,10 +212,11 @@ def test_jax_itself_gets_a_closed_folder_only(tmp_path: Path) -> None:
     """In processes of their own: with a umask for groups, what is kept is taken again."""
     code = (
         "import os, sys; os.umask(0o002)\n"
-        "import jax; from smooth_operator.compilation.compile_cache import enable_cache, healing\n"
-        "with healing(enable_cache()):\n"
+        "import jax; from smooth_operator.compilation.cache import jax_cache\n"
+        "with jax_cache():\n"
         "    jax.jit(lambda x: x * 3)(2.0)\n"
-        "print(jax.config.jax_compilation_cache_dir)\n"
+        "    print(jax.config.jax_compilation_cache_dir)\n"
+        "assert jax.config.jax_compilation_cache_dir is None\n"
     )
     settings = {k: v for k, v in os.environ.items() if not k.startswith("JAX_")}
     settings |= {"SMOOTH_OPERATOR_CACHE": str(tmp_path / "a" / "b"), "JAX_PLATFORMS": "cpu"}

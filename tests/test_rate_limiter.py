@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from smooth_operator.synthetic import SyntheticOperator
-from smooth_operator.teleop.runtime.rate_limiter import EXTRA, LONGEST, SHORTEST, RateLimiter
+from smooth_operator.teleop.runtime.limiter import EXTRA, LONGEST, SHORTEST, RateLimiter
 from smooth_operator.teleop.sources.live import Mailbox
 from smooth_operator.types import HandFrame
 

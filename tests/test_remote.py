@@ -34,19 +34,18 @@ from smooth_operator.planning import make_request
 from smooth_operator.simulation.scenes import SceneState
 from smooth_operator.simulation.tasks import read_trial
 from smooth_operator.simulation.tasks.trial_runner import TrialRunner
-from smooth_operator.teleop.control import method_switcher as switcher_module
 from smooth_operator.teleop.control.method_switcher import MethodSwitcher
 from smooth_operator.teleop.control.rpc_handlers import RpcHandlers
 from smooth_operator.teleop.pages.live.live_panel import LivePanel
 from smooth_operator.teleop.pages.live.live_scene import LiveScene
 from smooth_operator.teleop.pages.live.live_session import LiveSession
-from smooth_operator.teleop.pages.live.page_link import Link
+from smooth_operator.teleop.pages.live.process import Link
 from smooth_operator.teleop.pages.viser_server import close_server, open_server
 from smooth_operator.teleop.recording import read_log
 from smooth_operator.teleop.runtime.loop import TeleopLoop
 from smooth_operator.teleop.runtime.pipeline import HandPipeline
-from smooth_operator.teleop.runtime.remote import remote
 from smooth_operator.teleop.runtime.remote_client import RemoteTeleop
+from smooth_operator.teleop.runtime.rpc_server import remote
 from smooth_operator.teleop.runtime.settings import LoopConfig
 from smooth_operator.teleop.sinks.record import RecordSink
 from smooth_operator.teleop.sinks.runner import SinkRunner
@@ -142,7 +141,7 @@ def stage(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stage]:
 
 def test_the_rate_is_what_another_program_asks_for(stage: Stage) -> None:
     assert stage.do("status")["rate"] == 50.0
-    assert stage.do("status")["provisional"] == []
+    assert stage.do("status")["compiling"] == []
     try:
         assert stage.do("rate", rate=20) == {"ok": True, "rate": 20.0}
         assert stage.do("status")["rate"] == 20.0
@@ -228,19 +227,21 @@ def test_a_stop_is_answered_while_a_method_is_compiled(
 ) -> None:
     # A method that is used already needs no building: begin with another one than is asked for.
     stage.do("method", method="geort")
-    go, build = threading.Event(), switcher_module.build_for_running_loop
+    go, warm_up = threading.Event(), Retargeter.warm_up
 
-    def slow(*args: Any) -> Any:
+    def slow(retargeter: Retargeter) -> float:
         assert go.wait(LONG)
-        return build(*args)
+        return warm_up(retargeter)
 
-    monkeypatch.setattr(switcher_module, "build_for_running_loop", slow)
+    monkeypatch.setattr(Retargeter, "warm_up", slow)
+    monkeypatch.setattr(Retargeter, "compiled", property(lambda self: go.is_set()))
     hasty = RemoteTeleop(stage.teleop.address, 0.4)
     with ThreadPoolExecutor(2) as pool:
         first = pool.submit(hasty.request, "method", method="joint_angle")
         until(lambda: stage.do("status")["busy"] == ["method"], LONG)
         until(lambda: stage.switcher.building, LONG)
         assert stage.do("status")["building"] == "compiling joint_angle default"
+        until(lambda: stage.do("status")["compiling"] == ["right"], LONG)
         assert stage.do("stop")["modes"] == {"right": "stopped"}
         assert stage.do("release")["ok"]
         time.sleep(1.0)  # longer than the silence that it puts up with
@@ -251,6 +252,7 @@ def test_a_stop_is_answered_while_a_method_is_compiled(
         go.set()
         assert second.result(LONG)["method"] == "geort"
     assert stage.do("status")["busy"] == []
+    until(lambda: stage.do("status")["compiling"] == [], LONG)
 
 
 def test_a_method_that_cannot_be_built_is_said(
@@ -262,10 +264,11 @@ def test_a_method_that_cannot_be_built_is_said(
     used = stage.do("status")["method"]
     other = "joint_angle" if used == "geort" else "geort"
     with monkeypatch.context() as patched:
-        patched.setattr(switcher_module, "build_for_running_loop", broken)
+        patched.setattr(Retargeter, "warm_up", broken)
         with pytest.raises(RemoteRefusedError, match="MemoryError: no room"):
             stage.do("method", method=other)
     assert stage.do("status")["method"] == used
+    until(lambda: stage.do("status")["compiling"] == [], LONG)
     assert stage.do("method", method=other)["method"] == other
 
 
@@ -325,16 +328,16 @@ def test_blind_nothing_that_is_shown_names_the_method(stage: Stage) -> None:
         stage.do("method", method="geort", preset="no-such")
     for word in (("method", "geort"), ("set", "model", "x"), ("record",), ("record",)):
         stage.session.do(*word)
-    shown = json.dumps(stage.session.look(text=True, fields=0))
+    shown = json.dumps(stage.session.look(text=True, settings=0))
     assert not [name for name in method_names() if name in shown]
     assert '"default"' not in shown  # nor the preset
     open_eyed = LiveSession(stage.loop, make_request(), switcher=stage.switcher)
-    assert "joint_angle" in json.dumps(open_eyed.look(text=True, fields=0))
+    assert "joint_angle" in json.dumps(open_eyed.look(text=True, settings=0))
     assert not stage.session.configuration()
     assert stage.do("status")["method"] == "joint_angle"  # whom the page asked in vain
-    seen = stage.session.look(text=True, fields=0)
-    assert "fields" not in seen["controls"]
-    assert seen["controls"]["loop_fields"]
+    seen = stage.session.look(text=True, settings=0)
+    assert "settings" not in seen["controls"]
+    assert seen["controls"]["loop_settings"]
     assert not {"solve", "total"} & set(seen["status"]["stages"])
     assert seen["hands"]["right"]["latched"] is None
 
@@ -345,11 +348,11 @@ def test_blind_the_panel_has_no_switch(stage: Stage) -> None:
         hands = {side: p.retargeter.hand for side, p in stage.loop.pipelines.items()}
         scene = LiveScene(server, hands, simulated=True)
         sent = io.BytesIO()
-        panel = LivePanel(server, hands, Link(io.BytesIO(), sent), scene, None)
+        panel = LivePanel(server, hands, Link(io.BytesIO(), sent).do, scene, None)
         stage.do("method", method="geort")
 
         def tracking() -> bool:
-            panel.show(json.loads(json.dumps(stage.session.look(text=True, fields=-1))))
+            panel.show(json.loads(json.dumps(stage.session.look(text=True, settings=-1))))
             return "tracking" in panel._modes.content
 
         until(tracking, LONG)
@@ -358,7 +361,7 @@ def test_blind_the_panel_has_no_switch(stage: Stage) -> None:
         assert not [name for name in method_names() if name in shown]
         assert "latches" not in shown
         assert not hasattr(panel, "_method")
-        assert panel.fields_number == stage.session.fields_number
+        assert panel.settings_number == stage.session.settings_number
         assert not sent.getvalue()
     finally:
         close_server(server)
@@ -389,23 +392,23 @@ def test_a_task_is_loaded_switched_and_left(stage: Stage) -> None:
     answer = stage.do("task", task="A")
     assert (answer["task"], answer["title"]) == ("card", "Card pickup")
     assert {"done", "dropped"} <= {line["name"] for line in answer["rubric"]}
-    look = stage.session.look(text=False, fields=0)["scenery"]
+    look = stage.session.look(text=False, settings=0)["scenery"]
     assert {part["name"] for part in look["parts"]["right"]} == {"platform", "card"}
     assert len(look["poses"]["right"]) == 7
     axes = np.array(look["views"]["right"])
     np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-4)
-    again = stage.session.look(text=False, fields=0, scenery=look["number"])["scenery"]
+    again = stage.session.look(text=False, settings=0, scenery=look["number"])["scenery"]
     assert "parts" not in again
     assert stage.do("status")["task"] == "card"
     stage.do("task", task="cube")
-    look = stage.session.look(text=False, fields=0, scenery=look["number"])["scenery"]
+    look = stage.session.look(text=False, settings=0, scenery=look["number"])["scenery"]
     assert "cube" in {part["name"] for part in look["parts"]["right"]}
     for bad, words in (("chess", "unknown task 'chess'"), (3, "expected a text")):
         with pytest.raises(RemoteRefusedError, match=words):
             stage.do("task", task=bad)
     assert stage.do("status")["task"] == "cube"
     assert stage.do("task")["task"] is None
-    look = stage.session.look(text=False, fields=0, scenery=look["number"])["scenery"]
+    look = stage.session.look(text=False, settings=0, scenery=look["number"])["scenery"]
     assert (look["parts"], look["poses"]) == ({}, {})
     numbers = [tick.number for tick in stage.ticks[first:]]
     assert numbers == list(range(numbers[0], numbers[-1] + 1))  # no command was left out

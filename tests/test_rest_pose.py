@@ -16,7 +16,6 @@ from smooth_operator.errors import ConfigError
 from smooth_operator.hands.capsules import capsule_pairs
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.lab.physics.reachable_motion import reachable_motion
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.methods.smooth import SmoothConfig
 from smooth_operator.objective.goal import FrameGoal
@@ -30,6 +29,7 @@ from smooth_operator.objective.terms.neutral_pose import NeutralPose
 from smooth_operator.objective.terms.robot_vectors import RobotVectors
 from smooth_operator.objective.terms.self_collision import SelfCollision, SelfCollisionConfig
 from smooth_operator.synthetic.robot_landmarks import human_landmarks
+from smooth_operator_research.physics.reachable_motion import reachable_motion
 
 pytestmark = pytest.mark.usefixtures("few_optimisations")
 

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from trees import limited_poses, pincer, random_rotations
 
-from smooth_operator.cli.retarget_options import Retarget
-from smooth_operator.cli.teleop_options import Teleop
+from smooth_operator.cli.retarget import Retarget
+from smooth_operator.cli.teleop import Teleop
 from smooth_operator.errors import ConfigError, RecordingError, UnknownNameError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import hand_names, load_hand

@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
-import dataclasses
-import enum
 import json
 import os
 import re
-import socket
 import subprocess
 import sys
 import threading
 import time
-import types
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import count
@@ -38,16 +33,15 @@ from smooth_operator.human.alignment import reference_landmarks
 from smooth_operator.landmarks import NODE_LAYOUTS
 from smooth_operator.poses import wrist_from_landmarks
 from smooth_operator.teleop.ros2 import messages as ros
+from smooth_operator.teleop.ros2 import open_transport
 from smooth_operator.teleop.ros2 import sink as sink_module
-from smooth_operator.teleop.ros2.backends import open_transport
 from smooth_operator.teleop.ros2.hand_poses import HandPoseReader
 from smooth_operator.teleop.ros2.messages import Message
 from smooth_operator.teleop.ros2.sink import Ros2Sink
 from smooth_operator.teleop.ros2.source import Ros2Source
 from smooth_operator.teleop.ros2.transport import Endpoint
-from smooth_operator.teleop.sinks.hand_state import HandState
 from smooth_operator.teleop.sinks.registry import build_sink
-from smooth_operator.teleop.sinks.tick import ArmCommand, Mode, Tick, WristCommand
+from smooth_operator.teleop.sinks.tick import ArmCommand, HandState, Mode, Tick, WristCommand
 from smooth_operator.teleop.sources.live import Mailbox
 from smooth_operator.teleop.sources.registry import build_source
 from smooth_operator.types import HandFrame, Side
@@ -58,7 +52,7 @@ needs_cyclonedds = pytest.mark.skipif(
 )
 DOMAINS = (1 + (os.getpid() * 13 + i) % 100 for i in count())
 """Of each test its own: a domain is a range of ports."""
-LOCAL = {"backend": "cyclonedds", "network": "localhost"}
+LOCAL = {"network": "localhost"}
 
 
 def until(done: Callable[[], object], seconds: float = 20.0) -> None:
@@ -483,7 +477,6 @@ def test_wrong_names_and_settings_say_what_is_expected(hand: Hand, recorded: Rec
         "ros2:/x__y": "can't be a topic",
         "ros2:/{foot}/x": "can't be a topic",
         "ros2:wrist=1/2": "can't be a topic",
-        "ros2:node=a-b": "name of a node",
         "ros2:domain=233": "0 to 232",
         "ros2:network=all": "localhost or subnet",
         "ros2:message=twist": "joint_state or trajectory or array",
@@ -743,224 +736,8 @@ def test_one_domain_has_one_network_in_a_process(domain: int) -> None:
     first.close()
 
 
-@needs_cyclonedds
-@pytest.mark.skipif(sys.platform != "linux", reason="the kernel's filter is Linux's")
-def test_localhost_lets_nothing_in_from_the_network(domain: int) -> None:
-    """What comes to another address of this machine is dropped; what comes to 127.0.0.1 is not."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        try:
-            probe.connect(("192.0.2.1", 9))  # sends nothing, but picks the address
-        except OSError:
-            pytest.skip("this machine has no network")
-        address = probe.getsockname()[0]
-
-    def ports() -> dict[int, int]:
-        """UDP ports that this process has in the domain -> packets that were dropped."""
-        own = set()
-        for link in Path("/proc/self/fd").iterdir():
-            with contextlib.suppress(OSError):
-                own.add(os.readlink(link))
-        low = 7400 + 250 * domain
-        rows = [line.split() for line in Path("/proc/net/udp").read_text().splitlines()[1:]]
-        mine = [row for row in rows if f"socket:[{row[9]}]" in own]
-        found = {int(row[1].split(":")[1], 16): int(row[12]) for row in mine}
-        return {port: drops for port, drops in found.items() if low <= port < low + 250}
-
-    transport = open_transport(Endpoint("the ros2 sink", SinkError, domain=domain, **LOCAL))  # type: ignore[arg-type]
-    try:
-        opened = ports()
-        assert opened
-        assert set(opened.values()) == {0}
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
-            for port in opened:
-                sender.sendto(b"RTPS", ("127.0.0.1", port))
-                sender.sendto(b"RTPS", (address, port))
-        until(lambda: set(ports().values()) == {1})
-    finally:
-        transport.close()
-
-
-def test_without_both_libraries_one_line_says_how(
-    hand: Hand, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for name in ("rclpy", "cyclonedds"):
-        monkeypatch.setitem(sys.modules, name, None)
-    with pytest.raises(MissingExtraError, match=r"without rclpy.*\[ros2\]") as caught:
+def test_without_the_library_one_line_says_how(hand: Hand, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "cyclonedds", None)
+    with pytest.raises(MissingExtraError, match=r"the ros2 sink.*\[ros2\]") as caught:
         Ros2Sink().open({"right": hand}, {})
     assert "\n" not in str(caught.value)
-    version = f"{sys.version_info.major}.{sys.version_info.minor}"
-    with pytest.raises(SinkError, match=r"pip can't install.*setup\.bash.*" + version):
-        Ros2Sink(backend="rclpy").open({"right": hand}, {})
-
-
-# --- rclpy
-
-
-class FakeRos:
-    """The part of ROS 2's Python interface that is used.
-
-    Attributes:
-        published: topic -> messages.
-        profiles: topic -> quality of service.
-        log: what was called.
-        arriving: topic -> messages that the next spin hands over.
-    """
-
-    def __init__(self) -> None:
-        self.published: dict[str, list[Any]] = {}
-        self.profiles: dict[str, Any] = {}
-        self.log: list[Any] = []
-        self.arriving: dict[str, list[Any]] = {}
-        self.callbacks: dict[str, tuple[type, Callable[[Any], None]]] = {}
-
-    def find(self, kind: type[Message]) -> Any:
-        package, _, name = kind.type_name.partition("/msg/")
-        return self.kinds[package][name]
-
-    def modules(self) -> dict[str, dict[str, Any]]:
-        fake = self
-
-        class Context:
-            pass
-
-        class Publisher:
-            def __init__(self, kind: type, topic: str) -> None:
-                self.kind, self.topic = kind, topic
-
-            def publish(self, message: Any) -> None:
-                assert type(message) is self.kind
-                fake.published.setdefault(self.topic, []).append(message)
-
-        class Node:
-            def create_publisher(self, kind: type, topic: str, qos: Any) -> Publisher:
-                fake.profiles[topic] = qos
-                return Publisher(kind, topic)
-
-            def create_subscription(
-                self, kind: type, topic: str, callback: Callable[[Any], None], qos: Any
-            ) -> None:
-                fake.profiles[topic] = qos
-                fake.callbacks[topic] = kind, callback
-
-            def get_clock(self) -> Any:
-                now = kinds["builtin_interfaces"]["Time"](sec=11, nanosec=12)
-                return types.SimpleNamespace(now=lambda: types.SimpleNamespace(to_msg=lambda: now))
-
-            def destroy_node(self) -> None:
-                fake.log.append("destroyed")
-
-        class Executor:
-            def __init__(self, *, context: Context) -> None:
-                assert isinstance(context, Context)
-
-            def add_node(self, node: Node) -> None:
-                assert isinstance(node, Node)
-
-            def spin_once(self, *, timeout_sec: float) -> None:
-                for topic, waiting in fake.arriving.items():
-                    if waiting:
-                        fake.callbacks[topic][1](waiting.pop(0))
-                        return
-
-            def shutdown(self) -> None:
-                fake.log.append("executor shutdown")
-
-        def init(*, context: Context, domain_id: int | None) -> None:
-            fake.log.append(("init", domain_id))
-
-        def create_node(name: str, *, context: Context) -> Node:
-            fake.log.append(name)
-            return Node()
-
-        def shutdown(*, context: Context) -> None:
-            fake.log.append("shutdown")
-
-        kinds: dict[str, dict[str, Any]] = {}
-        for kind in every_message(Message):
-            package, _, name = kind.type_name.partition("/msg/")
-            made = dataclasses.make_dataclass(name, [f.name for f in dataclasses.fields(kind)])
-            kinds.setdefault(package, {})[name] = made
-        self.kinds = kinds
-        policies = {
-            f"{name}Policy": enum.Enum(name, words)
-            for name, words in {
-                "History": "KEEP_LAST KEEP_ALL",
-                "Reliability": "RELIABLE BEST_EFFORT",
-                "Durability": "VOLATILE TRANSIENT_LOCAL",
-            }.items()
-        }
-        return {
-            "rclpy": {"init": init, "create_node": create_node, "shutdown": shutdown},
-            "rclpy.context": {"Context": Context},
-            "rclpy.executors": {"SingleThreadedExecutor": Executor},
-            "rclpy.qos": {"QoSProfile": types.SimpleNamespace, **policies},
-            **{package: {} for package in kinds},
-            **{f"{package}.msg": content for package, content in kinds.items()},
-        }
-
-
-def every_message(base: type[Message]) -> list[type[Message]]:
-    return [kind for kind in base.__subclasses__() if "type_name" in vars(kind)]
-
-
-@pytest.fixture
-def rclpy(monkeypatch: pytest.MonkeyPatch) -> FakeRos:
-    fake = FakeRos()
-    for name, content in fake.modules().items():
-        module = types.ModuleType(name)
-        vars(module).update(content)
-        monkeypatch.setitem(sys.modules, name, module)
-    return fake
-
-
-def test_rclpy_is_used_where_it_is(hand: Hand, rclpy: FakeRos) -> None:
-    hands = {"right": hand, "left": load_hand("mimic_p050", "left")}
-    sink = Ros2Sink(tf=True)
-    sink.open(hands, {})  # type: ignore[arg-type]
-    assert sink.note == "rclpy"
-    topic = "/mimic_p050/left/joint_commands"
-    ticks = [
-        make_tick(hands["left"], i, mode=Mode.TRACKING if i < 3 else Mode.HOLDING) for i in range(6)
-    ]
-    for i, tick in enumerate(ticks):
-        sink.send(tick)
-        until(lambda i=i: len(rclpy.published.get(topic, [])) == i + 1)  # type: ignore[misc]
-    sink.stalled(0.3)
-    sink.stalled(0.4)
-    until(lambda: rclpy.published[f"{topic}_mode"][-1].data == "stalled")
-    sink.close()
-    for tick, message in zip(ticks, rclpy.published[topic], strict=True):
-        assert type(message) is rclpy.kinds["sensor_msgs"]["JointState"]
-        assert message.name == list(tick.command.names)
-        assert message.position == tick.command.positions.tolist()
-        assert message.velocity == tick.velocity.tolist()
-        assert (message.header.stamp.sec, message.header.stamp.nanosec) == (11, 12)
-    modes = [message.data for message in rclpy.published[f"{topic}_mode"]]
-    assert modes == ["tracking", "holding", "stalled", "ended"]
-    assert rclpy.log == [
-        ("init", None), "smooth_operator", "executor shutdown", "destroyed", "shutdown"
-    ]  # fmt: skip
-    for name, depth in {topic: 10, "/tf": 100}.items():
-        profile = rclpy.profiles[name]
-        assert (profile.reliability.name, profile.durability.name) == ("RELIABLE", "VOLATILE")
-        assert (profile.history.name, profile.depth) == ("KEEP_LAST", depth)
-    with pytest.raises(ConfigError, match="ROS_AUTOMATIC_DISCOVERY_RANGE"):
-        Ros2Sink(network="subnet").open(hands, {})  # type: ignore[arg-type]
-    source = Ros2Source("/p", side="left")
-    points = a_hand("left")
-    kinds = rclpy.kinds["geometry_msgs"]
-    poses = [ros.to_foreign(ros.Pose(ros.Point(*row)), rclpy.find) for row in points.tolist()]
-    header = ros.to_foreign(ros.Header(ros.Time(3, 4), "map"), rclpy.find)
-    rclpy.arriving["/p"] = [kinds["PoseArray"](header, poses)] * 3
-    _, mailbox = started(source)
-    until(lambda: mailbox.received == 3)
-    arrival = mailbox.take("left")
-    assert arrival is not None
-    assert np.array_equal(arrival.frame.landmarks, points)
-    assert arrival.frame.stamp == 3.000000004
-    source.stop()
-    until(lambda: source.health().state == "ended")
-    profile = rclpy.profiles["/p"]
-    assert (profile.reliability.name, profile.durability.name) == ("BEST_EFFORT", "VOLATILE")
-    Ros2Sink(domain=5).check(hands)  # type: ignore[arg-type]
-    assert ("init", 5) in rclpy.log

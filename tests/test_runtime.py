@@ -19,9 +19,9 @@ from smooth_operator.landmarks import LAYOUTS
 from smooth_operator.methods.retargeter import RetargetState
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.runtime import statistics as run_statistics
-from smooth_operator.teleop.runtime.delay import TrackerDelay
 from smooth_operator.teleop.runtime.limiter import Limiter
-from smooth_operator.teleop.runtime.pipeline import HandPipeline
+from smooth_operator.teleop.runtime.motion_delay import TrackerDelay
+from smooth_operator.teleop.runtime.pipeline import COMPILED, COMPILING, HandPipeline
 from smooth_operator.teleop.runtime.plausible import finger_curl, implausible
 from smooth_operator.teleop.runtime.settings import LimitsConfig, LoopConfig, SafetyConfig
 from smooth_operator.teleop.runtime.statistics import LoopStatistics, percentiles
@@ -323,6 +323,30 @@ def test_on_loss_hold_never_eases(retargeter: Retargeter, motion: HandRecording)
     stage = Stage(retargeter, replace(LOOP, safety=SafetyConfig(on_loss="hold")))
     stage.play(list(motion)[:100])
     assert modes(stage.play([None] * 500)) == [Mode.TRACKING, Mode.HOLDING]
+
+
+def test_a_robot_holds_while_a_method_is_compiled(
+    retargeter: Retargeter, motion: HandRecording
+) -> None:
+    stage, frames = Stage(retargeter), list(motion)
+    stage.pipeline.hold()
+    waiting = stage.play(frames[:50])
+    assert modes(waiting) == [Mode.WAITING]
+    assert waiting[0].events == (COMPILING,)
+    assert all(tick.status is None for tick in waiting)
+    assert stage.pipeline.seen is not None  # the page shows it
+    assert stage.pipeline.seen.frame is frames[49]
+    stage.pipeline.go_on()
+    moving = stage.play(frames[50:250])
+    assert moving[0].events == (COMPILED, "waiting -> blending")
+    assert modes(moving) == [Mode.BLENDING, Mode.TRACKING]
+    stage.pipeline.hold()
+    held = stage.play(frames[250:500])  # longer than a loss, which would ease
+    assert modes(held) == [Mode.HOLDING]
+    np.testing.assert_array_equal(held[-1].command.positions, held[50].command.positions)
+    stage.pipeline.switch(retargeter)
+    assert modes(stage.play(frames[500:700])) == [Mode.BLENDING, Mode.TRACKING]
+    within(stage.pipeline.retargeter.hand, LOOP.limits, stage.q, PERIOD)
 
 
 def test_useless_frames_are_a_loss(retargeter: Retargeter, motion: HandRecording) -> None:

@@ -14,10 +14,9 @@ from browser_page import new_page, settled
 
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.palm_axes import human_palm_axes
-from smooth_operator.teleop.pages.hand_view import HandView
+from smooth_operator.teleop.pages.hand_view import HandView, above
 from smooth_operator.teleop.pages.live.live_scene import LiveScene
-from smooth_operator.teleop.pages.live.scenery import Scenery
-from smooth_operator.teleop.pages.meshes import above
+from smooth_operator.teleop.pages.live.live_session import Scenery
 from smooth_operator.teleop.pages.viser_server import close_server, open_server
 from smooth_operator.teleop.sinks.simulation import Simulation
 from smooth_operator.types import Side

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from smooth_operator.compilation.frame_jit import compiled
+from smooth_operator.compilation.compiled_program import compiled
 from smooth_operator.solvers.selection import largest
 
 RNG = np.random.default_rng(5)

@@ -22,7 +22,7 @@ from live_time import until
 from smooth_operator import signals
 from smooth_operator.signals import ENDING, ended_by_signals
 from smooth_operator.synthetic import SyntheticOperator
-from smooth_operator.teleop.control.terminal_keys import keys
+from smooth_operator.teleop.control.keyboard import keys
 from smooth_operator.teleop.recording import read_log
 
 LONG_S = 120.0
@@ -136,7 +136,8 @@ def test_a_check_of_a_hand_ends_with_torque_off(bank: ServoBank, how: str) -> No
 @pytest.mark.parametrize("how", ["SIGINT", "SIGTERM", "SIGHUP"])
 def test_a_run_that_has_not_begun_ends_too(bank: ServoBank, tmp_path: Path, how: str) -> None:
     sink = ("--sink", f"leap:{bank.path},baud=57600")
-    terminal = Terminal(*TELEOP, "--method", "smooth", "--no-browser", "--port", "0", *sink)
+    waiting = ("--method", "smooth", "--duration", "9", "--no-browser", "--port", "0")
+    terminal = Terminal(*TELEOP, *waiting, *sink)
     terminal.shows("compiling")
     assert terminal.end(how) == 130, terminal.output
     assert "Traceback" not in terminal.output

@@ -147,11 +147,12 @@ def test_gradient_against_finite_differences(hand: Hand) -> None:
         jnp.asarray(hand.neutral, jnp.float32),
         jnp.float32(0.1),
     )
-    gradient = np.asarray(method.evaluate(q, goal))[1:]
+    gradient = np.asarray(method.evaluate(method.packed(q, goal)))[1:]
     step = 1e-2  # of float32 values of order 1: the error of the difference is about 1e-4
     for i in range(len(q)):
         ends = [
-            np.asarray(method.evaluate(q + s * np.eye(len(q))[i], goal))[0] for s in (step, -step)
+            np.asarray(method.evaluate(method.packed(q + s * np.eye(len(q))[i], goal)))[0]
+            for s in (step, -step)
         ]
         assert abs((ends[0] - ends[1]) / (2 * step) - gradient[i]) < 2e-2 * max(1, abs(gradient[i]))
 

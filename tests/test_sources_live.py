@@ -23,9 +23,8 @@ from smooth_operator.errors import (
 from smooth_operator.plugins import Entry, Registry
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.components import build_component
-from smooth_operator.teleop.sources.live import Mailbox, Running, ThreadedSource
+from smooth_operator.teleop.sources.live import Mailbox, Running, ThreadedSource, on_time
 from smooth_operator.teleop.sources.message_receiver import MessageReceiver
-from smooth_operator.teleop.sources.pacing import on_time
 from smooth_operator.teleop.sources.payload import Reading
 from smooth_operator.teleop.sources.registry import SOURCES, build_source
 from smooth_operator.teleop.sources.replay import Replay

@@ -5,9 +5,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import json
-import os
 import re
-import signal
 import socket
 import subprocess
 import sys
@@ -19,9 +17,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from glove_simulator import Glove, GloveFaults, GloveSimulator
 from live_time import Kept, until
 
-from smooth_operator.cli import main
 from smooth_operator.errors import (
     ConfigError,
     MissingExtraError,
@@ -32,10 +30,7 @@ from smooth_operator.errors import (
 from smooth_operator.landmarks import FROM_MANUS_25, METACARPALS_MANUS_25
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.sources.live import Running, ThreadedSource
-from smooth_operator.teleop.sources.manus.glove_faults import GloveFaults
-from smooth_operator.teleop.sources.manus.glove_simulator import Glove, GloveSimulator
-from smooth_operator.teleop.sources.manus.manus_message import read_manus, write_manus
-from smooth_operator.teleop.sources.manus.manus_stream import ManusStream
+from smooth_operator.teleop.sources.manus_gloves import ManusStream, read_manus, write_manus
 from smooth_operator.teleop.sources.payload import MAX_BYTES, read_payload
 from smooth_operator.teleop.sources.udp import UdpSource
 from smooth_operator.teleop.sources.zmq_stream import ZmqSource
@@ -632,7 +627,7 @@ def test_a_recording_is_published_and_mirrored_for_the_other_hand(tmp_path: Path
         GloveSimulator("udp://x", recording=path).open()
 
 
-COMMAND = [sys.executable, "-m", "smooth_operator", "glove-simulator"]
+COMMAND = [sys.executable, str(Path(__file__).with_name("glove_simulator.py"))]
 
 
 def start_glove(path: Path, address: str, *more: str) -> tuple[subprocess.Popen[str], str]:
@@ -676,28 +671,3 @@ def test_a_glove_that_is_killed_and_restarted_is_another_session(short: Path) ->
     finally:
         first.kill()
         first.wait()
-
-
-def test_the_simulator_s_command_says_what_it_did(
-    short: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    arguments = ["glove-simulator", "--recording", str(short), "--rate", "200", "--side", "both"]
-    listen = ["--address", "tcp://127.0.0.1:*"]
-    assert main([*arguments, *listen, "--duration", "0.3"]) == 0
-    first, last = capsys.readouterr().out.splitlines()
-    assert first.startswith("publishing both hands at 200 Hz on tcp://127.0.0.1:")
-    assert last.startswith("sent 120 messages in ")  # 60 ticks, two hands
-    with Publisher() as taken:
-        assert main([*arguments, "--address", taken.address]) == 2
-    assert "is another one running?" in capsys.readouterr().err
-    assert main([*arguments, *listen, "--drop", "2"]) == 2
-    assert "drop must be 0 to 1" in capsys.readouterr().err
-
-
-@pytest.mark.skipif(os.name == "nt", reason="signals")
-def test_ctrl_c_ends_the_simulator(short: Path) -> None:
-    process, _ = start_glove(short, "tcp://127.0.0.1:*")
-    process.send_signal(signal.SIGINT)
-    output, _ = process.communicate(timeout=60.0)
-    assert process.returncode == 130
-    assert output.startswith("sent ")

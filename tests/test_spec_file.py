@@ -14,7 +14,7 @@ import tyro
 from PIL import Image
 from trees import pincer
 
-from smooth_operator.cli.hands_options import Hands
+from smooth_operator.cli.hands import Hands
 from smooth_operator.errors import ConfigError, HandModelError, OutputError, UnknownNameError
 from smooth_operator.hand_files.spec_writer import write_hand_spec
 from smooth_operator.hand_files.user_hands import save_hand

@@ -58,7 +58,7 @@ def test_a_hand_without_shapes_is_kept_clear_nearly_as_with_them(name: str, tmp_
     assert len(pairs.pairs) > 10
     assert (pairs.shapes == -1).all()
     q = np.random.default_rng(3).uniform(*real.limits.T, (600, len(real.limits)))
-    truth = penetration_depths(real, real.expand(q))
+    truth = penetration_depths(real, real.full_configuration(q))
     assert truth is not None
     ours = np.maximum(depths(pairs, ends_of(pairs, bare, q)).max(axis=-1), 0.0)
     deep, clear = truth > 0.008, truth == 0
@@ -129,7 +129,7 @@ def test_a_vendors_urdf_is_kept_clear_without_its_meshes(shared: Path) -> None:
     assert len(urdf.unreadable) == 4  # the fingertips
     pairs = capsule_pairs(urdf)
     q = np.random.default_rng(2).uniform(*urdf.limits.T, (300, len(urdf.limits)))
-    truth = penetration_depths(real, urdf.expand(q))
+    truth = penetration_depths(real, urdf.full_configuration(q))
     ours = depths(pairs, ends_of(pairs, urdf, q)).max(axis=-1)
     assert (ours[truth > 0.005] > 0.0).mean() > 0.9
 

@@ -17,7 +17,6 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-import postgres_server
 import pytest
 from fake_teleop import FakeSimulation, FakeTeleop
 from pictures import opencv_or_skip
@@ -36,18 +35,16 @@ from study_console import (
 
 from smooth_operator.cli import main
 from smooth_operator.errors import RemoteRefusedError, StudyError, UnknownNameError
-from smooth_operator.study.console import scene_trials
+from smooth_operator.study.console import switching
 from smooth_operator.study.console.access import ConsoleAuth, auth_for, qr_code
 from smooth_operator.study.console.commands import command_of
 from smooth_operator.study.console.session_service import SessionService, StoreFailedError
 from smooth_operator.study.console.session_teleop import HIDDEN
 from smooth_operator.study.design.plan import Plan
-from smooth_operator.study.design.plan_file import read_plan
-from smooth_operator.study.design.plan_folder import write_plan_files
+from smooth_operator.study.design.plan_file import read_plan, write_plan_files
 from smooth_operator.study.store.clock import Clock
 from smooth_operator.study.store.events import Noted, TrialScored
-from smooth_operator.study.store.opening import open_study
-from smooth_operator.study.store.study_store import StudyStore
+from smooth_operator.study.store.study_store import StudyStore, open_study
 
 pytest.importorskip("segno", reason="the extra study is not installed")
 
@@ -554,14 +551,9 @@ def test_the_pages_need_nothing_from_elsewhere() -> None:
 
 
 def full(store: StudyStore, pages: int) -> None:
-    """As a disk that has no room left, for every connection of this process."""
-    from sqlalchemy import event
-
-    def limit(connection: Any, *_: Any) -> None:
+    """As a disk that has no room left."""
+    with store._database.reading() as connection:
         connection.execute(f"PRAGMA max_page_count={pages}")
-
-    event.listen(store._engine, "connect", limit)
-    store._engine.dispose()
 
 
 def test_on_a_full_disk_nothing_is_acknowledged(store: StudyStore) -> None:
@@ -606,33 +598,6 @@ def test_pages_say_that_the_store_fails_and_come_back(store: StudyStore, tmp_pat
         tab.until(lambda s: not s["trouble"] and s["now"]["what"] == "start_block")
         tab.close()
     assert kinds(store) == ["calibrated"]
-
-
-def test_postgresql_in_the_place_of_the_file_and_gone(tmp_path: Path) -> None:
-    if (reason := postgres_server.missing()) is not None:
-        pytest.skip(reason)
-    folder = tmp_path / "study"
-    folder.mkdir()
-    write_plan_files(console_plan(), folder)
-    with postgres_server.server() as url:
-        console = ConsoleProcess(folder, "--operator", "P01", "--store", url)
-        console.start()
-        try:
-            tab = Tab(console.port)
-            tab.until(lambda s: s["now"]["what"] == "calibrate")
-            with open_study(url) as store:
-                calibrate = command(store.progress("P01"), "calibrated")
-                assert tab.ask(calibrate)["type"] == "done"
-                start = command(store.progress("P01"), "start_block")
-                assert kinds(store) == ["calibrated"]
-                assert not (folder / "study.db").exists()
-        except BaseException:
-            console.kill()
-            raise
-    answer = tab.ask(start)
-    assert (answer["type"], answer["again"]) == ("refused", True)
-    tab.until(lambda s: s["trouble"])
-    assert console.end() == 0
 
 
 # -- the server -------------------------------------------------------------------------------
@@ -860,7 +825,7 @@ def test_a_look_that_fails_takes_no_answer_with_it(store: StudyStore) -> None:
 def test_a_start_that_is_sent_again_and_again_can_be_cancelled(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(scene_trials, "CLEAR_WAIT_S", PATIENCE_S)
+    monkeypatch.setattr(switching, "CLEAR_WAIT_S", PATIENCE_S)
     teleop = FakeSimulation("card")
     with open_study(tmp_path / "waiting", console_plan()) as store:
         service = SessionService(store, operator="P01", teleop=teleop)

@@ -23,9 +23,9 @@ from study_console import (
 from smooth_operator.study.console.access import ConsoleAuth
 from smooth_operator.study.console.session_service import SessionService
 from smooth_operator.study.design.plan import Plan, make_plan
-from smooth_operator.study.design.plan_folder import write_plan_files
+from smooth_operator.study.design.plan_file import write_plan_files
 from smooth_operator.study.store.nasa_tlx import SCALE_NAMES
-from smooth_operator.study.store.opening import open_study
+from smooth_operator.study.store.study_store import open_study
 from smooth_operator.web.browser import leading_to
 
 pytest.importorskip("segno", reason="the extra study is not installed")

@@ -21,8 +21,7 @@ from smooth_operator.study.design.plan import make_plan
 from smooth_operator.study.design.protocol import RubricLine
 from smooth_operator.study.store.clock import Clock
 from smooth_operator.study.store.events import Chosen, Noted, Replaces, TrialScored, Withdrawn
-from smooth_operator.study.store.opening import open_study
-from smooth_operator.study.store.study_store import StudyStore
+from smooth_operator.study.store.study_store import StudyStore, open_study
 
 
 @pytest.fixture

@@ -12,9 +12,9 @@ from test_study_console import walk
 from test_study_console_browser import Pages, mark
 
 from smooth_operator.study.console.session_service import SessionService
-from smooth_operator.study.design.default_forms import DEFAULT_FORMS
+from smooth_operator.study.design.forms import DEFAULT_FORMS
 from smooth_operator.study.store.nasa_tlx import PAIRS, SCALE_NAMES
-from smooth_operator.study.store.opening import open_study
+from smooth_operator.study.store.study_store import open_study
 
 pytest.importorskip("segno", reason="the extra study is not installed")
 

@@ -15,17 +15,23 @@ import pytest
 from rich.console import Console
 
 from smooth_operator.cli import main
-from smooth_operator.cli.study_questions import ask_protocol
+from smooth_operator.cli.study_new import ask_protocol
 from smooth_operator.errors import SmoothOperatorError, StudyError, UnknownNameError
 from smooth_operator.methods.presets import live_presets
 from smooth_operator.simulation.tasks.rubrics import PAPER_TASKS
-from smooth_operator.study.design.default_forms import DEFAULT_FORMS
-from smooth_operator.study.design.enrolment import spread_of_rows
+from smooth_operator.study.design.forms import DEFAULT_FORMS
 from smooth_operator.study.design.latin import balance, balanced_rows
-from smooth_operator.study.design.plan import Plan, make_plan, scaled
+from smooth_operator.study.design.plan import (
+    Plan,
+    imbalances,
+    make_plan,
+    scaled,
+    schedule_csv,
+    schedule_text,
+    spread_of_rows,
+)
 from smooth_operator.study.design.plan_file import plan_of, plan_table, read_plan, write_plan
 from smooth_operator.study.design.protocol import Condition, Protocol, RubricLine, Task
-from smooth_operator.study.design.schedule import imbalances, schedule_csv, schedule_text
 
 PAPERS = ("sbr=sbr:paper", "dexpilot=dexpilot:published", "geort", "hybrid=hybrid:published")
 METHODS = ("sbr", "dexpilot", "geort", "hybrid")

@@ -16,8 +16,8 @@ from smooth_operator.cli import main
 from smooth_operator.cli.study_analyze import _with_metrics
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.study.console.session_service import SessionService
-from smooth_operator.study.design.plan_folder import write_plan_files
-from smooth_operator.study.store.opening import open_study
+from smooth_operator.study.design.plan_file import write_plan_files
+from smooth_operator.study.store.study_store import open_study
 from smooth_operator.teleop.sinks.record import RecordSink
 
 SECONDS = 1.0

@@ -14,12 +14,10 @@ from nested_cases import REFERENCE, ask_r, frame_of, nested_rows
 from study_cases import Row
 
 from smooth_operator.errors import StudyError
-from smooth_operator.study.analysis.clusters import mancl_derouen
 from smooth_operator.study.analysis.frame import make_frame
 from smooth_operator.study.analysis.learning import linear_slope
-from smooth_operator.study.analysis.linear_outcome import analyze_linear
-from smooth_operator.study.analysis.mixed import fit_mixed
-from smooth_operator.study.analysis.nested import fit_nested
+from smooth_operator.study.analysis.mixed import fit_mixed, mancl_derouen
+from smooth_operator.study.analysis.outcomes import analyze_linear
 
 CASES = nested_rows()
 EXPECTED = json.loads(REFERENCE.read_text(encoding="utf-8"))
@@ -85,7 +83,7 @@ def test_the_end_of_the_search_is_the_minimum() -> None:
     for name in ("own holes tlx pooled", "few time pooled"):
         frame = frame_of(CASES[name])
         design = frame.design()[0]
-        fit = fit_nested(design, frame.outcome, frame.levels)
+        fit = fit_mixed(design, frame.outcome, frame.levels)
         same = [(codes[:, None] == codes).astype(float) for codes in frame.levels.values()]
         rows, width = design.shape
 
@@ -108,36 +106,23 @@ def test_the_end_of_the_search_is_the_minimum() -> None:
             assert here <= other.fun + 1e-8
 
 
-def test_one_level_is_the_model_with_intercepts_alone() -> None:
-    frame = frame_of(CASES["own time pooled"])
-    design = frame.design()[0]
-    plain = fit_mixed(design, frame.outcome, frame.group)
-    fit = fit_nested(design, frame.outcome, {"operator": frame.group})
-    np.testing.assert_allclose(fit.beta, plain.beta, rtol=1e-8)
-    np.testing.assert_allclose(fit.covariance, plain.covariance, rtol=1e-7)
-    np.testing.assert_allclose(fit.intercepts, plain.intercepts, rtol=1e-6)
-    np.testing.assert_allclose(fit.residuals, plain.residuals, atol=1e-6)
-    contrast = np.eye(design.shape[1])[1]
-    assert fit.satterthwaite(contrast) == pytest.approx(plain.satterthwaite(contrast), rel=1e-6)
-
-
 def test_levels_that_can_not_be_told_apart_are_left_out() -> None:
     """One task for each operator: a block is an operator with one retargeter."""
     frame = frame_of(CASES["own time A"])
     levels = {**frame.levels, "block": frame.levels["operator:retargeter"]}
-    fit = fit_nested(frame.design()[0], frame.outcome, levels)
+    fit = fit_mixed(frame.design()[0], frame.outcome, levels)
     assert fit.levels == ("operator", "operator:retargeter")
     # One row for each: what is left over is the residual.
     alone = {**frame.levels, "rows": np.arange(len(frame))}
-    assert fit_nested(frame.design()[0], frame.outcome, alone).levels == fit.levels
+    assert fit_mixed(frame.design()[0], frame.outcome, alone).levels == fit.levels
 
 
 def test_operators_that_differ_hugely_change_nothing_within_them() -> None:
     frame = frame_of(CASES["own time A"])
     design = frame.design()[0]
-    near = fit_nested(design, frame.outcome, frame.levels)
-    far = fit_nested(design, frame.outcome + 1e4 * frame.group, frame.levels)
-    again = fit_nested(design, frame.outcome + 2e4 * frame.group, frame.levels)
+    near = fit_mixed(design, frame.outcome, frame.levels)
+    far = fit_mixed(design, frame.outcome + 1e4 * frame.group, frame.levels)
+    again = fit_mixed(design, frame.outcome + 2e4 * frame.group, frame.levels)
     assert far.variances["operator"] > 1e8
     np.testing.assert_allclose(far.beta[1:4], again.beta[1:4], rtol=1e-5)
     contrast = np.eye(design.shape[1])[1]
@@ -148,7 +133,7 @@ def test_blocks_without_any_residual_are_refused() -> None:
     frame = frame_of(CASES["own time A"])
     level = frame.levels["operator:retargeter"].astype(float)
     with pytest.raises(StudyError, match="without any residual"):
-        fit_nested(frame.design()[0], np.sin(level), frame.levels)
+        fit_mixed(frame.design()[0], np.sin(level), frame.levels)
 
 
 def test_what_suits_operators_is_said_with_its_size() -> None:
@@ -175,13 +160,13 @@ def test_what_suits_operators_is_said_with_its_size() -> None:
 def test_the_robust_covariance_is_what_whole_matrices_say() -> None:
     frame = frame_of(CASES["own time pooled"])
     design = frame.design()[0]
-    fit = fit_mixed(design, frame.outcome, frame.group)
+    fit = fit_mixed(design, frame.outcome, {"operator": frame.group})
     left = frame.outcome - design @ fit.beta
-    found = mancl_derouen(design, left, frame.group, fit.ratio)
+    found = mancl_derouen(design, left, frame.group, fit.ratios[0])
     bread, parts = np.zeros((design.shape[1],) * 2), []
     for k in range(len(frame.operators)):
         rows = frame.group == k
-        weight = np.linalg.inv(np.eye(rows.sum()) + fit.ratio)
+        weight = np.linalg.inv(np.eye(rows.sum()) + fit.ratios[0])
         parts.append((design[rows], weight, left[rows]))
         bread += design[rows].T @ weight @ design[rows]
     inverse = np.linalg.inv(bread)

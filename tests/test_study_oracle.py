@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import SHARED
 from nested_cases import intercepts_with_t
 
+from conftest import SHARED
 from smooth_operator.study.analysis import analyze_study
-from smooth_operator.study.analysis.outcome_frames import time_frame, tlx_frame
+from smooth_operator.study.analysis.frame import time_frame, tlx_frame
 from smooth_operator.study.analysis.results import plain
 from smooth_operator.study.data import StudyData, read_study
 from smooth_operator.study.data.rows import ITEMS

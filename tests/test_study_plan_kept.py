@@ -14,8 +14,13 @@ from smooth_operator.cli import main
 from smooth_operator.errors import SmoothOperatorError, StudyError
 from smooth_operator.study.data import read_study
 from smooth_operator.study.design.plan import make_plan
-from smooth_operator.study.design.plan_file import plan_of, plan_table, read_plan
-from smooth_operator.study.design.plan_folder import write_plan_files, write_preregistration
+from smooth_operator.study.design.plan_file import (
+    plan_of,
+    plan_table,
+    read_plan,
+    write_plan_files,
+    write_preregistration,
+)
 from smooth_operator.study.design.preregistration import preregistration
 from smooth_operator.study.design.protocol import Condition, Protocol, Task
 from smooth_operator.version import __version__
@@ -151,10 +156,9 @@ def test_the_preregistration_follows_the_plan_until_someone_begins(
 
 
 def test_study_run_writes_it_for_a_plan_changed_by_hand(tmp_path: Path) -> None:
-    pytest.importorskip("sqlalchemy")
     from smooth_operator.cli.study_run import _register
     from smooth_operator.study.store.events import Calibrated
-    from smooth_operator.study.store.opening import open_study
+    from smooth_operator.study.store.study_store import open_study
 
     plan = make_plan(protocol(forms=()))
     write_plan_files(plan, tmp_path)

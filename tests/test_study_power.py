@@ -14,19 +14,23 @@ from smooth_operator.cli import main
 from smooth_operator.errors import StudyError
 from smooth_operator.simulation.tasks.rubrics import PAPER_TASKS
 from smooth_operator.study.analysis.analyze import analyze_study
-from smooth_operator.study.analysis.readings.equivalence import equivalences
+from smooth_operator.study.analysis.readings import equivalences
 from smooth_operator.study.analysis.results import MODES
 from smooth_operator.study.data import Questionnaires, StudyData, Trials
 from smooth_operator.study.design.plan import make_plan
 from smooth_operator.study.design.protocol import POINTS, Condition, Protocol, Task
 from smooth_operator.study.power import power_run
-from smooth_operator.study.power.assumptions import Spread, assumptions_for
 from smooth_operator.study.power.power_report import power_json, write_power
 from smooth_operator.study.power.power_run import LOG, PowerSettings, run_power
-from smooth_operator.study.power.simulated_study import Simulated, Simulator
-from smooth_operator.study.power.study_rows import Layout, layout
-from smooth_operator.study.power.tally import count, rate
-from smooth_operator.study.power.verdicts import Analyst, Verdict
+from smooth_operator.study.power.simulated_study import (
+    Layout,
+    Simulated,
+    Simulator,
+    Spread,
+    assumptions_for,
+    layout,
+)
+from smooth_operator.study.power.verdicts import Analyst, Verdict, count, rate
 
 METHODS = ("sbr", "dexpilot", "geort", "hybrid")
 CONDITIONS = tuple(Condition(name) for name in METHODS)

@@ -7,7 +7,6 @@ import math
 import random
 import shutil
 import subprocess
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -16,23 +15,18 @@ from study_cases import simulate, write_rows
 from smooth_operator.study.analysis import analyze_study
 from smooth_operator.study.analysis.output import write_analysis
 from smooth_operator.study.data import read_study
-from smooth_operator.study.data.second_ratings import with_second_ratings
 
-PACKAGES = ("lme4", "lmerTest", "geepack", "emmeans", "mvtnorm", "survival", "ordinal")
+PACKAGES = ("lme4", "lmerTest", "geepack", "emmeans", "mvtnorm")
 KEYS = ("mode", "outcome", "scope", "retargeter", "pair", "name")
 ABSOLUTE = {"p": 1e-6, "p_raw": 1e-6, "p_holm": 1e-6, "p_dunnett": 1e-5}
 """Probabilities; all else is compared relative to its size, limits to the standard error."""
 RELATIVE = {"df": 1e-4, "lower": 1e-4, "upper": 1e-4}
 MORE = {
     "learning": ("scope", "index", "outcome"),
-    "spearman": ("metric", "outcome"),
     "readings": ("reading", "where", "term"),
 }
-"""Tables of ``readings.R``, and what names their rows."""
-READ = {
-    "full_success": 3, "ordinal": 3, "time_to_success": 7, "log_time": 2, "equivalence": 1,
-    "interaction": 1, "order": 4, "covariates": 5, "preference": 3, "second_rater": 3,
-}  # fmt: skip
+"""Further tables of the script, and what names their rows."""
+READ = {"full_success": 3, "equivalence": 1, "interaction": 1}
 """Readings that R has, and how many sorts of rows each has at least."""
 
 
@@ -70,31 +64,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ]  # fmt: skip
     write_rows(made / "trials.csv", trials)
     write_rows(made / "tlx.csv", case.tlx)
-    codes = sorted({str(row["operator"]) for row in case.trials})
-    write_rows(
-        made / "sim_metrics.csv",
-        [
-            {"operator": code, "retargeter": name, "cosine": draw.randrange(100) / 100,
-             "smoothness": draw.randrange(5)}
-            for code in codes for name in names
-        ],
-    )  # fmt: skip
-    second = [
-        {name: row[name] for name in ("operator", "task", "block", "trial_in_block")}
-        | {"score": row["score"] if draw.random() < 0.7 else draw.choice((0, 0.5, 1))}
-        for row in case.trials
-        if row["operator"] != "P00"
-    ]
-    data = with_second_ratings(read_study([made]), write_rows(made / "second.csv", second))
-    every = (*names, "=never")
-    ranking = {code: tuple(draw.sample(every, len(every))) for code in codes}
     out = made / "out"
     out.mkdir()
-    forms = {
-        who: {"years": draw.randrange(12), "glove": "S-"[i % 2], "name": f"N{i}"}
-        for i, who in enumerate(codes)
-    }
-    study = replace(data, ranking=ranking, forms=forms)
+    study = read_study([made])
     write_analysis(analyze_study(study, "sbr"), out, report=False)
     return out
 
@@ -147,15 +119,6 @@ def test_r_reads_the_rest_the_same(by_r: Path) -> None:
                     apart /= max(abs(float(mine)), 1e-3)
                 assert apart < 1e-4 if column in RELATIVE else apart < 1e-5, (name, key, column)
             assert compared, (name, key)
-    # R's intervals of bootstraps are of the same samples, so none of them is missing.
-    for (reading, _, term), found in rows(by_r / "R_readings.csv", MORE["readings"]).items():
-        if reading in ("time_to_success", "preference", "second_rater") and term:
-            assert all(found[end] for end in ("lower", "upper")), (reading, term)
-    for found in rows(by_r / "R_spearman.csv", MORE["spearman"]).values():
-        assert all(found[n] for n in ("ci_boot_operators_lcl", "within_ucl", "within_p_holm"))
-    asked = {where for reading, where, _ in rows(by_r / "R_readings.csv", MORE["readings"])
-             if reading == "covariates"}  # fmt: skip
-    assert {where.split("/")[0] for where in asked} == {"years", "glove"}
     sorts: dict[str, set[tuple[str, str]]] = {name: set() for name in READ}
     for reading, where, term in rows(by_r / "R_readings.csv", MORE["readings"]):
         sorts[reading].add((where.rpartition("/")[2], term if "/" not in where else ""))

@@ -11,80 +11,26 @@ from study_cases import Row, simulate, write_rows
 
 from smooth_operator.errors import StudyError
 from smooth_operator.study.analysis import Analysis, analyze_study
-from smooth_operator.study.analysis.frame import make_frame
-from smooth_operator.study.analysis.readings import reading_rows
-from smooth_operator.study.analysis.readings.clusters import clustered_wald, model_wald
-from smooth_operator.study.analysis.readings.covariates import usable_fields
-from smooth_operator.study.analysis.readings.cumulative_logit import fit_cumulative_logit
-from smooth_operator.study.analysis.readings.equivalence import equivalences
-from smooth_operator.study.analysis.readings.order_effects import OrderEffects, balance
-from smooth_operator.study.analysis.readings.parts import Refused
-from smooth_operator.study.analysis.readings.preference import Preference, preference
-from smooth_operator.study.analysis.readings.rater_agreement import Agreement, agreement
-from smooth_operator.study.analysis.readings.resampling import operator_weights
-from smooth_operator.study.analysis.readings.survival import (
+from smooth_operator.study.analysis.agreement import Agreement, Preference, agreement, preference
+from smooth_operator.study.analysis.readings import (
+    clustered_wald,
+    equivalences,
+    model_wald,
+    reading_rows,
+)
+from smooth_operator.study.analysis.resampling import operator_weights
+from smooth_operator.study.analysis.results import Pair, Refused, ScopeResult
+from smooth_operator.study.analysis.spearman import correlation_within
+from smooth_operator.study.analysis.time_to_success import (
     CENSORED,
     COMPETING,
     SUCCESS,
+    TimeToSuccess,
     incidence,
 )
-from smooth_operator.study.analysis.readings.time_to_success import TimeToSuccess
-from smooth_operator.study.analysis.results import Pair, ScopeResult
-from smooth_operator.study.analysis.spearman import correlation_within
 from smooth_operator.study.data import read_study
-from smooth_operator.study.data.participants import SecondRatings
-from smooth_operator.study.design.forms import Form, FormField
+from smooth_operator.study.data.rows import SecondRatings
 from smooth_operator.study.design.protocol import Condition, Protocol, Task
-
-# ordinal::clm of R 4.2.2 on simulate(5, operators=range(9), effect=0.6).
-CLM = (
-    -0.729436330769084, 0.507446021116941, 0.474247028082150, 0.861804695575139,
-    1.111666577090065, -0.458428353390803, -0.516206474223755, -0.101537921355185,
-)  # fmt: skip
-CLM_LOG_LIKELIHOOD = -567.060753135052
-
-
-@pytest.fixture(scope="module")
-def nine() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Design, level of the score, and operator of each trial."""
-    rows = simulate(5, operators=range(9), effect=0.6).trials
-    column = {name: np.array([row[name] for row in rows]) for name in rows[0]}
-    frame = make_frame(
-        column["score"].astype(float), column["retargeter"], column["task"], column["operator"],
-        column["trial_global"].astype(float), "dexpilot",
-    )  # fmt: skip
-    return frame.design()[0], np.unique(frame.outcome, return_inverse=True)[1], frame.group
-
-
-def test_the_ordinal_model_is_that_of_r(
-    nine: tuple[np.ndarray, np.ndarray, np.ndarray],
-) -> None:
-    design, level, group = nine
-    fit = fit_cumulative_logit(design[:, 1:], level, group)
-    np.testing.assert_allclose(fit.parameters, CLM, rtol=1e-9)
-    assert fit.log_likelihood == pytest.approx(CLM_LOG_LIKELIHOOD, rel=1e-12)
-
-
-def test_its_covariance_is_mancl_and_derouens_where_the_outcome_has_two_levels(
-    nine: tuple[np.ndarray, np.ndarray, np.ndarray],
-) -> None:
-    sm = pytest.importorskip("statsmodels.api")
-    design, level, group = nine
-    success = (level >= 1).astype(int)
-    fit = fit_cumulative_logit(design[:, 1:], success, group)
-    gee = sm.GEE(
-        success, design, groups=group, family=sm.families.Binomial(),
-        cov_struct=sm.cov_struct.Independence(),
-    ).fit(cov_type="bias_reduced", ddof_scale=0, ctol=1e-12)  # fmt: skip
-    np.testing.assert_allclose(fit.beta, gee.params[1:], rtol=1e-9)
-    np.testing.assert_allclose(np.diag(fit.covariance), np.diag(gee.cov_robust_bc), rtol=1e-9)
-
-
-def test_an_ordinal_model_with_infinite_odds_is_refused() -> None:
-    level = np.repeat([0, 1, 2, 2], 10)
-    design = (level == 2).astype(float)[:, None]
-    with pytest.raises(StudyError, match="separation"):
-        fit_cumulative_logit(design, level, np.arange(40) % 5)
 
 
 def slow_incidence(times: list[float], events: list[int], until: float) -> float:
@@ -222,16 +168,6 @@ def test_two_operators_who_disagree_prefer_nothing() -> None:
     assert (found.friedman, found.p, found.kendall_w) == (0, 1, 0)
 
 
-def test_the_realised_order_is_counted() -> None:
-    blocks = {
-        ("P1", "A", 1): "a", ("P1", "A", 2): "b", ("P2", "A", 1): "b", ("P2", "A", 2): "a",
-        ("P3", "A", 1): "a", ("P1", "B", 1): "b", ("P1", "B", 2): "a",
-    }  # fmt: skip
-    found = balance(blocks, ("a", "b"))
-    assert found.places == {"a": {"1": 2, "2": 2}, "b": {"1": 2, "2": 1}}
-    assert found.after == {"a": {"": 2, "a": 0, "b": 2}, "b": {"": 2, "a": 1, "b": 0}}
-
-
 @pytest.fixture(scope="module")
 def analysis(tmp_path_factory: pytest.TempPathFactory) -> Analysis:
     """A study with everything that a reading can use."""
@@ -265,7 +201,6 @@ def analysis(tmp_path_factory: pytest.TempPathFactory) -> Analysis:
         replace(
             data,
             plan=plan,
-            forms={who: {"years": i % 5, "glove": "SML"[i % 3]} for i, who in enumerate(names)},
             ranking=dict.fromkeys(names, ("sbr", "hybrid", "dexpilot")),
             second_ratings=seconds,
         )
@@ -310,27 +245,10 @@ def test_what_one_retargeter_leaves_is_refused_and_never_an_error() -> None:
     study = read_study([], texts=[("made up", json.dumps({"trials": rows}))])
     readings = analyze_study(study).readings
     assert isinstance(readings.interaction["success"], Refused)
-    assert isinstance(readings.order["success"], Refused)
-    assert isinstance(readings.ordinal["pooled"], Refused)
     assert readings.full_success["pooled"].separated["sbr"].rate == 0
     found = readings.time_to_success["pooled"]
     assert isinstance(found, TimeToSuccess)
     assert found.by_limit["sbr"].estimate == 0
-
-
-def test_only_what_was_asked_before_is_a_covariate() -> None:
-    answers = {
-        f"P{i}": {"years": i, "hand": "LR"[i % 2], "why": f"text {i}", "liked": i, "order": ["a"]}
-        for i in range(6)
-    }
-    assert usable_fields(answers) == ["years", "hand", "liked"]
-    before = Form("you", "before", (
-        FormField("years", "Years", kind="number"),
-        FormField("hand", "Hand", kind="choice", choices=("L", "R")),
-        FormField("why", "Why"),
-    ))  # fmt: skip
-    after = Form("end", "after", (FormField("liked", "Liked", kind="number"),))
-    assert usable_fields(answers, (before, after)) == ["years", "hand"]
 
 
 def test_a_whole_study_has_every_reading(analysis: Analysis) -> None:
@@ -353,21 +271,12 @@ def test_a_whole_study_has_every_reading(analysis: Analysis) -> None:
         assert one["lower"] < one["estimate"] < one["upper"]
     assert content["equivalence"]["success"]["A"]["sbr-dexpilot"]["margin"] == 0.15
     assert content["equivalence"]["time"]["A"]["sbr-dexpilot"]["margin"] is None
-    assert set(content["covariates"]) == {"years", "glove"}
-    assert content["covariates"]["glove"]["time"]["test"]["df1"] == 2
-    assert content["covariates"]["years"]["tlx"]["slope"]["df"] < 12
     assert content["second_rater"]["n"] == len(analysis.data.trials.score[::3])
     assert content["preference"]["mean_rank"]["sbr"]["estimate"] == 1
 
 
 def test_readings_agree_with_the_models_where_they_are_the_same(analysis: Analysis) -> None:
-    readings, small = analysis.readings, analysis.results["small-sample"]
-    for outcome in ("success", "time", "tlx"):
-        order = readings.order[outcome]
-        assert isinstance(order, OrderEffects)
-        for name, test in small[outcome]["pooled"].dunnett.items():
-            assert order.without[name].estimate == pytest.approx(test.difference, rel=1e-6)
-            assert order.without[name].se == pytest.approx(test.se, rel=1e-5)
+    readings = analysis.readings
     trials = analysis.data.trials
     rows = (trials.task == "A") & (trials.retargeter == "sbr")
     followed = np.where(trials.success[rows], trials.time[rows], 60.0)

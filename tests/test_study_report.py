@@ -18,7 +18,7 @@ from smooth_operator.cli import main
 from smooth_operator.study.analysis import analyze_study
 from smooth_operator.study.analysis.citations import CITATIONS
 from smooth_operator.study.analysis.report.conclusion import conclusion
-from smooth_operator.study.analysis.report.number_text import number, p_said, signed, with_minus
+from smooth_operator.study.analysis.report.tables import number, p_said, signed, with_minus
 from smooth_operator.study.data import read_study
 from smooth_operator.study.design.protocol import Condition, Protocol, Task
 
@@ -300,10 +300,9 @@ def test_bad_data_write_nothing_and_give_status_2(
 def test_a_study_that_was_run_is_analysed_from_its_store(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    pytest.importorskip("sqlalchemy")
     from study_writers import due, small_plan
 
-    from smooth_operator.study.store.opening import open_study
+    from smooth_operator.study.store.study_store import open_study
 
     with open_study(tmp_path / "study", small_plan(3)) as store:
         for seed, operator in enumerate(store.plan.codes):

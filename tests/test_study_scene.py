@@ -22,8 +22,7 @@ from smooth_operator.study.design.plan import Plan, make_plan
 from smooth_operator.study.design.plan_file import read_plan
 from smooth_operator.study.design.protocol import RubricLine
 from smooth_operator.study.store.events import Noted
-from smooth_operator.study.store.opening import open_study
-from smooth_operator.study.store.study_store import StudyStore
+from smooth_operator.study.store.study_store import StudyStore, open_study
 
 
 def two_tasks(**changes: Any) -> Plan:

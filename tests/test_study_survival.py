@@ -18,8 +18,14 @@ import numpy as np
 import pytest
 from study_cases import Row, write_rows
 
-from smooth_operator.study.analysis.readings.survival import CENSORED, COMPETING, SUCCESS, incidence
-from smooth_operator.study.analysis.readings.time_to_success import TimeToSuccess, time_to_success
+from smooth_operator.study.analysis.time_to_success import (
+    CENSORED,
+    COMPETING,
+    SUCCESS,
+    TimeToSuccess,
+    incidence,
+    time_to_success,
+)
 from smooth_operator.study.data import read_study
 
 SCRIPT = Path(__file__).with_name("study_survival.R")

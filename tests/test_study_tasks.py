@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -38,10 +35,10 @@ from smooth_operator.simulation.tasks import (
     task_named,
     write_trial,
 )
-from smooth_operator.simulation.tasks.demonstration import load_demonstration, play
 from smooth_operator.teleop.sinks.registry import build_sink
 from smooth_operator.teleop.sinks.simulation import Simulation
 from smooth_operator.types import Side
+from smooth_operator_research.demonstrations.demonstration import load_demonstration, play
 
 STEP = 0.02  # between two moments of a scripted path [s]
 INTO = 3e-5  # how far an object that lies on something is in it, or it would not touch [m]
@@ -756,25 +753,6 @@ def test_a_trial_with_the_keys_of_teleop(
     nothing = TaskTrials(sinks, ("right",), Progressing(False))
     nothing.begin()
     assert (nothing.keys, nothing.summary(), nothing.key_help) == ({}, {}, "")
-
-
-def test_film_strips_are_drawn_or_say_why_not(tmp_path: Path) -> None:
-    """In a process of its own: MuJoCo picks its OpenGL once."""
-    code = (
-        "from smooth_operator.simulation.tasks.pictures import film_strip as f\n"
-        "from smooth_operator.simulation.tasks.demonstration import load_demonstration as d\n"
-        "from smooth_operator.errors import ConfigError\n"
-        "try:\n    s = f(d('cube'), (0.02, 1.5), (150, -35), (80, 60))\n"
-        "except ConfigError as e:\n    print('no', e)\n"
-        "else:\n    print(s.shape, abs(s[:, :80].astype(int) - s[:, 80:]).mean() > 2)\n"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True,
-        env={**os.environ, "MUJOCO_GL": "egl"},
-    )  # fmt: skip
-    assert done.stdout.startswith(
-        ("(60, 160, 3) True", "no this machine can't draw with OpenGL")
-    ), done.stdout
 
 
 def wait(met: Callable[[], bool]) -> None:

@@ -17,9 +17,9 @@ from smooth_operator.cli import main
 from smooth_operator.errors import StudyError
 from smooth_operator.study.data import ITEMS, read_study
 from smooth_operator.study.data.checked_tables import WEIGHT_COLUMNS
-from smooth_operator.study.data.workload_scores import with_workload
+from smooth_operator.study.data.reading import with_workload
 from smooth_operator.study.store.export import export_study
-from smooth_operator.study.store.opening import open_study
+from smooth_operator.study.store.study_store import open_study
 
 RATINGS = dict(zip(ITEMS, (80, 10, 60, 30, 70, 20), strict=True))
 WEIGHTS = dict(zip(WEIGHT_COLUMNS, (5, 0, 4, 1, 3, 2), strict=True))

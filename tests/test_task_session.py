@@ -19,7 +19,7 @@ from smooth_operator.simulation.tasks.task_session import CLEAR_S
 from smooth_operator.simulation.tasks.trial_runner import TrialRunner
 from smooth_operator.teleop.control.reporter import LoggingReporter
 from smooth_operator.teleop.control.task_trials import TaskTrials
-from smooth_operator.teleop.pages.live import trial_texts
+from smooth_operator.teleop.pages.live import live_texts
 
 
 class Stepped:
@@ -150,11 +150,11 @@ def test_in_free_movement_nothing_can_be_touched(simulation: Stepped) -> None:
 def test_the_operator_sees_task_number_clock_and_go_and_no_score(simulation: Stepped) -> None:
     trials = TaskTrials((), ("right",), LoggingReporter())
     assert trials.shown() is None
-    assert trial_texts.trial(None) == ""
+    assert live_texts.trial(None) == ""
     trials.runner = TrialRunner(simulation, ("right",))  # type: ignore[arg-type]
 
     def shown() -> str:
-        return re.sub("<[^>]+>", " ", trial_texts.trial(trials.shown()))
+        return re.sub("<[^>]+>", " ", live_texts.trial(trials.shown()))
 
     trials.runner.change("cube", with_object=False)
     simulation.run(0.1)

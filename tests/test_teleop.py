@@ -299,7 +299,7 @@ def test_switches_work_from_another_program(
     retargeters: dict[Side, Retargeter], frames: list[HandFrame]
 ) -> None:
     zmq = pytest.importorskip("zmq")
-    from smooth_operator.teleop.runtime.remote import remote
+    from smooth_operator.teleop.runtime.rpc_server import remote
 
     sink = Keeper()
     loop = looped(retargeters, Player(frames * 2), sink)
@@ -521,7 +521,7 @@ def test_a_missing_extra_is_found_before_anything_slow(
 def test_ctrl_c_ends_a_run_in_good_order(tmp_path: Any) -> None:
     log = tmp_path / "take.mcap"
     command = [sys.executable, "-m", "smooth_operator", "teleop", "--no-view", "--json"]
-    command += ["--method", "joint_angle", "--sink", f"record:{log}"]
+    command += ["--method", "joint_angle", "--methods", "joint_angle", "--sink", f"record:{log}"]
     process = subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env={**os.environ}
     )

@@ -8,6 +8,7 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,10 +16,13 @@ from typing import Any
 
 import pytest
 
+from smooth_operator import Retargeter
 from smooth_operator.errors import ConfigError, SinkError, UnknownNameError
 from smooth_operator.hand_files.spec_writer import temporary_spec
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.teleop import Sink, TeleopLoop, Tick, read_log, teleoperate
+from smooth_operator.teleop.runtime.pipeline import COMPILED, COMPILING
+from smooth_operator.teleop.sinks.tick import Mode
 from smooth_operator.teleop.sources.registry import build_source
 
 METHOD = {"method": "joint_angle"}
@@ -107,14 +111,40 @@ def test_another_thread_may_run_and_end_it() -> None:
     def quit_soon(loop: TeleopLoop) -> None:
         threading.Timer(0.2, loop.controls.quit).start()
 
-    thread = threading.Thread(
-        target=lambda: summaries.append(teleoperate(started=quit_soon, **METHOD))
-    )
+    options: dict[str, Any] = {"started": quit_soon, "methods": ["joint_angle"], **METHOD}
+    thread = threading.Thread(target=lambda: summaries.append(teleoperate(**options)))
     thread.start()
     thread.join(120)
     assert summaries[0]["frames_answered"] > 0
     assert not summaries[0]["interrupted"]
     assert [signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM)] == handlers
+
+
+def test_the_robot_holds_until_the_method_is_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
+    kept, go, warm_up = Kept(), threading.Event(), Retargeter.warm_up
+
+    def slow(retargeter: Retargeter) -> float:
+        assert go.wait(60)
+        return warm_up(retargeter)
+
+    def watch(loop: TeleopLoop) -> None:
+        while len(kept.ticks) < 30:
+            time.sleep(0.01)
+        go.set()
+        while kept.ticks[-1].status is None:
+            time.sleep(0.01)
+        loop.controls.quit()
+
+    def start(loop: TeleopLoop) -> None:
+        threading.Thread(target=watch, args=(loop,)).start()
+
+    monkeypatch.setattr(Retargeter, "warm_up", slow)
+    monkeypatch.setattr(Retargeter, "compiled", property(lambda _: go.is_set()))
+    teleoperate("synthetic", [kept], started=start, **METHOD)  # type: ignore[arg-type]
+    assert kept.ticks[0].events == (COMPILING,)
+    assert {(tick.mode, tick.status) for tick in kept.ticks[:30]} == {(Mode.WAITING, None)}
+    assert any(COMPILED in tick.events for tick in kept.ticks[30:])
+    assert kept.ticks[-1].status is not None
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="sends a POSIX signal")

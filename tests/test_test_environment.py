@@ -9,11 +9,12 @@ import sys
 from pathlib import Path
 
 import pytest
-from conftest import LONG_FILES
 
+from conftest import LONG_FILES
 from smooth_operator.hands.registry import hand_names
 
 TESTS = Path(__file__).parent
+CONFTEST = TESTS.parent / "conftest.py"
 PROBE = """
 import os, signal, sys
 sys.path.insert(0, sys.argv[1])
@@ -40,7 +41,7 @@ def probe(folder: Path, ignore_interrupt: bool) -> list[str]:
             signal.signal(number, signal.SIG_IGN)  # a child inherits it, as under nohup
     try:
         done = subprocess.run(
-            [sys.executable, "-c", PROBE, str(TESTS)],
+            [sys.executable, "-c", PROBE, str(TESTS.parent)],
             env=outside | homes | switch,
             capture_output=True,
             text=True,
@@ -65,7 +66,7 @@ def test_ctrl_c_is_heard_where_the_run_was_started_with_it_ignored(tmp_path: Pat
 def test_long_files_run_first(tmp_path: Path) -> None:
     """Under pytest-xdist, which has an order of its own."""
     assert [name for name in LONG_FILES if not (TESTS / name).is_file()] == []
-    (tmp_path / "conftest.py").write_text((TESTS / "conftest.py").read_text(encoding="utf-8"))
+    (tmp_path / "conftest.py").write_text(CONFTEST.read_text(encoding="utf-8"))
     for number, name in enumerate([*LONG_FILES, "test_a.py", "test_b.py"], 1):
         tests = (f"def test_{i}(): pass\n" for i in range(number))
         (tmp_path / name).write_text("".join(tests))

@@ -15,7 +15,6 @@ from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError, OutputError, UnknownNameError
 from smooth_operator.formats.preset_file import PresetFile, read_preset_file
 from smooth_operator.formats.setting_paths import (
-    RENAMED,
     find_setting,
     numeric_settings,
     with_settings,
@@ -24,9 +23,9 @@ from smooth_operator.lab.benchmark.recordings import Source, load_sources, parse
 from smooth_operator.lab.tuning import Tuned, TuningSettings, plan_tuning, tune
 from smooth_operator.lab.tuning.held_out import check_held_out
 from smooth_operator.lab.tuning.pareto import front
-from smooth_operator.lab.tuning.preset_writer import write_preset_file
 from smooth_operator.lab.tuning.score import Bound, Scoring
 from smooth_operator.lab.tuning.traced import TracedRun
+from smooth_operator.lab.tuning.tune import write_preset_file
 from smooth_operator.lab.tuning.variables import parse_variable
 from smooth_operator.methods.presets import PRESETS, SBR_REALTIME, method_config
 from smooth_operator.methods.retargeter import Retargeter
@@ -70,27 +69,6 @@ def test_settings_are_replaced_and_checked():
     with pytest.raises(ConfigError, match="weights"):
         with_settings(SBR_REALTIME, {"objective.pose_weight": -1.0})
     assert "future.acceleration_weight" in numeric_settings(PRESETS["sbr"]["offline"])
-
-
-def test_settings_are_known_by_their_former_names():
-    smooth = PRESETS["smooth"]["teleop"]
-    assert find_setting(smooth, "polar.knee") == find_setting(smooth, "knee")
-    assert find_setting(smooth, "clearance.weight") == "self_collision.weight"
-    now = numeric_settings(smooth)
-    offline = PRESETS["smooth"]["offline"]
-    of_offline = {"leap": "jump"}
-    renamed = {old: new for old, new in RENAMED.items() if old not in of_offline}
-    assert renamed | of_offline == RENAMED
-    assert set(renamed.values()) <= set(now)
-    assert set(of_offline.values()) <= set(numeric_settings(offline))
-    assert not set(RENAMED) & (set(now) | set(numeric_settings(offline)))
-    changed = with_settings(smooth, dict.fromkeys(renamed, 0.25))
-    assert numeric_settings(changed) == now | dict.fromkeys(renamed.values(), 0.25)
-    inner = next(path for path in numeric_settings(offline) if path.endswith("collision.weight"))
-    old = inner.replace("self_collision", "clearance")
-    assert numeric_settings(with_settings(offline, {old: 3.0}))[inner] == 3.0
-    with pytest.raises(UnknownNameError, match=r"clearance\.weight"):
-        with_settings(SBR_REALTIME, {"clearance.weight": 1.0})
 
 
 @dataclass(frozen=True)

@@ -33,9 +33,16 @@ from smooth_operator.teleop.sources.live import Arrival, Mailbox
 from smooth_operator.teleop.sources.registry import build_source
 from smooth_operator.teleop.sources.webxr import WebXr, server
 from smooth_operator.teleop.sources.webxr.certificate import SWITCH, VALID, get_certificate
-from smooth_operator.teleop.sources.webxr.link import LinkState
-from smooth_operator.teleop.sources.webxr.packet import HEADER, MAX_BYTES, read_packet
-from smooth_operator.teleop.sources.webxr.pairing import IN_ALL, PER_ADDRESS, WINDOW, Pairing
+from smooth_operator.teleop.sources.webxr.link import (
+    HEADER,
+    IN_ALL,
+    MAX_BYTES,
+    PER_ADDRESS,
+    WINDOW,
+    LinkState,
+    Pairing,
+    read_packet,
+)
 from smooth_operator.teleop.sources.webxr.source import describe
 from smooth_operator.types import Side
 from smooth_operator.web import addresses

@@ -18,7 +18,6 @@ from smooth_operator.episode_files.npz import read_npz_episode, write_npz_episod
 from smooth_operator.formats.episode import Episode
 from smooth_operator.formats.wrist_track import WristTrack
 from smooth_operator.human.palm_axes import FLAT_HAND
-from smooth_operator.lab.paper.degraded_recordings import led
 from smooth_operator.landmarks import FROM_OPENXR_26
 from smooth_operator.synthetic import SyntheticOperator, WristMotion
 from smooth_operator.teleop.recording.convert import read_episode
@@ -28,12 +27,13 @@ from smooth_operator.teleop.sinks.record import RecordSink
 from smooth_operator.teleop.sinks.tick import WristCommand
 from smooth_operator.teleop.sinks.zmq_sink import command_message, encode
 from smooth_operator.teleop.sources.live import Arrival, Mailbox
-from smooth_operator.teleop.sources.manus.manus_message import read_manus, write_manus
+from smooth_operator.teleop.sources.manus_gloves import read_manus, write_manus
 from smooth_operator.teleop.sources.payload import read_payload
 from smooth_operator.teleop.sources.replay import Replay
 from smooth_operator.teleop.sources.synthetic_live import SyntheticSource
-from smooth_operator.teleop.sources.webxr.packet import HEADER, read_packet
+from smooth_operator.teleop.sources.webxr.link import HEADER, read_packet
 from smooth_operator.types import CommandTrajectory, HandFrame, HandRecording
+from smooth_operator_research.paper.follow import led
 
 POSE = [0.3, -0.2, 1.1, 0.6, 0.0, 0.8, 0.0]
 

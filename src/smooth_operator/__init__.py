@@ -7,8 +7,6 @@ result.command.positions        # (20,) in radians
 The public names are listed in ``__init__.pyi``, here and in each public subpackage.
 """
 
-from smooth_operator import moved_names
 from smooth_operator.lazy_names import public_names
 
 __getattr__, __dir__, __all__ = public_names(__name__, __file__)
-moved_names.install()

@@ -140,9 +140,9 @@ class UnknownNameError(SmoothOperatorError, KeyError):
 
     def __init__(self, kind: str, name: str, available: Iterable[str], more: str = "") -> None:
         name = name if len(name) <= 80 else f"{name[:77]}..."  # of a file, perhaps a damaged one
-        known = sorted(available)
-        hint = did_you_mean(name, known)
-        self.message = f"unknown {kind} {name!r}.{hint} Available: {', '.join(known) or 'none'}."
+        names = sorted(available)
+        hint = did_you_mean(name, names)
+        self.message = f"unknown {kind} {name!r}.{hint} Available: {', '.join(names) or 'none'}."
         self.message += f" {more}" if more else ""
         super().__init__(self.message)
 
@@ -150,9 +150,9 @@ class UnknownNameError(SmoothOperatorError, KeyError):
         return printable(self.message)
 
 
-def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """`` Did you mean 'sbr'?``, for a message; empty where no known name is close."""
-    bare = {one.lstrip("-"): one for one in known}  # the dashes of options are like any others
+def did_you_mean(name: str, names: Iterable[str]) -> str:
+    """`` Did you mean 'sbr'?``, for a message; empty if no name is close."""
+    bare = {one.lstrip("-"): one for one in names}  # the dashes of options are like any others
     close = get_close_matches(name.lstrip("-"), bare, n=1)
     return f" Did you mean {bare[close[0]]!r}?" if close else ""
 
@@ -167,7 +167,7 @@ def brief(value: object, most: int = _SHOWN) -> str:
 
 
 def reason(error: object, most: int = 2 * _SHOWN) -> str:
-    """What another library's error says, in one line, cut where it quotes too much of a file."""
+    """Text of another library's error on one line, cut to ``most`` characters."""
     text = " ".join(str(error).split())
     return text if len(text) <= most else f"{text[: most - 3]}..."
 

@@ -10,8 +10,6 @@ import os
 import sys
 from importlib import import_module
 
-from smooth_operator.moved_names import former_names
-
 TYPE_CHECKING = False  # as typing's, which takes longer to import than all of this package
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -25,7 +23,7 @@ _WINGS: Final = ("teleop", "lab", "study")
 def public_names(
     package: str, file: str
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
-    """What a package needs to offer the names of its stub.
+    """``__getattr__``, ``__dir__`` and ``__all__`` of a package, from the names in its stub.
 
     Args:
         package: its ``__name__``.
@@ -37,11 +35,10 @@ def public_names(
     """
     homes = stub_imports(os.path.splitext(file)[0] + ".pyi")
     public = sorted(name for name, home in homes.items() if home != package)
-    former = former_names(package)
 
     def load(name: str) -> Any:
         if name not in homes:
-            return former(name)
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
         if homes[name] == package:
             return import_module(f"{package}.{name}")  # the import system keeps it as an attribute
         try:

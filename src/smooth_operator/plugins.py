@@ -22,7 +22,7 @@ from smooth_operator.terminal import print_note
 _Part = TypeVar("_Part")
 
 PREFIX: Final = "smooth_operator."
-"""What the entry point groups of plugins begin with."""
+"""Prefix of the entry point groups of plugins."""
 
 _TARGET: Final = re.compile(r"(?P<module>[^\W\d]\w*(\.[^\W\d]\w*)*):(?P<attribute>[^\W\d][\w.]*)")
 
@@ -32,9 +32,9 @@ class Entry:
     """One named part.
 
     Attributes:
-        target: where it is: ``package.module:attribute``.
+        target: place of the object, ``package.module:attribute``.
         summary: one line for ``--help``.
-        distribution: the installed distribution that offers it; empty for a built-in part.
+        distribution: installed distribution that offers it; empty for a built-in part.
     """
 
     target: str
@@ -53,7 +53,7 @@ class Entry:
         if not (sign and module and attribute):
             raise ConfigError(f"{where} must be package.module:attribute")
         try:
-            found: Any = importlib.import_module(module)
+            part: Any = importlib.import_module(module)
         except SmoothOperatorError:
             raise
         except ModuleNotFoundError as error:
@@ -65,26 +65,26 @@ class Entry:
             ) from error
         except Exception as error:  # of foreign code: anything
             raise _broken(where, error) from error
-        for part in attribute.split("."):
-            if not hasattr(found, part):
+        for name in attribute.split("."):
+            if not hasattr(part, name):
                 raise ConfigError(f"{where}: module {module} has no {attribute!r}")
-            found = getattr(found, part)
-        return found
+            part = getattr(part, name)
+        return part
 
 
 def _broken(where: str, error: Exception) -> ConfigError:
-    said = " ".join(str(error).split())
-    return ConfigError(f"{where} can't be imported: {type(error).__name__}: {said}")
+    text = " ".join(str(error).split())
+    return ConfigError(f"{where} can't be imported: {type(error).__name__}: {text}")
 
 
 @functools.cache
 def _installed(group: str) -> dict[str, Entry]:
-    """What installed distributions offer: name -> part. Read once in a process."""
-    found: dict[str, Entry] = {}
+    """Parts that installed distributions offer, by name. Read once in a process."""
+    parts: dict[str, Entry] = {}
     for point in entry_points(group=group):
         owner = point.dist.name if point.dist is not None else "an installed distribution"
-        found.setdefault(point.name, Entry(point.value, f"from {owner}", owner))
-    return found
+        parts.setdefault(point.name, Entry(point.value, f"from {owner}", owner))
+    return parts
 
 
 @functools.cache
@@ -98,10 +98,10 @@ class Registry(Mapping[str, Entry]):
     A built-in name can't be taken over by a plugin.
 
     Args:
-        kind: what a part is, in one word, for messages: ``sink``.
+        kind: kind of part in one word, for messages: ``sink``.
         built_in: name -> part.
         needs: names of the attributes that every part has.
-        advice: how to come by them, for the message where one is absent.
+        advice: remedy for a missing attribute, for the message.
     """
 
     def __init__(
@@ -133,8 +133,8 @@ class Registry(Mapping[str, Entry]):
         Raises:
             ConfigError: a built-in part has the name, or an installed one that is another.
         """
-        taken = self.get(name)
-        if taken is not None and taken.target != entry.target:
+        present = self.get(name)
+        if present is not None and present.target != entry.target:
             raise ConfigError(f"{entry.target}: there is a {self.kind} {name!r} already; rename it")
         self._added[name] = entry
 
@@ -201,15 +201,15 @@ class Registry(Mapping[str, Entry]):
         Args:
             load: gives the object of a name; ``Registry.load`` if left out.
         """
-        found: dict[str, _Part] = {}
+        parts: dict[str, _Part] = {}
         for name in self:
             try:
-                found[name] = (load or self.load)(name)
+                parts[name] = (load or self.load)(name)
             except SmoothOperatorError as error:
                 if name in self.built_in:
                     raise
                 _note_once(f"{self.kind} {name!r} is left out: {error}")
-        return found
+        return parts
 
     def check(self, name: str, part: object) -> None:
         """Refuses an object that lacks what a part of this kind needs.
@@ -231,12 +231,12 @@ class Registry(Mapping[str, Entry]):
 
 
 def is_target(text: str) -> bool:
-    """Whether a text is ``package.module:attribute``; a module without a dot must exist.
+    """True for ``package.module:attribute``; a module without a dot must exist.
 
     So a misspelt name with an argument (``repaly:glove.npz``) is not taken for a module.
     """
-    found = _TARGET.fullmatch(text)
-    if found is None:
+    match = _TARGET.fullmatch(text)
+    if match is None:
         return False
-    module = found["module"]
+    module = match["module"]
     return "." in module or importlib.util.find_spec(module) is not None

@@ -23,7 +23,7 @@ def check_frame_rate(rate: float | None) -> None:
 
 
 def is_off(setting: object) -> bool:
-    """Whether a setting is a plain zero; one that is traced is not."""
+    """True for a plain zero; False for a value that JAX traces."""
     return isinstance(setting, int | float) and setting == 0
 
 

@@ -243,7 +243,6 @@ class Result:
         latency_ms: time from landmarks to command [ms].
         tracking_loss: weighted keyvector loss of the command, first term of Eq. (1).
         scale: robot size over human size in this frame's alignment.
-        provisional: whether it is not the method's own command yet (``Retargeter(early=True)``).
     """
 
     command: JointCommand
@@ -251,12 +250,10 @@ class Result:
     latency_ms: float
     tracking_loss: float
     scale: float
-    provisional: bool = False
 
     def __repr__(self) -> str:
-        what = f"{self.status}, provisional" if self.provisional else self.status
         return (
-            f"<Result: {what}, latency {self.latency_ms:.3g} ms, tracking loss "
+            f"<Result: {self.status}, latency {self.latency_ms:.3g} ms, tracking loss "
             f"{self.tracking_loss:.3g}, scale {self.scale:.3g}, {self.command!r}>"
         )
 

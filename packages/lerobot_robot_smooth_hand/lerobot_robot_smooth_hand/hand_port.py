@@ -16,9 +16,8 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.teleop.hardware.hardware_sink import HardwareSink
 from smooth_operator.teleop.runtime.limiter import Limiter
 from smooth_operator.teleop.runtime.settings import LimitsConfig
-from smooth_operator.teleop.sinks.hand_state import HandState
 from smooth_operator.teleop.sinks.sink import Sink
-from smooth_operator.teleop.sinks.tick import ArmCommand, Mode, Tick, WristCommand
+from smooth_operator.teleop.sinks.tick import ArmCommand, HandState, Mode, Tick, WristCommand
 from smooth_operator.types import JointCommand
 
 if TYPE_CHECKING:  # which needs the extra arm

@@ -22,7 +22,7 @@ from smooth_operator.teleop.sinks.sink import Sink
 from smooth_operator.types import Side, as_side
 
 if TYPE_CHECKING:  # which needs the extra arm
-    from smooth_operator.teleop.arm.rig import ArmOfHand
+    from smooth_operator.teleop.arm.controller import ArmOfHand
 
 
 class SmoothHand(Robot):
@@ -188,7 +188,7 @@ def _hand_ports(config: SmoothHandConfig, arms: dict[Side, ArmOfHand]) -> list[H
     hands = {as_side(side): load_hand(config.hand, side) for side in sides}
     if config.arm:
         require("an arm", "arm", "mink", "daqp")
-        from smooth_operator.teleop.arm.rig import build_arms
+        from smooth_operator.teleop.arm.controller import build_arms
 
         arms.update(build_arms(read_arm(config.arm), hands))
     ports = []

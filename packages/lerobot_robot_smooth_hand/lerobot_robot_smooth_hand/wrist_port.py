@@ -10,7 +10,7 @@ import numpy as np
 from lerobot.utils.errors import DeviceNotConnectedError
 
 from smooth_operator import poses
-from smooth_operator.teleop.runtime.pose_limiter import PoseLimiter
+from smooth_operator.teleop.runtime.limiter import PoseLimiter
 from smooth_operator.teleop.runtime.settings import WristConfig
 from smooth_operator.teleop.sinks.sink import Sink
 from smooth_operator.teleop.sinks.tick import ArmCommand, WristCommand

@@ -108,10 +108,10 @@ class InProcess:
         self._newest, self._loop = newest, None
         self.error: Exception | None = None
         self._ending = threading.Event()
-        # what is recorded are the method's commands, not those of a first stage
-        options: dict[str, Any] = {"hand": hand, "side": side, "early": False}
+        options: dict[str, Any] = {"hand": hand, "side": side}
         if method:
             options["method"] = method
+        options["methods"] = [method or "smooth"]  # compiled before the first action
 
         def started(loop: Any) -> None:
             self._loop = loop

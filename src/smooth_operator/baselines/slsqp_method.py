@@ -25,7 +25,7 @@ from smooth_operator.baselines.joint_angle import JointAngleMap
 from smooth_operator.baselines.published_angles import PublishedAngles
 from smooth_operator.baselines.scipy_slsqp import ScipySlsqpConfig, scipy_slsqp_minimise
 from smooth_operator.baselines.slsqp import SlsqpConfig, ValueAndGradient, slsqp_minimise
-from smooth_operator.compilation.frame_jit import compiled
+from smooth_operator.compilation.compiled_program import compiled
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import AlignmentConfig
@@ -145,31 +145,32 @@ class SlsqpMethod(HostMethod):
         return tuple(sorted({*self.objective.layout.landmarks, *angles}))
 
     @cached_property
-    def evaluate(self) -> Callable[[np.ndarray, FrameGoal], Float[Array, " 1+m"]]:
-        """(m,) joint positions and a goal to value and gradient, as one array: one transfer.
+    def evaluate(self) -> Callable[[Float[np.ndarray, " n"]], Float[Array, " 1+m"]]:
+        """A ``packed`` point and goal to value and gradient: one array in and one out, since each
+        costs 2 to 5 us a call.
 
         Through the unrolled kinematics: it takes 2 s longer to compile than the small program of
         ``Objective.value_grad_hess``, and a third of its time to run.
         """
+        count, joints = len(self.objective.layout.vectors), len(self.hand.neutral)
+        ends = np.cumsum([joints, 3 * count, count, joints])
 
-        def both(q: Array, goal: FrameGoal) -> Array:
+        def both(point: Array) -> Array:
+            q, vectors, weights, previous, velocity = jnp.split(point, ends)
+            goal = FrameGoal(vectors.reshape(count, 3), weights, previous, velocity[0])
             value, gradient = jax.value_and_grad(lambda q: self.objective(list(q), goal))(q)
             return jnp.concatenate([value[None], gradient])
 
         make = self.compiling
         evaluate: Compiling = compiled(both) if make is None else make(both, "evaluate")
         # Compiled with the first frame, though SLSQP may not be needed before the hundredth.
-        count, neutral = len(self.objective.layout.vectors), np.float32(self.hand.neutral)
-        zeros = np.zeros((count, 3), np.float32), np.zeros(count, np.float32)
-        goal: Any = FrameGoal(*zeros, neutral, np.float32(0))  # type: ignore[arg-type]
-        evaluate(neutral, jax.device_put(goal))
+        evaluate(np.zeros(ends[-1] + 1, np.float32))
         return evaluate
 
-    @cached_property
-    def _velocity_weight(self) -> Float[Array, ""]:
-        """lambda_vel on the device; to put it there takes 70 us."""
-        weight: Array = jax.device_put(np.float32(self.config.objective.velocity_weight))
-        return weight
+    def packed(self, q: Float[np.ndarray, " m"], goal: FrameGoal) -> Float[np.ndarray, " n"]:
+        """Joint positions and a goal in one array, as ``evaluate`` takes them; q comes first."""
+        parts = (q, goal.vectors, goal.weights, goal.previous, goal.velocity_weight)
+        return np.concatenate([np.ravel(np.asarray(part, np.float32)) for part in parts])
 
     def init(self, seed: int) -> SlsqpMethodState:
         """Neutral pose, the target policy's first state; nothing here is random."""
@@ -212,21 +213,20 @@ class SlsqpMethod(HostMethod):
         """SLSQP, unless the start is a minimum already."""
         evaluate, solver = self.evaluate, self.config.solver  # compiled with the first frame
         start = np.asarray(problem.start)
+        velocity_weight = self.config.objective.velocity_weight
+        on_host = FrameGoal(*problem.targets, np.asarray(state.q), velocity_weight)
         value, residual = np.asarray(problem.optimality).tolist()
         if isinstance(solver, SlsqpConfig) and residual <= solver.optimality:
             x = start.astype(np.float64)
         else:
-            # on the device, since the goal goes into every evaluation
-            previous, weight = jax.device_put(state.q), self._velocity_weight
-            goal = FrameGoal(*problem.targets, previous, weight)
+            point = self.packed(start, on_host)
 
             def objective(q: np.ndarray) -> np.ndarray:
-                return np.asarray(evaluate(q.astype(np.float32), goal))
+                point[: len(q)] = q
+                return np.asarray(evaluate(point))
 
             x, value = self._slsqp(objective, start)
         q = x.astype(np.float32)
-        velocity_weight = self.config.objective.velocity_weight
-        on_host = FrameGoal(*problem.targets, np.asarray(state.q), velocity_weight)
         regular = float(self.objective.regularisation(x, on_host))
         after = SlsqpMethodState(q, problem.policy)
         if not math.isfinite(value):  # finite nowhere: the frame gets the status SOLVER_FAILED

@@ -47,8 +47,8 @@ def run(argv: Sequence[str]) -> int:
 
 
 def _debugging(command: Command | None) -> bool:
-    asked = os.environ.get("SMOOTH_OPERATOR_DEBUG", "").lower() not in ("", "0", "no", "off")
-    return asked or (command is not None and command.debug)
+    enabled = os.environ.get("SMOOTH_OPERATOR_DEBUG", "").lower() not in ("", "0", "no", "off")
+    return enabled or (command is not None and command.debug)
 
 
 def _complain(message: str) -> None:

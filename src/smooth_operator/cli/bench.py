@@ -7,12 +7,12 @@ from collections.abc import Callable, Iterator, Sequence
 
 from smooth_operator.atomic_files import write_json
 from smooth_operator.calibration.operator_file import read_operator
-from smooth_operator.cli.bench_options import Bench, default_of
+from smooth_operator.cli.bench_options import Bench
 from smooth_operator.cli.bench_tables import print_comparison, print_results
 from smooth_operator.cli.console import Progressing
 from smooth_operator.cli.outputs import folder_for
-from smooth_operator.compilation.dispatch import dispatch_here
-from smooth_operator.errors import ConfigError, SmoothOperatorError, require
+from smooth_operator.compilation.start import dispatch_here
+from smooth_operator.errors import SmoothOperatorError, require
 from smooth_operator.formats.checks import reading_notes
 from smooth_operator.hands.collision import collision_note
 from smooth_operator.hands.registry import load_hand
@@ -47,28 +47,19 @@ def bench(options: Bench) -> None:
         require("the report (--no-report leaves it out)", "lab", "matplotlib")
     progress = Progressing(options.quiet)
     dispatch_here()  # before planning, which may start JAX
-    if options.physics is not None:
-        from smooth_operator.cli.bench_physics import bench_physics
-
-        if bench_physics(options, progress, _track(progress, "cases")):
-            raise SystemExit(SOME_FAILED)
-        return
-    for name in ("units", "quick"):
-        if getattr(options, name) != default_of(name):
-            raise ConfigError(f"--{name} needs --physics: give both, or leave it out")
     # What a user can get wrong comes before what takes long.
     settings = Settings(
         output=options.output,
         recordings=options.recordings or ("synthetic",),
-        hands=_words(options.hands),
-        methods=_words(options.methods),
+        hands=comma_words(options.hands),
+        methods=comma_words(options.methods),
         frames=options.frames,
         rate=options.rate,
         layout=options.layout,
-        side=options.side or only_side(_words(options.hands)),
+        side=options.side or only_side(comma_words(options.hands)),
         seed=options.seed,
         definition=options.definition,
-        metrics=_words(options.metrics),
+        metrics=comma_words(options.metrics),
         latency_frames=options.latency_frames,
         workers=options.workers,
         cluster=options.cluster,
@@ -83,7 +74,7 @@ def bench(options: Bench) -> None:
             finished = run_suite(
                 settings,
                 cells,
-                _track(progress),
+                cell_progress(progress),
                 lambda text: progress.note(text, matters=True),
             )
         except KeyboardInterrupt:
@@ -114,7 +105,8 @@ def bench(options: Bench) -> None:
         raise SystemExit(SOME_FAILED)
 
 
-def _words(text: str) -> tuple[str, ...]:
+def comma_words(text: str) -> tuple[str, ...]:
+    """The words of a text with commas between them."""
     return tuple(word for word in (part.strip() for part in text.split(",")) if word)
 
 
@@ -139,7 +131,7 @@ def _say_what_is_odd(cells: Sequence[Cell], progress: Progressing) -> None:
         progress.note(note, matters=True)
 
 
-def _track(
+def cell_progress(
     progress: Progressing,
     what: str = "cells",
 ) -> Callable[[str, int, int], contextlib.AbstractContextManager[Advance]]:

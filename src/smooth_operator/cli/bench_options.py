@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
@@ -29,16 +28,6 @@ glove.npz@:500 (frames), video.npz@30hz (rate), video.npz@30hz,left,100:900.
 Methods are names, or METHOD:PRESET, METHOD:all or METHOD:FILE (a trained model); `all` is
 each method with its default preset.
 
-With --physics, FOLDER gets what the hand achieves instead: for each measure a CSV with a row
-for each case, summary.csv, results.json and report.html, with 95 % intervals over
-independent units. The measures (docs/explanation/physics-measures.md):
-  reachable       the hand's own motions play the human: what is exact must come out exact
-  demonstrations  the study's tasks in perturbed worlds, by their demonstrations
-  pinch           objects that appear in the pinches of recordings: held, let go in time?
-  grasp           a handle or a ball in the palm wherever a recording closes the hand
-  operators       simulated persons who look and correct
-A version that lacks one of them says so.
-
 Exit status: 0 all measured, 1 some cells failed (the report says which and why), 2 the
 request is invalid, 130 stopped.
 
@@ -51,10 +40,6 @@ Examples:
       what changed since an earlier benchmark
   smooth-operator bench recordings/ --hands all --workers 8 --output out
       a folder, on every hand, in eight processes
-  smooth-operator bench --physics reachable --hands mimic_p050,leap_hand --output out
-      how exactly each method makes motions that the hands can make
-  smooth-operator bench --physics --quick --methods smooth,ako --output out
-      every measure, few and short cases, to try it out
 """
 
     recordings: Annotated[Positional[tuple[str, ...]], arg(metavar="[RECORDING ...]")] = ()
@@ -79,7 +64,7 @@ Examples:
     """Which hand; as each recording says if left out."""
 
     seed: int = 0
-    """Seed of the methods' random numbers; with --physics of its units, too."""
+    """Seed of the methods' random numbers."""
 
     fingers: Annotated[str | None, arg(metavar="A,B=C")] = None
     """Robot fingers to drive, two to five with the thumb among them, each by its own human finger
@@ -110,23 +95,8 @@ Examples:
     compare: Annotated[Path | None, arg(metavar="OTHER/results.json")] = None
     """Results of another benchmark to compare with this one."""
 
-    physics: Annotated[tuple[str, ...] | None, arg(metavar="[MEASURE ...]")] = None
-    """Measure what the hand achieves, by these measures; by all if none is named."""
-
-    units: Annotated[int | None, arg(metavar="N")] = None
-    """With --physics: how many independent units (seeds, worlds, operators) each measure takes; as
-    many as the measure takes by itself if left out."""
-
-    quick: bool = False
-    """With --physics: few and short cases, to try things out."""
-
     no_report: bool = False
     """Write the results, but no report and no plots."""
 
     quiet: bool = False
     """No progress on standard error, no table on standard output."""
-
-
-def default_of(name: str) -> object:
-    """The default of an option of ``Bench``."""
-    return next(field.default for field in dataclasses.fields(Bench) if field.name == name)

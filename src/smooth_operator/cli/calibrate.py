@@ -2,32 +2,86 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, cast
 
-from smooth_operator.atomic_files import atomic_write
-from smooth_operator.calibration.estimate import calibrate
-from smooth_operator.calibration.operator_file import read_operator, write_operator
-from smooth_operator.calibration.report import report
-from smooth_operator.calibration.segments import Segment
-from smooth_operator.cli.calibrate_options import Calibrate
-from smooth_operator.cli.console import Progressing, output_console, plain_table
-from smooth_operator.cli.outputs import folder_for
-from smooth_operator.cli.prompting import ask
+from tyro.conf import Positional, arg
+
+from smooth_operator.cli.common_options import Common, HandSide, Ordered
 from smooth_operator.errors import ConfigError, OutputError
-from smooth_operator.formats.checks import reading_notes
-from smooth_operator.formats.environment import environment
-from smooth_operator.formats.frames import frame_slice
-from smooth_operator.formats.jsonable import to_json
-from smooth_operator.formats.readers import read_recording
-from smooth_operator.hands.registry import load_hand
-from smooth_operator.hands.selection import parse_fingers
-from smooth_operator.human.operator import COMPONENTS, DEFAULT_COMPONENTS, Component
-from smooth_operator.lab.offline.calibration_picture import draw_calibration
 from smooth_operator.methods.default import DEFAULT_METHOD
-from smooth_operator.planning import PROGRAM
-from smooth_operator.teleop.sources.registry import build_source
-from smooth_operator.types import HandRecording
+
+if TYPE_CHECKING:
+    from smooth_operator.calibration.segments import Segment
+    from smooth_operator.cli.console import Progressing
+    from smooth_operator.human.operator import Component
+    from smooth_operator.types import HandRecording
+
+
+@dataclass(frozen=True, kw_only=True)
+class Calibrate(Ordered, Common):
+    """Fit a robot hand to its operator: poses found in a recording, into a file for --operator."""
+
+    work: ClassVar[str] = "smooth_operator.cli.calibrate:calibrate_recording"
+    details: ClassVar[
+        str
+    ] = """With --source the operator is asked for the poses, one after the other.
+A recording should show, for some seconds each and in any order, a flat hand, the fingers
+spread, a fist, and a pinch of the thumb with each finger. Missing poses are reported, and
+the rest is calibrated. With OPERATOR.json come OPERATOR.png (the poses on a time
+line; reach and pinches before and after) and OPERATOR.report.json (the same as figures).
+
+Parts of a calibration (--apply names those that the file uses):
+  scale    one scale of the palm instead of one a frame
+  tips     from the tracker's tip landmark to the pad
+  pinch    the distance left in a pinch is closed; latches at the operator's distances
+  fingers  each finger's reach to the robot's
+  palm     the flat hand's direction to that of the robot's straight fingers
+All are found and written in any case.
+
+Examples:
+  smooth-operator calibrate glove.npz --output operator.json
+  smooth-operator calibrate --source webcam --output operator.json
+  smooth-operator retarget glove.npz --operator operator.json --output out.npz
+  smooth-operator calibrate glove.npz --hand shadow_hand --frames :2500 --output operator.json
+"""
+
+    recording: Annotated[Positional[Path | None], arg(metavar="RECORDING")] = None
+    """The operator's hand: MANUS .npz, (T, 21, 3) landmarks [m] as .npy or .npz, or .mcap; not with
+    --source."""
+
+    source: Annotated[str | None, arg(metavar="NAME[:SETTINGS]")] = None
+    """A live source instead of a recording, as for teleop: poses are asked for one after the
+    other, under a minute in all."""
+
+    output: Annotated[Path, arg(metavar="OPERATOR.json")]
+    """File to write; an earlier calibration there is replaced."""
+
+    hand: Annotated[str, arg(metavar="NAME")] = "mimic_p050"
+    """Robot hand, by its catalogue name."""
+
+    side: Annotated[HandSide | None, arg(metavar="right|left")] = None
+    """Which hand; as the recording says if left out, and right for a source."""
+
+    fingers: Annotated[str | None, arg(metavar="A,B=C")] = None
+    """Robot fingers that will be driven, as for retarget; all if left out."""
+
+    frames: Annotated[str | None, arg(metavar="A:B")] = None
+    """Only these frames, as a Python slice: :500, 2600:3100, -500:"""
+
+    rate: Annotated[float | None, arg(metavar="HZ")] = None
+    """Frames per second of a recording without time stamps [Hz]."""
+
+    apply: Annotated[str | None, arg(metavar="A,B|all")] = None
+    """Parts that the file shall use; see above. The ones that lower pinch error and scale error
+    where they were measured, if left out."""
+
+    json: bool = False
+    """Print the report as one JSON object on standard output, and nothing else there."""
+
+    quiet: bool = False
+    """No progress on standard error."""
 
 
 def calibrate_recording(options: Calibrate) -> None:
@@ -36,6 +90,21 @@ def calibrate_recording(options: Calibrate) -> None:
     Raises:
         SmoothOperatorError: with the reason; nothing is then written.
     """
+    from smooth_operator.atomic_files import atomic_write
+    from smooth_operator.calibration.estimate import calibrate
+    from smooth_operator.calibration.operator_file import write_operator
+    from smooth_operator.calibration.report import report
+    from smooth_operator.cli.console import Progressing
+    from smooth_operator.cli.outputs import folder_for
+    from smooth_operator.cli.prompting import ask
+    from smooth_operator.formats.environment import environment
+    from smooth_operator.formats.jsonable import to_json
+    from smooth_operator.hands.registry import load_hand
+    from smooth_operator.hands.selection import parse_fingers
+    from smooth_operator.lab.offline.calibration_picture import draw_calibration
+    from smooth_operator.planning import PROGRAM
+    from smooth_operator.teleop.sources.registry import build_source
+
     progress = Progressing(options.quiet)
     if options.source is not None and options.recording is not None:
         raise ConfigError("give a recording or a live source, not both")
@@ -50,20 +119,20 @@ def calibrate_recording(options: Calibrate) -> None:
         hand = load_hand(options.hand, options.side, fingers=fingers)
         recording, segments = ask(build_source(options.source, hand.spec.side), hand, progress)
     with progress.waiting("looking for poses"):
-        found = calibrate(recording, hand, segments, apply=apply)
+        calibration = calibrate(recording, hand, segments, apply=apply)
     content = {
         "program": PROGRAM,
         "command": "calibrate",
         "source": options.source or {"path": options.recording, "frames": options.frames},
-        **report(found, recording),
+        **report(calibration, recording),
         **environment(),
     }
     with folder_for(options.output.parent):
         with progress.waiting("drawing the report"):
-            draw_calibration(found, recording, picture)
+            draw_calibration(calibration, recording, picture)
         with atomic_write(figures) as file:
             file.write(to_json(content, indent=2).encode() + b"\n")
-        write_operator(options.output, found.operator)
+        write_operator(options.output, calibration.operator)
     progress.note(f"wrote {options.output}, {picture.name} and {figures.name}")
     if options.json:
         print(to_json(content))
@@ -72,6 +141,10 @@ def calibrate_recording(options: Calibrate) -> None:
 
 
 def _read(options: Calibrate, progress: Progressing) -> HandRecording:
+    from smooth_operator.formats.checks import reading_notes
+    from smooth_operator.formats.frames import frame_slice
+    from smooth_operator.formats.readers import read_recording
+
     if options.recording is None:
         raise ConfigError(
             "there is nothing to calibrate on: name a recording, or a live source with --source"
@@ -87,11 +160,13 @@ def _read(options: Calibrate, progress: Progressing) -> HandRecording:
 
 
 def _check_output(output: Path) -> tuple[Path, Path]:
-    """Where the picture and the figures go.
+    """Paths of the picture and of the figures.
 
     Raises:
         OutputError: the name does not end in .json, or something other than a calibration has it.
     """
+    from smooth_operator.calibration.operator_file import read_operator
+
     if output.suffix != ".json":
         raise OutputError(f"can't write {str(output)!r}: the name must end in .json")
     if output.exists():
@@ -106,6 +181,8 @@ def _check_output(output: Path) -> tuple[Path, Path]:
 
 
 def _components(text: str | None) -> tuple[Component, ...]:
+    from smooth_operator.human.operator import COMPONENTS, DEFAULT_COMPONENTS, Component
+
     if text is None:
         return DEFAULT_COMPONENTS
     words = [word.strip() for word in text.split(",") if word.strip()]
@@ -117,6 +194,8 @@ def _components(text: str | None) -> tuple[Component, ...]:
 
 
 def _print(content: dict[str, Any]) -> None:
+    from smooth_operator.cli.console import output_console, plain_table
+
     console = output_console()
     console.print(
         f"{content['recording']} on {content['hand']} {content['side']}: "
@@ -126,10 +205,10 @@ def _print(content: dict[str, Any]) -> None:
     table = plain_table()
     for header in ("pose", "found", "sure", "note"):
         table.add_column(header)
-    for pose, found in content["poses"].items():
-        times = len(found["segments"])
-        sure = f"{found['confidence']:.2f}" if times else "–"
-        table.add_row(pose, f"{times} ×" if times else "no", sure, found["note"])
+    for pose, row in content["poses"].items():
+        times = len(row["segments"])
+        sure = f"{row['confidence']:.2f}" if times else "–"
+        table.add_row(pose, f"{times} ×" if times else "no", sure, row["note"])
     console.print(table)
     table = plain_table()
     table.add_column("finger")

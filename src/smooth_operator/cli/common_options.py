@@ -34,10 +34,14 @@ class Common:
         work: ``package.module:function``, called with the options. It is imported when the command
             runs, so that ``--help`` loads none of it.
         details: help below the first line of the class's docstring.
+        more: help that only ``--help-all`` shows.
+        rare: fields that only ``--help-all`` shows.
     """
 
     work: ClassVar[str]
     details: ClassVar[str]
+    more: ClassVar[str] = ""
+    rare: ClassVar[frozenset[str]] = frozenset()
 
     debug: bool = False
     """Show the traceback of an error (also: SMOOTH_OPERATOR_DEBUG=1)."""
@@ -84,7 +88,7 @@ class Retargeting:
     """The operator's calibration for this hand, as calibrate writes it."""
 
     definition: Literal["sound", "paper"] = "sound"
-    """How the metrics are defined; paper is as published, to compare with its table."""
+    """Definition of the metrics; paper is as published, to compare with its table."""
 
     quiet: bool = False
     """No progress on standard error."""
@@ -95,7 +99,7 @@ class Synthetic:
     """Options of every command that records the built-in operator."""
 
     duration: Annotated[float, arg(metavar="SECONDS")] = 20.0
-    """How long the operator moves [s]."""
+    """Length of the recording [s]."""
 
     side: Annotated[HandSide | None, arg(metavar="right|left")] = None
     """Which hand; the right one, or the robot hand's only side, if left out."""
@@ -134,8 +138,8 @@ class Page:
     """Options of every command that serves a page."""
 
     host: Annotated[str, arg(metavar="ADDRESS")] = "127.0.0.1"
-    """Where the page listens; 0.0.0.0 lets other machines in, which need the token in the address
-    that is printed."""
+    """Address on which the page listens; 0.0.0.0 lets other machines in, which need the token in
+    the address that is printed."""
 
     port: int = 8080
     """First port to try for the page; 0 for any free one."""

@@ -42,7 +42,7 @@ class Progressing:
 
     @property
     def lines(self) -> bool:
-        """Whether progress is printed as lines: not quiet, and no terminal for a bar."""
+        """True if progress is printed as lines: not quiet, and no terminal for a bar."""
         return not (self._quiet or self._console.is_terminal)
 
     def note(self, text: str, *, matters: bool = False) -> None:
@@ -64,7 +64,7 @@ class Progressing:
 
     @contextlib.contextmanager
     def status(self) -> Iterator[Callable[[str], None]]:
-        """What is being done, on a terminal; yields what sets the text."""
+        """Shows a line of status on a terminal; yields a function that sets its text."""
         if self._quiet or not self._console.is_terminal:
             yield lambda text: None
             return
@@ -193,17 +193,17 @@ def print_metrics(title: str, metrics: Mapping[str, object]) -> None:
             if own != 0:
                 table.add_row(f"  {part}", _shown(own))
 
-    known = [metric for metric in known_metrics() if metric.key in metrics]
+    available = [metric for metric in known_metrics() if metric.key in metrics]
     for group, question in GROUPS.items():
         table.add_row(Text(question.split(":")[0], "bold"))
-        for metric in known:
+        for metric in available:
             if metric.group == group:
                 add(metric.name, metric.of(metrics), metric.unit, metric.sign, metric.meaning)
         table.add_section()
-    for metric in known:  # of a plugin, without a group
+    for metric in available:  # of a plugin, without a group
         if metric.group not in GROUPS:
             add(metric.name, metric.of(metrics), metric.unit, metric.sign, metric.meaning)
-    named = {metric.key for metric in known}
+    named = {metric.key for metric in available}
     for name, value in metrics.items():
         if name not in named:
             add(name, value, *_EXTRAS.get(name, ("", "", "")))

@@ -5,34 +5,91 @@ from __future__ import annotations
 import functools
 import re
 from collections import Counter
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
-from smooth_operator.cli.console import Progressing
-from smooth_operator.cli.convert_options import Convert
-from smooth_operator.cli.outputs import folder_for, read_configuration
-from smooth_operator.episode_files.lerobot import write_dataset
+from tyro.conf import Positional, arg
+
+from smooth_operator.cli.common_options import Common, HandSide, Ordered
 from smooth_operator.errors import ConfigError, OutputError, RecordingError
-from smooth_operator.formats.checks import check_rate
-from smooth_operator.formats.episode import Episode
-from smooth_operator.formats.frames import frame_slice
-from smooth_operator.formats.readers import rated_if_unstamped
-from smooth_operator.formats.sniff import is_dataset
-from smooth_operator.teleop.recording.convert import (
-    SUFFIXES,
-    Format,
-    Source,
-    check_target,
-    files_of,
-    find_sources,
-    format_of,
-    losses,
-    read_episode,
-    write_episode,
-)
-from smooth_operator.teleop.sources.webcam.picture_tracker import PictureConfig
-from smooth_operator.teleop.sources.webcam.video_file import is_video
-from smooth_operator.teleop.sources.webcam.video_recording import track_video
+
+if TYPE_CHECKING:
+    from smooth_operator.cli.console import Progressing
+    from smooth_operator.formats.episode import Episode
+    from smooth_operator.teleop.recording.convert import Format, Source
+
+
+@dataclass(frozen=True, kw_only=True)
+class Convert(Ordered, Common):
+    """Turn recordings and their commands into another file format, and back."""
+
+    work: ClassVar[str] = "smooth_operator.cli.convert:convert"
+    details: ClassVar[str] = """Formats, of inputs by what they hold and of the output by its name:
+  .mcap        this program's log, opens in Foxglove
+  .npz         plain arrays, for NumPy
+  .h5, .hdf5   HDF5, with units (extra hdf5)
+  a folder     a LeRobot dataset, v3.0 (extra lerobot)
+A video (.mp4, .mov, .avi, .mkv, .webm), as input only, is tracked (extra webcam).
+
+All hold everything: hand, flags, commands, status, timing, configuration. What a
+format can't hold is reported on standard error.
+
+Several inputs, or a folder of them, become the episodes of one LeRobot dataset; or,
+with --to mcap|npz|hdf5, a file each in the folder --output.
+
+Examples:
+  smooth-operator convert glove.npz --output glove.mcap
+  smooth-operator convert glove.npz --commands out.npz --output demo.mcap
+  smooth-operator convert recordings --commands results --task "pinch" --output dataset
+  smooth-operator convert dataset --episode 3 --output demo.h5
+  smooth-operator convert dataset --to npz --output episodes    (there and back)
+  smooth-operator convert clip.mp4 --side right --output clip.npz
+"""
+
+    inputs: Annotated[Positional[tuple[Path, ...]], arg(metavar="INPUT...")]
+    """Recordings, results, logs, HDF5 files, LeRobot datasets, or folders of these."""
+
+    output: Annotated[Path, arg(metavar="OUT")]
+    """File or folder to write; its parent folder is created if missing."""
+
+    commands: Annotated[Path | None, arg(metavar="OUT.npz")] = None
+    """Commands to add to the recording: the result of retargeting it. For several recordings
+    the folder of their results, each with the name of its recording."""
+
+    to: Annotated[
+        Literal["mcap", "npz", "hdf5", "lerobot"] | None, arg(metavar="mcap|npz|hdf5|lerobot")
+    ] = None
+    """Format of the output; by its name if left out. Of a dataset into a folder it must be said."""
+
+    rate: Annotated[float | None, arg(metavar="HZ")] = None
+    """Frames per second of a recording without time stamps [Hz]; of several recordings or a
+    folder, of those."""
+
+    side: Annotated[HandSide | None, arg(metavar="right|left")] = None
+    """Which hand; as the recording says if left out, and in a video the one seen more often."""
+
+    mirrored: bool = False
+    """The video is mirrored, as selfie views are."""
+
+    frames: Annotated[str | None, arg(metavar="A:B")] = None
+    """Only these frames of each episode, as a Python slice: :500, 2600:3100, -500:"""
+
+    task: Annotated[str | None, arg(metavar="TEXT")] = None
+    """The task in words; as the input says if left out."""
+
+    fps: Annotated[int | None, arg(metavar="N")] = None
+    """Frames a second of a LeRobot dataset; the median of the recordings, rounded, if left out."""
+
+    episode: Annotated[int | None, arg(metavar="N")] = None
+    """Only this episode of a LeRobot dataset."""
+
+    overwrite: bool = False
+    """Replace an output that this program wrote."""
+
+    quiet: bool = False
+    """Print important messages only."""
+
 
 _SUFFIX_OF: dict[Format, str] = {"mcap": ".mcap", "npz": ".npz", "hdf5": ".h5"}
 
@@ -44,6 +101,10 @@ def convert(options: Convert) -> None:
         SmoothOperatorError: with the reason. A dataset is then not there; of several files those
             before the failing one are, each whole.
     """
+    from smooth_operator.cli.console import Progressing
+    from smooth_operator.teleop.recording.convert import Source, find_sources, format_of, losses
+    from smooth_operator.teleop.sources.webcam.camera import is_video
+
     progress = Progressing(options.quiet)
     to = format_of(options.output, options.to)
     if options.fps is not None and to != "lerobot":
@@ -59,13 +120,13 @@ def convert(options: Convert) -> None:
         progress.note(note)
     beside = _commands_of(options.commands, sources)
     several = len(sources) > 1 or _in_folder(options)
-    said: set[str] = set()
+    reported: set[str] = set()
 
     def load(source: Source, commands: Path | None) -> Episode:
         episode = _load(source, commands, options, several)
         for note in (*episode.notes, *losses(episode, to)):
-            if note not in said:  # a dataset looks at its episodes twice
-                said.add(note)
+            if note not in reported:  # a dataset looks at its episodes twice
+                reported.add(note)
                 progress.note(note, matters=True)
         return episode
 
@@ -79,6 +140,11 @@ def convert(options: Convert) -> None:
 def _write_dataset(
     options: Convert, loads: list[functools.partial[Episode]], progress: Progressing
 ) -> None:
+    from smooth_operator.cli.outputs import folder_for
+    from smooth_operator.episode_files.lerobot import write_dataset
+    from smooth_operator.formats.sniff import is_dataset
+    from smooth_operator.teleop.recording.convert import check_target
+
     check_target(options.output, "lerobot", options.inputs, options.overwrite)
     if options.to is None and any(is_dataset(path) for path in options.inputs):
         raise ConfigError(
@@ -107,6 +173,9 @@ def _write_files(
     loads: list[functools.partial[Episode]],
     progress: Progressing,
 ) -> None:
+    from smooth_operator.cli.outputs import folder_for
+    from smooth_operator.teleop.recording.convert import write_episode
+
     targets = _targets(options, to, sources)
     for target in targets:
         _check(target, to, options)
@@ -119,6 +188,8 @@ def _write_files(
 
 def _targets(options: Convert, to: Format, sources: list[Source]) -> list[Path]:
     """A file for each episode."""
+    from smooth_operator.teleop.recording.convert import SUFFIXES
+
     named = SUFFIXES.get(options.output.suffix.lower()) is not None
     if len(sources) == 1 and not options.output.is_dir() and (named or not _in_folder(options)):
         return [options.output]
@@ -143,7 +214,7 @@ def _targets(options: Convert, to: Format, sources: list[Source]) -> list[Path]:
 
 
 def _in_folder(options: Convert) -> bool:
-    return any(given.is_dir() for given in options.inputs) and options.episode is None
+    return any(path.is_dir() for path in options.inputs) and options.episode is None
 
 
 def _stem(source: Source, alone: bool) -> str:
@@ -157,6 +228,9 @@ def _stem(source: Source, alone: bool) -> str:
 
 
 def _check(target: Path, to: Format, options: Convert) -> None:
+    from smooth_operator.cli.outputs import read_configuration
+    from smooth_operator.teleop.recording.convert import check_target, files_of
+
     main, *others = files_of(target, to)
     check_target(main, to, options.inputs, options.overwrite)
     for path in others:
@@ -180,17 +254,22 @@ def _commands_of(commands: Path | None, sources: list[Source]) -> list[Path | No
                 "give the folder of their results, each with the name of its recording"
             )
         return [commands]
-    found = [commands / source.relative.with_suffix(".npz") for source in sources]
-    missing = [str(path) for path in found if not path.is_file()]
+    files = [commands / source.relative.with_suffix(".npz") for source in sources]
+    missing = [str(path) for path in files if not path.is_file()]
     if missing:
         raise RecordingError(
-            f"{commands}: {len(missing)} of {len(found)} recordings have no commands there, such "
+            f"{commands}: {len(missing)} of {len(files)} recordings have no commands there, such "
             f"as {missing[0]}; retarget them first: smooth-operator retarget"
         )
-    return list(found)
+    return list(files)
 
 
 def _load(source: Source, commands: Path | None, options: Convert, several: bool) -> Episode:
+    from smooth_operator.formats.frames import frame_slice
+    from smooth_operator.formats.readers import rated_if_unstamped
+    from smooth_operator.teleop.recording.convert import read_episode
+    from smooth_operator.teleop.sources.webcam.camera import is_video
+
     if is_video(source.path):
         episode = _track(source.path, options)
     else:
@@ -215,12 +294,17 @@ def _load(source: Source, commands: Path | None, options: Convert, several: bool
 
 def _track(path: Path, options: Convert) -> Episode:
     """The hand in a video."""
+    from smooth_operator.formats.checks import check_rate
+    from smooth_operator.formats.episode import Episode
+    from smooth_operator.teleop.sources.webcam.picture_tracker import PictureConfig
+    from smooth_operator.teleop.sources.webcam.webcam_source import track_video
+
     config = PictureConfig(mirrored=options.mirrored)
     recording = track_video(path, side=options.side, config=config)
     check_rate(recording.stamps, options.rate, str(path))
     assert recording.valid is not None  # filled in by HandRecording
-    seen = int(recording.valid.any(axis=1).sum())
-    note = f"{path}: a {recording.side} hand on {seen} of {len(recording)} pictures"
+    tracked = int(recording.valid.any(axis=1).sum())
+    note = f"{path}: a {recording.side} hand on {tracked} of {len(recording)} pictures"
     return Episode(recording, name=recording.name, notes=(note,))
 
 

@@ -2,26 +2,41 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
-from smooth_operator.atomic_files import atomic_write
-from smooth_operator.cli.console import Progressing, print_metrics
-from smooth_operator.cli.demo_options import Demo
-from smooth_operator.cli.meshes import hand_to_draw
-from smooth_operator.cli.outputs import check_demo_folder, folder_for, staged
-from smooth_operator.cli.session import execute_shown, measure_shown, requested
-from smooth_operator.cli.synthetic import synthetic_operator
-from smooth_operator.formats.commands import write_commands
-from smooth_operator.formats.jsonable import to_json
-from smooth_operator.hand_files.menagerie import drawn_on
-from smooth_operator.hands.registry import default_side
-from smooth_operator.lab.offline import Outcome
-from smooth_operator.metrics import Trace
-from smooth_operator.planning import configuration, plan
-from smooth_operator.reporting.metric_plots import save_plots
-from smooth_operator.teleop.recording import LogWriter
-from smooth_operator.types import HandRecording, JointCommand, Status
+from tyro.conf import arg
+
+from smooth_operator.cli.common_options import Common, Meshes, Page, Retargeting, Synthetic
+
+if TYPE_CHECKING:
+    from smooth_operator.lab.offline import Outcome
+    from smooth_operator.metrics import Trace
+    from smooth_operator.types import HandRecording
+
+
+@dataclass(frozen=True, kw_only=True)
+class Demo(Common, Page, Meshes, Retargeting, Synthetic):
+    """Retarget a synthetic operator, print the metrics, and play the result in the browser."""
+
+    work: ClassVar[str] = "smooth_operator.cli.demo:demo"
+    details: ClassVar[str] = """The folder holds commands.npz and commands.json (the resolved
+configuration), log.mcap (operator and commands), metrics.json, config.json, plots/.
+
+Examples:
+  smooth-operator demo --no-view --duration 5
+  smooth-operator demo --side left --noise 1 --landmark-loss 0.02
+"""
+
+    output: Annotated[Path, arg(metavar="FOLDER")] = Path("smooth-operator-demo")
+    """Folder to write; the files of an earlier demo in it are replaced."""
+
+    overwrite: bool = False
+    """Write into the folder even if it holds other things; those stay."""
+
+    no_view: bool = False
+    """Don't serve the page: for machines without a browser."""
 
 
 def demo(options: Demo) -> None:
@@ -30,11 +45,25 @@ def demo(options: Demo) -> None:
     Raises:
         SmoothOperatorError: with the reason; what stood in the folder is then as it was.
     """
+    from smooth_operator.errors import require
+
+    require("a report with figures", "lab", "matplotlib")
+    require("a log of the session", "teleop", "mcap", "viser")
+
+    from smooth_operator.cli.console import Progressing, print_metrics
+    from smooth_operator.cli.outputs import check_demo_folder, folder_for, staged
+    from smooth_operator.cli.page import hand_to_draw
+    from smooth_operator.cli.sample import synthetic_operator
+    from smooth_operator.cli.session import execute_shown, measure_shown, requested
+    from smooth_operator.hand_files.menagerie import drawn_on
+    from smooth_operator.hands.registry import default_side
+    from smooth_operator.planning import configuration, plan
+
     progress = Progressing(options.quiet)
     check_demo_folder(options.output, options.overwrite)
-    asked = requested(options, side=options.side)
-    operator = synthetic_operator(options, options.seed, default_side(asked.hand))
-    todo = plan(operator.record(options.duration), asked)
+    request = requested(options, side=options.side)
+    operator = synthetic_operator(options, options.seed, default_side(request.hand))
+    todo = plan(operator.record(options.duration), request)
     if options.model is not None:
         drawn_on(todo.hand, options.model)  # what can't be drawn is said before any work
     with folder_for(options.output):
@@ -63,6 +92,13 @@ def _write(
     metrics: dict[str, Any],
     config: dict[str, Any],
 ) -> None:
+    from smooth_operator.atomic_files import atomic_write
+    from smooth_operator.formats.commands import write_commands
+    from smooth_operator.formats.jsonable import to_json
+    from smooth_operator.reporting.metric_plots import save_plots
+    from smooth_operator.teleop.recording import LogWriter
+    from smooth_operator.types import JointCommand, Status
+
     commands = outcome.commands
     write_commands(folder / "commands.npz", commands, config)
     with LogWriter(folder / "log.mcap") as log:

@@ -7,9 +7,13 @@ from typing import Final
 
 from smooth_operator.cli.console import Progressing, output_console, plain_table
 from smooth_operator.cli.doctor_options import Doctor
-from smooth_operator.compilation.diagnosis import FrameTimes, StartTimes, frame_times, start_times
-from smooth_operator.compilation.early_diagnosis import EarlyStart, early_start
-from smooth_operator.compilation.environment import environment
+from smooth_operator.compilation.diagnosis import (
+    FrameTimes,
+    StartTimes,
+    environment,
+    frame_times,
+    start_times,
+)
 from smooth_operator.errors import ConfigError
 from smooth_operator.formats.jsonable import to_json
 from smooth_operator.hands.registry import load_hand
@@ -41,8 +45,6 @@ def doctor(options: Doctor) -> None:
     found = environment() | {"priority": priority}
     with progress.waiting("a fresh process, twice: the first may compile"):
         starts = [start_times(*chosen) for _ in range(2)]
-    with progress.waiting("a fresh process with nothing kept, which answers early"):
-        early = early_start(*chosen)
     with progress.waiting("frames"):
         frames = frame_times(*chosen, options.frames)
     advice = _advice(found, starts, frames)
@@ -52,7 +54,6 @@ def doctor(options: Doctor) -> None:
                 {
                     "environment": found,
                     "starts": starts,
-                    "early": early,
                     "frames": frames,
                     "advice": advice,
                 },
@@ -60,7 +61,7 @@ def doctor(options: Doctor) -> None:
             )
         )
         return
-    _print(options, found, starts, early, frames, advice)
+    _print(options, found, starts, frames, advice)
 
 
 def _advice(found: Mapping[str, object], starts: list[StartTimes], frames: FrameTimes) -> list[str]:
@@ -113,7 +114,6 @@ def _print(
     options: Doctor,
     found: Mapping[str, object],
     starts: list[StartTimes],
-    early: EarlyStart,
     frames: FrameTimes,
     advice: list[str],
 ) -> None:
@@ -130,12 +130,6 @@ def _print(
     for name in starts[0].__dataclass_fields__:
         table.add_row(name.replace("_", " "), *(f"{getattr(each, name):.2f}" for each in starts))
     console.print(table)
-    console.print(
-        f"With nothing kept, answered early: the first command after {early.first_command:.2f} s, "
-        f"the method after {early.full_program:.2f} s; the hand-over moved no joint by more than "
-        f"{early.step_rad:.3f} rad in a frame.",
-        markup=False,
-    )
     console.print(
         f"A frame: {frames.p50_ms:.2f} ms (p50), {frames.p99_ms:.2f} ms (p99), "
         f"{frames.worst_ms:.2f} ms (worst of {frames.count}).",

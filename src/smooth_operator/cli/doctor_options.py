@@ -18,8 +18,7 @@ class Doctor(Common):
     work: ClassVar[str] = "smooth_operator.cli.doctor:doctor"
     details: ClassVar[str] = """Prints the machine, versions, extras, priority and the folder of
 compiled programs; then measures, for one hand and method, the start of a fresh process, its parts,
-one that has nothing kept and answers early, and the time of a frame. The exit status is 0 whatever
-was found.
+and the time of a frame. The exit status is 0 whatever was found.
 
 Examples:
   smooth-operator doctor

@@ -1,19 +1,88 @@
-"""``smooth-operator hands list``: the hands by name."""
+"""``smooth-operator hands``: its subcommands, the list of hands, and removing one.
+
+A further subcommand is a dataclass of options like ``List`` below, a function that takes them, and
+a line in ``What``. The group itself is one line in ``cli/options.py``.
+"""
 
 from __future__ import annotations
 
 import json
+import sys
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, TypeAlias
 
-from rich.text import Text
+from tyro.conf import OmitSubcommandPrefixes, Positional, arg, subcommand
 
-from smooth_operator.cli.console import output_console, plain_table
-from smooth_operator.cli.hands_options import List
-from smooth_operator.errors import SmoothOperatorError
-from smooth_operator.hands.registry import HANDS, find_hand, hand_names, load_hand
-from smooth_operator.hands.user_folder import user_hands_folder
-from smooth_operator.types import Side
+from smooth_operator.cli.common_options import Common, HandSide
+from smooth_operator.cli.hands_add import Add
+from smooth_operator.cli.hands_check import Check
+from smooth_operator.cli.hands_show import Render, Show
+from smooth_operator.cli.subcommands import Group, described
+from smooth_operator.errors import ConfigError, SmoothOperatorError
+
+if TYPE_CHECKING:
+    from smooth_operator.types import Side
+
+
+@dataclass(frozen=True, kw_only=True)
+class List(Common):
+    """The hands that can be named: the built-in ones and your own."""
+
+    work: ClassVar[str] = "smooth_operator.cli.hands:list_hands"
+    details: ClassVar[str] = """Your own are spec files NAME.right.toml and NAME.left.toml in the
+folder that is named below the table (SMOOTH_OPERATOR_HANDS names another)."""
+
+    json: bool = False
+    """One JSON object on standard output instead of the table."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Remove(Common):
+    """Takes one of your own hands out of the list: its spec files and the copies of its model."""
+
+    work: ClassVar[str] = "smooth_operator.cli.hands:remove_hand_command"
+    details: ClassVar[str] = """The model that you added stays where it is. Built-in hands can't be
+removed.
+
+Examples:
+  smooth-operator hands remove my_hand
+  smooth-operator hands remove my_hand --side left --yes"""
+
+    hand: Annotated[Positional[str], arg(metavar="NAME")]
+    """Name of a hand of your own, as in smooth-operator hands list."""
+
+    side: Annotated[HandSide | None, arg(metavar="right|left")] = None
+    """Only this side of it; both if left out."""
+
+    yes: bool = False
+    """Don't ask."""
+
+
+What: TypeAlias = (
+    Annotated[List, subcommand("list", description=described(List))]
+    | Annotated[Show, subcommand("show", description=described(Show))]
+    | Annotated[Render, subcommand("render", description=described(Render))]
+    | Annotated[Add, subcommand("add", description=described(Add))]
+    | Annotated[Remove, subcommand("remove", description=described(Remove))]
+    | Annotated[Check, subcommand("check", description=described(Check))]
+)
+"""The subcommands of the group."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hands(Group):
+    """The robot hands: list them, show one, draw one, add your own, check or remove it."""
+
+    details: ClassVar[str] = """Examples:
+  smooth-operator hands list
+  smooth-operator hands show shadow_hand
+  smooth-operator hands render leap_hand --side left --output leap.png
+
+Each has its own help: smooth-operator hands show --help"""
+
+    what: Annotated[OmitSubcommandPrefixes[What], arg(name="")]
+    """Subcommand."""
+
 
 _SIDES: Final[tuple[Side, ...]] = ("right", "left")
 
@@ -51,6 +120,12 @@ class Row:
 
 def list_hands(options: List) -> None:
     """Prints the catalogue."""
+    from rich.text import Text
+
+    from smooth_operator.cli.console import output_console, plain_table
+    from smooth_operator.hands.registry import hand_names
+    from smooth_operator.hands.user_folder import user_hands_folder
+
     rows = [_row(name) for name in hand_names()]
     folder = user_hands_folder()
     if options.json:
@@ -79,6 +154,8 @@ def list_hands(options: List) -> None:
 
 
 def _row(name: str) -> Row:
+    from smooth_operator.hands.registry import HANDS, find_hand, load_hand
+
     try:
         entry = find_hand(name)  # refuses a name that two claim
     except SmoothOperatorError as error:
@@ -101,3 +178,24 @@ def _row(name: str) -> Row:
         source=hand.spec.source,
     )
     return row
+
+
+def remove_hand_command(options: Remove) -> None:
+    """Deletes spec files and copies of models, after asking.
+
+    Raises:
+        UnknownNameError: the user has no such hand.
+        HandModelError: the hand is built in, or has no such side.
+        ConfigError: it may not ask, or the answer was no.
+        OutputError: a file can't be deleted.
+    """
+    from smooth_operator.hand_files.user_hands import removable, remove_hand
+
+    files = ", ".join(str(path) for path in removable(options.hand, options.side))
+    if not options.yes:
+        if not sys.stdin.isatty():
+            raise ConfigError(f"this would delete {files}; say --yes")
+        if input(f"Delete {files}? [y/N] ").strip().lower() not in ("y", "yes"):
+            raise ConfigError("nothing was deleted")
+    gone = remove_hand(options.hand, options.side)
+    print(f"deleted: {', '.join(str(path) for path in gone)}")

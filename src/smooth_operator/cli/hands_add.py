@@ -5,24 +5,74 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
-from rich.text import Text
+from tyro.conf import Positional, UseAppendAction, arg
 
-from smooth_operator.cli.console import output_console, plain_table
-from smooth_operator.cli.hands_add_options import Add
+from smooth_operator.cli.common_options import Common, HandSide, Page
 from smooth_operator.errors import ConfigError, SmoothOperatorError
-from smooth_operator.hand_files.stand_ins import stand_in_note
-from smooth_operator.hand_files.user_hands import save_hand
-from smooth_operator.hands.hand import load_hand_spec
-from smooth_operator.hands.registry import known_hands
-from smooth_operator.hands.spec import HandSpec, Point
-from smooth_operator.hands.spec_file import check_hand_name, read_hand_spec
-from smooth_operator.hands.user_folder import spec_name, user_hands_folder
-from smooth_operator.lab.discovery import Discovery, Overrules, discover
-from smooth_operator.lab.discovery.findings import SURE, UNSURE
+
+if TYPE_CHECKING:
+    from smooth_operator.hands.spec import HandSpec, Point
+    from smooth_operator.lab.discovery import Discovery, Overrules
+
+
+@dataclass(frozen=True, kw_only=True)
+class Add(Common, Page):
+    """Your own hand: reads any URDF or MJCF, finds palm, fingers and tips, writes a spec file."""
+
+    work: ClassVar[str] = "smooth_operator.cli.hands_add:add_hand"
+    details: ClassVar[str] = """Finds palm, fingers, thumb, order, fingertips, side, coupled
+joints, wrist and a neutral pose, from how the joints move and not from names. The output gives
+confidence, reason and the option that overrides each; run it again with those options. The model
+and its meshes are copied to the folder of the spec file, so the original may be moved or deleted;
+after a change to it, run the command again.
+
+Examples:
+  smooth-operator hands add vendor/hand_right.urdf
+  smooth-operator hands add two_hands.urdf --side left --name my_left
+  smooth-operator hands add hand.xml --thumb link_12 --tip index=link_3:0,0,0.027 --overwrite
+  smooth-operator hands add hand.urdf --json"""
+
+    model: Annotated[Positional[Path], arg(metavar="PATH")]
+    """URDF or MJCF file, with or without its meshes; an arm may be attached."""
+
+    name: Annotated[str | None, arg(metavar="NAME")] = None
+    """Name by which --hand will know it; from the file's name if left out."""
+
+    side: Annotated[HandSide | None, arg(metavar="right|left")] = None
+    """Which hand; found if left out. Of two hands in one file, the one to take."""
+
+    palm: Annotated[str | None, arg(metavar="BODY")] = None
+    """Body from which the fingers branch."""
+
+    thumb: Annotated[str | None, arg(metavar="BODY")] = None
+    """Any body or joint of the thumb."""
+
+    finger: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="FINGER=BODY")] = ()
+    """Human finger that drives the one with this body or joint; may be given several times."""
+
+    tip: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="FINGER=BODY:x,y,z")] = ()
+    """Fingertip: a body of the last link, and a point in its frame [m]; may be given several
+    times."""
+
+    wrist: Annotated[str | None, arg(metavar="BODY:x,y,z")] = None
+    """Wrist: a body fixed to the palm, and a point in its frame [m]."""
+
+    overwrite: bool = False
+    """Replace a spec file of that name and side."""
+
+    in_place: bool = False
+    """Copy nothing: the spec file names the model where it is."""
+
+    json: bool = False
+    """One JSON object on standard output instead of the checklist, and no page."""
+
+    no_view: bool = False
+    """Open no page to look at the hand."""
 
 
 def add_hand(options: Add) -> None:
@@ -34,28 +84,36 @@ def add_hand(options: Add) -> None:
         ConfigError: an option can't be understood, or a hand of that name exists.
         OutputError: the spec file can't be written.
     """
+    from smooth_operator.hand_files.user_hands import save_hand
+    from smooth_operator.hands.spec_file import check_hand_name, read_hand_spec
+    from smooth_operator.hands.user_folder import spec_name, user_hands_folder
+    from smooth_operator.lab.discovery import discover
+
     if options.name is not None:
         check_hand_name(options.name)
-    found = discover(
+    discovery = discover(
         options.model, side=options.side, name=options.name, overrules=_overrules(options)
     )
-    found = replace(found, spec=_named(found.spec, options), notes=(*found.notes, *_trial(found)))
-    file = user_hands_folder() / spec_name(found.spec.name, found.spec.side)
-    if not options.overwrite and file.exists() and not _same(file, found.spec):
+    discovery = replace(
+        discovery,
+        spec=_named(discovery.spec, options),
+        notes=(*discovery.notes, *_trial(discovery)),
+    )
+    file = user_hands_folder() / spec_name(discovery.spec.name, discovery.spec.side)
+    if not options.overwrite and file.exists() and not _same(file, discovery.spec):
         raise ConfigError(
-            f"there is a {found.spec.side} hand {found.spec.name!r} already, in {file}: "
+            f"there is a {discovery.spec.side} hand {discovery.spec.name!r} already, in {file}: "
             "--overwrite replaces it, --name gives another name"
         )
-    save_hand(found.spec, comment=_comment(found), copy=not options.in_place)
+    save_hand(discovery.spec, comment=_comment(discovery), copy=not options.in_place)
     used = read_hand_spec(file).model
     if options.json:
-        said = {"file": str(file), "model_used": str(used)}
-        print(json.dumps(found.to_json() | said, indent=2))
+        files = {"file": str(file), "model_used": str(used)}
+        print(json.dumps(discovery.to_json() | files, indent=2))
         return
-    _print(found, file, used)
+    _print(discovery, file, used)
     if not options.no_view:
-        from smooth_operator.cli.hands_options import Show
-        from smooth_operator.cli.hands_show import show_hand
+        from smooth_operator.cli.hands_show import Show, show_hand
 
         show_hand(
             Show(
@@ -69,6 +127,8 @@ def add_hand(options: Add) -> None:
 
 
 def _overrules(options: Add) -> Overrules:
+    from smooth_operator.lab.discovery import Overrules
+
     fingers = tuple(_pair(text, "--finger", "FINGER=BODY") for text in options.finger)
     tips = []
     for text in options.tip:
@@ -89,6 +149,8 @@ def _pair(text: str, option: str, form: str) -> tuple[str, str]:
 
 def _point(text: str, option: str) -> Point:
     # a body's name may hold a colon, numbers never do
+    from smooth_operator.hands.spec import Point
+
     body, sign, numbers = text.rpartition(":")
     if not sign:
         return Point(text)
@@ -105,6 +167,9 @@ def _point(text: str, option: str) -> Point:
 
 def _named(spec: HandSpec, options: Add) -> HandSpec:
     """A free name, unless one was given: what is there already is never replaced unasked."""
+    from smooth_operator.hands.registry import known_hands
+    from smooth_operator.hands.user_folder import spec_name, user_hands_folder
+
     if options.name is not None:
         return spec
     builtin = {entry.name for entry in known_hands().values() if entry.builtin}
@@ -123,7 +188,9 @@ def _named(spec: HandSpec, options: Add) -> HandSpec:
 
 
 def _same(file: Path, spec: HandSpec) -> bool:
-    """Whether a spec file says the same, so that nothing is lost by writing it again."""
+    """True if a spec file has the same description, so that writing it again loses nothing."""
+    from smooth_operator.hands.spec_file import read_hand_spec
+
     try:
         there = read_hand_spec(file)
         same_model = there.model == spec.model or (
@@ -134,30 +201,37 @@ def _same(file: Path, spec: HandSpec) -> bool:
     return same_model and replace(there, model=spec.model) == spec
 
 
-def _trial(found: Discovery) -> tuple[str, ...]:
-    """Loads the hand once, to say early what would stop it later, or what it lacks."""
+def _trial(discovery: Discovery) -> tuple[str, ...]:
+    """Notes from loading the hand once: what would stop it later, or what it lacks."""
+    from smooth_operator.hand_files.stand_ins import stand_in_note
+    from smooth_operator.hands.hand import load_hand_spec
+
     try:
-        hand = load_hand_spec(found.spec)
+        hand = load_hand_spec(discovery.spec)
     except SmoothOperatorError as error:
         return (f"the spec file is written, but can't be loaded yet: {error}",)
     note = stand_in_note(hand)
     return (note,) if note else ()
 
 
-def _comment(found: Discovery) -> str:
+def _comment(discovery: Discovery) -> str:
     lines = ["Written by smooth-operator hands add. What was found, and how sure (0 to 1):"]
-    for finding in found.findings:
+    for finding in discovery.findings:
         lines.append(f"{finding.confidence:.2f}  {finding.subject}: {finding.value}")
         lines += [f"        {reason}" for reason in finding.evidence]
-    return "\n".join([*lines, *(f"Note: {note}" for note in found.notes), ""])
+    return "\n".join([*lines, *(f"Note: {note}" for note in discovery.notes), ""])
 
 
-def _print(found: Discovery, file: Path, used: Path) -> None:
+def _print(discovery: Discovery, file: Path, used: Path) -> None:
+    from rich.text import Text
+
+    from smooth_operator.cli.console import output_console, plain_table
+
     console = output_console()
-    table = plain_table(f"{found.spec.name}, from {found.spec.model}")
+    table = plain_table(f"{discovery.spec.name}, from {discovery.spec.model}")
     for header in ("", "what", "found", "sure", "because"):
         table.add_column(header, no_wrap=header in ("", "what", "sure"))
-    for finding in found.findings:
+    for finding in discovery.findings:
         mark, style = _mark(finding.confidence)
         table.add_row(
             Text(mark, style),
@@ -171,24 +245,26 @@ def _print(found: Discovery, file: Path, used: Path) -> None:
     def say(text: str) -> None:
         console.print(text, markup=False, soft_wrap=True)
 
-    for note in found.notes:
+    for note in discovery.notes:
         say(f"Note: {note}")
-    if found.unsure:
+    if discovery.unsure:
         say("Please look at what is marked ? or !, least sure first. To overrule it, add:")
-        for finding in found.unsure:
+        for finding in discovery.unsure:
             say(f"  {finding.subject} ({finding.confidence:.2f}): {finding.overrule}")
     else:
         say("All of it is sure. To overrule any of it: --side, --palm, --thumb, --finger, --tip")
-    if used != found.spec.model:
+    if used != discovery.spec.model:
         say(
             f"Copied the model and its meshes to {used.parent}: the original may be moved or "
             "deleted; after a change to it, add it again"
         )
-    say(f"Written to {file}: edit it, or use it with --hand {found.spec.name}")
+    say(f"Written to {file}: edit it, or use it with --hand {discovery.spec.name}")
     sys.stdout.flush()
 
 
 def _mark(confidence: float) -> tuple[str, str]:
+    from smooth_operator.lab.discovery.findings import SURE, UNSURE
+
     if confidence >= SURE:
         return "✓", "green"
     return ("?", "yellow") if confidence >= UNSURE else ("!", "red")

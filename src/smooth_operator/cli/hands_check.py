@@ -5,19 +5,56 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Iterator, Sequence
-from typing import Final
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, ClassVar, Final
 
-from rich.text import Text
+from tyro.conf import Positional, arg
 
-from smooth_operator.cli.console import Progressing, output_console, plain_table
-from smooth_operator.cli.hands_check_options import Check
-from smooth_operator.compilation.compile_cache import enable_cache, healing
-from smooth_operator.lab.validation import HandValidation, check_hand
-from smooth_operator.lab.validation.checks import Verdict
+from smooth_operator.cli.common_options import Common, HandSide
+
+if TYPE_CHECKING:
+    from smooth_operator.lab.validation import HandValidation
+    from smooth_operator.lab.validation.checks import Verdict
+
+
+@dataclass(frozen=True, kw_only=True)
+class Check(Common):
+    """Is a hand's description right? Limits, axes, tips, pinches, and a round trip."""
+
+    work: ClassVar[str] = "smooth_operator.cli.hands_check:check_hand_command"
+    details: ClassVar[str] = """Each check says what was measured and what to do. In the round trip
+random poses of the hand are retargeted from their own landmarks: they should come back. The exit
+status is 0 if all is well, 1 if a check failed, 2 if the hand can't be loaded.
+
+Examples:
+  smooth-operator hands check my_hand
+  smooth-operator hands check my_hand.right.toml --quick
+  smooth-operator hands check shadow_hand --side left --json"""
+
+    hand: Annotated[Positional[str], arg(metavar="SPEC")]
+    """Name of a hand, or path of a spec file (.toml)."""
+
+    side: Annotated[HandSide | None, arg(metavar="right|left")] = None
+    """Which hand; right, or as the spec file says, if left out."""
+
+    quick: bool = False
+    """Take the round trip through sbr and smooth only, not through every method."""
+
+    poses: int = 20
+    """Poses of each round trip."""
+
+    seed: int = 0
+    """Seed of these poses."""
+
+    json: bool = False
+    """One JSON object on standard output instead of the checklist."""
+
+    quiet: bool = False
+    """No progress on standard error."""
+
 
 FAILED: Final = 1
 """Exit status when a check failed."""
-
 _MARKS: Final[dict[Verdict, tuple[str, str]]] = {
     "ok": ("✓", "green"),
     "warning": ("?", "yellow"),
@@ -35,6 +72,10 @@ def check_hand_command(options: Check) -> None:
         HandModelError: it can't be loaded.
         SystemExit: with ``FAILED``, if a check failed.
     """
+    from smooth_operator.cli.console import Progressing
+    from smooth_operator.compilation.cache import jax_cache
+    from smooth_operator.lab.validation import check_hand
+
     bar = Progressing(options.quiet).counter("poses", transient=True)
 
     def track(what: str, steps: Sequence[int]) -> Iterator[int]:
@@ -42,8 +83,8 @@ def check_hand_command(options: Check) -> None:
         yield from bar.track(steps, task_id=task)
         bar.remove_task(task)
 
-    with bar, healing(enable_cache()):
-        found = check_hand(
+    with bar, jax_cache():
+        validation = check_hand(
             options.hand,
             options.side,
             quick=options.quick,
@@ -52,28 +93,32 @@ def check_hand_command(options: Check) -> None:
             track=track,
         )
     if options.json:
-        print(json.dumps(found.to_json(), indent=2))
+        print(json.dumps(validation.to_json(), indent=2))
     else:
-        _print(found)
+        _print(validation)
     sys.stdout.flush()
-    if not found.ok:
+    if not validation.ok:
         raise SystemExit(FAILED)
 
 
-def _print(found: HandValidation) -> None:
+def _print(validation: HandValidation) -> None:
+    from rich.text import Text
+
+    from smooth_operator.cli.console import output_console, plain_table
+
     console = output_console()
-    table = plain_table(f"{found.hand}, {found.side} hand")
+    table = plain_table(f"{validation.hand}, {validation.side} hand")
     for header in ("", "check", "measured", "what to do"):
         table.add_column(header, no_wrap=header in ("", "check"))
-    for check in found.checks:
+    for check in validation.checks:
         mark, style = _MARKS[check.verdict]
         table.add_row(Text(mark, style), check.name, Text(check.measured), Text(check.advice or ""))
     console.print(table)
-    count = len(found.failed)
-    warned = sum(check.verdict == "warning" for check in found.checks)
-    said = "No check failed" if not count else f"{count} check{'s' * (count > 1)} failed"
+    count = len(validation.failed)
+    warned = sum(check.verdict == "warning" for check in validation.checks)
+    summary = "No check failed" if not count else f"{count} check{'s' * (count > 1)} failed"
     if warned:
-        said += f", {warned} warning{'s' * (warned > 1)}"
+        summary += f", {warned} warning{'s' * (warned > 1)}"
     console.print(
-        f"{said}. ✓ ok  ? warning  ! failed  · measured, not judged  – not checked", markup=False
+        f"{summary}. ✓ ok  ? warning  ! failed  · measured, not judged  – not checked", markup=False
     )

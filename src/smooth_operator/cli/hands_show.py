@@ -3,21 +3,59 @@
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
-import numpy as np
-from rich.text import Text
+from tyro.conf import Positional, arg
 
-from smooth_operator.cli.console import output_console, plain_table
-from smooth_operator.cli.hands_options import Render, Show
-from smooth_operator.cli.meshes import hand_to_draw
-from smooth_operator.hands.hand import Hand
-from smooth_operator.hands.registry import load_hand
-from smooth_operator.hands.spec import Point
-from smooth_operator.hands.spec_file import POINTS
-from smooth_operator.teleop.joint_rows import joint_rows
+from smooth_operator.cli.common_options import Common, HandSide, Meshes, Page
 from smooth_operator.terminal import printable
+
+if TYPE_CHECKING:
+    from smooth_operator.hands.hand import Hand
+    from smooth_operator.hands.spec import Point
+
+
+@dataclass(frozen=True, kw_only=True)
+class _OneHand(Common, Meshes):
+    """Options of the subcommands about one hand."""
+
+    hand: Annotated[Positional[str], arg(metavar="NAME")]
+    """Name of a hand, or path of a spec file (.toml)."""
+
+    side: Annotated[HandSide | None, arg(metavar="right|left")] = None
+    """Which hand; right, or as the spec file says, if left out."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Show(_OneHand, Page):
+    """Joints, limits and couplings of a hand, and the hand in the browser with a slider a joint."""
+
+    work: ClassVar[str] = "smooth_operator.cli.hands_show:show_hand"
+    details: ClassVar[str] = """Examples:
+  smooth-operator hands show shadow_hand
+  smooth-operator hands show ability_hand --side left --no-view
+  smooth-operator hands show shadow_hand --model menagerie
+  smooth-operator hands show my-hand.right.toml --json"""
+
+    no_view: bool = False
+    """Print the tables, serve no page."""
+
+    json: bool = False
+    """One JSON object on standard output, and no page."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Render(_OneHand):
+    """A picture of a hand: shape, landmarks, palm frame, joint ranges. Needs no display."""
+
+    work: ClassVar[str] = "smooth_operator.cli.hands_show:render_hand"
+    details: ClassVar[str] = """Example:
+  smooth-operator hands render leap_hand --output leap.png"""
+
+    output: Annotated[Path | None, arg(metavar="PNG")] = None
+    """The picture; NAME_SIDE.png in the current folder if left out."""
 
 
 def show_hand(options: Show) -> None:
@@ -28,6 +66,9 @@ def show_hand(options: Show) -> None:
         HandModelError: it can't be used.
         ConfigError: the page can't be served there.
     """
+    from smooth_operator.cli.page import hand_to_draw
+    from smooth_operator.hands.registry import load_hand
+
     hand = load_hand(options.hand, options.side)
     drawn = hand_to_draw(hand, options)
     shown = drawn if drawn is not None and options.model is not None else hand
@@ -55,6 +96,8 @@ def render_hand(options: Render) -> None:
         HandModelError: it can't be used.
         OutputError: the picture can't be written.
     """
+    from smooth_operator.cli.page import hand_to_draw
+    from smooth_operator.hands.registry import load_hand
     from smooth_operator.teleop.pages.hand_picture import save_hand_picture
 
     hand = load_hand(options.hand, options.side)
@@ -66,6 +109,11 @@ def render_hand(options: Render) -> None:
 
 def describe(hand: Hand) -> dict[str, Any]:
     """A hand as plain values, for ``--json``."""
+    import numpy as np
+
+    from smooth_operator.hands.spec_file import POINTS
+    from smooth_operator.teleop.joint_rows import joint_rows
+
     spec, followed = hand.spec, {c.joint: c for c in hand.couplings}
     joints = []
     torques = _torques(hand)
@@ -119,6 +167,12 @@ def _point(point: Point) -> dict[str, Any]:
 
 
 def _print_tables(hand: Hand) -> None:
+    import numpy as np
+    from rich.text import Text
+
+    from smooth_operator.cli.console import output_console, plain_table
+    from smooth_operator.teleop.joint_rows import joint_rows
+
     spec = hand.spec
     console = output_console()
 

@@ -15,19 +15,19 @@ from rich.text import Text
 from smooth_operator.cli.console import output_console, plain_table
 from smooth_operator.cli.hardware_options import List, Monitor
 from smooth_operator.errors import ConfigError, SmoothOperatorError
+from smooth_operator.formats.jsonable import numbers
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
+from smooth_operator.teleop.hardware.bus_lock import serial_ports
 from smooth_operator.teleop.hardware.hardware_sink import HardwareSink, is_driver, real_hand
-from smooth_operator.teleop.hardware.serial_port import serial_ports
 from smooth_operator.teleop.hardware.table_file import (
     list_tables,
     read_table,
     user_tables_folder,
 )
-from smooth_operator.teleop.recording.messages import numbers
-from smooth_operator.teleop.sinks.hand_state import HandState
 from smooth_operator.teleop.sinks.registry import SINKS, build_sink
+from smooth_operator.teleop.sinks.tick import HandState
 from smooth_operator.types import Side
 
 _REDRAW_S: Final = 0.2

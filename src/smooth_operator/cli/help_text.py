@@ -16,29 +16,20 @@ from collections.abc import Iterator
 from itertools import pairwise
 from typing import Annotated, Any, get_args, get_type_hints
 
-from tyro.conf import arg
+from tyro.conf import Suppress, arg
 
 _NARROWEST = 40
 _BOXED = re.compile(r"\s*(\x1b\[[0-9;]*m)*[╭│╰|+]")
 
 
 def unwrapped(text: str) -> str:
-    """A text whose paragraphs are a line each; what is indented stays as it is.
+    """A text whose paragraphs are a line each; indented lines stay as they are.
 
-    tyro joins lines that begin with a letter to those before, indented ones too; an empty line
-    keeps a paragraph apart from what was indented.
+    tyro joins a line that begins with a letter to the one before, an indented one too; an empty
+    line after an indented block keeps them apart.
     """
-    lines: list[str] = []
-    for line in text.splitlines():
-        before = lines[-1] if lines else ""
-        if before and line and not line.startswith(" "):
-            if before.startswith(" "):
-                lines.append("")
-            else:
-                lines[-1] = f"{before} {line}"
-                continue
-        lines.append(line.rstrip())
-    return "\n".join(lines)
+    joined = re.sub(r"(?m)^(\S.*)\n(?=\S)", r"\1 ", text)
+    return re.sub(r"(?m)^( .*)\n(?=\S)", r"\1\n\n", joined)
 
 
 def document(kind: type) -> None:
@@ -53,6 +44,24 @@ def document(kind: type) -> None:
     for hint in get_type_hints(kind, include_extras=True).values():
         for part in _dataclasses_in(hint):
             document(part)
+
+
+def without_rare(kind: type) -> type:
+    """A copy of a command's class whose help leaves out the rare options."""
+    rare: frozenset[str] = getattr(kind, "rare", frozenset())
+    if not rare:
+        return kind
+    hints = get_type_hints(kind, include_extras=True)
+    namespace: dict[str, Any] = {
+        field.name: dataclasses.field(default=field.default, default_factory=field.default_factory)
+        for field in dataclasses.fields(kind)
+        if field.name in rare
+    }
+    suppress: Any = Suppress
+    namespace["__annotations__"] = {name: suppress[hints[name]] for name in namespace}
+    namespace["__doc__"] = kind.__doc__
+    copy = type(kind.__name__, (kind,), namespace)
+    return dataclasses.dataclass(frozen=True, kw_only=True)(copy)
 
 
 @functools.cache
@@ -86,7 +95,7 @@ def _dataclasses_in(hint: Any) -> Iterator[type]:
 
 @contextlib.contextmanager
 def wrapped_output() -> Iterator[None]:
-    """What is printed within is wrapped at the width of the terminal, boxes excepted.
+    """Wraps the text printed in the block at the width of the terminal, except boxes.
 
     tyro fits its boxes to that width, and leaves what stands above them as it is.
     """

@@ -3,21 +3,50 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final
 
-import numpy as np
+from tyro.conf import Positional, arg
 
-from smooth_operator.cli.console import output_console, plain_table
-from smooth_operator.cli.latency_options import Latency
+from smooth_operator.cli.common_options import Common
 from smooth_operator.errors import ConfigError, OutputError
-from smooth_operator.formats.jsonable import to_json
-from smooth_operator.teleop.recording import read_log
-from smooth_operator.teleop.recording.log_reader import Log
-from smooth_operator.teleop.runtime.log_timing import added_latency, log_timing
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from smooth_operator.teleop.recording.log_reader import Log
+
+
+@dataclass(frozen=True, kw_only=True)
+class Latency(Common):
+    """Print how long every stage took, from a log that teleop recorded."""
+
+    work: ClassVar[str] = "smooth_operator.cli.latency:latency"
+    details: ClassVar[str] = """Stages of a frame:
+  tracker  how much later it came than the fastest of the last seconds; the clocks of tracker and
+           computer are not compared, so a delay that never changes can't be seen
+  receive  from its arrival until the loop took it
+  solve    alignment and retargeting, one compiled program
+  limit    limits of position, velocity and acceleration, coupled joints
+  send     until every sink had the command
+The sum of the last four is what the loop adds.
+
+Examples:
+  smooth-operator teleop --sink record:take.mcap --duration 60
+  smooth-operator latency take.mcap --plot latency.png
+  smooth-operator latency take.right.mcap take.left.mcap --json
+"""
+
+    logs: Annotated[Positional[tuple[Path, ...]], arg(metavar="RECORD.mcap")]
+    """Logs, as the sink record writes them."""
+
+    plot: Annotated[Path | None, arg(metavar="FILE.png")] = None
+    """Plot the latencies over time and their distribution."""
+
+    json: bool = False
+    """Print one JSON object on standard output, by log, and nothing else there."""
+
 
 _SHOWN: Final = ("p50", "p95", "p99", "max")
 _COLOURS: Final = ("#0072B2", "#E69F00", "#009E73", "#CC79A7")  # Okabe and Ito's
@@ -30,6 +59,10 @@ def latency(options: Latency) -> None:
         RecordingError: a file is no log, or holds no commands.
         OutputError: the figure can't be written.
     """
+    from smooth_operator.formats.jsonable import to_json
+    from smooth_operator.teleop.recording import read_log
+    from smooth_operator.teleop.runtime.log_timing import log_timing
+
     if not options.logs:
         raise ConfigError("name one log or more: smooth-operator latency take.mcap")
     logs = {path: read_log(path) for path in options.logs}
@@ -48,6 +81,8 @@ def latency(options: Latency) -> None:
 
 
 def _print(path: Path, timing: Mapping[str, Any]) -> None:
+    from smooth_operator.cli.console import output_console, plain_table
+
     console = output_console()
     table = plain_table(str(path))
     table.add_column("[ms]")
@@ -73,7 +108,10 @@ def _print(path: Path, timing: Mapping[str, Any]) -> None:
 
 def _figure(logs: Mapping[Path, Log]) -> Figure:
     """Latencies over time, and their distribution."""
+    import numpy as np
     from matplotlib.figure import Figure
+
+    from smooth_operator.teleop.runtime.log_timing import added_latency
 
     figure = Figure(figsize=(10, 3.6), layout="constrained")
     over_time, spread = figure.subplots(1, 2, width_ratios=(2, 1))

@@ -8,29 +8,26 @@ from typing import Any, Final, TypeAlias
 
 import tyro
 
-from smooth_operator.cli.ablate_options import Ablate, Paper
 from smooth_operator.cli.bench_options import Bench
-from smooth_operator.cli.calibrate_options import Calibrate
+from smooth_operator.cli.calibrate import Calibrate
 from smooth_operator.cli.common_options import Common
-from smooth_operator.cli.convert_options import Convert
+from smooth_operator.cli.convert import Convert
 from smooth_operator.cli.dataset_options import Dataset
-from smooth_operator.cli.demo_options import Demo
+from smooth_operator.cli.demo import Demo
 from smooth_operator.cli.doctor_options import Doctor
-from smooth_operator.cli.glove_simulator_options import GloveSimulate
-from smooth_operator.cli.grammar import check_words
-from smooth_operator.cli.hands_options import Hands
+from smooth_operator.cli.hands import Hands
 from smooth_operator.cli.hardware_options import Hardware
-from smooth_operator.cli.help_text import document, wrapped_output
-from smooth_operator.cli.latency_options import Latency
-from smooth_operator.cli.retarget_options import Retarget
-from smooth_operator.cli.sample_options import Sample
+from smooth_operator.cli.help_text import document, without_rare, wrapped_output
+from smooth_operator.cli.latency import Latency
+from smooth_operator.cli.retarget import Retarget
+from smooth_operator.cli.sample import Sample
 from smooth_operator.cli.study_options import Study
 from smooth_operator.cli.subcommands import Group, described
-from smooth_operator.cli.teleop_options import Teleop
-from smooth_operator.cli.train_options import Train
+from smooth_operator.cli.teleop import Teleop
+from smooth_operator.cli.train import Train
 from smooth_operator.cli.tune_options import Tune
-from smooth_operator.cli.view_options import View
-from smooth_operator.errors import ConfigError
+from smooth_operator.cli.view import View
+from smooth_operator.errors import ConfigError, UnknownNameError
 from smooth_operator.plugins import Entry, Registry
 
 _EXAMPLES = """Examples:
@@ -50,16 +47,12 @@ _EXAMPLES = """Examples:
       both into one file of another format: MCAP, HDF5, npz or LeRobot
   smooth-operator bench glove.npz --methods all --output out
       which method, and how good? a table, results.json and a report
-  smooth-operator paper --output out
-      the paper's experiments re-run, claim by claim; ablate NAME runs one
   smooth-operator calibrate glove.npz --output operator.json
       the operator's hand on the robot's, for --operator; with a report
   smooth-operator train geort glove.npz --output my-geort
       a model of the learning-based method for a hand and its operator
   smooth-operator tune sbr mine.npz --vary pose_weight=0.01:0.1:log --output out
       the numbers of a preset searched, never on what is held out
-  smooth-operator glove-simulator
-      a moving hand as a MANUS glove sends it, for teleop --source manus
   smooth-operator hands list
       the robot hands; hands show NAME has joints and limits, and a page
   smooth-operator hardware list
@@ -74,18 +67,15 @@ Each command has its own help: smooth-operator retarget --help
 
 
 Command: TypeAlias = (
-    Ablate
-    | Bench
+    Bench
     | Calibrate
     | Convert
     | Dataset
     | Demo
     | Doctor
-    | GloveSimulate
     | Hands
     | Hardware
     | Latency
-    | Paper
     | Retarget
     | Sample
     | Study
@@ -105,14 +95,11 @@ _COMMANDS: Final[dict[str, type[Command]]] = {
     "view": View,
     "convert": Convert,
     "bench": Bench,
-    "paper": Paper,
-    "ablate": Ablate,
     "train": Train,
     "tune": Tune,
     "hands": Hands,
     "hardware": Hardware,
     "calibrate": Calibrate,
-    "glove-simulator": GloveSimulate,
     "study": Study,
     "doctor": Doctor,
 }
@@ -122,7 +109,13 @@ COMMANDS: Final = Registry(
     "command",
     {name: Entry(f"{kind.__module__}:{kind.__name__}") for name, kind in _COMMANDS.items()},
 )
-"""Name -> options of the command, a dataclass that derives from ``Common``."""
+"""Name -> options of the command, a dataclass that derives from ``Common``.
+
+A plugin's ``GROUP.NAME`` is the command ``smooth-operator GROUP NAME``.
+"""
+
+RESEARCH: Final = ("paper", "ablate", "physics", "study.simulate")
+"""Commands that the distribution in ``research/`` adds."""
 
 
 def _command(name: str) -> type[Common | Group]:
@@ -144,36 +137,66 @@ def _commands(name: str) -> dict[str, Any]:
     return {**_COMMANDS, **COMMANDS.loadable(_command)}  # for the overview
 
 
+def _in_research(arguments: Sequence[str]) -> list[str]:
+    """Arguments with ``bench --physics`` and a plugin's ``GROUP COMMAND`` as one word each.
+
+    Raises:
+        ConfigError: the command is in the research distribution, which is not installed.
+    """
+    words = list(arguments)
+    if words[:1] == ["bench"] and "--physics" in words:
+        words = ["physics", *("--measures" if w == "--physics" else w for w in words[1:])]
+    joined = ".".join(words[:2])
+    if joined in COMMANDS or joined in RESEARCH:
+        words = [joined, *words[2:]]
+    if words[:1] and words[0] in RESEARCH and words[0] not in COMMANDS:
+        raise ConfigError(
+            f"{words[0].replace('.', ' ')} is a command of the research distribution; in a clone "
+            "of the repository: python -m pip install ./research"
+        )
+    return words
+
+
 def parse(arguments: Sequence[str]) -> Command:
     """The command that the arguments name.
 
     Raises:
         SystemExit: 0 after printing help, 2 after saying what is wrong with the arguments.
-        SmoothOperatorError: there is no such command or option.
+        SmoothOperatorError: there is no such command.
     """
+    whole = "--help-all" in arguments
+    arguments = _in_research(["--help" if w == "--help-all" else w for w in arguments])
     name = arguments[0] if arguments else ""
     commands = _commands(name)
-    check_words(commands, arguments)
     flags = (tyro.conf.FlagCreatePairsOff,)
     for_a_shell = any(word.startswith("--tyro-") for word in arguments)  # completions
+    overview = not arguments or name in ("-h", "--help") or name.startswith("--tyro-")
+    if not overview and name.startswith("-"):
+        raise ConfigError(
+            f"{name!r} stands before the command; expected smooth-operator COMMAND [OPTIONS], and "
+            "smooth-operator --help lists the commands"
+        )
+    if not overview and name not in commands:
+        hint = "smooth-operator --help says what each does."
+        raise UnknownNameError("command", name, commands, hint)
     with contextlib.nullcontext() if for_a_shell else wrapped_output():
-        if name in commands:
-            kind: Any = commands[name]
-            document(kind)
-            chosen: Command = tyro.cli(
-                kind,
-                prog=f"smooth-operator {name}",
-                description=described(kind),
-                args=list(arguments[1:]),
+        if overview:
+            tyro.extras.subcommand_cli_from_dict(
+                {name: kind for name, kind in commands.items() if "." not in name},
+                prog="smooth-operator",
+                description=f"Retarget a tracked human hand onto a robot hand.\n\n{_EXAMPLES}",
+                args=list(arguments) or ["--help"],
                 config=flags,
             )
-            return chosen
-        # All together: for the overview.
-        tyro.extras.subcommand_cli_from_dict(
-            commands,
-            prog="smooth-operator",
-            description=f"Retarget a tracked human hand onto a robot hand.\n\n{_EXAMPLES}",
-            args=list(arguments) or ["--help"],
+        kind: Any = commands[name]
+        document(kind)
+        if not whole and {"-h", "--help"} & set(arguments):
+            kind = without_rare(kind)
+        chosen: Command = tyro.cli(
+            kind,
+            prog=f"smooth-operator {name.replace('.', ' ')}",
+            description=described(kind, whole),
+            args=list(arguments[1:]),
             config=flags,
         )
-    raise SystemExit(2)  # not reached: what names a command was parsed above
+        return chosen

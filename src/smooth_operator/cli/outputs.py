@@ -23,12 +23,12 @@ def check_commands_path(path: Path, recording: Path) -> None:
     if path.suffix != ".npz":
         raise OutputError(f"can't write {str(path)!r}: the name must end in .npz")
     beside = config_path(path)
-    for taken in (path, beside):
-        if taken.exists() and not taken.is_file():
-            raise OutputError(f"can't write {str(taken)!r}: it is a folder; give a file's name")
-        if taken.exists() and recording.exists() and taken.samefile(recording):
+    for target in (path, beside):
+        if target.exists() and not target.is_file():
+            raise OutputError(f"can't write {str(target)!r}: it is a folder; give a file's name")
+        if target.exists() and recording.exists() and target.samefile(recording):
             raise OutputError(
-                f"can't write {str(taken)!r}: it is the recording itself; choose another name"
+                f"can't write {str(target)!r}: it is the recording itself; choose another name"
             )
     if path.exists():
         try:

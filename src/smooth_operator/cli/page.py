@@ -1,19 +1,44 @@
-"""Opens the browser page of a trace."""
+"""A trace as a page in the browser, and the model that a robot hand is drawn on."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.hand_files.menagerie import has_meshes
+from smooth_operator.cli.common_options import Meshes
+from smooth_operator.errors import HandModelError
+from smooth_operator.hand_files.menagerie import hand_with_meshes, has_meshes
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import FINGERS, TIPS
 from smooth_operator.metrics import Trace
-from smooth_operator.teleop.pages import Playback
+from smooth_operator.terminal import print_note
+
+if TYPE_CHECKING:
+    from smooth_operator.teleop.pages.playback import Playback
+
+
+def hand_to_draw(hand: Hand, options: Meshes) -> Hand | None:
+    """The hand on a model with its meshes; None where simple shapes are to be drawn.
+
+    Meshes that nobody named and that can't be read are no reason to stop: a line says so.
+
+    Raises:
+        HandModelError: the model that was named can't be used.
+        MissingExtraError: its package is not installed.
+    """
+    if options.no_meshes:
+        return None
+    try:
+        return hand_with_meshes(hand, options.model)
+    except HandModelError as error:
+        if options.model is not None:
+            raise
+        print_note(f"simple shapes are drawn: {error}")
+        return None
 
 
 def playback(
@@ -24,19 +49,19 @@ def playback(
     drawn: Hand | None = None,
     label: str = "robot",
 ) -> Playback:
-    """What the page plays.
+    """A run as the page plays it.
 
     Args:
-        title: above the page.
+        title: title of the page.
         hand: the robot hand.
         trace: the run, in the palm frame.
-        metrics: for the page's table.
+        metrics: figures for the table on the page.
         drawn: the same hand on the model to draw, with the same joints by name, in any order; see
             ``on_model``. Simple shapes if left out; with it, they are there for a switch.
-        label: what stands above the robot.
+        label: text above the robot.
     """
-    from smooth_operator.teleop.pages.playback import SimpleShapes
-    from smooth_operator.teleop.pages.simple_shapes import simple_meshes
+    from smooth_operator.teleop.pages.hand_view import simple_meshes
+    from smooth_operator.teleop.pages.playback import Playback, SimpleShapes
 
     simple = None
     model = drawn or hand

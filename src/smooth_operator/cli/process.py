@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
 INTERRUPTED = 130  # what shells report for SIGINT
-_COMPILES = "compile"  # name of the thread of ``smooth_operator.compilation.early_answers``
+_COMPILES = "compile"  # name of the thread of ``smooth_operator.teleop.run`` that compiles
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -52,9 +52,9 @@ def program() -> int:
 
     A daemon thread that is still within compiled code (a driver that does not answer, a library)
     asks for the interpreter while that ends, and is unwound through frames that do not expect it:
-    the process aborts, though its work is done. So where one is left, nothing is torn down. What
-    compiles a method while a run answers early is not waited for, either. Neither is anything torn
-    down after a signal: Python would end the process by SIGINT if that came in an ``exec``.
+    the process aborts, though its work is done. So where one is left, nothing is torn down. One
+    that compiles for a run that has ended is not waited for, either. Neither is anything
+    torn down after a signal: Python would end the process by SIGINT if that came in an ``exec``.
     """
     status = main()
     left = [thread for thread in threading.enumerate() if thread is not threading.current_thread()]

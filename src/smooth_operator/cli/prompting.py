@@ -16,7 +16,7 @@ from smooth_operator.types import HandRecording
 
 _TURN_S: Final = 0.05
 _PATIENCE_S: Final = 30.0
-"""How long a tracker may stay silent before it is given up [s]."""
+"""Longest silence of a tracker before calibration ends [s]."""
 
 
 def ask(

@@ -2,15 +2,46 @@
 
 from __future__ import annotations
 
-from typing import Final
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, ClassVar, Final
 
-from smooth_operator.cli.console import Progressing
-from smooth_operator.cli.outputs import folder_for
-from smooth_operator.cli.sample_options import Sample
-from smooth_operator.cli.synthetic import synthetic_operator
+from tyro.conf import Positional, arg
+
+from smooth_operator.cli.common_options import Common, Synthetic
 from smooth_operator.errors import OutputError
-from smooth_operator.formats.episode import Episode
-from smooth_operator.teleop.recording import write_episode
+
+if TYPE_CHECKING:
+    from smooth_operator.synthetic import SyntheticOperator
+    from smooth_operator.types import Side
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sample(Common, Synthetic):
+    """Write a recording of the built-in operator, as input for the other commands."""
+
+    work: ClassVar[str] = "smooth_operator.cli.sample:sample"
+    details: ClassVar[str] = """The hand opens, closes, pinches, spreads and gaits its fingers. Its
+proportions and its motion come from --seed: the same seed is the same file.
+
+Examples:
+  smooth-operator sample hand.npz
+  smooth-operator sample noisy.npz --seed 7 --noise 1 --rate 30
+  smooth-operator sample left.mcap --side left --duration 60
+"""
+
+    output: Annotated[Positional[Path], arg(metavar="OUT.npz|OUT.mcap|OUT.h5")]
+    """File to write; its folder is created if missing."""
+
+    seed: int = 0
+    """Seed of the person: bone lengths, timing and motion."""
+
+    overwrite: bool = False
+    """Replace an existing file."""
+
+    quiet: bool = False
+    """Print nothing on standard error."""
+
 
 _SUFFIXES: Final = (".npz", ".mcap", ".h5", ".hdf5")
 
@@ -22,6 +53,11 @@ def sample(options: Sample) -> None:
         ConfigError: a setting is outside its range.
         OutputError: the suffix names no format, the file exists, or it can't be written.
     """
+    from smooth_operator.cli.console import Progressing
+    from smooth_operator.cli.outputs import folder_for
+    from smooth_operator.formats.episode import Episode
+    from smooth_operator.teleop.recording import write_episode
+
     path = options.output
     if path.suffix.lower() not in _SUFFIXES:
         raise OutputError(
@@ -35,5 +71,31 @@ def sample(options: Sample) -> None:
     recording = synthetic_operator(options, options.seed).record(options.duration)
     with folder_for(path.parent):
         write_episode(path, Episode(recording, name=path.stem))
-    said = f"{len(recording)} frames of a {recording.side} hand at {options.rate:g} Hz"
-    Progressing(options.quiet).note(f"wrote {path}: {said}")
+    content = f"{len(recording)} frames of a {recording.side} hand at {options.rate:g} Hz"
+    Progressing(options.quiet).note(f"wrote {path}: {content}")
+
+
+def synthetic_operator(options: Synthetic, seed: int, side: Side = "right") -> SyntheticOperator:
+    """Synthetic operator with the side, rate and tracker of the options.
+
+    Args:
+        options: options of the command.
+        seed: random seed of its movements and its tracker's errors.
+        side: side to use if the options name none.
+
+    Raises:
+        ConfigError: a setting is outside its range.
+    """
+    from smooth_operator.synthetic import SyntheticOperator, TrackerModel
+
+    return SyntheticOperator(
+        seed=seed,
+        side=options.side or side,
+        rate_hz=options.rate,
+        tracker=TrackerModel(
+            noise=options.noise * 1e-3,
+            frame_loss=options.frame_loss,
+            landmark_loss=options.landmark_loss,
+            seed=seed,
+        ),
+    )

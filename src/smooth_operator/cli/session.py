@@ -24,7 +24,7 @@ def requested(
     layout: str | None = None,
     frames: str | None = None,
 ) -> RetargetRequest:
-    """What the options ask for, every text and file in them read.
+    """Request of the options, with every text and file in them read.
 
     Raises:
         SmoothOperatorError: one of them can't be.

@@ -13,16 +13,14 @@ from rich.text import Text
 
 from smooth_operator.cli.console import Progressing, output_console, plain_table
 from smooth_operator.cli.outputs import folder_for
-from smooth_operator.cli.study_analyze_options import Analyze
+from smooth_operator.cli.study_options import Analyze
 from smooth_operator.errors import ConfigError, StudyError
 from smooth_operator.study.analysis import Analysis, analyze_study
-from smooth_operator.study.analysis.flow import flow_text, leave_out
+from smooth_operator.study.analysis.operators import flow_text, leave_out
 from smooth_operator.study.analysis.output import write_analysis
 from smooth_operator.study.analysis.results import OUTCOMES, Mode, Outcome, ScopeResult
 from smooth_operator.study.data import read_study
-from smooth_operator.study.data.reading import NAMES
-from smooth_operator.study.data.second_ratings import with_second_ratings
-from smooth_operator.study.data.workload_scores import with_workload
+from smooth_operator.study.data.reading import NAMES, with_second_ratings, with_workload
 
 SOME_REFUSED: Final = 1
 """Exit status where everything was done, but some parts have a reason in place of figures."""
@@ -99,7 +97,7 @@ def _split(words: Sequence[str]) -> tuple[list[str], list[Path]]:
     for word in words:
         path = Path(word)
         held = path.is_dir() and (path / _STORE).is_file()
-        if "://" in word or held or path.suffix == ".db" or _is_sqlite(path):
+        if held or path.suffix == ".db" or _is_sqlite(path):
             stored.append(word)
         else:
             files.append(path)
@@ -120,9 +118,9 @@ def _exported(target: str, name: str | None) -> str:
         StudyError: there is no such store.
     """
     from smooth_operator.study.store.export import study_json
-    from smooth_operator.study.store.opening import open_study
+    from smooth_operator.study.store.study_store import open_study
 
-    if "://" not in target and not Path(target).exists():  # opening would make one
+    if not Path(target).exists():  # opening would make one
         raise StudyError(f"no such file: {target!r}; give the folder of a study that was run")
     with open_study(target, name=name) as store:
         return json.dumps(study_json(store))
@@ -130,7 +128,7 @@ def _exported(target: str, name: str | None) -> str:
 
 def _with_metrics(paths: Sequence[Path], stored: Sequence[str] = ()) -> list[Path]:
     """The files, and the metrics in the folder of the trials under their usual name."""
-    folders = [Path(word) for word in stored if "://" not in word]
+    folders = [Path(word) for word in stored]
     trials = [(f if f.is_dir() else f.parent) / NAMES[0] for f in folders]
     found = list(paths)
     if any(path.name == NAMES[2] for path in paths):

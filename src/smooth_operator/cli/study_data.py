@@ -5,12 +5,12 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from smooth_operator.cli.study_data_options import Erase, Export
+from smooth_operator.cli.study_options import Erase, Export
 from smooth_operator.errors import ConfigError, UnknownNameError
 from smooth_operator.study.design.plan_file import NAME, read_plan, write_plan
-from smooth_operator.study.store.database_tables import FILE
+from smooth_operator.study.store.database import FILE
 from smooth_operator.study.store.export import export_study
-from smooth_operator.study.store.opening import open_study
+from smooth_operator.study.store.study_store import open_study
 from smooth_operator.terminal import printable
 
 
@@ -63,8 +63,6 @@ def erase_data(options: Erase) -> None:
 
 def _check_there(study: str) -> None:
     """Opening would make a store where there is none."""
-    if "://" in study:
-        return
     path = Path(study) / FILE if Path(study).is_dir() else Path(study)
     if not path.is_file():
         raise ConfigError(f"nothing is stored at {path}; give the folder of a study that was run")

@@ -11,7 +11,7 @@ import numpy as np
 from smooth_operator.atomic_files import atomic_write
 from smooth_operator.cli.console import Progressing
 from smooth_operator.cli.outputs import folder_for
-from smooth_operator.cli.study_metrics_options import Metrics
+from smooth_operator.cli.study_options import Metrics
 from smooth_operator.errors import ConfigError, DocumentError, SmoothOperatorError, StudyError
 from smooth_operator.formats.csv_table import csv_text
 from smooth_operator.hands.registry import load_hand
@@ -26,7 +26,7 @@ from smooth_operator.study.data.take_metrics import (
     trial_spans,
     utc_of_zero,
 )
-from smooth_operator.study.store.opening import open_study
+from smooth_operator.study.store.study_store import open_study
 from smooth_operator.teleop.recording.log_reader import read_log
 from smooth_operator.types import CommandTrajectory
 

@@ -12,13 +12,12 @@ from rich.console import Console
 from smooth_operator.cli.console import Progressing, output_console, plain_table
 from smooth_operator.cli.outputs import folder_for
 from smooth_operator.cli.study_new import PAPER_CONDITIONS, PAPER_OPERATORS
-from smooth_operator.cli.study_power_options import Power
+from smooth_operator.cli.study_options import Power
 from smooth_operator.errors import ConfigError
 from smooth_operator.simulation.tasks.rubrics import PAPER_TASKS
 from smooth_operator.study.analysis.results import MODES
 from smooth_operator.study.design.plan_file import read_plan
 from smooth_operator.study.design.protocol import Protocol
-from smooth_operator.study.power.assumptions import Spread, assumptions_for
 from smooth_operator.study.power.power_report import (
     TITLES,
     Tallies,
@@ -28,7 +27,8 @@ from smooth_operator.study.power.power_report import (
     write_power,
 )
 from smooth_operator.study.power.power_run import TRUTHS, PowerSettings, run_power
-from smooth_operator.study.power.tally import Rate
+from smooth_operator.study.power.simulated_study import Spread, assumptions_for
+from smooth_operator.study.power.verdicts import Rate
 from smooth_operator.terminal import printable
 
 _SHARES: Final = (1 / 3, 2 / 3, 1.0, 4 / 3, 2.0)

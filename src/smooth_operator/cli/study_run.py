@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from smooth_operator.cli.study_run_options import Run
+from smooth_operator.cli.study_options import Run
 from smooth_operator.errors import ConfigError, UnknownNameError
 from smooth_operator.signals import Ending, ended_by_signals
 from smooth_operator.study.console.access import auth_for
@@ -17,12 +17,15 @@ from smooth_operator.study.console.server import Console, check_installed
 from smooth_operator.study.console.session_service import SessionService
 from smooth_operator.study.console.switching import Teleop
 from smooth_operator.study.design.plan import Plan
-from smooth_operator.study.design.plan_file import NAME, read_plan
-from smooth_operator.study.design.plan_folder import write_plan_files, write_preregistration
-from smooth_operator.study.store.database_tables import FILE
-from smooth_operator.study.store.opening import open_study
-from smooth_operator.study.store.study_store import StudyStore
-from smooth_operator.study.store.tlx_words import ENGLISH, TlxWords, read_words
+from smooth_operator.study.design.plan_file import (
+    NAME,
+    read_plan,
+    write_plan_files,
+    write_preregistration,
+)
+from smooth_operator.study.store.database import FILE
+from smooth_operator.study.store.nasa_tlx import ENGLISH, TlxWords, read_words
+from smooth_operator.study.store.study_store import StudyStore, open_study
 from smooth_operator.terminal import print_note
 from smooth_operator.web.addresses import is_local
 from smooth_operator.web.browser import open_page
@@ -35,7 +38,7 @@ def run_study(options: Run) -> None:
     Raises:
         StudyError: there is no such study, or its store can't be opened.
         ConfigError: the pages can't be served there.
-        MissingExtraError: what the console, the database or the teleoperation needs is missing.
+        MissingExtraError: what the console or the teleoperation needs is missing.
     """
     check_installed()
     teleop = _teleop(options.teleop)
@@ -43,7 +46,7 @@ def run_study(options: Run) -> None:
         port = int(listening.getsockname()[1])
         auth = auth_for(options.host, store.name)
         links = auth.links(options.host, port)
-        folder = None if "://" in options.study else _folder(options.study)
+        folder = _folder(options.study)
         _register(store, folder)
         service = SessionService(
             store,
@@ -92,10 +95,6 @@ def _listening(options: Run) -> socket.socket:
 
 def _opened(options: Run) -> StudyStore:
     """The store, with all operators that it or the plan in the folder know."""
-    if "://" in options.study:
-        if options.store is not None:
-            raise ConfigError("--store goes with the folder of a study; STUDY is a URL already")
-        return open_study(options.study, name=options.name)
     folder = _folder(options.study)
     file = folder / NAME
     if not file.is_file():
@@ -126,16 +125,11 @@ def _found(target: str | Path, plan: Plan) -> StudyStore:
     return store
 
 
-def _words(plan: Plan, folder: Path | None) -> TlxWords:
+def _words(plan: Plan, folder: Path) -> TlxWords:
     """What operators read of NASA-TLX."""
     file = plan.protocol.tlx_language
     if not file:
         return ENGLISH
-    if folder is None:
-        raise ConfigError(
-            f"NASA-TLX is in the words of {file}, a file in the folder of the study: name the "
-            "folder as STUDY, and the database as --store"
-        )
     return read_words(folder / file)
 
 
@@ -144,15 +138,15 @@ def _folder(study: str) -> Path:
     return path if path.is_dir() else path.parent
 
 
-def _kept(plan: Plan, folder: Path | None) -> None:
+def _kept(plan: Plan, folder: Path) -> None:
     """The files of a plan that was changed on a page."""
-    if folder is not None and (folder / NAME).is_file():
+    if (folder / NAME).is_file():
         write_plan_files(plan, folder)
 
 
-def _register(store: StudyStore, folder: Path | None) -> None:
+def _register(store: StudyStore, folder: Path) -> None:
     """The pre-registration of a plan that was changed by hand, as long as nobody has begun."""
-    if folder is None or not (folder / NAME).is_file():
+    if not (folder / NAME).is_file():
         return
     if not any(store.records(code) for code in store.plan.codes):
         path = write_preregistration(store.plan, folder)

@@ -1,4 +1,4 @@
-"""What groups of subcommands share: ``smooth-operator hands``, ``smooth-operator study``."""
+"""Base class of groups of subcommands: ``smooth-operator hands``, ``smooth-operator study``."""
 
 from __future__ import annotations
 
@@ -8,9 +8,12 @@ from typing import Any
 from smooth_operator.cli.help_text import unwrapped
 
 
-def described(kind: Any) -> str:
-    """Help of a subcommand: what its class's docstring says, and its details."""
-    return unwrapped(f"{inspect.getdoc(kind)}\n\n{kind.details}")
+def described(kind: Any, whole: bool = True) -> str:
+    """Help of a command: its class's docstring and details; all of them if ``whole``."""
+    text = f"{inspect.getdoc(kind)}\n\n{kind.details}"
+    if getattr(kind, "rare", ()):
+        text += f"\n\n{kind.more}" if whole else "\n\nMore options and explanations: --help-all"
+    return unwrapped(text)
 
 
 class Group:
@@ -20,7 +23,7 @@ class Group:
 
     @property
     def debug(self) -> bool:
-        """Whether an error shows its traceback."""
+        """True if an error shows its traceback."""
         return bool(self.what.debug)
 
     def run(self) -> None:

@@ -5,30 +5,82 @@ from __future__ import annotations
 import contextlib
 import shlex
 from collections.abc import Callable, Iterator
-from dataclasses import replace
-from typing import Final
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, ClassVar, Final, Literal
 
-import numpy as np
+from tyro.conf import Positional, arg
 
-from smooth_operator.cli.console import Progressing
-from smooth_operator.cli.outputs import folder_for
-from smooth_operator.cli.train_options import Train
-from smooth_operator.compilation.compile_cache import enable_cache, healing
+from smooth_operator.cli.common_options import Common, HandSide, Ordered
 from smooth_operator.errors import ConfigError
-from smooth_operator.formats.checks import reading_notes
-from smooth_operator.formats.frames import frame_slice
-from smooth_operator.formats.readers import read_recording
-from smooth_operator.hands.registry import default_side, load_hand
-from smooth_operator.lab.training import (
-    LOSSES,
-    GeortTrainer,
-    GeortTraining,
-    TrainingSession,
-    TrainingState,
-    synthetic_recordings,
-    training_data,
-)
-from smooth_operator.types import HandRecording
+
+if TYPE_CHECKING:
+    from smooth_operator.cli.console import Progressing
+    from smooth_operator.lab.training import TrainingState
+    from smooth_operator.types import HandRecording
+
+
+@dataclass(frozen=True, kw_only=True)
+class Train(Ordered, Common):
+    """Train a learning-based method for a robot hand: geort."""
+
+    work: ClassVar[str] = "smooth_operator.cli.train:train"
+    details: ClassVar[str] = """Needs the extra lab.
+
+DIR gets model.npz, ready to use, model.json (how it was trained), losses.csv, losses.png and
+checkpoint.npz. Ctrl-C keeps all of it; the same command with --resume continues, and
+gives the same bytes as a training without a stop.
+
+A good recording opens, closes, spreads and pinches for a minute or more.
+
+Examples:
+  smooth-operator train geort glove.npz --hand mimic_p050 --output my-geort
+  smooth-operator train geort glove.npz --hand mimic_p050 --output my-geort --resume
+  smooth-operator train geort synthetic --hand mimic_p050 --output geort-synthetic
+"""
+
+    method: Annotated[Positional[Literal["geort"]], arg(metavar="geort")]
+    """The method to train."""
+
+    recordings: Annotated[Positional[tuple[str, ...]], arg(metavar="RECORDING...")]
+    """MANUS .npz, (T, 21, 3) landmarks [m] as .npy or .npz, or this program's .mcap log; one or
+    more, of one side. The word synthetic stands for a dozen built-in operators (a file of that
+    name is ./synthetic)."""
+
+    output: Annotated[Path, arg(metavar="DIR")]
+    """Folder to write; created if missing."""
+
+    hand: Annotated[str, arg(metavar="NAME")] = "mimic_p050"
+    """Robot hand, by its catalogue name."""
+
+    side: Annotated[HandSide | None, arg(metavar="right|left")] = None
+    """Which hand; as the recording says if left out."""
+
+    epochs: int = 120
+    """Passes over the recorded points."""
+
+    seed: int = 0
+    """Seed of all random numbers: the same seed and frames give the same model."""
+
+    frames: Annotated[str | None, arg(metavar="A:B")] = None
+    """Only these frames of each recording, as a Python slice: :500, 2600:3100, -500:"""
+
+    rate: Annotated[float | None, arg(metavar="HZ")] = None
+    """Frames per second of recordings without time stamps [Hz]."""
+
+    coverage: Literal["operator", "reach"] = "operator"
+    """Motion of the robot to cover: the operator's motion, or, as published, the robot's whole
+    reach; the recording must then contain the ends of the operator's own reach."""
+
+    checkpoint_every: Annotated[int, arg(metavar="EPOCHS")] = 10
+    """Epochs between checkpoints."""
+
+    resume: bool = False
+    """Continue the training in DIR, started with the same recording and options."""
+
+    quiet: bool = False
+    """No progress on standard error."""
+
 
 SYNTHETIC: Final = "synthetic"
 
@@ -40,6 +92,18 @@ def train(options: Train) -> None:
         SmoothOperatorError: with the reason.
         KeyboardInterrupt: stopped, after saying how to go on.
     """
+    from smooth_operator.cli.console import Progressing
+    from smooth_operator.cli.outputs import folder_for
+    from smooth_operator.compilation.cache import jax_cache
+    from smooth_operator.hands.registry import load_hand
+    from smooth_operator.lab.training import (
+        LOSSES,
+        GeortTrainer,
+        GeortTraining,
+        TrainingSession,
+        training_data,
+    )
+
     if options.checkpoint_every < 1:
         raise ConfigError(f"--checkpoint-every must be 1 or more, not {options.checkpoint_every}")
     progress = Progressing(options.quiet)
@@ -48,7 +112,7 @@ def train(options: Train) -> None:
         settings = replace(settings, margin=None)
     recordings, held_out = _recordings(options, progress)
     hand = load_hand(options.hand, recordings[0].side)
-    with folder_for(options.output), healing(enable_cache()):
+    with folder_for(options.output), jax_cache():
         with progress.waiting("preparing the data"):
             trainer = GeortTrainer(
                 hand, training_data(recordings, hand, settings, held_out), settings
@@ -88,7 +152,13 @@ def train(options: Train) -> None:
 def _recordings(
     options: Train, progress: Progressing
 ) -> tuple[list[HandRecording], list[HandRecording]]:
-    """What to train on, and what is for validation alone."""
+    """Recordings for training, and recordings for validation alone."""
+    from smooth_operator.formats.checks import reading_notes
+    from smooth_operator.formats.frames import frame_slice
+    from smooth_operator.formats.readers import read_recording
+    from smooth_operator.hands.registry import default_side
+    from smooth_operator.lab.training import synthetic_recordings
+
     if not options.recordings:
         raise ConfigError("name a recording to train on, or the word 'synthetic'")
     if SYNTHETIC in options.recordings:
@@ -99,7 +169,7 @@ def _recordings(
             )
         with progress.waiting("recording the synthetic operators"):
             return synthetic_recordings(options.side or default_side(options.hand), options.seed)
-    found = []
+    training = []
     for path in options.recordings:
         recording = read_recording(
             path, rate=options.rate, side=options.side, layout=options.layout
@@ -108,12 +178,16 @@ def _recordings(
             progress.note(note, matters=True)
         if options.frames is not None:
             recording = recording[frame_slice(options.frames, len(recording))]
-        found.append(recording)
-    return found, []
+        training.append(recording)
+    return training, []
 
 
 @contextlib.contextmanager
 def _bar(progress: Progressing, epochs: int) -> Iterator[Callable[[TrainingState], None]]:
+    import numpy as np
+
+    from smooth_operator.lab.training import LOSSES
+
     with progress.counter("epochs", extra="{task.fields[losses]}", in_files=True) as bar:
         task = bar.add_task("training", total=epochs, losses="")
 

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from smooth_operator.cli.console import Progressing, output_console, plain_table
 from smooth_operator.cli.outputs import folder_for
 from smooth_operator.cli.tune_options import Tune
-from smooth_operator.compilation.dispatch import dispatch_here
+from smooth_operator.compilation.start import dispatch_here
 from smooth_operator.errors import ConfigError
 from smooth_operator.lab import tuning
 from smooth_operator.lab.offline.finished import claimed

@@ -5,28 +5,62 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
-import numpy as np
+from tyro.conf import Positional, arg
 
-from smooth_operator.cli.console import Progressing
-from smooth_operator.cli.meshes import hand_to_draw
-from smooth_operator.cli.outputs import folder_for, read_configuration
-from smooth_operator.cli.page import playback
-from smooth_operator.cli.view_options import View
+from smooth_operator.cli.common_options import Common, HandSide, Meshes, Ordered, Page
 from smooth_operator.errors import ConfigError, HandModelError, RecordingError
-from smooth_operator.formats.commands import config_path, read_commands
-from smooth_operator.formats.frames import frame_slice
-from smooth_operator.formats.readers import read_recording
-from smooth_operator.hands.hand import Hand
-from smooth_operator.hands.registry import load_hand
-from smooth_operator.hands.selection import FingerChoice, parse_fingers
-from smooth_operator.human.alignment import AlignmentConfig
-from smooth_operator.metrics import Trace, evaluate
-from smooth_operator.metrics.assemble import assemble_trace
-from smooth_operator.teleop.pages import Playback, serve
-from smooth_operator.teleop.pages.clip import save_clip
-from smooth_operator.types import CommandTrajectory, HandRecording
+
+if TYPE_CHECKING:
+    from smooth_operator.hands.hand import Hand
+    from smooth_operator.hands.selection import FingerChoice
+    from smooth_operator.human.alignment import AlignmentConfig
+    from smooth_operator.metrics import Trace
+    from smooth_operator.teleop.pages import Playback
+    from smooth_operator.types import CommandTrajectory, HandRecording
+
+
+@dataclass(frozen=True, kw_only=True)
+class View(Common, Page, Ordered, Meshes):
+    """Play joint commands with the hand that they came from, in the browser."""
+
+    work: ClassVar[str] = "smooth_operator.cli.view:view"
+    details: ClassVar[
+        str
+    ] = """Commands and frames are matched by their time stamps. Several files of
+commands, of the same frames on the same hand, stand side by side, each under its method's name; the
+human hand is aligned as the first method saw it.
+
+Examples:
+  smooth-operator view out.npz glove.npz
+  smooth-operator view smooth.npz dexpilot.npz glove.npz
+  smooth-operator view out.npz glove.npz --model vendor/right_hand.xml
+  smooth-operator view smooth.npz sbr.npz glove.npz --frames 500:1200 --save clip.gif
+  smooth-operator view smooth-operator-demo/commands.npz smooth-operator-demo/log.mcap
+"""
+
+    files: Annotated[Positional[tuple[Path, ...]], arg(metavar="OUT.npz... RECORDING")]
+    """Commands, as retarget writes them, of one method or of several; then the recording that they
+    answer."""
+
+    hand: Annotated[str | None, arg(metavar="NAME")] = None
+    """Robot hand; as OUT.json says if left out."""
+
+    fingers: Annotated[str | None, arg(metavar="A,B=C")] = None
+    """Robot fingers that were driven, as for retarget; as OUT.json says if left out."""
+
+    side: Annotated[HandSide | None, arg(metavar="right|left")] = None
+    """Which hand; as OUT.json or the recording says if left out."""
+
+    rate: Annotated[float | None, arg(metavar="HZ")] = None
+    """Frames per second of a recording without time stamps; as OUT.json says if left out."""
+
+    save: Annotated[Path | None, arg(metavar="CLIP.gif|CLIP.webp")] = None
+    """Write a clip instead of serving the page; --model draws the vendor's meshes."""
+
+    frames: Annotated[str | None, arg(metavar="A:B")] = None
+    """Only these frames of the commands, as a Python slice: :500, 2600:3100"""
 
 
 def view(options: View) -> None:
@@ -37,6 +71,10 @@ def view(options: View) -> None:
         HandModelError: the commands are not of this hand, or of different hands.
         ConfigError: too few files are named, or the page can't be served there.
     """
+    from smooth_operator.cli.page import hand_to_draw, playback
+    from smooth_operator.metrics import evaluate
+    from smooth_operator.teleop.pages import serve
+
     *outs, source = options.files
     if not outs:
         raise ConfigError(
@@ -68,6 +106,10 @@ def view(options: View) -> None:
 
 
 def _save(pages: Sequence[Playback], path: Path) -> None:
+    from smooth_operator.cli.console import Progressing
+    from smooth_operator.cli.outputs import folder_for
+    from smooth_operator.teleop.pages.clip import save_clip
+
     progress = Progressing()
     with folder_for(path.parent):
         save_clip(pages, path, track=progress.frames("drawing"))
@@ -85,6 +127,12 @@ class _Run:
 
 
 def _run(options: View, out: Path, source: Path) -> _Run:
+    from smooth_operator.cli.outputs import read_configuration
+    from smooth_operator.formats.commands import config_path, read_commands
+    from smooth_operator.formats.readers import read_recording
+    from smooth_operator.hands.registry import load_hand
+    from smooth_operator.metrics.assemble import assemble_trace
+
     commands = _chosen(read_commands(out), options.frames)
     config = read_configuration(config_path(out)) or {}
     rate = options.rate if options.rate is not None else config.get("rate")
@@ -109,6 +157,8 @@ def _run(options: View, out: Path, source: Path) -> _Run:
 
 
 def _chosen(commands: CommandTrajectory, frames: str | None) -> CommandTrajectory:
+    from smooth_operator.formats.frames import frame_slice
+
     if frames is None:
         return commands
     cut = frame_slice(frames, len(commands))
@@ -122,11 +172,11 @@ def _chosen(commands: CommandTrajectory, frames: str | None) -> CommandTrajector
 
 
 def _labels(runs: Sequence[_Run]) -> list[str]:
-    """What each is called: its method, or its file where that is not known or two share one."""
-    said = [run.made_by or run.out.stem for run in runs]
+    """Label of each run: its method, or its file if the method is unknown or not unique."""
+    names = [run.made_by or run.out.stem for run in runs]
     return [
-        name if said.count(name) == 1 else f"{name} ({run.out.stem})"
-        for name, run in zip(said, runs, strict=True)
+        name if names.count(name) == 1 else f"{name} ({run.out.stem})"
+        for name, run in zip(names, runs, strict=True)
     ]
 
 
@@ -134,6 +184,8 @@ def _answered(
     commands: CommandTrajectory, recording: HandRecording, out: Path, source: Path
 ) -> HandRecording:
     """The frames that the commands answer, found by their stamps."""
+    import numpy as np
+
     at = np.searchsorted(recording.stamps, commands.stamps)
     found = recording.stamps[np.minimum(at, len(recording) - 1)] == commands.stamps
     consecutive = bool((np.diff(at) == 1).all())
@@ -148,6 +200,8 @@ def _answered(
 
 def _fingers(options: View, config: dict[str, Any]) -> FingerChoice | None:
     """The fingers that are driven: as asked for, or as the configuration says."""
+    from smooth_operator.hands.selection import parse_fingers
+
     if options.fingers is not None:
         return parse_fingers(options.fingers)
     known = config.get("fingers")
@@ -156,6 +210,8 @@ def _fingers(options: View, config: dict[str, Any]) -> FingerChoice | None:
 
 def _alignment(config: dict[str, Any]) -> AlignmentConfig:
     """The scale that the method used, where the configuration says."""
+    from smooth_operator.human.alignment import AlignmentConfig
+
     try:
         return AlignmentConfig(scale=config["config"]["alignment"]["scale"])
     except (KeyError, TypeError):

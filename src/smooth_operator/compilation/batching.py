@@ -24,7 +24,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from smooth_operator.compilation.kept_program import KeptProgram
+from smooth_operator.compilation.compiled_program import CompiledProgram
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.landmarks import NUM_LANDMARKS
@@ -112,10 +112,12 @@ class LaneProgram:
         method: a method that is one compiled program.
         config: its configuration.
         lanes: how many.
-        kept: whether the program is read from the user's cache, and kept there.
+        cached: the program is read from the user's cache, and written there.
     """
 
-    def __init__(self, method: Method, config: MethodConfig, lanes: int, kept: bool = True) -> None:
+    def __init__(
+        self, method: Method, config: MethodConfig, lanes: int, cached: bool = True
+    ) -> None:
         self.method, self.lanes = method, lanes
         alignment = config.alignment
 
@@ -156,8 +158,16 @@ class LaneProgram:
 
             return lax.scan(frame, state, (aligned, status, ticks, new))
 
-        more = {"constants": method.constants, "kept": kept}
-        self._block = KeptProgram(block, method.hand, config, "lanes", lanes, BLOCK, **more)
+        self._block = CompiledProgram(
+            block,
+            method.hand,
+            config,
+            "lanes",
+            lanes,
+            BLOCK,
+            constants=method.constants,
+            cached=cached,
+        )
 
     def run(
         self, initial: RetargetState, tracks: Sequence[Track], track: Progress | None = None
@@ -266,13 +276,13 @@ _lock: Final = threading.Lock()
 
 
 def lane_program(
-    method: Method, config: MethodConfig, lanes: int | None, kept: bool = True
+    method: Method, config: MethodConfig, lanes: int | None, cached: bool = True
 ) -> LaneProgram:
     """The program of a method, kept a while; None for the number of lanes that suits the device."""
     count = lanes or default_lanes()
-    key = (id(method), config.alignment, count, kept)  # a kept program keeps its method
+    key = (id(method), config.alignment, count, cached)  # a kept program keeps its method
     with _lock:
-        made = _programs.get(key) or LaneProgram(method, config, count, kept)
+        made = _programs.get(key) or LaneProgram(method, config, count, cached)
         _programs[key] = made
         _programs.move_to_end(key)
         while len(_programs) > _KEPT:

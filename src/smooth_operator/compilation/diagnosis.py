@@ -1,19 +1,27 @@
-"""How long a start and a frame take here: what ``smooth-operator doctor`` measures."""
+"""Measurements of ``smooth-operator doctor``: the machine, the start of a process, a frame."""
 
 from __future__ import annotations
 
+import contextlib
 import json
+import os
+import platform
+import re
 import subprocess
 import sys
 import time
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final
+from importlib.metadata import PackageNotFoundError, requires, version
+from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
 
-from smooth_operator.errors import SmoothOperatorError
+from smooth_operator.compilation.cache import is_off, program_cache
+from smooth_operator.errors import DISTRIBUTION, SmoothOperatorError
 from smooth_operator.methods.retargeter import Retargeter
+from smooth_operator.result_cache.own_files import folder_problem
+from smooth_operator.result_cache.user_cache import SWITCH, user_cache
 from smooth_operator.synthetic import SyntheticOperator
 
 _CHILD: Final = """
@@ -74,31 +82,6 @@ class FrameTimes:
     worst_ms: float
 
 
-def measured_by(
-    code: str, *arguments: str, failed: str, environment: Mapping[str, str] | None = None
-) -> list[float]:
-    """What a fresh process measured: the list of numbers in JSON that it printed last.
-
-    Args:
-        code: what it runs.
-        arguments: of the code.
-        failed: what is said if it fails, before its own last line.
-        environment: of the process; None for this one's.
-
-    Raises:
-        SmoothOperatorError: it failed.
-    """
-    done = subprocess.run(
-        [sys.executable, "-c", code, *arguments],
-        capture_output=True, text=True, check=False, env=environment,
-    )  # fmt: skip
-    if done.returncode:
-        said = (done.stderr.strip().splitlines() or ["-"])[-1]
-        raise SmoothOperatorError(f"{failed}: {said}")
-    found: list[float] = json.loads(done.stdout.splitlines()[-1])
-    return found
-
-
 def start_times(hand: str, side: str | None, method: str, preset: str | None) -> StartTimes:
     """Starts a process as a script of the user's would be, and times its parts.
 
@@ -107,8 +90,13 @@ def start_times(hand: str, side: str | None, method: str, preset: str | None) ->
     """
     landmarks = SyntheticOperator(side="left" if side == "left" else "right").record(0.1).landmarks
     job = [hand, side, method, preset, landmarks[-1].tolist(), time.time()]
-    times = measured_by(_CHILD, json.dumps(job), failed="a fresh process could not retarget")
-    interpreter, jax, package, build, frame = parts = times
+    done = subprocess.run(
+        [sys.executable, "-c", _CHILD, json.dumps(job)], capture_output=True, text=True, check=False
+    )
+    if done.returncode:
+        reason = (done.stderr.strip().splitlines() or ["-"])[-1]
+        raise SmoothOperatorError(f"a fresh process could not retarget: {reason}")
+    interpreter, jax, package, build, frame = parts = json.loads(done.stdout.splitlines()[-1])
     return StartTimes(interpreter, jax, package, build, frame, sum(parts))
 
 
@@ -122,3 +110,83 @@ def frame_times(
     times = np.asarray(commands.latency_ms)[1:]
     p50, p99 = np.percentile(times, (50, 99))
     return FrameTimes(len(times), float(p50), float(p99), float(times.max()))
+
+
+_LIBRARIES: Final = ("jax", "jaxlib", "mujoco", "numpy", "scipy", "nlopt")
+_OPENCV: Final = tuple(
+    f"opencv-{part}" for part in ("python", "python-headless", "contrib-python",
+                                  "contrib-python-headless")
+)  # fmt: skip
+"""Distributions that install into one folder, ``cv2``, and overwrite each other there."""
+_WINGS: Final = ("teleop", "lab", "study")
+
+
+def environment() -> dict[str, Any]:
+    """Machine, versions, extras, and where compiled programs are kept."""
+    import jax
+
+    cache = program_cache()
+    reason = f"{SWITCH} is off" if is_off() else _why_not_kept()
+    count, size = (0, 0) if cache is None else cache.size()
+    return {
+        "system": platform.system(),
+        "machine": platform.machine(),
+        "processor": _processor(),
+        "cores": len(os.sched_getaffinity(0))
+        if hasattr(os, "sched_getaffinity")
+        else os.cpu_count(),
+        "load": round(os.getloadavg()[0], 1) if hasattr(os, "getloadavg") else None,
+        "governor": _line(Path("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor")),
+        "python": platform.python_version(),
+        **{name: _version(name) for name in (DISTRIBUTION, *_LIBRARIES)},
+        "opencv": ", ".join(f"{n} {_version(n)}" for n in _OPENCV if _version(n)) or None,
+        "extras": ", ".join(wing for wing in _WINGS if not _missing(wing)) or None,
+        "device": jax.default_backend(),
+        "programs": f"not kept: {reason}" if cache is None else str(cache.folder),
+        "programs_kept": count,
+        "programs_mb": round(size / 1e6),
+    }
+
+
+def _why_not_kept() -> str:
+    try:
+        problem = folder_problem(user_cache() / "programs")
+    except OSError:
+        problem = ""
+    return problem or f"{str(user_cache())!r} can't be written"
+
+
+def _version(name: str) -> str | None:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return None
+
+
+def _missing(extra: str) -> list[str]:
+    """Libraries of an extra that are not installed."""
+    try:
+        wanted = requires(DISTRIBUTION) or []
+    except PackageNotFoundError:
+        return [DISTRIBUTION]
+    names = [
+        re.split(r"[^\w.-]", each)[0]
+        for each in wanted
+        if re.search(rf"extra == ['\"]{extra}['\"]", each)
+    ]
+    return [name for name in names if name != DISTRIBUTION and _version(name) is None]
+
+
+def _processor() -> str | None:
+    with contextlib.suppress(OSError), Path("/proc/cpuinfo").open(encoding="utf-8") as lines:
+        for line in lines:
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor() or None
+
+
+def _line(path: Path) -> str | None:
+    try:
+        return path.read_text(encoding="utf-8").strip()
+    except OSError:
+        return None

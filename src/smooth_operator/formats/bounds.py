@@ -1,4 +1,4 @@
-"""How much a file may unpack to: a small file must not fill the memory.
+"""Limits on the unpacked size of a file: a small file must not fill the memory.
 
 Deflate, gzip and Zstandard make thousands of bytes of one, an HDF5 array that was never written
 needs none, and NumPy's text of no characters has no size at all. What a file says that it holds is
@@ -15,16 +15,16 @@ from typing import Final
 from smooth_operator.errors import RecordingError
 
 FREE_BYTES: Final = 32 << 20
-"""What any file may unpack to, however small it is: 10 minutes of landmarks at 100 Hz."""
+"""Unpacked size that any file may have [bytes]: 10 minutes of landmarks at 100 Hz."""
 
 ARRAYS_RATIO: Final = 16
-"""What arrays may take in memory, as a multiple of the size of the file."""
+"""Largest size of arrays in memory, as a multiple of the size of the file."""
 
 LOG_RATIO: Final = 64
 """The same for the text of a log, which repeats itself more."""
 
 NUMBER_BYTES: Final = 8
-"""What an element counts, at least: every number is read as float64."""
+"""Least bytes that an element counts: every number is read as float64."""
 
 TEXT_BYTES: Final = 64
 """Least bytes that a text counts, in addition to its characters."""
@@ -36,7 +36,7 @@ class TooLargeError(RecordingError):
 
 @dataclass
 class Allowance:
-    """What may be unpacked of one file.
+    """Bytes that may still be unpacked of one file.
 
     Attributes:
         path: the file, for messages.

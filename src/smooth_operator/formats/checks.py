@@ -163,7 +163,7 @@ def without_outliers(recording: HandRecording) -> HandRecording:
 
 
 def reading_notes(recording: HandRecording, where: str) -> list[str]:
-    """What a person should know of how a recording was read: sentences, none if nothing."""
+    """Notes on assumptions and corrections made in reading a recording: sentences, maybe none."""
     notes = []
     if recording.meta.get("side_assumed"):
         notes.append(

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Set
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError
 
@@ -66,3 +67,11 @@ def _plain(value: Any, where: str) -> Any:
 
 def _key(key: Any) -> str:
     return key.name if isinstance(key, enum.Enum) else str(key)
+
+
+def numbers(array: Float[np.ndarray, " k"]) -> list[float | None]:
+    """A row of numbers as messages in JSON have them, in which one that is not finite is null."""
+    row: list[float | None] = array.tolist()
+    if np.isfinite(array).all():
+        return row
+    return [None if x is None or not math.isfinite(x) else x for x in row]

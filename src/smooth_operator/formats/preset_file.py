@@ -32,13 +32,13 @@ _MOST_BYTES = 1_000_000
 
 @dataclass(frozen=True)
 class PresetFile:
-    """What a preset file says.
+    """Content of a preset file.
 
     Attributes:
         method: name of the method.
         base: name of the preset that it changes.
         settings: path of a setting -> its value.
-        made: how it was found; text, numbers, and lists and tables of them.
+        made: origin of the values; text, numbers, and lists and tables of them.
     """
 
     method: str

@@ -111,16 +111,18 @@ def check_anatomy(recording: HandRecording, where: str, *, asked: Side | None) -
     as_it_came = np.argsort(layout_order(layout))
     assert recording.valid is not None  # filled in by HandRecording
     points, valid = recording.landmarks[:, as_it_came], recording.valid[:, as_it_came]
-    found = doubt(points, recording.side, valid, layout=layout)
-    if found is None:
+    suspicion = doubt(points, recording.side, valid, layout=layout)
+    if suspicion is None:
         return
-    labelled = found.side is not None and asked is None and not recording.meta.get("side_assumed")
+    labelled = (
+        suspicion.side is not None and asked is None and not recording.meta.get("side_assumed")
+    )
     remedy = (
         f"the file says {recording.side}: correct that, or mirror it back: points * (-1, 1, 1)"
         if labelled
-        else found.remedy
+        else suspicion.remedy
     )
-    raise RecordingError(f"{where}: {found.what}; {remedy}")
+    raise RecordingError(f"{where}: {suspicion.what}; {remedy}")
 
 
 def rated_if_unstamped(

@@ -53,7 +53,7 @@ class Reader:
             )
 
     def recognises(self, path: Path, head: bytes) -> bool:
-        """Whether a file is of this format.
+        """True for a file of this format.
 
         Args:
             path: the file.
@@ -75,25 +75,26 @@ class Reader:
         """
         read = _function(self.read)
         try:
-            found: Any = read(path, rate, side, layout)
+            recording: Any = read(path, rate, side, layout)
         except SmoothOperatorError:
             raise
         except (OSError, ValueError) as error:  # of a plugin that leaves a bad file to NumPy
             raise RecordingError(f"{path}: can't be read as {self.what}: {error}") from error
-        if not isinstance(found, HandRecording):
+        if not isinstance(recording, HandRecording):
             raise ConfigError(
-                f"the reader of {self.what} must give a HandRecording, not {type(found).__name__}"
+                f"the reader of {self.what} must give a HandRecording, not "
+                f"{type(recording).__name__}"
             )
-        return found
+        return recording
 
     def count_frames(self, path: Path) -> int | None:
-        """The number of frames in a file; None where that is not known without reading it."""
-        found: int | None = None if self.count is None else _function(self.count)(path)
-        return found
+        """Number of frames in a file; None if only reading the file tells it."""
+        count: int | None = None if self.count is None else _function(self.count)(path)
+        return count
 
 
-def _function(given: Any) -> Any:
-    return given.load() if isinstance(given, Entry) else given
+def _function(reader: Any) -> Any:
+    return reader.load() if isinstance(reader, Entry) else reader
 
 
 _ARRAYS: Final = Entry("smooth_operator.formats.readers:read_arrays")
@@ -167,19 +168,19 @@ def find_reader(name: str) -> Reader:
         UnknownNameError: there is none.
         ConfigError: it is a plugin's, and can't be loaded or is no ``Reader``.
     """
-    found: Reader = READERS.load(name)
-    READERS.check(name, found)
-    return found
+    reader: Reader = READERS.load(name)
+    READERS.check(name, reader)
+    return reader
 
 
 def recording_suffixes() -> tuple[str, ...]:
-    """What the names of recordings end with, in lower case."""
+    """Suffixes of the files that are read as recordings, in lower case."""
     readers = READERS.loadable(find_reader).values()
     return tuple(dict.fromkeys(suffix for reader in readers for suffix in reader.suffixes))
 
 
 def readable() -> str:
-    """What can be read, for error messages."""
+    """List of the formats that are read, for error messages."""
     readers = READERS.loadable(find_reader)
     *most, last = (
         "a MANUS .npz",

@@ -15,20 +15,6 @@ MOST_WHOLE: Final = 1 << 20
 """Largest number of samples, cycles, rounds and the like that is set by name."""
 MOST_SEED: Final = (1 << 32) - 1
 
-RENAMED: Final = {
-    "clearance.weight": "self_collision.weight",
-    "clearance.margin": "self_collision.margin",
-    "polar.direction": "direction_length.direction",
-    "polar.length": "direction_length.length",
-    "polar.knee": "direction_length.huber_width",
-    "polar.near": "direction_length.near",
-    "landmarks.lag": "landmarks.time_constant",
-    "landmarks.leap": "landmarks.jump_threshold",
-    "landmarks.leap_speed": "landmarks.jump_speed",
-    "leap": "jump",
-}
-"""Former path of a setting -> its path now; preset files and commands may have either."""
-
 
 def numeric_settings(config: object) -> dict[str, float | int]:
     """All numbers of a configuration, by their path: names of fields with dots between them.
@@ -44,24 +30,20 @@ def numeric_settings(config: object) -> dict[str, float | int]:
 
 
 def find_setting(config: object, name: str) -> str:
-    """The path of a setting that is named by its path, or by the end of it; former names count.
+    """The path of a setting that is named by its path, or by the end of it.
 
     Raises:
         UnknownNameError: there is none.
         ConfigError: more than one path ends so.
     """
-    known = numeric_settings(config)
-    name = _current(name, known)
-    if name in known:
+    settings = numeric_settings(config)
+    if name in settings:
         return name
-    matching = [path for path in known if path.endswith(f".{name}")]
-    if not matching:
-        renamed = {new for old, new in RENAMED.items() if f".{old}".endswith(f".{name}")}
-        matching = [path for path in known if any(f".{path}".endswith(f".{r}") for r in renamed)]
+    matching = [path for path in settings if path.endswith(f".{name}")]
     if len(matching) > 1:
         raise ConfigError(f"{name!r} is the end of several settings: {', '.join(matching)}")
     if not matching:
-        raise UnknownNameError("setting", name, known)
+        raise UnknownNameError("setting", name, settings)
     return matching[0]
 
 
@@ -70,18 +52,17 @@ def with_settings(config: C, values: Mapping[str, float | int]) -> C:
 
     Args:
         config: stays as it is.
-        values: path -> value; one for a whole number is rounded. Former paths are understood.
+        values: path -> value; one for a whole number is rounded.
 
     Raises:
         UnknownNameError: there is no such setting.
         ConfigError: a value can't be, alone or together with the others.
     """
-    known = numeric_settings(config)
-    values = {_current(path, known): value for path, value in values.items()}
+    settings = numeric_settings(config)
     for path in values:
-        if path not in known:
-            raise UnknownNameError("setting", path, known)
-    whole = {path for path, value in known.items() if isinstance(value, int)}
+        if path not in settings:
+            raise UnknownNameError("setting", path, settings)
+    whole = {path for path, value in settings.items() if isinstance(value, int)}
     for path in whole & values.keys():
         most = MOST_SEED if path.endswith("seed") else MOST_WHOLE
         if not abs(values[path]) <= most:  # NaN too
@@ -93,15 +74,6 @@ def with_settings(config: C, values: Mapping[str, float | int]) -> C:
 def with_unchecked(config: C, values: Mapping[str, Any]) -> C:
     """The same without a look at the values, which may be what a compiler traces."""
     return cast(C, _replaced(config, values, checked=False))
-
-
-def _current(path: str, known: Mapping[str, float | int]) -> str:
-    """The path that a setting has now, if it is known by a former one."""
-    for old, new in RENAMED.items():
-        now = path.removesuffix(old) + new
-        if path not in known and f".{path}".endswith(f".{old}") and now in known:
-            return now
-    return path
 
 
 def _numbers(config: object, prefix: str) -> Iterator[tuple[str, float | int]]:

@@ -85,7 +85,7 @@ def file_kind(path: Path) -> str:
 
 
 def is_video_head(head: bytes) -> bool:
-    """Whether a file is a video, by its first 12 bytes: MP4 and MOV, AVI, Matroska and WebM."""
+    """True for a video, by the first 12 bytes of the file: MP4 and MOV, AVI, Matroska and WebM."""
     return (
         head[4:8] in (b"ftyp", b"moov", b"mdat", b"wide", b"free")
         or head.startswith(b"\x1aE\xdf\xa3")
@@ -94,7 +94,7 @@ def is_video_head(head: bytes) -> bool:
 
 
 def is_dataset(path: Path) -> bool:
-    """Whether a folder is a LeRobot dataset, of whatever version and program."""
+    """True for the folder of a LeRobot dataset, of any version and program."""
     return (path / "meta" / "info.json").is_file()
 
 

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import math
-import re
 import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
 from smooth_operator.atomic_files import atomic_write, output_error
-from smooth_operator.errors import HandModelError
+from smooth_operator.errors import DocumentError, HandModelError
+from smooth_operator.formats.toml_writer import toml_key, toml_value
 from smooth_operator.hands.spec import HandSpec, Point
 from smooth_operator.hands.spec_file import FORMAT, POINTS, check_hand_name
-
-_BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
-_ESCAPES = {"\\": "\\\\", '"': '\\"', "\n": "\\n", "\t": "\\t", "\r": "\\r"}
 
 
 def write_hand_spec(spec: HandSpec, path: str | Path, *, comment: str = "") -> None:
@@ -32,10 +28,12 @@ def write_hand_spec(spec: HandSpec, path: str | Path, *, comment: str = "") -> N
         OutputError: the file can't be written.
     """
     path = Path(path)
-    text = "\n".join(_lines(spec, path.absolute().parent, comment)) + "\n"
     try:
+        text = "\n".join(_lines(spec, path.absolute().parent, comment)) + "\n"
         with atomic_write(path) as file:
             file.write(text.encode("utf-8"))
+    except DocumentError as error:
+        raise HandModelError(f"{path}: {error}") from error
     except OSError as error:
         raise output_error(path, error) from error
 
@@ -60,18 +58,18 @@ def _lines(spec: HandSpec, folder: Path, comment: str) -> Iterator[str]:
     for line in comment.splitlines():
         yield f"# {line}".rstrip()
     yield f"format = {FORMAT}"
-    yield f"name = {_text(check_hand_name(spec.name))}"
-    yield f"side = {_text(spec.side)}"
+    yield f"name = {toml_value(check_hand_name(spec.name))}"
+    yield f"side = {toml_value(spec.side)}"
     if spec.source:
-        yield f"source = {_text(spec.source)}"
-    yield f"model = {_text(_model(spec.model, folder))}"
+        yield f"source = {toml_value(spec.source)}"
+    yield f"model = {toml_value(_model(spec.model, folder))}"
     if spec.mirror:
         yield "mirror = true"
-    yield f"palm = {_text(spec.palm)}"
+    yield f"palm = {toml_value(spec.palm)}"
     yield f"wrist = {_point(spec.wrist)}"
-    yield f"align = [{', '.join(_text(name) for name in spec.align)}]"
+    yield f"align = {toml_value(spec.align)}"
     if isinstance(spec.torque, float | int):
-        yield f"torque = {_number(spec.torque)} # N m"
+        yield f"torque = {toml_value(float(spec.torque))} # N m"
     for finger in spec.fingers:
         yield ""
         yield f"[fingers.{finger.name}]"
@@ -82,18 +80,18 @@ def _lines(spec: HandSpec, folder: Path, comment: str) -> Iterator[str]:
         yield ""
         yield "[neutral] # rad"
         for joint, position in spec.neutral.items():
-            yield f"{_key(joint)} = {_number(position)}"
+            yield f"{toml_key(joint)} = {toml_value(position)}"
     if isinstance(spec.torque, Mapping):
         yield ""
         yield "[torque] # N m"
         for joint, torque in spec.torque.items():
-            yield f"{_key(joint)} = {_number(torque)}"
+            yield f"{toml_key(joint)} = {toml_value(torque)}"
     for row in spec.joint_map:
         yield ""
-        yield f"[joint_map.{_key(row.joint)}]"
-        yield f"offset = {_number(row.offset)}"
+        yield f"[joint_map.{toml_key(row.joint)}]"
+        yield f"offset = {toml_value(row.offset)}"
         if row.gains:
-            yield f"gains = {_inline(row.gains)}"
+            yield f"gains = {toml_value(row.gains)}"
 
 
 def _model(model: Path, folder: Path) -> str:
@@ -103,31 +101,5 @@ def _model(model: Path, folder: Path) -> str:
 
 
 def _point(point: Point) -> str:
-    offset = ", ".join(_number(value) for value in point.offset)
-    more = f", offset = [{offset}]" if any(point.offset) else ""
-    return f"{{ body = {_text(point.body)}{more} }}"
-
-
-def _inline(gains: Mapping[str, float]) -> str:
-    return f"{{ {', '.join(f'{_key(a)} = {_number(g)}' for a, g in gains.items())} }}"
-
-
-def _key(name: str) -> str:
-    return name if _BARE_KEY.fullmatch(name) else _text(name)
-
-
-def _text(value: str) -> str:
-    escaped = "".join(_ESCAPES.get(c) or (c if c.isprintable() else _unicode(c)) for c in value)
-    return f'"{escaped}"'
-
-
-def _unicode(character: str) -> str:
-    if 0xD800 <= ord(character) <= 0xDFFF:  # half of a pair; a file name of broken bytes has it
-        raise HandModelError(f"the character {character!r} can't be written to a spec file")
-    return f"\\U{ord(character):08X}"
-
-
-def _number(value: float) -> str:
-    if not math.isfinite(value):
-        raise HandModelError(f"a spec file can't hold the number {value}")
-    return repr(float(value))  # shortest text that reads back as the same number
+    offset = {"offset": [float(value) for value in point.offset]} if any(point.offset) else {}
+    return toml_value({"body": point.body, **offset})

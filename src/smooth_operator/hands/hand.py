@@ -143,14 +143,6 @@ class Hand:
         full: np.ndarray = np.asarray(q, float) @ self.coupling_matrix.T + self.coupling_offset
         return full
 
-    expand = full_configuration
-    """Former name, kept for scripts."""
-
-    @property
-    def expansion(self) -> tuple[Float[np.ndarray, "n m"], Float[np.ndarray, " n"]]:
-        """Former name of ``coupling_matrix`` and ``coupling_offset``, kept for scripts."""
-        return self.coupling_matrix, self.coupling_offset
-
     def full_configuration_rows(self, q: Sequence[Array]) -> list[Array]:
         """The same for m arrays of a common shape (batch last), inside a compiled program."""
         rows: list[Array] = []

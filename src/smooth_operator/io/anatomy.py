@@ -4,7 +4,7 @@ Order: the lengths between neighbouring landmarks hardly depend on the pose. Tho
 as ratios, are compared under every order of the fingers and under the layouts of other trackers
 and datasets (``LAYOUTS``); points that fit none are no hand. Side: fingers bend to the palm, the
 thumb's base is in front of it, and the knuckles arch away from it; a mirror image is the
-opposite. ``python -m smooth_operator.lab.judging.input_check`` measures both on real recordings.
+opposite. ``smooth_operator_research.judging.input_check`` measures both on real recordings.
 """
 
 from __future__ import annotations
@@ -107,7 +107,7 @@ class Doubt:
 
     @property
     def remedy(self) -> str:
-        """What to say or write, for a file on the command line or in Python."""
+        """Remedy for a file: the option on the command line, or the Python code."""
         if self.side is not None:
             return (
                 f"say --side {self.side} (in Python: side={self.side!r}); if it was mirrored, "
@@ -119,7 +119,7 @@ class Doubt:
 
     @property
     def in_python(self) -> str:
-        """What to do with the points of a frame in a program."""
+        """Remedy for the points of a frame in a program."""
         if self.side is not None:
             return (
                 f"load the {self.side} robot hand and say HandFrame(..., side={self.side!r}), or "
@@ -131,7 +131,7 @@ class Doubt:
 
     @property
     def live(self) -> str:
-        """What is wrong with frames that come one by one, and what to do, in a few words."""
+        """Problem and remedy in a few words, for frames that come one by one."""
         if self.side is not None:
             return (
                 f"by its shape it is a {self.side} hand; say side={self.side}, or do not mirror it"
@@ -176,7 +176,7 @@ def in_our_order(
 def implausible(
     landmarks: AnyArray, known: AnyArray, palms: tuple[float, float] = PALM_RANGE_M
 ) -> AnyArray:
-    """Whether a frame can't be a hand, by its size [m] or by the lengths between its landmarks.
+    """True for a frame that can't be a hand, by its size [m] or by the lengths of its bones.
 
     Args:
         landmarks: (..., 21, 3) positions [m], in the project's order; NumPy or JAX.
@@ -196,7 +196,7 @@ def implausible(
 
 
 def of_a_picture(landmarks: Float[np.ndarray, "T 21 3"]) -> bool:
-    """Whether whole frames are a camera tracker's image landmarks: x and y, normalised or in
+    """True for image landmarks of a camera tracker: x and y, normalised or in
     pixels, count from a corner of the picture, and z counts from the wrist."""
     wrist, depth = landmarks[:, WRIST], np.abs(landmarks[..., 2]).max(axis=1, initial=0.0)
     flat = (np.abs(wrist[:, 2]) <= 1e-4 * depth) & (wrist[:, :2] > 0.0).all(axis=1)
@@ -211,7 +211,7 @@ OF_A_PICTURE: Final = Doubt(
 
 
 def keeps_lengths(landmarks: Float[np.ndarray, "T 21 3"]) -> bool:
-    """Whether bones keep their lengths, in proportion, from one stretch of frames to the next.
+    """True if bones keep their lengths, in proportion, from one stretch of frames to the next.
 
     Fewer than five whole frames in a stretch are not judged, since noise would decide.
     """
@@ -259,7 +259,7 @@ def doubt(
     *,
     layout: str | None = None,
 ) -> Doubt | None:
-    """What is wrong with the shape, order or side of points; None if nothing is.
+    """Problem with the shape, order or side of points; None if there is none.
 
     Args:
         points: (T, 21, 3) positions [m] as they came.
@@ -349,7 +349,7 @@ class HandCheck:
     def see(
         self, landmarks: Float[np.ndarray, "21 3"], valid: Bool[np.ndarray, "21"]
     ) -> Doubt | None:
-        """What is wrong with the last frames; None if nothing is, or too few have come.
+        """Problem with the last frames; None if there is none, or too few have come.
 
         Args:
             landmarks: (21, 3) of the next frame [m], in the project's order.
@@ -399,8 +399,7 @@ def _other_order(points: Float[np.ndarray, "T 21 3"], layout: str | None) -> Dou
 
 
 def _misfits(lengths: AnyArray) -> AnyArray:
-    """How far (..., pairs) lengths are from those of a human hand of any size, in spreads, on
-    average."""
+    """Mean deviation of (..., pairs) lengths from a human hand of any size, in spreads."""
     xp = array_namespace(lengths)
     off = xp.log(xp.maximum(lengths, 1e-9)) - _LOGS.astype(lengths.dtype)
     off = off - off.mean(axis=-1, keepdims=True)

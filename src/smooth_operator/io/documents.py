@@ -42,12 +42,12 @@ def check_plain_file(path: Path) -> int:
         OSError: there is no such file, or it can't be looked at.
         DocumentError: it is a folder, a pipe, a socket or a device.
     """
-    found = path.stat()
-    if not stat.S_ISREG(found.st_mode):
+    status = path.stat()
+    if not stat.S_ISREG(status.st_mode):
         kinds = {stat.S_IFDIR: "a folder", stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket"}
-        kind = kinds.get(stat.S_IFMT(found.st_mode), "a device")
+        kind = kinds.get(stat.S_IFMT(status.st_mode), "a device")
         raise DocumentError(f"it is {kind}, not a plain file")
-    return found.st_size
+    return status.st_size
 
 
 def read_text(path: Path, *, most_bytes: int = MOST_BYTES) -> str:
@@ -163,7 +163,7 @@ _DECODER: Final = json.JSONDecoder(parse_int=_whole)
 
 
 def _deeper(data: bytes) -> bool:
-    """Whether the brackets of a JSON text, which is well-formed, are nested too deep."""
+    """True if the brackets of a well-formed JSON text are nested too deep."""
     brackets = data.translate(None, _NO_BRACKETS)
     if brackets.count(b"[") + brackets.count(b"{") <= MOST_LEVELS:
         return False
@@ -172,7 +172,7 @@ def _deeper(data: bytes) -> bool:
 
 
 def _left(brackets: bytes) -> bool:
-    """Whether pairs are left after taking out the innermost ones as often as levels may be."""
+    """True if pairs are left after removing the innermost ones ``MOST_LEVELS`` times."""
     for _ in range(MOST_LEVELS):
         if not brackets:
             return False

@@ -28,11 +28,11 @@ _T = TypeVar("_T", bound=str)
 class Entries:
     """A table of a settings file.
 
-    Every look-up raises ``refuse`` if the entry is missing and has no default, or is something
-    else than what is asked for.
+    Every look-up raises ``refuse`` if the entry is missing and has no default, or has another
+    type.
 
     Attributes:
-        file: as messages call it.
+        file: name of the file in messages.
         values: what the table holds.
         refuse: class of the errors.
         where: dotted name of the table in the file; empty for the file itself.
@@ -45,7 +45,7 @@ class Entries:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Its entries, in the order of the file."""
+        """Names of the entries, in the order of the file."""
         return tuple(self.values)
 
     def only(self, *known: str) -> None:
@@ -68,10 +68,10 @@ class Entries:
         """A text.
 
         Args:
-            name: of the entry.
-            default: where it is missing; None if it may not be.
-            empty: whether it may be empty.
-            lines: whether it may have several lines and other control characters.
+            name: name of the entry.
+            default: value of a missing entry; None if the entry is required.
+            empty: accept an empty text.
+            lines: accept several lines and other control characters.
         """
         value = self._get(name, default, "a text")
         if not isinstance(value, str):
@@ -93,14 +93,14 @@ class Entries:
     def texts(
         self, name: str, default: Sequence[str] | None = None, *, what: str = "a list of texts"
     ) -> list[str]:
-        """A list of texts; ``what`` is how a message calls it."""
+        """A list of texts; messages call it ``what``."""
         value = self._get(name, default, what)
         if not isinstance(value, list | tuple) or not all(isinstance(v, str) for v in value):
             raise self.error(name, f"expected {what}, not {brief(value)}")
         return list(value)
 
     def whole(self, name: str, default: int | None = None) -> int:
-        """A whole number; true is none, though Python says so."""
+        """A whole number; unlike in Python, true is not one."""
         value = self._get(name, default, "a whole number")
         if isinstance(value, bool) or not isinstance(value, int) or abs(value) > 2**63:
             raise self.error(name, f"expected a whole number, not {brief(value)}")
@@ -118,7 +118,7 @@ class Entries:
     def numbers(
         self, name: str, count: int, default: Sequence[float] | None = None, *, what: str = ""
     ) -> Any:
-        """A tuple of so many finite numbers; ``what`` is how a message calls them."""
+        """A tuple of ``count`` finite numbers; messages call it ``what``."""
         what = what or f"{count} numbers"
         value = self._get(name, default, what)
         if not isinstance(value, list | tuple) or len(value) != count:
@@ -148,7 +148,7 @@ class Entries:
         return [replace(self, values=v, where=f"{full}[{k}]") for k, v in enumerate(value, 1)]
 
     def error(self, name: str, text: str) -> SmoothOperatorError:
-        """What is wrong with an entry."""
+        """Error about an entry."""
         # A damaged file may hold names of any length.
         return self.refuse(f"{self.file}: {_cut(self._full(name), 80)}: {_cut(text, 400)}")
 
@@ -194,11 +194,11 @@ def read_entries(
     """The table of a TOML file.
 
     Args:
-        path: of the file.
-        what: it is, for messages.
-        refuse: class of the errors, of the look-ups too.
+        path: path of the file.
+        what: kind of file, for messages.
+        refuse: class of the errors, also of the look-ups.
         most_bytes: longest file that is read.
-        hint: where such a file comes from, for the message that there is none.
+        hint: origin of such files, for the message that there is none.
 
     Raises:
         SmoothOperatorError: of the class ``refuse``: there is no such file, it can't be read, or

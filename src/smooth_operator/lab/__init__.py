@@ -1,4 +1,4 @@
-"""Experiments: benchmarks, the paper, tuning, training, data sets and hand validation."""
+"""Benchmarks, tuning, training, data sets and hand validation."""
 
 from smooth_operator.lazy_names import public_names
 

@@ -38,8 +38,6 @@ from smooth_operator.types import (
 
 _REFLECTION = np.array([-1, 1, 1], np.float32)
 _BATCH = Entry("smooth_operator.compilation.batching:retarget_batch")  # imported when it is used
-_RUN = Entry("smooth_operator.compilation.recording_run:run_recording")
-_EARLY = Entry("smooth_operator.compilation.early_answers:EarlyAnswers")
 
 
 class Retargeter:
@@ -69,15 +67,11 @@ class Retargeter:
             time of the call. Their stamps count from 0.
         clock: seconds that never go back, for the time of the call.
         cache: whether compiled programs are read from this user's cache folder, and kept there.
-        early: whether calls are answered while the program compiles, by a first stage whose results
-            are ``provisional``: for live use, as answers then differ from run to run. ``step``,
-            ``run`` and ``batch`` wait for the program.
 
     Attributes:
         method: the method for this hand.
         shared: the compiled program, and the method that it was made from: that of the mirror image
             for a hand that is described as one.
-        live: ``init`` and ``step`` as calls use them: the retargeter's own, unless it is ``early``.
 
     Raises:
         UnknownNameError: for an unknown hand, method or preset.
@@ -98,7 +92,6 @@ class Retargeter:
         rate: float | None = None,
         clock: Callable[[], float] = time.perf_counter,
         cache: bool = True,
-        early: bool = False,
     ) -> None:
         self.hand = hand if isinstance(hand, Hand) else load_hand(hand, side)
         if config is None:
@@ -116,14 +109,19 @@ class Retargeter:
         self._input = HandCheck(self.hand.spec.side)
         self.method: Method = self.config.build(self.hand)
         self.shared = shared_program(self.hand, self.config, cache)
-        self.live: Any = _EARLY.load()(self) if early else self
-        self._state = self.live.init()
+        self._state = self.init()
 
     @property
     def notes(self) -> tuple[str, ...]:
         """What a person should know of this method on this hand, such as collision shapes that are
         estimated because the model's mesh files can't be read; empty for most hands."""
         return self.config.notes(self.hand)
+
+    @property
+    def compiled(self) -> bool:
+        """The program of a frame was compiled in this process, by ``warm_up`` of this retargeter or
+        of another with the same hand and settings."""
+        return self.shared.compiled.is_set()
 
     def __repr__(self) -> str:
         """Hand, side, method and preset; the settings' class where they were given instead."""
@@ -212,10 +210,9 @@ class Retargeter:
             )
         if not stamped and self.rate is None:
             frame = replace(frame, stamp=self._clock())
-        result: Result
         if doubtful:
             frame = replace(frame, valid=np.zeros(NUM_LANDMARKS, bool))
-        self._state, result = self.live.step(self._state, frame)
+        self._state, result = self.step(self._state, frame)
         self._stamped = stamped
         return replace(result, status=Status.IMPLAUSIBLE_HAND) if doubtful else result
 
@@ -247,21 +244,20 @@ class Retargeter:
 
     def reset(self, seed: int | None = None) -> None:
         """Back to the start: latches, random numbers, last command. Never recompiles."""
-        self._state = self.live.init(seed)
+        self._state = self.init(seed)
         self._stamped = None
         self._input = HandCheck(self.hand.spec.side)
 
     def warm_up(self) -> float:
-        """Compile, or wait for what compiles, without touching the state kept inside.
+        """Compiles the program, without touching the state kept inside.
 
         Returns:
             seconds it took.
         """
         start = time.perf_counter()
-        if self.live is not self:
-            self.live.wait()
         side = self.hand.spec.side
         self.step(self.init(), HandFrame(reference_landmarks(self.hand), 0.0, side))
+        self.shared.compiled.set()
         return time.perf_counter() - start
 
     def run(
@@ -281,8 +277,22 @@ class Retargeter:
         Returns:
             the commands, and the (T,) tracking loss of each frame (NaN where a command was held).
         """
-        answers: Any = _RUN.load()(self, recording, seed, track)
-        return answers[0], answers[1]
+        self.warm_up()
+        state = self.init(seed)
+        steps = range(len(recording))
+        results: list[Result] = []
+        for i in steps if track is None else track(steps):
+            state, result = self.step(state, recording[i])
+            results.append(result)
+        commands = CommandTrajectory(
+            np.stack([r.command.positions for r in results]),
+            self.hand.joint_names,
+            recording.stamps,
+            np.array([r.latency_ms for r in results]),
+            np.array([r.status for r in results], np.int8),
+        )
+        loss = [r.tracking_loss if r.status == Status.OK else np.nan for r in results]
+        return commands, np.array(loss)
 
     def batch(
         self,

@@ -26,7 +26,7 @@ from smooth_operator.methods.method import Method, MethodConfig
 from smooth_operator.methods.program import Program, frame_program
 from smooth_operator.plugins import Entry
 
-_KEPT_PROGRAM = Entry("smooth_operator.compilation.kept_program:KeptProgram")
+_COMPILED_PROGRAM = Entry("smooth_operator.compilation.compiled_program:CompiledProgram")
 _KEPT: Final = 16
 _SHAPES: Final = (
     "body_parentid", "body_pos", "body_quat", "geom_bodyid", "geom_type", "geom_size", "geom_pos",
@@ -44,12 +44,14 @@ class SharedProgram(NamedTuple):
     Attributes:
         method: the method that it was made from.
         run: the program of one frame.
-        reflects: whether it is that of the hand's mirror image, and takes landmarks reflected.
+        reflects: it is that of the hand's mirror image, and takes landmarks reflected.
+        compiled: set once it has answered a frame.
     """
 
     method: Method
     run: Program
     reflects: bool
+    compiled: threading.Event
 
 
 def shared_program(hand: Hand, config: MethodConfig, cache: bool = True) -> SharedProgram:
@@ -121,9 +123,9 @@ def _made(hand: Hand, config: MethodConfig, reflects: bool, cache: bool) -> Shar
     method = config.build(hand)
 
     def compiling(function: Callable[..., Any], name: str = "frame") -> Callable[..., Any]:
-        of: Any = {"constants": method.constants, "kept": cache}
-        program: Callable[..., Any] = _KEPT_PROGRAM.load()(function, hand, config, name, **of)
+        of: Any = {"constants": method.constants, "cached": cache}
+        program: Callable[..., Any] = _COMPILED_PROGRAM.load()(function, hand, config, name, **of)
         return program
 
     run = frame_program(method, config.alignment, compiling)
-    return SharedProgram(method, run, reflects)
+    return SharedProgram(method, run, reflects, threading.Event())

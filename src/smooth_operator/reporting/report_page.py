@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from functools import cache
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from smooth_operator.atomic_files import atomic_write, file_name, output_error
+from smooth_operator.errors import require
 from smooth_operator.reporting.drawing import write_figure
-from smooth_operator.reporting.html import Html, element, escape, figure, join
+from smooth_operator.reporting.html import Html, figure
 
 if TYPE_CHECKING:
+    from jinja2 import Environment
     from matplotlib.figure import Figure
 
 _HOME: Final = files("smooth_operator.reporting")
@@ -26,6 +29,24 @@ SORTING: Final = _HOME / "interact.js"
 
 Section = tuple[str, str, Html]
 """Title, anchor and content of a part of a report."""
+
+
+@cache
+def templates(package: str) -> Environment:
+    """Jinja2 templates of a package, next to its modules; what they insert is escaped.
+
+    Raises:
+        MissingExtraError: Jinja2 is not installed.
+    """
+    require("a report", "lab", "jinja2")
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    return Environment(
+        loader=PackageLoader(package, "."),
+        autoescape=True,
+        undefined=StrictUndefined,
+        keep_trailing_newline=True,
+    )
 
 
 def write_report_page(
@@ -43,9 +64,9 @@ def write_report_page(
 
     Args:
         path: where to.
-        title: of the window.
-        header: what stands above the sections: a heading, and what comes first.
-        sections: in their order; the navigation has a link to each.
+        title: title of the window.
+        header: HTML above the sections: a heading, and what comes first.
+        sections: parts in their order; the navigation has a link to each.
         footer: one line of text.
         styles: files or texts of CSS after that of every report.
         scripts: files of JavaScript at the end of the page.
@@ -57,28 +78,15 @@ def write_report_page(
     Raises:
         OutputError: it can't be written.
     """
-    links = join(element("a", escape(name), href=f"#{anchor}") for name, anchor, _ in sections)
-    main = join(
-        element("section", Html(f"<h2>{escape(name)}</h2>{content}"), id=anchor)
-        for name, anchor, content in sections
-    )
-    body = join(
-        [
-            element("header", element("div", header)),
-            element("nav", element("div", links), aria_label="sections"),
-            element("main", main),
-            element("footer", escape(footer)),
-        ]
-    )
-    style = "".join(_text(part) for part in (STYLE, *styles))
-    script = "".join(_text(part) for part in scripts)
-    plain = f"<noscript><style>{without_scripts}</style></noscript>\n" if without_scripts else ""
-    text = (
-        '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{escape(title)}</title>\n<style>\n{style}</style>\n{plain}</head>\n<body>\n{body}"
-        + (f"\n<script>\n{script}</script>" if script else "")
-        + "\n</body>\n</html>\n"
+    page = templates("smooth_operator.reporting").get_template("page.html.j2")
+    text = page.render(
+        title=title,
+        header=header,
+        sections=sections,
+        footer=footer,
+        style="".join(_text(part) for part in (STYLE, *styles)),
+        script="".join(_text(part) for part in scripts),
+        without_scripts=without_scripts,
     )
     with atomic_write(path) as file:
         file.write(text.encode())

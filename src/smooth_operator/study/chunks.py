@@ -42,7 +42,7 @@ def chunk_values(
         StudyError: a chunk failed; says why.
         OutputError: the log can't be written to.
     """
-    found, missing = find_results(jobs, log)
+    finished, missing = find_results(jobs, log)
     if missing and prepare is not None:
         prepare()
     total, done = sum(count(job.task) for job in jobs), 0
@@ -54,7 +54,7 @@ def chunk_values(
         done += count(result.job.task)
         return result.job.task, result.value[field]
 
-    for result in found:
+    for result in finished:
         yield value_of(result)
     if report is not None:
         report(done, total)

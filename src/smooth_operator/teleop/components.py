@@ -34,22 +34,22 @@ def build_component(registry: Registry, text: str) -> Any:
     """
     kind = registry.kind
     word, rest = registry.split(text)
-    made = registry.load(word)
-    if not (isinstance(made, type) and dataclasses.is_dataclass(made)):
+    part = registry.load(word)
+    if not (isinstance(part, type) and dataclasses.is_dataclass(part)):
         raise ConfigError(
             f"{registry.find(word).target} can't be a {kind}: it must be a dataclass, whose fields "
             "are the settings"
         )
-    component = settings_from_text(made, rest, kind, word)
+    component = settings_from_text(part, rest, kind, word)
     registry.check(word, component)
     return component
 
 
-def settings_from_text(made: type[Any], text: str, kind: str, word: str) -> Any:
+def settings_from_text(settings_class: type[Any], text: str, kind: str, word: str) -> Any:
     """An object of a settings class.
 
     Args:
-        made: a dataclass.
+        settings_class: a dataclass.
         text: ``ARGUMENT,setting=value,...``; see ``build_component``.
         kind: what it is, for messages.
         word: what the user calls it.
@@ -58,8 +58,8 @@ def settings_from_text(made: type[Any], text: str, kind: str, word: str) -> Any:
         UnknownNameError: the class has no such setting.
         ConfigError: a value can't be read as its field's type, or one that is needed is missing.
     """
-    hints = get_type_hints(made)
-    fields = {f.name: f for f in dataclasses.fields(made) if f.init}
+    hints = get_type_hints(settings_class)
+    fields = {f.name: f for f in dataclasses.fields(settings_class) if f.init}
     values: dict[str, Any] = {}
     for position, part in enumerate(text.split(",") if text else ()):
         name, sign, value = part.partition("=")
@@ -82,7 +82,7 @@ def settings_from_text(made: type[Any], text: str, kind: str, word: str) -> Any:
             f"{kind} {word!r} needs {', '.join(needed)}: write {word}:{needed[0].upper()}"
             + "".join(f",{name}=..." for name in needed[1:])
         )
-    return made(**values)
+    return settings_class(**values)
 
 
 def _read(text: str, hint: Any, what: str) -> Any:
@@ -97,8 +97,8 @@ def _read(text: str, hint: Any, what: str) -> Any:
             return _as(text, option)
         except ValueError:
             continue
-    wanted = " or ".join(_named(option) for option in options if option is not type(None))
-    raise ConfigError(f"{what} must be {wanted}, not {text!r}")
+    expected = " or ".join(_named(option) for option in options if option is not type(None))
+    raise ConfigError(f"{what} must be {expected}, not {text!r}")
 
 
 def _as(text: str, hint: Any) -> Any:

@@ -58,13 +58,13 @@ class SmoothHandRetargeter(interface.BaseRetargeter):
     Args:
         hand: name of the robot hand, the path of a spec file, a description or a loaded hand.
         side: ``right`` or ``left``; None for that of the hand, ``right`` for a name.
-        name: of the node; None for ``smooth_hand_right`` or ``smooth_hand_left``.
-        method: of retargeting.
-        preset: of the method; None for its default.
+        name: name of the node; None for ``smooth_hand_right`` or ``smooth_hand_left``.
+        method: retargeting method.
+        preset: preset of the method; None for its default.
         joints: ``all``, or the ``actuated`` ones alone, without those that follow others.
         world: axes of the input: ``openxr`` (y up) as ``HandsSource`` has it; ``z_up`` after a
             ``HandTransform`` into a z-up base.
-        limits: of the joints; None for the defaults.
+        limits: limits of the joints; None for the defaults.
         safety: what happens on loss; None for the defaults, with the last command held for ever.
         compile: do it now; otherwise at the first frame or with ``warm_up``.
 
@@ -142,10 +142,10 @@ class SmoothHandRetargeter(interface.BaseRetargeter):
     def _compute_fn(self, inputs: Any, outputs: Any, context: Any) -> None:
         self._now = context.graph_time.real_time_ns * 1e-9
         self._obey(context.execution_events)
-        given = inputs[self._input]
+        value = inputs[self._input]
         arrival, wrist = None, None
-        if not given.is_none:
-            frame, wrist = self._read(given)
+        if not value.is_none:
+            frame, wrist = self._read(value)
             arrival = Arrival(frame, self._now)
         tick = self._pipeline.step(self._now, arrival)
         for place, joint in enumerate(self._chosen):
@@ -170,16 +170,16 @@ class SmoothHandRetargeter(interface.BaseRetargeter):
         if events.reset:
             self._pipeline.switch(self.retargeter)
 
-    def _read(self, given: Any) -> tuple[HandFrame, Float[np.ndarray, "7"] | None]:
+    def _read(self, value: Any) -> tuple[HandFrame, Float[np.ndarray, "7"] | None]:
         """A frame, and the wrist in our world where it is valid."""
         index = tensor_types.HandInputIndex
-        points = np.from_dlpack(given[index.JOINT_POSITIONS]).astype(np.float64)
-        valid = np.from_dlpack(given[index.JOINT_VALID]).astype(bool)
-        turns = np.from_dlpack(given[index.JOINT_ORIENTATIONS]).astype(np.float64)
-        taken, bases = list(FROM_OPENXR_26), list(METACARPALS_OPENXR_26)
+        points = np.from_dlpack(value[index.JOINT_POSITIONS]).astype(np.float64)
+        valid = np.from_dlpack(value[index.JOINT_VALID]).astype(bool)
+        turns = np.from_dlpack(value[index.JOINT_ORIENTATIONS]).astype(np.float64)
+        rows, bases = list(FROM_OPENXR_26), list(METACARPALS_OPENXR_26)
         metacarpals = np.where(valid[bases, None], points[bases], np.nan)
         frame = HandFrame(
-            points[taken], self._now, self._side, valid=valid[taken], metacarpals=metacarpals
+            points[rows], self._now, self._side, valid=valid[rows], metacarpals=metacarpals
         )
         pose = to_ours(np.concatenate([points[_WRIST], turns[_WRIST]])[_WXYZ], self._world)
         return frame, pose if valid[_WRIST] and is_valid(pose) else None

@@ -17,7 +17,7 @@ class JointRow:
         high: upper limit; of an actuated joint such that the joints that follow it keep theirs.
         neutral: position in the neutral pose.
         actuated: whether it is commanded.
-        follows: of a coupled joint, what it follows: ``1.06 index_1 - 0.05``.
+        follows: joint that a coupled joint follows: ``1.06 index_1 - 0.05``.
     """
 
     name: str

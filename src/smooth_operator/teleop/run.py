@@ -8,10 +8,11 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
 
-from smooth_operator.compilation.building import build_retargeter
+from smooth_operator.compilation.start import dispatch_here
 from smooth_operator.errors import require
 from smooth_operator.hand_files.menagerie import drawn_on
 from smooth_operator.hands.hand import Hand
@@ -19,15 +20,21 @@ from smooth_operator.hands.registry import default_side
 from smooth_operator.hands.spec import HandSpec
 from smooth_operator.methods.default import DEFAULT_METHOD
 from smooth_operator.methods.method import MethodConfig
+from smooth_operator.methods.presets import default_preset, method_config, method_names
 from smooth_operator.methods.retargeter import Retargeter
-from smooth_operator.planning import RetargetRequest, live_configuration, make_request, resolve
+from smooth_operator.planning import (
+    RetargetRequest,
+    live_configuration,
+    make_request,
+    resolve,
+    resolve_config,
+)
 from smooth_operator.signals import ended_by_signals
 from smooth_operator.teleop.arm.settings import ArmSettings, read_arm
 from smooth_operator.teleop.control.keyboard import keyboard
 from smooth_operator.teleop.control.method_switcher import MethodSwitcher
-from smooth_operator.teleop.control.reporter import LoggingReporter, Reporter
+from smooth_operator.teleop.control.reporter import LoggingReporter, Reporter, summarise
 from smooth_operator.teleop.control.rpc_handlers import RpcHandlers
-from smooth_operator.teleop.control.summary import summarise
 from smooth_operator.teleop.control.task_trials import TaskTrials, with_task
 from smooth_operator.teleop.run_page import PageSettings, begun_page, show_page
 from smooth_operator.teleop.runtime.limiter import Limiter
@@ -47,13 +54,17 @@ from smooth_operator.teleop.sinks.sink import Sink
 from smooth_operator.teleop.sinks.tick import Driver
 from smooth_operator.teleop.sources.live import LiveSource
 from smooth_operator.teleop.sources.registry import build_source
+from smooth_operator.teleop.sources.replay import Replay
 from smooth_operator.types import Side
 
 if TYPE_CHECKING:
-    from smooth_operator.teleop.arm.rig import ArmOfHand
+    from smooth_operator.teleop.arm.controller import ArmOfHand
 
 Task: TypeAlias = Literal["card", "cube", "screwdriver"]
 """A task of the study."""
+
+COMPILES: Final = "compile"
+"""Name of the thread that compiles while the loop runs; a command does not wait for its end."""
 
 _ANNOUNCE_S: Final = 5.0
 """How long a source may take to say how it is reached [s]."""
@@ -77,7 +88,7 @@ def teleoperate(
     limits: LimitsConfig | None = None,
     wrist: WristConfig | None = None,
     priority: Literal["high", "normal"] = "normal",
-    early: bool = True,
+    methods: Sequence[str] = (),
     control: str | None = None,
     estop: str | Callable[[], bool] | None = None,
     page: PageSettings | None = None,
@@ -124,9 +135,10 @@ def teleoperate(
         limits: of the commands; None for the defaults.
         wrist: how the robot's wrist follows the operator's; None for the defaults.
         priority: ``high`` asks the system for real-time scheduling of this process.
-        early: answer frames while the method compiles, by a first stage (``Retargeter``), where it
-            was not compiled on this machine before; else the run begins when it is compiled. A
-            ``blind`` run and one with a ``task`` always wait: what is judged there is the method.
+        methods: further methods, ``NAME`` or ``NAME:PRESET``, that are compiled before the loop
+            starts, as the first one is then: a switch to them takes no time. Without any, the loop
+            starts while the method is compiled: it shows the operator's hand and holds the robot.
+            A run with a ``task`` or a ``duration`` and one of a recording always wait.
         control: ZeroMQ address to take commands of other programs at (extra ``zmq``).
         estop: emergency stop from outside: ``file:PATH``, ``serial:PORT``, ``udp:PORT`` (see
             ``StopInput``), or a function that says whether it is pressed; None for none.
@@ -170,6 +182,7 @@ def teleoperate(
         fingers=fingers,
         operator=operator,
     )
+    others = [_with_method(asked, name) for text in methods for name in text.split(",")]
     sides: tuple[Side, ...] = ("right", "left") if side == "both" else (side,)
     runner = SinkRunner(acting)
     carrier = read_arm(arm) if isinstance(arm, str) else arm
@@ -178,13 +191,14 @@ def teleoperate(
         ended_by_signals() as ending,
         begun_page(page, asked, sides, acting, blind, carrier) as begun,
     ):
-        retargeters = _compiled(settled, asked, blind, said, early and not blind and task is None)
+        retargeters = _built(settled, asked, blind, said)
         pipelines = {
             side: HandPipeline(
                 made,
                 config,
                 driver=Driver(asked.method, asked.preset, made.config),
                 arm=arms[side].controller if arms else None,
+                compiling=not made.compiled,
             )
             for side, made in retargeters.items()
         }
@@ -221,6 +235,12 @@ def teleoperate(
         )
         if begun is not None and page is not None:
             show_page(begun, page, loop, asked, acting, switcher, blind, said, tried.shown)
+        if others or task is not None or duration is not None or isinstance(source, Replay):
+            switcher.building = "compiling"
+            _compile(settled, asked, others, blind, said)
+            switcher.building = ""
+            for pipeline in pipelines.values():
+                pipeline.go_on()
         handlers = RpcHandlers(loop, switcher, lambda: tried.runner, blind=blind)
         granted = "normal"
         begin = time.perf_counter()
@@ -235,7 +255,7 @@ def teleoperate(
             else contextlib.nullcontext(),
             _remote(loop, control, handlers, said),
             stopped_by(loop, stop),
-            _watched(retargeters, loop, said),
+            _compiling(retargeters, loop, said),
             contextlib.ExitStack() as first,
         ):
 
@@ -280,13 +300,13 @@ def _checked(
     arms: dict[Side, ArmOfHand] = {}
     if carrier is not None:
         require("an arm", "arm", "mink", "daqp")
-        from smooth_operator.teleop.arm.rig import build_arms
+        from smooth_operator.teleop.arm.controller import build_arms
 
         arms = build_arms(carrier, hands)
         sinks.use_arms({side: one.carried for side, one in arms.items()})
     sinks.check(hands)
     if control is not None:
-        from smooth_operator.teleop.runtime.remote import check_address
+        from smooth_operator.teleop.runtime.rpc_server import check_address
 
         check_address(control)
     if page is not None:
@@ -300,63 +320,90 @@ def _checked(
     return settled, arms
 
 
-def _compiled(
+def _built(
     settled: Mapping[Side, tuple[Hand, MethodConfig]],
     asked: RetargetRequest,
     blind: bool,
     said: Reporter,
-    early: bool,
 ) -> dict[Side, Retargeter]:
+    """The hands' retargeters, not compiled yet."""
     retargeters: dict[Side, Retargeter] = {}
-    for side, (hand, method) in settled.items():
+    for side, (hand, config) in settled.items():
         if not blind:
-            for note in method.notes(hand):
+            for note in config.notes(hand):
                 said.note(note, matters=True)
-        what = "the method" if blind else asked.method
-        with said.waiting(f"compiling {what} for {hand.name} {side}"):
-            retargeters[side], _ = build_retargeter(hand, method, asked.seed, early=early)
+        dispatch_here(one_thread=config.one_thread)
+        retargeters[side] = Retargeter(hand, config=config, seed=asked.seed)
     return retargeters
 
 
-@contextlib.contextmanager
-def _watched(
-    retargeters: Mapping[Side, Retargeter], loop: TeleopLoop, said: Reporter
-) -> Iterator[None]:
-    """While the block runs: says when hands are answered by their methods, and ends a loop whose
-    method can't be compiled.
+def _compile(
+    settled: Mapping[Side, tuple[Hand, MethodConfig]],
+    asked: RetargetRequest,
+    others: Sequence[RetargetRequest],
+    blind: bool,
+    said: Reporter,
+) -> None:
+    """Compiles the run's method and those of other requests, which the process then has.
 
     Raises:
-        Exception: what compiling raised.
+        SmoothOperatorError: a method can't serve a hand.
     """
-    early = {side: r.live for side, r in retargeters.items() if r.live is not r}
-    compiling = {side: answers for side, answers in early.items() if not answers.ready}
-    if not compiling:
-        yield
-        return
-    over = threading.Event()
+    for side, (hand, own) in settled.items():
+        configs = [(asked.method, own)]
+        configs += [(each.method, resolve_config(each, hand)) for each in others]
+        for name, config in configs:
+            what = "the method" if blind else name
+            with said.waiting(f"compiling {what} for {hand.name} {side}"):
+                Retargeter(hand, config=config, seed=asked.seed).warm_up()
 
-    def watch() -> None:
-        for side in compiling:
-            said.note(f"{side}: answers of a first stage, until the method is compiled")
-        begin = time.perf_counter()
-        for side, answers in compiling.items():
-            while not answers.ready:
-                if over.wait(0.05):
-                    return
-            if answers.failed:
+
+def _with_method(asked: RetargetRequest, text: str) -> RetargetRequest:
+    """The request with another method, ``METHOD`` or ``METHOD:PRESET``.
+
+    Raises:
+        UnknownNameError: there is no such method or preset.
+    """
+    name, _, preset = text.partition(":")
+    if name not in method_names():  # package.module:attribute
+        name, preset = text, ""
+    preset = preset or default_preset(name)
+    return replace(asked, method=name, preset=preset, config=method_config(name, preset))
+
+
+@contextlib.contextmanager
+def _compiling(
+    retargeters: Mapping[Side, Retargeter], loop: TeleopLoop, said: Reporter
+) -> Iterator[None]:
+    """While the block runs: methods that are not compiled yet are, and their hands go on then.
+
+    Raises:
+        Exception: a method can't be compiled; the loop has ended.
+    """
+    waiting = {side: each for side, each in retargeters.items() if not each.compiled}
+    errors: list[Exception] = []
+
+    def let_go(side: Side) -> None:
+        loop.controls.change(lambda hand: hand.go_on() if hand.side == side else None)
+
+    def compile_all() -> None:
+        for side, retargeter in waiting.items():
+            said.note(f"{side}: compiling the method; the robot holds", matters=True)
+            try:
+                seconds = retargeter.warm_up()
+            except Exception as error:  # raised on the loop's thread
+                errors.append(error)
                 loop.controls.quit()
                 return
-            said.note(f"{side}: compiled after {time.perf_counter() - begin:.1f} s")
+            let_go(side)
+            said.note(f"{side}: compiled after {seconds:.1f} s")
 
-    thread = threading.Thread(target=watch, name="compiled", daemon=True)
-    thread.start()
-    try:
-        yield
-        for answers in compiling.values():
-            answers.check()
-    finally:
-        over.set()
-        thread.join()
+    if waiting:
+        # Not a daemon: one that is inside XLA when the interpreter ends can abort the process.
+        threading.Thread(target=compile_all, name=COMPILES).start()
+    yield
+    if errors:
+        raise errors[0]
 
 
 @contextlib.contextmanager
@@ -389,7 +436,7 @@ def _remote(
     if address is None:
         yield
         return
-    from smooth_operator.teleop.runtime.remote import remote
+    from smooth_operator.teleop.runtime.rpc_server import remote
 
     with remote(loop, address, handlers.by_command, handlers.status) as bound:
         said.note(f"switches at {bound}")

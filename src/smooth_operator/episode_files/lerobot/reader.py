@@ -10,9 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from smooth_operator.episode_files.lerobot.arrow import numbers, read_table
 from smooth_operator.episode_files.lerobot.columns import NO_COMMAND
-from smooth_operator.episode_files.lerobot.tables import OWN_COLUMN
+from smooth_operator.episode_files.lerobot.tables import OWN_COLUMN, numbers, read_table
 from smooth_operator.errors import (
     UPGRADE,
     ConfigError,

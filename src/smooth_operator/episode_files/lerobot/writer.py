@@ -9,14 +9,7 @@ from typing import Any, Final, TypeAlias
 
 import numpy as np
 
-from smooth_operator.episode_files.lerobot.arrow import arrow, column, parquet
-from smooth_operator.episode_files.lerobot.card import dataset_card
-from smooth_operator.episode_files.lerobot.columns import Layout, episode_columns
-from smooth_operator.episode_files.lerobot.stats import (
-    Statistics,
-    column_statistics,
-    joint_statistics,
-)
+from smooth_operator.episode_files.lerobot.columns import UNITS, Layout, episode_columns
 from smooth_operator.episode_files.lerobot.tables import (
     CODEBASE_VERSION,
     DATA_PATH,
@@ -25,7 +18,14 @@ from smooth_operator.episode_files.lerobot.tables import (
     OWN_COLUMN,
     UNNAMED_TASK,
     VIDEO_MB,
+    Statistics,
+    arrow,
+    column,
+    column_statistics,
+    dataset_card,
     episodes_table,
+    joint_statistics,
+    parquet,
     tasks_table,
 )
 from smooth_operator.episode_files.staging import staged_folder
@@ -153,8 +153,22 @@ def write_dataset(
         }
         _write_json(stage / "meta" / "info.json", info)
         _write_json(stage / MARK, {"program": PROGRAM, "version": 1})
-        (stage / "README.md").write_text(dataset_card(info), encoding="utf-8")
+        (stage / "README.md").write_text(_card(info), encoding="utf-8")
     return notes.texts()
+
+
+def _card(info: dict[str, Any]) -> str:
+    """The README, from ``meta/info.json``."""
+    text = (
+        f"A LeRobot dataset ({info['codebase_version']}), written by smooth-operator: "
+        f"{info['total_episodes']} episodes, {info['total_frames']} frames,\n"
+        f"{info['fps']} frames a second."
+    )
+    rows = []
+    for name, feature in info["features"].items():
+        kind = feature["dtype"] + ("" if feature["names"] is None else f" × {feature['shape'][0]}")
+        rows.append((name, kind, UNITS.get(name, "index")))
+    return dataset_card("Human hands and robot commands", text, rows)
 
 
 def is_own_dataset(path: Path) -> bool:

@@ -8,7 +8,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from smooth_operator.compilation.dispatch import dispatch_here
+from smooth_operator.compilation.start import dispatch_here
 from smooth_operator.errors import RecordingError, SmoothOperatorError
 from smooth_operator.lab.datasets.clip import Clip
 from smooth_operator.lab.datasets.parts import with_side

@@ -16,8 +16,8 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator import poses
-from smooth_operator.compilation.compile_cache import enable_cache, healing
-from smooth_operator.compilation.dispatch import dispatch_here
+from smooth_operator.compilation.cache import jax_cache
+from smooth_operator.compilation.start import dispatch_here
 from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.lab.datasets.clip import Clip
@@ -215,7 +215,7 @@ def _retargeter(hand: Hand, config: TrajectoryMethodConfig, seed: int) -> Object
     found = _known.pop(key, None)
     if found is None:
         dispatch_here()
-        with healing(enable_cache()):
+        with jax_cache():
             found = ObjectAwareRetargeter(hand, config, seed=seed)
     _known[key] = found
     while len(_known) > _KEPT:

@@ -28,7 +28,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from smooth_operator import poses
-from smooth_operator.compilation.frame_jit import compiled
+from smooth_operator.compilation.compiled_program import compiled
 from smooth_operator.geometry import AnyArray
 from smooth_operator.hands.hand import Hand
 from smooth_operator.lab.objects.contacts import Contacts, Scene

@@ -9,8 +9,8 @@ from typing import Final, TypeAlias
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.compilation.compile_cache import enable_cache, healing
-from smooth_operator.compilation.dispatch import dispatch_here
+from smooth_operator.compilation.cache import jax_cache
+from smooth_operator.compilation.start import dispatch_here
 from smooth_operator.formats.jsonable import to_json
 from smooth_operator.lab.offline.execution import Runner, runner
 from smooth_operator.planning import Plan
@@ -43,7 +43,7 @@ def answers(plans: Sequence[Plan], *, keep: bool = True) -> list[Answer]:
         SmoothOperatorError: a recording can't be retargeted.
     """
     dispatch_here()
-    with healing(enable_cache()):  # the first batch compiles
+    with jax_cache():  # the first batch compiles
         retargeter = _kept(plans[0]) if keep else runner(plans[0])
         return retargeter.batch([each.recording for each in plans])
 

@@ -10,9 +10,9 @@ from typing import Any, TypeAlias
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.compilation.building import build_retargeter as build_retargeter
-from smooth_operator.compilation.compile_cache import enable_cache, healing
-from smooth_operator.compilation.dispatch import dispatch_here
+from smooth_operator.compilation.cache import jax_cache
+from smooth_operator.compilation.start import build_retargeter as build_retargeter
+from smooth_operator.compilation.start import dispatch_here
 from smooth_operator.lab.offline.trajectory_retargeter import TrajectoryRetargeter
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.metrics import Trace, evaluate
@@ -54,7 +54,7 @@ def build(todo: Plan) -> tuple[Runner, float]:
     """A retargeter for the plan, compiled; for presets that need it one of whole recordings.
 
     Two settings of the process change: JAX's compilation cache is switched on (see
-    ``enable_cache``), and programs run on the calling thread (see
+    ``jax_cache``), and programs run on the calling thread (see
     ``dispatch_here``).
 
     Returns:
@@ -64,7 +64,7 @@ def build(todo: Plan) -> tuple[Runner, float]:
         return build_retargeter(todo.hand, todo.config, todo.seed)
     started = time.perf_counter()
     dispatch_here()
-    with healing(enable_cache()):
+    with jax_cache():
         whole = runner(todo)
         whole.warm_up()
     return whole, time.perf_counter() - started

@@ -9,7 +9,7 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
-from smooth_operator.compilation.dispatch import dispatch_here
+from smooth_operator.compilation.start import dispatch_here
 from smooth_operator.errors import ConfigError
 from smooth_operator.formats.checks import stamps_from_rate
 from smooth_operator.formats.commands import encode_commands, write_encoded_commands

@@ -22,7 +22,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from smooth_operator.compilation.batching import Progress, progressing
-from smooth_operator.compilation.kept_program import KeptProgram
+from smooth_operator.compilation.compiled_program import CompiledProgram
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.differential import PointKinematics
 from smooth_operator.hands.hand import Hand
@@ -112,7 +112,7 @@ class TrajectoryRetargeter:
             return at.reshape(len(q), count), jacobian.reshape(len(q), count, -1)
 
         of = (method.hand, config.causal, "recording")
-        kept = [KeptProgram(f, *of, f.__name__) for f in (aligned, follow, costs, points)]
+        kept = [CompiledProgram(f, *of, f.__name__) for f in (aligned, follow, costs, points)]
         self._aligned, self._follow, self._costs, self._points = kept
 
     def warm_up(self) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from smooth_operator.compilation.dispatch import dispatch_here
+from smooth_operator.compilation.start import dispatch_here
 from smooth_operator.errors import SmoothOperatorError
 from smooth_operator.lab.datasets.clip import SIDES
 from smooth_operator.lab.datasets.filters import NO_LIMITS, Dropped, Limits, select

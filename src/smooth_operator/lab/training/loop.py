@@ -20,7 +20,7 @@ from smooth_operator.baselines.geort_model import (
     finger_joints,
     recognition,
 )
-from smooth_operator.compilation.frame_jit import compiled
+from smooth_operator.compilation.compiled_program import compiled
 from smooth_operator.errors import MissingExtraError, SmoothOperatorError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.lab.training.batches import draw_batches

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from smooth_operator.compilation.frame_jit import compiled
+from smooth_operator.compilation.compiled_program import compiled
 from smooth_operator.formats.setting_paths import with_unchecked
 from smooth_operator.methods.method import MethodConfig
 from smooth_operator.methods.program import RetargetState, frame_step, ticks_of

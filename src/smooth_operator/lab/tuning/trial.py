@@ -9,7 +9,7 @@ from typing import Any
 
 import jax
 
-from smooth_operator.compilation.dispatch import dispatch_here
+from smooth_operator.compilation.start import dispatch_here
 from smooth_operator.errors import RecordingError
 from smooth_operator.formats.setting_paths import with_settings
 from smooth_operator.hands.registry import load_hand

@@ -12,15 +12,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
-from smooth_operator.atomic_files import output_error, write_json
+from smooth_operator.atomic_files import atomic_write, output_error, write_json
 from smooth_operator.errors import ConfigError, DocumentError, OutputError
 from smooth_operator.formats.environment import environment
 from smooth_operator.formats.jsonable import to_json
-from smooth_operator.formats.preset_file import PresetFile
+from smooth_operator.formats.preset_file import FORMAT, PresetFile
+from smooth_operator.formats.toml_writer import toml_key, toml_value
 from smooth_operator.io.documents import parse_json
 from smooth_operator.lab.benchmark.cells import benchmark_code
 from smooth_operator.lab.tuning.pareto import save_pareto
-from smooth_operator.lab.tuning.preset_writer import write_preset_file
 from smooth_operator.lab.tuning.score import figure
 from smooth_operator.lab.tuning.search_plan import COMMAND, Tuning
 from smooth_operator.lab.tuning.trial import TrialTask, run_trial
@@ -298,3 +298,25 @@ def _write(plan: Tuning, search: _Search) -> Tuned:
 
 def _figures(metrics: Mapping[str, Any]) -> dict[str, float | None]:
     return {name: figure(metrics, name) for name in FIGURES}
+
+
+def write_preset_file(path: Path, preset: PresetFile) -> None:
+    """Writes a preset file, whole or not at all.
+
+    Raises:
+        OutputError: it can't be written.
+        ConfigError: ``made`` holds what TOML can't.
+    """
+    top = {"format": FORMAT, "method": preset.method, "base": preset.base}
+    try:
+        lines = [*_rows(top), "", "[settings]", *_rows(preset.settings)]
+        if preset.made:
+            lines += ["", "[made]", *_rows(preset.made)]
+    except DocumentError as error:
+        raise ConfigError(f"{path}: {error}") from error
+    with atomic_write(path) as file:
+        file.write("\n".join([*lines, ""]).encode())
+
+
+def _rows(table: Mapping[str, Any]) -> Iterator[str]:
+    return (f"{toml_key(name)} = {toml_value(value)}" for name, value in table.items())

@@ -6,9 +6,10 @@
 # Packages: lme4, lmerTest, emmeans (time, workload), geepack (success), mvtnorm (Dunnett).
 # It reads rows_trials.csv and rows_tlx.csv, fits what emm.csv lists (parts that were refused have
 # no figures there), writes R_emm.csv, R_dunnett.csv, R_pairs.csv and R_coefficients.csv, and prints
-# the largest difference from smooth-operator's tables of the same names without "R_". Then it goes
-# on with readings.R: learning, correlations with simulation metrics, further readings (packages
-# survival, ordinal), with bootstrap intervals from the samples that smooth-operator drew.
+# the largest difference from smooth-operator's tables of the same names without "R_". Then it does
+# so with learning and with those readings that are models: success as a score of 1, equivalence,
+# and retargeter x task. Not here: whatever is drawn at random (bootstraps, permutations), and
+# retargeters that never or always succeed.
 
 suppressMessages({
   library(lme4); library(lmerTest); library(geepack); library(emmeans); library(mvtnorm)
@@ -29,8 +30,7 @@ numeric_columns <- function(d, names) {
   for (name in intersect(names, colnames(d))) d[[name]] <- as.numeric(d[[name]])
   d
 }
-trials <- numeric_columns(table_of("rows_trials.csv"), c("success", "time_s", "trial_global",
-  "score", "duration_s", "second_score"))
+trials <- numeric_columns(table_of("rows_trials.csv"), c("success", "time_s", "trial_global", "score"))
 tlx <- table_of("rows_tlx.csv")
 if (!is.null(tlx)) tlx <- numeric_columns(tlx, c("workload", "index"))
 fitted_parts <- table_of("emm.csv")
@@ -234,8 +234,166 @@ for (k in seq_len(nrow(parts))) {
 label <- c(emm = "retargeter", dunnett = "retargeter", pairs = "pair", coefficients = "name")
 for (name in names(tables)) report(name, tables[[name]], c("mode", "outcome", "scope", label[[name]]))
 
-more <- file.path(folder, "readings.R")
-if (file.exists(more)) source(more)
+MARGINS <- c(@MARGINS@)
+scopes <- c("pooled", sort(unique(trials$task), method = "radix"))
+everybody <- unique(trials$retargeter)
+
+# Learning: slopes over one count of trials, with a random intercept of operators alone.
+slopes <- NULL
+fixed_terms <- function(d) c("retargeter", if (nlevels(d$task) > 1) "task")
+linear_slope <- function(d) {
+  f <- as.formula(paste("y ~", paste(c(fixed_terms(d), "x", "(1 | operator)"), collapse = " + ")))
+  m <- lmer(f, d, REML = TRUE, control = lmerControl(optimizer = "bobyqa",
+    optCtrl = list(rhoend = 1e-12, maxfun = 1e5), check.conv.singular = "ignore",
+    calc.derivs = FALSE))
+  s <- coef(summary(m, ddf = "Satterthwaite"))["x", ]
+  x <- model.matrix(m); e <- d$y - as.vector(x %*% fixef(m))
+  v <- as.data.frame(VarCorr(m))$vcov
+  covariance <- corrected(lapply(split(seq_len(nrow(d)), droplevels(d$operator)), function(i) {
+    one <- x[i, , drop = FALSE]
+    list(dv = t(one) %*% solve(diag(length(i)) + v[1] / v[2]), d = one, e = e[i])
+  }))
+  df <- nlevels(droplevels(d$operator)) - 1
+  z <- s[["Estimate"]] / s[["Std. Error"]]
+  robust <- sqrt(covariance["x", "x"])
+  data.frame(slope = s[["Estimate"]], se = s[["Std. Error"]], z = z, p_z = two_sided(z, Inf),
+    df_satterthwaite = s[["df"]], p_satterthwaite = s[["Pr(>|t|)"]], se_mancl_derouen = robust,
+    df = df, p_t = two_sided(s[["Estimate"]] / robust, df), n = nrow(d), sd_x = sd(d$index))
+}
+logistic_slope <- function(d) {
+  f <- as.formula(paste("y ~", paste(c(fixed_terms(d), "x"), collapse = " + ")))
+  d$id <- as.integer(d$operator)
+  m <- geeglm(f, id = id, data = d, family = binomial, corstr = "exchangeable",
+              control = geese.control(epsilon = 1e-12, maxit = 500))
+  x <- model.matrix(m); p <- as.vector(fitted(m)); k <- which(colnames(x) == "x")
+  slope <- unname(coef(m)["x"]); robust <- m$geese$vbeta
+  spread <- p * (1 - p)
+  gradient <- slope * colMeans(spread * (1 - 2 * p) * x)
+  gradient[k] <- gradient[k] + mean(spread)
+  md <- sqrt(mancl_derouen(m, x, d)[k, k]); df <- nlevels(droplevels(d$operator)) - 1
+  se <- sqrt(robust[k, k])
+  data.frame(slope_logit = slope, se = se, z = slope / se, p_z = two_sided(slope / se, Inf),
+    ame_prob_per_unit = slope * mean(spread),
+    ame_se = sqrt(drop(t(gradient) %*% robust %*% gradient)), se_mancl_derouen = md, df = df,
+    p_t = two_sided(slope / md, df), n = nrow(d), sd_x = sd(d$index))
+}
+both_ends <- function(d) {  # retargeters that neither always nor never succeed
+  r <- tapply(d$y, d$retargeter, function(y) length(unique(y)) > 1)
+  names(r)[!is.na(r) & r]
+}
+bind <- function(a, b) {  # rows with other columns
+  if (is.null(a)) return(b)
+  for (name in setdiff(colnames(a), colnames(b))) b[[name]] <- NA
+  for (name in setdiff(colnames(b), colnames(a))) a[[name]] <- NA
+  rbind(a, b[colnames(a)])
+}
+learning <- table_of("learning.csv")
+for (k in seq_len(NROW(learning))) {
+  where <- learning[k, c("scope", "index", "outcome")]
+  if (is.null(learning$n) || isTRUE(!is.na(learning$refused[k]))) next
+  d <- rows_of(where$outcome, where$scope, everybody)
+  source_of <- if (where$outcome == "tlx") tlx else trials
+  column <- c(trial_global = "trial_global", trial_in_block = "trial_in_block", tlx_index = "index",
+              in_block = "point")[[where$index]]
+  d$index <- as.numeric(d[[column]])
+  if (where$outcome == "success") {
+    d <- droplevels(d[d$retargeter %in% both_ends(d), ])
+  }
+  d$x <- d$index - mean(d$index)
+  found <- if (where$outcome == "success") logistic_slope(d) else linear_slope(d)
+  slopes <- bind(slopes, data.frame(where, found, row.names = NULL))
+}
+report("learning", slopes, c("scope", "index", "outcome"))
+
+# Further readings: rows of one long table, by reading, where and term.
+found <- NULL
+say <- function(reading, where, term, ...) {
+  rows <- data.frame(reading = reading, where = where, term = term, ..., row.names = NULL,
+                     check.names = FALSE)
+  found <<- bind(found, rows)
+}
+tried <- function(what, expression) tryCatch(expression, error = function(error)
+  cat(sprintf("%s: %s\n", what, conditionMessage(error))))
+
+# Success as a score of 1.
+for (scope in scopes) tried(paste("full success,", scope), {
+  d <- rows_of("success", scope, everybody)
+  d$y <- as.numeric(d$score >= 1)
+  d <- droplevels(d[d$retargeter %in% both_ends(d), ])
+  d$t <- if (sd(d$index) > 0) as.numeric(scale(d$index)) else 0
+  m <- compared(binary(d, "small-sample"), levels(d$retargeter))
+  for (part in names(m)) say("full_success", paste0(scope, "/", part), m[[part]][[1]], m[[part]][-1])
+})
+
+# Joint test of several coefficients, their covariance estimated from operators.
+hotelling <- function(values, covariance, operators) {
+  q <- length(values)
+  stopifnot("too few operators for a joint test" = operators > q)
+  f <- drop(t(values) %*% solve(covariance, values)) * (operators - q) / ((operators - 1) * q)
+  data.frame(f = f, df1 = q, df2 = operators - q, p = pf(f, q, operators - q, lower.tail = FALSE))
+}
+
+# Equivalence: two one-sided tests of every pair; those with the baseline are other - baseline.
+pairs_found <- tables$pairs[tables$pairs$mode == "small-sample", ]
+for (part in split(pairs_found, list(pairs_found$outcome, pairs_found$scope), drop = TRUE)) {
+  ends <- combn(levels(rows_of(part$outcome[1], part$scope[1],
+    fitted_parts$retargeter[fitted_parts$mode == "small-sample" & fitted_parts$outcome == part$outcome[1] &
+                            fitted_parts$scope == part$scope[1]])$retargeter), 2)
+  turned <- ends[1, ] == baseline
+  x <- ifelse(turned, -1, 1) * part$difference
+  label <- ifelse(turned, paste(ends[2, ], ends[1, ], sep = "-"), paste(ends[1, ], ends[2, ], sep = "-"))
+  half <- part$se * ifelse(is.finite(part$df), qt(0.95, part$df), qnorm(0.95))
+  margin <- if (part$outcome[1] %in% names(MARGINS)) MARGINS[[part$outcome[1]]] else NA
+  p <- pt((abs(x) - margin) / part$se, part$df)
+  p_holm <- rep(NA, length(p)); p_holm[turned] <- p.adjust(p[turned], "holm")
+  say("equivalence", paste(part$outcome[1], part$scope[1], sep = "/"), label, difference = x,
+      se = part$se, df = part$df, lower = x - half, upper = x + half, p = unname(p),
+      p_holm = p_holm, smallest_margin = pmax(abs(x - half), abs(x + half)))
+}
+
+# Retargeter x task, added to the models of all tasks together: a joint test.
+joint_test <- function(outcome, d, more) {
+  colnames(more) <- seq_len(ncol(more))
+  d$more <- more
+  terms <- c(terms_of(d), "more")
+  if (outcome == "success") {
+    d$id <- as.integer(d$operator)
+    m <- geeglm(as.formula(paste("y ~", paste(terms, collapse = " + "))), id = id, data = d,
+                family = binomial, corstr = "exchangeable",
+                control = geese.control(epsilon = 1e-12, maxit = 500))
+    b <- coef(m); v <- mancl_derouen(m, model.matrix(m), d); g <- nlevels(droplevels(d$operator))
+    joint <- function(columns) hotelling(b[columns], v[columns, columns], g)
+    names_b <- names(b)
+  } else {
+    random <- c("(1 | operator)", "(1 | operator:retargeter)",
+                if (nlevels(d$task) > 1) "(1 | operator:retargeter:task)")
+    m <- lmer(as.formula(paste("y ~", paste(c(terms, random), collapse = " + "))), d, REML = TRUE,
+      control = lmerControl(optimizer = "bobyqa", optCtrl = list(rhoend = 1e-12, maxfun = 1e5),
+                            check.conv.singular = "ignore", calc.derivs = FALSE))
+    names_b <- names(fixef(m))
+    joint <- function(columns) {
+      t <- contestMD(m, diag(length(names_b))[columns, , drop = FALSE], ddf = "Satterthwaite")
+      data.frame(f = t[["F value"]], df1 = t[["NumDF"]], df2 = t[["DenDF"]], p = t[["Pr(>F)"]])
+    }
+  }
+  joint(grep("^more", names_b))
+}
+
+for (outcome in c("success", "time", if (!is.null(tlx)) "tlx")) {
+  d <- rows_of(outcome, "pooled", everybody)
+  if (outcome == "success") d <- droplevels(d[d$retargeter %in% both_ends(d), ])
+  d$t <- if (sd(d$index) > 0) as.numeric(scale(d$index)) else 0
+  names_of <- levels(d$retargeter)
+  tried(paste("interaction,", outcome), if (nlevels(d$task) > 1) {
+    cells <- expand.grid(task = levels(d$task)[-1], retargeter = names_of[-1],
+                         stringsAsFactors = FALSE)
+    more <- mapply(function(task, name) as.numeric(d$task == task & d$retargeter == name),
+                   cells$task, cells$retargeter)
+    say("interaction", outcome, "test", joint_test(outcome, d, more))
+  })
+}
+
+report("readings", found, c("reading", "where", "term"))
 
 # A Bayesian reading, if you want one (package brms, minutes): the probability that a retargeter is
 # better, and partial pooling of operators.

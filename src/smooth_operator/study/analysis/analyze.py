@@ -10,21 +10,19 @@ from typing import Any, Final
 import numpy as np
 
 from smooth_operator.errors import StudyError, UnknownNameError
-from smooth_operator.study.analysis.flow import leave_out
-from smooth_operator.study.analysis.frame import Frame
-from smooth_operator.study.analysis.learning import linear_slope, logistic_slope
-from smooth_operator.study.analysis.linear_outcome import analyze_linear
-from smooth_operator.study.analysis.operators import variance
-from smooth_operator.study.analysis.outcome_frames import (
+from smooth_operator.study.analysis.frame import (
+    Frame,
     success_frame,
     time_frame,
     tlx_frame,
     within,
 )
+from smooth_operator.study.analysis.learning import linear_slope, logistic_slope
+from smooth_operator.study.analysis.operators import leave_out, variance
+from smooth_operator.study.analysis.outcomes import analyze_linear, analyze_success
 from smooth_operator.study.analysis.readings import (
     Interaction,
     Readings,
-    Refused,
     interactions,
     read_further,
 )
@@ -33,11 +31,11 @@ from smooth_operator.study.analysis.results import (
     POOLED,
     Mode,
     Outcome,
+    Refused,
     ScopeResult,
     plain,
 )
 from smooth_operator.study.analysis.spearman import correlations
-from smooth_operator.study.analysis.success_outcome import analyze_success
 from smooth_operator.study.data.rows import ITEMS, StudyData, Workload
 
 Report = Callable[[str], None]
@@ -102,19 +100,19 @@ class Analysis:
 
     def to_json(self) -> dict[str, Any]:
         """The content of ``results.json``."""
-        found: dict[str, Any] = {mode: plain(outcomes) for mode, outcomes in self.results.items()}
+        content: dict[str, Any] = {mode: plain(outcomes) for mode, outcomes in self.results.items()}
         for mode in self.results:
-            for outcome, scopes in found[mode].items():
+            for outcome, scopes in content[mode].items():
                 for scope, result in scopes.items():
                     result["role"] = self.role(outcome, scope) or None
-        found["learning"] = plain(self.learning)
-        found["spearman"] = plain(self.spearman)
-        found["tlx_items"] = plain(self.tlx_items)
-        found["readings"] = plain(self.readings)
-        found["operator_variance"] = plain(variance(self.data))
-        found["flow"] = plain(self.data.flow)
+        content["learning"] = plain(self.learning)
+        content["spearman"] = plain(self.spearman)
+        content["tlx_items"] = plain(self.tlx_items)
+        content["readings"] = plain(self.readings)
+        content["operator_variance"] = plain(variance(self.data))
+        content["flow"] = plain(self.data.flow)
         planned = self.data.plan
-        found["study"] = {
+        content["study"] = {
             "baseline": self.baseline,
             "planned_baseline": None if planned is None else planned.baseline,
             "primary": None if self.primary is None else "/".join(self.primary),
@@ -129,7 +127,7 @@ class Analysis:
             "files": list(self.data.sources),
             "default_mode": MODES[0],
         }
-        return found
+        return content
 
 
 def analyze_study(
@@ -202,31 +200,31 @@ def analyze_study(
 def _analyze_scope(analysis: Analysis, scope: str) -> None:
     data, baseline = analysis.data, analysis.baseline
     frame = success_frame(data.trials, scope, baseline)
-    found: dict[Outcome, dict[Mode, ScopeResult]] = {
+    by_outcome: dict[Outcome, dict[Mode, ScopeResult]] = {
         "success": analyze_success(frame, _missing(analysis, frame, scope))
     }
     frame = time_frame(data.trials, scope, baseline)
-    said = _missing(analysis, frame, scope)
+    notes = _missing(analysis, frame, scope)
     untimed = int(
         np.sum(within(data.trials, scope) & data.trials.success & np.isnan(data.trials.time))
     )
     if untimed:
-        said = (*said, f"{untimed} successful trial(s) without a time are left out")
-    found["time"] = analyze_linear(frame, said, unit=" s")
+        notes = (*notes, f"{untimed} successful trial(s) without a time are left out")
+    by_outcome["time"] = analyze_linear(frame, notes, unit=" s")
     if data.questionnaires is None:
         reason = "no questionnaires were given"
         none = ScopeResult(refused=reason, warnings=(f"refused: {reason}",))
-        found["tlx"] = dict.fromkeys(MODES, none)
+        by_outcome["tlx"] = dict.fromkeys(MODES, none)
     else:
         frame = tlx_frame(data.questionnaires, scope, baseline)
-        said = _missing(analysis, frame, scope)
+        notes = _missing(analysis, frame, scope)
         left_out = int(
             np.sum(within(data.questionnaires, scope) & np.isnan(data.questionnaires.workload))
         )
         if left_out:
-            said = (*said, f"{left_out} questionnaire(s) with an answer missing are left out")
-        found["tlx"] = analyze_linear(frame, said, unit=" points")
-    for outcome, by_mode in found.items():
+            notes = (*notes, f"{left_out} questionnaire(s) with an answer missing are left out")
+        by_outcome["tlx"] = analyze_linear(frame, notes, unit=" points")
+    for outcome, by_mode in by_outcome.items():
         for mode, result in by_mode.items():
             analysis.results[mode].setdefault(outcome, {})[scope] = result
 
@@ -234,39 +232,39 @@ def _analyze_scope(analysis: Analysis, scope: str) -> None:
 def _warn_of_interactions(analysis: Analysis) -> None:
     """The means over tasks say little where differences depend on the task."""
     analysis.interaction.update(interactions(analysis.data, analysis.baseline))
-    for outcome, found in analysis.interaction.items():
-        if isinstance(found, Refused) or not found.found:
+    for outcome, test in analysis.interaction.items():
+        if isinstance(test, Refused) or not test.found:
             continue
-        said = (
-            f"differences between retargeters depend on the task (p = {found.test.p:.2g}): look at "
+        warning = (
+            f"differences between retargeters depend on the task (p = {test.test.p:.2g}): look at "
             "the tasks one by one; their mean weighs tasks equally"
         )
         for mode in MODES:
             scopes = analysis.results[mode][outcome]
             if scopes[POOLED].refused is None:
                 pooled = scopes[POOLED]
-                scopes[POOLED] = replace(pooled, warnings=(*pooled.warnings, said))
+                scopes[POOLED] = replace(pooled, warnings=(*pooled.warnings, warning))
 
 
 def _missing(analysis: Analysis, frame: Frame, scope: str) -> tuple[str, ...]:
     """Retargeters and tasks of the study that have no row here."""
-    said = []
+    notes = []
     for name in analysis.retargeters:
         if name not in frame.retargeters:
             extra = ", so nothing is compared with it" if name == analysis.baseline else ""
-            said.append(f"no rows of {name}: it is left out{extra}")
+            notes.append(f"no rows of {name}: it is left out{extra}")
     if scope == POOLED:
-        said += [
+        notes += [
             f"no rows of task {task}: means are over the other tasks"
             for task in analysis.scopes[1:]
             if task not in frame.tasks
         ]
-    return tuple(said)
+    return tuple(notes)
 
 
 def _learning(data: StudyData, scope: str, baseline: str) -> dict[str, Any]:
     trials = data.trials
-    found: dict[str, Any] = {
+    slopes: dict[str, Any] = {
         name: {
             "time": linear_slope(time_frame(trials, scope, baseline, index)),
             "success": logistic_slope(success_frame(trials, scope, baseline, index)),
@@ -276,8 +274,8 @@ def _learning(data: StudyData, scope: str, baseline: str) -> dict[str, Any]:
     if data.questionnaires is not None:
         for name, index in (("tlx_index", "global"), ("in_block", "in block")):
             frame = tlx_frame(data.questionnaires, scope, baseline, index)
-            found[name] = {"tlx": linear_slope(frame)}
-    return found
+            slopes[name] = {"tlx": linear_slope(frame)}
+    return slopes
 
 
 def _items(analysis: Analysis, scope: str) -> dict[str, ScopeResult]:

@@ -1,4 +1,10 @@
-"""Means and their differences with p-values, alike for all models."""
+"""Means of retargeters, their differences and effect sizes, alike for all models.
+
+An estimated marginal mean says what a retargeter would score on average, all else equal: tasks
+weigh equally and the index of the trial is at its mean. For a logistic model the mean is one of
+probabilities and not of logits, so that it is the success rate one would see; its standard error is
+by the delta method. Words for effect sizes are Cohen's (1988).
+"""
 
 from __future__ import annotations
 
@@ -9,13 +15,15 @@ from typing import Final
 
 import numpy as np
 from jaxtyping import Float
+from scipy.special import expit
 
-from smooth_operator.study.analysis.dunnett import dunnett, quantile, two_sided
-from smooth_operator.study.analysis.effects import in_words
-from smooth_operator.study.analysis.emm import MarginalMeans
-from smooth_operator.study.analysis.holm import holm
+from smooth_operator.study.analysis.dunnett import dunnett, holm, quantile, two_sided
+from smooth_operator.study.analysis.frame import Frame
 from smooth_operator.study.analysis.results import Against, Coefficient, Mean, Pair
 
+_MEANS: Final = (0.2, 0.5, 0.8)
+_CORRELATIONS: Final = (0.1, 0.3, 0.5)
+_WORDS: Final = ("negligible", "small", "medium", "large")
 _NO_SPREAD: Final = 1e-10
 """Share of the largest standard error of a mean below which that of a difference is no number."""
 _ROUGH: Final = 1e-6
@@ -24,6 +32,60 @@ Freedom = Callable[[Float[np.ndarray, " p"]], float]
 """Degrees of freedom of a combination of the coefficients."""
 Effect = Callable[[float, float], float]
 """Effect size of two means."""
+
+
+@dataclass(frozen=True, eq=False)
+class MarginalMeans:
+    """Means of retargeters, and how they depend on the coefficients.
+
+    Attributes:
+        names: of the retargeters (r,).
+        values: the means (r,).
+        gradient: derivatives in the coefficients (r, p).
+    """
+
+    names: tuple[str, ...]
+    values: Float[np.ndarray, " r"]
+    gradient: Float[np.ndarray, "r p"]
+
+    def covariance(self, of_coefficients: Float[np.ndarray, "p p"]) -> Float[np.ndarray, "r r"]:
+        """Covariance of the means."""
+        return np.asarray(self.gradient @ of_coefficients @ self.gradient.T)
+
+
+def linear_means(frame: Frame, beta: Float[np.ndarray, " p"]) -> MarginalMeans:
+    """Means of a linear predictor: of times and workload, or of logits."""
+    gradient = frame.grid(len(beta)).mean(axis=1)
+    return MarginalMeans(frame.retargeters, gradient @ beta, gradient)
+
+
+def response_means(frame: Frame, beta: Float[np.ndarray, " p"]) -> MarginalMeans:
+    """Means of probabilities of a logistic model."""
+    grid = frame.grid(len(beta))
+    probability = expit(grid @ beta)
+    slope = probability * (1 - probability)
+    gradient = np.mean(slope[:, :, None] * grid, axis=1)
+    return MarginalMeans(frame.retargeters, probability.mean(axis=1), gradient)
+
+
+def standardised(difference: float, spread: float) -> float:
+    """Difference of means in standard deviations of single rows, all variances together."""
+    return difference / spread
+
+
+def cohen_h(probability: float, baseline: float) -> float:
+    """Difference of two probabilities after the arcsine transform."""
+    return float(2 * np.arcsin(np.sqrt(probability)) - 2 * np.arcsin(np.sqrt(baseline)))
+
+
+def in_words(effect: float) -> str:
+    """negligible, small, medium or large: of a difference d or h."""
+    return _WORDS[int(np.searchsorted(_MEANS, abs(effect), side="right"))]
+
+
+def correlation_in_words(rho: float) -> str:
+    """negligible, small, medium or large: of a correlation."""
+    return _WORDS[int(np.searchsorted(_CORRELATIONS, abs(rho), side="right"))]
 
 
 @dataclass(frozen=True)
@@ -44,14 +106,14 @@ def coefficients(
     freedom: Freedom,
 ) -> dict[str, Coefficient]:
     """Each coefficient with its test."""
-    found = {}
+    table = {}
     for name, value, variance, axis in zip(
         names, beta, np.diag(covariance), np.eye(len(beta)), strict=True
     ):
         se, df = float(np.sqrt(max(variance, 0))), freedom(axis)
         p = two_sided(value / se, df) if se > 0 else float("nan")
-        found[name] = Coefficient(float(value), se, df, p)
-    return found
+        table[name] = Coefficient(float(value), se, df, p)
+    return table
 
 
 def compare(
@@ -166,12 +228,12 @@ def _against(
         [tests[j].df for j in others],
         level=0.95 if limits else None,
     )
-    found = {}
+    comparisons = {}
     for j, p, reach in zip(others, family.p, family.critical, strict=True):
         test, size = tests[j], effect(means.values[j], means.values[0])
         difference, half = -test.difference, reach * test.se
-        found[means.names[j]] = Against(
+        comparisons[means.names[j]] = Against(
             difference, test.se, test.df, -test.statistic, test.p, p,
             difference - half, difference + half, size, in_words(size),
         )  # fmt: skip
-    return found, [[float(x) for x in row] for row in correlation], family.error
+    return comparisons, [[float(x) for x in row] for row in correlation], family.error

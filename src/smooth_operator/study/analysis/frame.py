@@ -9,9 +9,15 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from smooth_operator.errors import StudyError
+from smooth_operator.study.analysis.results import POOLED
+from smooth_operator.study.data.rows import Questionnaires, Trials
 
 INTERCEPT: Final = "(Intercept)"
+
+
 INDEX: Final = "t"
+
+
 _DEPENDENT: Final = 1e-9
 """Share of a column's length that earlier columns may leave unexplained, and it still counts as
 determined by them."""
@@ -66,10 +72,10 @@ class Frame:
     def levels(self) -> dict[str, Int[np.ndarray, " n"]]:
         """Groups of rows that share a random intercept, coarse to fine."""
         own = self.group * len(self.retargeters) + self.retargeter
-        found = {"operator": self.group, "operator:retargeter": own}
+        groups = {"operator": self.group, "operator:retargeter": own}
         if len(self.tasks) > 1:
-            found["block"] = own * len(self.tasks) + self.task
-        return found
+            groups["block"] = own * len(self.tasks) + self.task
+        return groups
 
     def factors(self) -> tuple[Float[np.ndarray, "n p"], list[str]]:
         """Columns of intercept, retargeters and tasks, and their names."""
@@ -95,13 +101,13 @@ class Frame:
         Args:
             width: number of columns; those beyond the factors are zero.
         """
-        found = np.zeros((len(self.retargeters), len(self.tasks), width))
-        found[:, :, 0] = 1
+        rows = np.zeros((len(self.retargeters), len(self.tasks), width))
+        rows[:, :, 0] = 1
         for j in range(1, len(self.retargeters)):
-            found[j, :, j] = 1
+            rows[j, :, j] = 1
         for k in range(1, len(self.tasks)):
-            found[:, k, len(self.retargeters) - 1 + k] = 1
-        return found
+            rows[:, k, len(self.retargeters) - 1 + k] = 1
+        return rows
 
 
 def make_frame(
@@ -193,7 +199,7 @@ def check_frame(frame: Frame, *, retargeters: int = 2) -> None:
 def dependent_columns(design: Float[np.ndarray, "n p"]) -> list[int]:
     """Columns that are linear combinations of those before them."""
     basis: list[np.ndarray] = []
-    found = []
+    dependent = []
     for j in range(design.shape[1]):
         rest = design[:, j].astype(float)
         length = float(np.linalg.norm(rest))
@@ -201,7 +207,59 @@ def dependent_columns(design: Float[np.ndarray, "n p"]) -> list[int]:
             for direction in basis:
                 rest = rest - direction * (direction @ rest)
         if np.linalg.norm(rest) <= _DEPENDENT * max(length, 1e-300):
-            found.append(j)
+            dependent.append(j)
         else:
             basis.append(rest / np.linalg.norm(rest))
-    return found
+    return dependent
+
+
+def success_frame(trials: Trials, scope: str, baseline: str, index: str = "global") -> Frame:
+    """All trials of a scope; the outcome is 1 for a score of 0.5 or 1."""
+    return _trial_frame(
+        trials, trials.success.astype(float), within(trials, scope), baseline, index
+    )
+
+
+def time_frame(trials: Trials, scope: str, baseline: str, index: str = "global") -> Frame:
+    """Successful trials of a scope that have a time; the outcome is the time [s]."""
+    rows = within(trials, scope) & trials.success & np.isfinite(trials.time)
+    return _trial_frame(trials, trials.time, rows, baseline, index)
+
+
+def tlx_frame(
+    table: Questionnaires,
+    scope: str,
+    baseline: str,
+    index: str = "global",
+    item: int | None = None,
+) -> Frame:
+    """Questionnaires of a scope; the outcome is the workload, or the answer to one item."""
+    outcome = table.workload if item is None else table.answers[:, item]
+    rows = within(table, scope) & np.isfinite(outcome)
+    return make_frame(
+        outcome[rows],
+        table.retargeter[rows],
+        table.task[rows],
+        table.operator[rows],
+        (table.index if index == "global" else table.point)[rows],
+        baseline,
+    )
+
+
+def _trial_frame(
+    trials: Trials, outcome: Float[np.ndarray, " n"], rows: np.ndarray, baseline: str, index: str
+) -> Frame:
+    return make_frame(
+        outcome[rows],
+        trials.retargeter[rows],
+        trials.task[rows],
+        trials.operator[rows],
+        (trials.trial_global if index == "global" else trials.trial_in_block)[rows],
+        baseline,
+    )
+
+
+def within(table: Trials | Questionnaires, scope: str) -> np.ndarray:
+    """Which rows are of a scope (n,)."""
+    everything = np.ones(len(table), bool)
+    return everything if scope == POOLED else np.asarray(table.task == scope)

@@ -6,6 +6,11 @@ moment estimates without correction for the number of coefficients, as geepack h
 Two covariances of the coefficients: the sandwich (Liang and Zeger 1986), which is too small with
 few operators, and Mancl and DeRouen's (2001), which corrects each operator's residuals for their
 leverage.
+
+Separation is found by linear programming before the fit: if some combination of the columns is
+never negative for successes and never positive for failures, and not always zero, its coefficient
+is infinite, and no standard error means anything. An iteration may still claim to have converged
+(Albert and Anderson 1984; Konis 2007).
 """
 
 from __future__ import annotations
@@ -16,23 +21,39 @@ from typing import Any, Final
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.optimize import linprog
 
 from smooth_operator.errors import MissingExtraError, StudyError
+from smooth_operator.study.analysis.frame import Frame
 
 _ROUNDS: Final = 10
+
+
 _STEPS: Final = 50
 """Of a round; after each, the fit is looked at."""
+
+
 _TOLERANCE: Final = 1e-12
 """Norm of the estimating equations at which a fit has converged, over that of sum |x|."""
+
+
 _STILL: Final = 1e-10
 """Last step, over 1 + |beta|, at which a fit has converged as well: where the working correlation
 is nearly the lowest that there is, rounding keeps the equations off by more than the tolerance."""
+
+
 _RUNAWAY: Final = 20.0
 """Log-odds beyond which a fit is on its way to infinity: 2e-9 is no probability of a trial."""
+
+
 _EDGE: Final = 0.01
 """Smallest eigenvalue of a working correlation whose inverse is still worth something."""
+
+
 _ALONE: Final = 1 - 1e-10
 """Leverage from which on an operator alone determines a coefficient."""
+
+
 _INFINITE: Final = (
     "the GEE runs away to infinite odds: retargeter, task or trial (nearly) determine success "
     "without error"
@@ -173,3 +194,62 @@ def _leverages(
     basis, _ = np.linalg.qr(design)
     blocks = (basis[groups == k] for k in range(int(groups.max()) + 1))
     return np.array([np.linalg.norm(block, 2) ** 2 for block in blocks])
+
+
+_ANY: Final = 1e-7
+
+
+def separating(
+    design: Float[np.ndarray, "n p"], success: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, " p"] | None:
+    """A direction that separates successes from failures, wholly or in part.
+
+    Args:
+        design: columns of the model (n, p).
+        success: 0 or 1 (n,).
+
+    Returns:
+        Its coefficients in -1 .. 1; None if there is none.
+    """
+    signed = design * np.where(success > 0, 1.0, -1.0)[:, None]
+    # Equal rows say the same; a study has few distinct ones, apart from the index of the trial.
+    signed = np.unique(signed, axis=0)
+    solution = linprog(
+        -signed.sum(axis=0),
+        A_ub=-signed,
+        b_ub=np.zeros(len(signed)),
+        bounds=[(-1, 1)] * design.shape[1],
+        method="highs",
+    )
+    if solution.status != 0 or -solution.fun <= _ANY:
+        return None
+    return np.asarray(solution.x)
+
+
+def one_sided_levels(frame: Frame) -> list[str]:
+    """Retargeters and tasks with nothing but successes, or nothing but failures, in words."""
+    texts = []
+    for kind, names, codes in (
+        ("retargeter", frame.retargeters, frame.retargeter),
+        ("task", frame.tasks, frame.task),
+    ):
+        for j, name in enumerate(names):
+            outcome = frame.outcome[codes == j]
+            if len(outcome) and np.ptp(outcome) == 0:
+                texts.append(f"{kind} {name} has {_count(outcome)}")
+    return texts
+
+
+def one_sided_cells(frame: Frame) -> list[str]:
+    """Cells of retargeter and task with nothing but successes, or nothing but failures."""
+    texts = []
+    for j, name in enumerate(frame.retargeters):
+        for k, task in enumerate(frame.tasks):
+            outcome = frame.outcome[(frame.retargeter == j) & (frame.task == k)]
+            if len(outcome) and np.ptp(outcome) == 0:
+                texts.append(f"{name} in task {task} has {_count(outcome)}")
+    return texts
+
+
+def _count(outcome: Float[np.ndarray, " n"]) -> str:
+    return f"{int(outcome.sum())} successes in {len(outcome)} trials"

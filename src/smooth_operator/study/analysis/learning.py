@@ -12,13 +12,11 @@ from jaxtyping import Float
 from scipy.special import expit
 
 from smooth_operator.errors import StudyError
-from smooth_operator.study.analysis.clusters import mancl_derouen
 from smooth_operator.study.analysis.dunnett import two_sided
 from smooth_operator.study.analysis.frame import Frame, check_frame
-from smooth_operator.study.analysis.gee import fit_gee
-from smooth_operator.study.analysis.mixed import fit_mixed
+from smooth_operator.study.analysis.gee import fit_gee, separating
+from smooth_operator.study.analysis.mixed import fit_mixed, mancl_derouen
 from smooth_operator.study.analysis.separated import split
-from smooth_operator.study.analysis.separation import separating
 
 
 def linear_slope(frame: Frame) -> dict[str, Any]:
@@ -35,17 +33,17 @@ def linear_slope(frame: Frame) -> dict[str, Any]:
         _check(frame)
         factors, _ = frame.factors()
         centred = frame.index - frame.index_mean
-        found: dict[str, Any] = {**_tested(np.column_stack([factors, centred]), frame, 1)[0]}
-        found |= {"n": len(frame), "sd_x": frame.index_sd}
+        slope: dict[str, Any] = {**_tested(np.column_stack([factors, centred]), frame, 1)[0]}
+        slope |= {"n": len(frame), "sd_x": frame.index_sd}
     except StudyError as error:
         return {"refused": str(error), "n": len(frame)}
     try:
         own = (frame.retargeter[:, None] == np.arange(len(frame.retargeters))) * centred[:, None]
         slopes = _tested(np.column_stack([factors, own]), frame, len(frame.retargeters))
-        found["per_retargeter"] = dict(zip(frame.retargeters, slopes, strict=True))
+        slope["per_retargeter"] = dict(zip(frame.retargeters, slopes, strict=True))
     except (StudyError, np.linalg.LinAlgError) as error:
-        found["per_retargeter"] = {"refused": str(error)}
-    return found
+        slope["per_retargeter"] = {"refused": str(error)}
+    return slope
 
 
 def logistic_slope(frame: Frame) -> dict[str, Any]:
@@ -77,7 +75,7 @@ def logistic_slope(frame: Frame) -> dict[str, Any]:
     spread = probability * (1 - probability)
     gradient = slope * np.mean((spread * (1 - 2 * probability))[:, None] * design, axis=0)
     gradient[-1] += spread.mean()
-    found: dict[str, Any] = {
+    result: dict[str, Any] = {
         "slope_logit": slope,
         "se": se,
         "z": slope / se,
@@ -88,15 +86,15 @@ def logistic_slope(frame: Frame) -> dict[str, Any]:
         "sd_x": frame.index_sd,
     }
     if separated:
-        found["without"] = list(separated)
+        result["without"] = list(separated)
     if fit.mancl_derouen is not None:
         corrected = float(np.sqrt(fit.mancl_derouen[-1, -1]))
-        found |= {
+        result |= {
             "se_mancl_derouen": corrected,
             "df": df,
             "p_t": two_sided(slope / corrected, df),
         }
-    return found
+    return result
 
 
 def _check(frame: Frame) -> None:
@@ -107,10 +105,12 @@ def _check(frame: Frame) -> None:
 
 def _tested(design: Float[np.ndarray, "n p"], frame: Frame, count: int) -> list[dict[str, float]]:
     """The last coefficients of a mixed model, each with both tests."""
-    fit = fit_mixed(design, frame.outcome, frame.group)
-    found = []
+    fit = fit_mixed(design, frame.outcome, {"operator": frame.group})
+    slopes = []
     width = design.shape[1]
-    robust = mancl_derouen(design, frame.outcome - design @ fit.beta, frame.group, fit.ratio)
+    robust = mancl_derouen(
+        design, frame.outcome - design @ fit.beta, frame.group, float(fit.ratios[0])
+    )
     freedom = float(len(frame.operators) - 1)
     for j in range(width - count, width):
         slope, se = float(fit.beta[j]), float(np.sqrt(fit.covariance[j, j]))
@@ -130,5 +130,5 @@ def _tested(design: Float[np.ndarray, "n p"], frame: Frame, count: int) -> list[
                 "df": freedom,
                 "p_t": two_sided(slope / corrected, freedom),
             }
-        found.append(one)
-    return found
+        slopes.append(one)
+    return slopes

@@ -8,9 +8,9 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import Final
 
 from smooth_operator.study.analysis.analyze import Analysis
-from smooth_operator.study.analysis.flow import flow_text
+from smooth_operator.study.analysis.operators import flow_text
 from smooth_operator.study.analysis.results import MODES, OUTCOMES, POOLED, Outcome, ScopeResult
-from smooth_operator.study.data.participants import Flow
+from smooth_operator.study.data.rows import Flow
 from smooth_operator.study.design.latin import balanced_rows
 from smooth_operator.study.design.protocol import Protocol
 from smooth_operator.version import __version__
@@ -50,17 +50,17 @@ def _participants(analysis: Analysis) -> Iterator[str]:
     data = analysis.data
     tasks = analysis.scopes[1:]
     operators = len({str(name) for name in data.trials.operator})
-    asked = len(data.questionnaires or ())
+    questionnaires = len(data.questionnaires or ())
     yield (
         f"{operators} operators took part in {len(data.trials)} trials of {_count(tasks, 'task')} "
         f"with {len(analysis.retargeters)} retargeters ({', '.join(analysis.retargeters)}), "
         f"{int(data.trials.success.sum())} of them successful (score of at least 0.5)"
-        + (f", with questionnaires filled in {asked} times" if asked else "")
+        + (f", with questionnaires filled in {questionnaires} times" if questionnaires else "")
         + "."
     )
-    if said := flow_text(data.flow):
+    if sentence := flow_text(data.flow):
         cite = " [Schulz2010]" if data.flow.logged else ""
-        yield f"{said[0].upper()}{said[1:-1]}{cite}."
+        yield f"{sentence[0].upper()}{sentence[1:-1]}{cite}."
     yield from _irregular(data.flow)
 
 
@@ -253,15 +253,15 @@ def _further(analysis: Analysis) -> Iterator[str]:
 
 
 def _software() -> str:
-    found = []
+    versions = []
     for name in _PACKAGES:
         try:
-            found.append(f"{name} {version(name)}")
+            versions.append(f"{name} {version(name)}")
         except PackageNotFoundError:
             continue
     return (
         f"The analysis was done with smooth-operator {__version__} (Python "
-        f"{platform.python_version()}, {', '.join(found)})."
+        f"{platform.python_version()}, {', '.join(versions)})."
     )
 
 

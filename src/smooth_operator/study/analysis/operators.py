@@ -1,14 +1,127 @@
-"""How much operators differ: the mean of each operator, and their distribution."""
+"""Operators of a study: who is analysed and who is left out, and how much their means differ.
+
+The flow of participants has the counts of CONSORT: Schulz, Altman and Moher (2010). CONSORT 2010
+statement. doi:10.1136/bmj.c332
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
 
+from smooth_operator.errors import StudyError, UnknownNameError
 from smooth_operator.study.analysis.results import OUTCOMES, Outcome
-from smooth_operator.study.data.rows import StudyData
+from smooth_operator.study.data.rows import Flow, StudyData
+
+FLOW_COLUMNS: Final = ("step", "retargeter", "count", "operators", "reason")
+
+
+def leave_out(data: StudyData, exclude: Mapping[str, str] | None = None) -> StudyData:
+    """The study without those whose data may not or shall not be analysed, and its flow.
+
+    Args:
+        data: the study; operators who withdrew without leave to keep their data are always left
+            out.
+        exclude: operator -> reason, of those to leave out besides.
+
+    Raises:
+        StudyError: a reason is empty, or nobody is left.
+        UnknownNameError: no such operator takes part.
+    """
+    flow = data.flow
+    present = tuple(dict.fromkeys(map(str, data.trials.operator)))
+    if not flow.logged:
+        # Those excluded before were there, too.
+        there = tuple(dict.fromkeys((*flow.enrolled, *present)))
+        flow = replace(flow, enrolled=there, started=there)
+    excluded = dict(flow.excluded)
+    for operator, reason in (exclude or {}).items():
+        if operator not in (operators := {*flow.enrolled, *present}):
+            raise UnknownNameError("operator to exclude:", operator, operators)
+        if not reason.strip():
+            raise StudyError(f"operator {operator} can't be excluded without a reason")
+        excluded[operator] = reason.strip()
+    out = {*excluded, *(code for code, left in flow.withdrawn.items() if not left.keep)}
+    analysed = tuple(code for code in present if code not in out)
+    if not analysed:
+        raise StudyError(f"nobody is left to analyse; left out: {', '.join(sorted(out))}")
+    flow = replace(flow, excluded=excluded, analysed=analysed)
+    if not out:
+        return replace(data, flow=flow)
+    gone = sorted(out)
+    changes: dict[str, Any] = {
+        name: table.where(~np.isin(table.operator, gone))
+        for name in ("trials", "questionnaires", "metrics", "second_ratings")
+        if (table := getattr(data, name)) is not None
+    }
+    for name in ("forms", "ranking"):
+        changes[name] = {code: v for code, v in getattr(data, name).items() if code not in out}
+    for name in ("questionnaires", "metrics", "second_ratings"):
+        if name in changes and len(changes[name].operator) == 0:
+            changes[name] = None
+    return replace(data, flow=flow, **changes)
+
+
+def flow_rows(flow: Flow) -> list[dict[str, Any]]:
+    """The flow as rows of ``FLOW_COLUMNS``."""
+    rows: list[dict[str, Any]] = []
+
+    def add(step: str, count: int, who: str = "", reason: str = "", retargeter: str = "") -> None:
+        values = (step, retargeter, count, who, reason)
+        rows.append(dict(zip(FLOW_COLUMNS, values, strict=True)))
+
+    if flow.planned is not None:
+        add("planned", flow.planned)
+    steps: tuple[tuple[str, tuple[str, ...]], ...] = (
+        ("enrolled", flow.enrolled),
+        ("started", flow.started),
+        *((("completed", flow.completed),) if flow.logged else ()),
+    )
+    for step, codes in steps:
+        add(step, len(codes), " ".join(codes))
+    for code, left in flow.withdrawn.items():
+        add(f"withdrawn, data {'kept' if left.keep else 'left out'}", 1, code, left.reason)
+    for code, before in flow.replaces.items():
+        add("replacement", 1, code, f"in place of {before}")
+    for code, reason in flow.excluded.items():
+        add("excluded", 1, code, reason)
+    add("analysed", len(flow.analysed), " ".join(flow.analysed))
+    if flow.logged:
+        for step, counts in (
+            ("void trials", flow.voids),
+            ("undone events", flow.undone),
+            ("amended trials", flow.amended),
+        ):
+            for name, count in counts.items():
+                add(step, count, retargeter=name)
+        add("pauses", flow.pauses)
+        add("recalibrations", flow.recalibrations)
+        add("blocks ended early", flow.ended_early)
+    return rows
+
+
+def flow_text(flow: Flow) -> str:
+    """The flow in a sentence or two."""
+    parts = [f"{len(flow.enrolled)} operators enrolled"] if flow.logged else []
+    if flow.logged:
+        parts.append(f"{len(flow.started)} started")
+        parts.append(f"{len(flow.completed)} completed all blocks")
+    left = [
+        f"{code} withdrew ({', '.join(filter(None, (one.reason, _kept(one.keep))))})"
+        for code, one in flow.withdrawn.items()
+    ]
+    left += [f"{code} took the place of {before}" for code, before in flow.replaces.items()]
+    left += [f"{code} was excluded ({reason})" for code, reason in flow.excluded.items()]
+    text = "; ".join([*([", ".join(parts)] if parts else []), *left])
+    return f"{text}; {len(flow.analysed)} were analysed." if text else ""
+
+
+def _kept(keep: bool) -> str:
+    return "data kept" if keep else "data left out"
+
 
 _SHOWN: Final = 4
 
@@ -42,17 +155,17 @@ def operator_means(data: StudyData) -> list[OperatorMean]:
     if data.questionnaires is not None:
         workload = data.questionnaires.workload
         columns.append(("tlx", data.questionnaires, workload, np.isfinite(workload)))
-    found = []
+    means = []
     for outcome, table, values, rows in columns:
         groups: dict[tuple[str, str, str], list[float]] = {}
         for i in np.flatnonzero(rows):
             key = (str(table.task[i]), str(table.retargeter[i]), str(table.operator[i]))
             groups.setdefault(key, []).append(float(values[i]))
-        found += [
+        means += [
             OperatorMean(outcome, *key, len(group), float(np.mean(group)))
             for key, group in sorted(groups.items())
         ]
-    return found
+    return means
 
 
 def variance(data: StudyData) -> dict[str, Any]:
@@ -65,10 +178,10 @@ def variance(data: StudyData) -> dict[str, Any]:
     groups: dict[tuple[str, str, str], list[float]] = {}
     for one in operator_means(data):
         groups.setdefault((one.outcome, one.task, one.retargeter), []).append(one.mean)
-    found: dict[str, Any] = {outcome: {} for outcome in OUTCOMES}
+    spread: dict[str, Any] = {outcome: {} for outcome in OUTCOMES}
     for (outcome, task, retargeter), means in groups.items():
         low, q25, median, q75, high = np.percentile(means, [0, 25, 50, 75, 100])
-        found[outcome].setdefault(task, {})[retargeter] = {
+        spread[outcome].setdefault(task, {})[retargeter] = {
             "operators": len(means),
             "mean": float(np.mean(means)),
             "sd": float(np.std(means, ddof=1)) if len(means) > 1 else None,
@@ -78,4 +191,4 @@ def variance(data: StudyData) -> dict[str, Any]:
             "q75": float(q75),
             "max": float(high),
         }
-    return found
+    return spread

@@ -1,20 +1,37 @@
-"""The folder of an analysis: ``results.json``, CSV tables, ``methods.txt``, the report."""
+"""Folder of an analysis: ``results.json``, CSV tables, ``methods.txt``, ``analysis.R``, report."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator, Mapping
+from importlib.resources import files
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
+
+import numpy as np
 
 from smooth_operator.atomic_files import atomic_write
+from smooth_operator.formats.csv_table import csv_text
 from smooth_operator.study.analysis.analyze import Analysis
 from smooth_operator.study.analysis.citations import cited
-from smooth_operator.study.analysis.csv_files import write_tables
 from smooth_operator.study.analysis.methods_text import methods_paragraph
-from smooth_operator.study.analysis.r_script import write_r_script
+from smooth_operator.study.analysis.operators import flow_rows, operator_means
+from smooth_operator.study.analysis.readings import reading_rows
+from smooth_operator.study.analysis.results import ScopeResult, plain
+from smooth_operator.study.data.rows import Questionnaires
 
 RESULTS: Final = "results.json"
 METHODS: Final = "methods.txt"
+SCRIPT: Final = "analysis.R"
+TRIALS: Final = "rows_trials.csv"
+TLX: Final = "rows_tlx.csv"
+_FAMILIES: Final = {
+    "coefficients": "name",
+    "emm": "retargeter",
+    "dunnett": "retargeter",
+    "pairs": "pair",
+}
+"""Tables of a scope, and what names their rows."""
 
 
 def write_analysis(analysis: Analysis, folder: Path, *, report: bool = True) -> list[str]:
@@ -45,3 +62,157 @@ def write_analysis(analysis: Analysis, folder: Path, *, report: bool = True) -> 
 
         written.append(write_report(analysis, folder).name)
     return written
+
+
+def write_tables(analysis: Analysis, folder: Path) -> list[str]:
+    """Writes the tables.
+
+    Args:
+        analysis: of the study.
+        folder: exists.
+
+    Returns:
+        Names of the files. A table without rows is not written, and an older one removed.
+
+    Raises:
+        OutputError: a file can't be written.
+    """
+    written = []
+    for name, rows in _tables(analysis).items():
+        path = folder / f"{name}.csv"
+        if not rows:
+            path.unlink(missing_ok=True)
+            continue
+        columns = list(dict.fromkeys(column for row in rows for column in row))
+        with atomic_write(path) as file:
+            file.write(csv_text(columns, rows).encode())
+        written.append(path.name)
+    return written
+
+
+def _tables(analysis: Analysis) -> dict[str, list[dict[str, Any]]]:
+    tables: dict[str, list[dict[str, Any]]] = {}
+    for family, label in _FAMILIES.items():
+        tables[family] = [
+            {**where, label: name, **plain(entry)}
+            for where, result in _scopes(analysis)
+            for name, entry in getattr(result, family).items()
+        ]
+    tables["separated"] = [
+        {**where, "retargeter": name, "against": other, **_flat(plain(one)), **plain(test)}
+        for where, result in _scopes(analysis)
+        for name, one in result.separated.items()
+        for other, test in one.against.items()
+    ]
+    tables["warnings"] = [
+        {**where, "warning": text}
+        for where, result in _scopes(analysis)
+        for text in result.warnings
+    ]
+    tables["learning"] = [
+        {"scope": scope, "index": index, "outcome": outcome, "retargeter": "all", **_flat(entry)}
+        for scope, indices in analysis.learning.items()
+        for index, outcomes in indices.items()
+        for outcome, entry in outcomes.items()
+    ]
+    tables["spearman"] = [
+        {"metric": pair.split("~")[0], "outcome": pair.split("~")[1], **_flat(entry)}
+        for pair, entry in analysis.spearman.items()
+    ]
+    tables["readings"] = reading_rows(analysis.readings)
+    tables["flow"] = flow_rows(analysis.data.flow)
+    tables["operators"] = [plain(one) for one in operator_means(analysis.data)]
+    return tables
+
+
+def _scopes(analysis: Analysis) -> Iterator[tuple[dict[str, str], ScopeResult]]:
+    for mode, outcomes in analysis.results.items():
+        for outcome, scopes in outcomes.items():
+            for scope, result in scopes.items():
+                yield {"mode": mode, "outcome": outcome, "scope": scope}, result
+
+
+def _flat(entry: Mapping[str, Any]) -> dict[str, Any]:
+    row = {}
+    for key, value in plain(entry).items():
+        if key in ("per_retargeter", "against"):
+            continue
+        if isinstance(value, Mapping):
+            row.update({f"{key}_{inner}": number for inner, number in value.items()})
+        else:
+            row[key] = value
+    return row
+
+
+def _named(numbers: Mapping[str, float]) -> str:
+    """Elements of a vector of R with names."""
+    return ", ".join(f"{json.dumps(name)} = {value!r}" for name, value in numbers.items())
+
+
+def _trials(analysis: Analysis) -> dict[str, np.ndarray]:
+    rows = analysis.data.trials
+    return {
+        "operator": rows.operator,
+        "task": rows.task,
+        "retargeter": rows.retargeter,
+        "block": rows.block,
+        "trial_in_block": rows.trial_in_block,
+        "trial_global": rows.trial_global,
+        "score": rows.score,
+        "success": rows.success.astype(int),
+        "time_s": rows.time,
+    }
+
+
+def _questionnaires(rows: Questionnaires) -> dict[str, np.ndarray]:
+    return {
+        "operator": rows.operator,
+        "task": rows.task,
+        "retargeter": rows.retargeter,
+        "block": rows.block,
+        "point": rows.point,
+        "index": rows.index,
+        "workload": rows.workload,
+    }
+
+
+def _csv(columns: dict[str, np.ndarray]) -> str:
+    values = [column.tolist() for column in columns.values()]
+    rows: list[dict[str, Any]] = [
+        {name: None if cell != cell else cell for name, cell in zip(columns, row, strict=True)}
+        for row in zip(*values, strict=True)
+    ]
+    return csv_text(list(columns), rows)
+
+
+def write_r_script(analysis: Analysis, folder: Path) -> list[str]:
+    """Writes ``analysis.R`` and the rows that it reads: the same models again, in R.
+
+    Args:
+        analysis: of the study.
+        folder: exists, with the tables of the analysis.
+
+    Returns:
+        Names of the files. A table that the study does not have is not written, and an older one
+        removed.
+
+    Raises:
+        OutputError: a file can't be written.
+    """
+    data, table = analysis.data, analysis.data.questionnaires
+    texts = {
+        SCRIPT: files("smooth_operator.study.analysis")
+        .joinpath(SCRIPT)
+        .read_text("utf-8")
+        .replace("@BASELINE@", json.dumps(analysis.baseline))
+        .replace("@MARGINS@", _named(data.plan.margins if data.plan else {})),
+        TRIALS: _csv(_trials(analysis)),
+        TLX: None if table is None else _csv(_questionnaires(table)),
+    }
+    for name, text in texts.items():
+        if text is None:
+            (folder / name).unlink(missing_ok=True)
+            continue
+        with atomic_write(folder / name) as file:
+            file.write(text.encode("utf-8"))
+    return [name for name, text in texts.items() if text is not None]

@@ -8,9 +8,13 @@ analysis has its reason in ``refused``, empty tables, and never a number.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Final, Literal, TypeAlias
+from typing import Any, Final, Literal, TypeAlias, TypeVar
+
+import numpy as np
+
+from smooth_operator.errors import StudyError
 
 Mode: TypeAlias = Literal["small-sample", "paper"]
 Outcome: TypeAlias = Literal["success", "time", "tlx"]
@@ -115,6 +119,26 @@ class Separated:
     bound: float
     bound_if_independent: float
     against: Mapping[str, ExactTest]
+
+
+@dataclass(frozen=True)
+class Refused:
+    """Reason why a part of the analysis has no figures."""
+
+    refused: str
+
+
+Figures = TypeVar("Figures")
+
+
+def figures_or_refused(compute: Callable[[], Figures]) -> Figures | Refused:
+    """Result of a call, or the reason why it has none."""
+    try:
+        return compute()
+    except StudyError as error:
+        return Refused(str(error))
+    except np.linalg.LinAlgError:
+        return Refused("the rows do not carry this model: its equations are singular")
 
 
 @dataclass(frozen=True)

@@ -40,13 +40,13 @@ def split(frame: Frame) -> tuple[Frame | None, dict[str, Separated]]:
     out = (wins == 0) | (wins == trials)
     if not out.any() or np.ptp(frame.outcome) == 0:
         return frame, {}
-    found = {
+    separated = {
         name: _separated(frame, j, count) for j, name in enumerate(frame.retargeters) if out[j]
     }
-    kept = ~out[frame.retargeter]
-    if not kept.any():
-        return None, found
-    return keep_rows(frame, kept), found
+    rest = ~out[frame.retargeter]
+    if not rest.any():
+        return None, separated
+    return keep_rows(frame, rest), separated
 
 
 def _separated(frame: Frame, which: int, count: int) -> Separated:
@@ -100,20 +100,21 @@ def _swapped(frame: Frame, which: int, other: int) -> ExactTest:
     )
 
 
-def in_words(name: str, found: Separated) -> str:
+def in_words(name: str, result: Separated) -> str:
     """What is known of a separated retargeter, for the warnings."""
-    share, side = ("all", "at least") if found.rate else ("none", "at most")
+    share, side = ("all", "at least") if result.rate else ("none", "at most")
     return (
-        f"{name} succeeded in {share} of {found.trials} trials of {found.operators} operators: it "
-        f"is left out of the model; its success rate is {side} {100 * found.bound:.1f} % (exact "
-        f"95 % bound with operators as units; {100 * found.bound_if_independent:.1f} % if all "
+        f"{name} succeeded in {share} of {result.trials} trials of {result.operators} "
+        "operators: it is left out of the model; its success rate is "
+        f"{side} {100 * result.bound:.1f} % (exact 95 % bound with operators as units; "
+        f"{100 * result.bound_if_independent:.1f} % if all "
         "trials were independent). It is compared by an exact test that swaps retargeters within "
-        f"operators: {_tests(found)}"
+        f"operators: {_tests(result)}"
     )
 
 
-def _tests(found: Separated) -> str:
+def _tests(result: Separated) -> str:
     return ", ".join(
         f"{other} p {'=' if test.p_holm >= 1e-4 else '<'} {max(test.p_holm, 1e-4):.2g}"
-        for other, test in found.against.items()
+        for other, test in result.against.items()
     ) + " (times the number of all pairs)"  # fmt: skip

@@ -18,10 +18,9 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.study.analysis.dunnett import quantile, two_sided
-from smooth_operator.study.analysis.effects import correlation_in_words
-from smooth_operator.study.analysis.holm import holm
-from smooth_operator.study.analysis.readings.resampling import operator_signs, operator_weights
+from smooth_operator.study.analysis.contrasts import correlation_in_words
+from smooth_operator.study.analysis.dunnett import holm, quantile, two_sided
+from smooth_operator.study.analysis.resampling import operator_signs, operator_weights
 from smooth_operator.study.data.rows import StudyData
 
 _DIGITS: Final = 9
@@ -49,7 +48,7 @@ def correlations(data: StudyData, *, seed: int = 11, draws: int = DRAWS) -> dict
     if data.metrics is None:
         return {}
     means = _means(data)
-    found: dict[str, Any] = {}
+    table: dict[str, Any] = {}
     for j, metric in enumerate(data.metrics.names):
         for name, mean in means.items():
             points = [
@@ -67,11 +66,11 @@ def correlations(data: StudyData, *, seed: int = 11, draws: int = DRAWS) -> dict
             if "rho" in entry:
                 entry["within"] = correlation_within(points, seed=seed, draws=draws)
                 entry["means"] = _over_means(points)
-            found[f"{metric}~{name}"] = entry
-    tested = [e["within"] for e in found.values() if "p" in e.get("within", {})]
+            table[f"{metric}~{name}"] = entry
+    tested = [e["within"] for e in table.values() if "p" in e.get("within", {})]
     for entry, p in zip(tested, holm([entry["p"] for entry in tested]), strict=True):
         entry["p_holm"] = p
-    return found
+    return table
 
 
 Point = tuple[str, str, float, float]
@@ -127,17 +126,17 @@ def _over_means(points: Sequence[Point]) -> dict[str, Any]:
 def _means(data: StudyData) -> dict[str, dict[tuple[str, str], float]]:
     trials = data.trials
     timed = trials.success & np.isfinite(trials.time)
-    found = {
+    means = {
         "success": _by_pair(trials.operator, trials.retargeter, trials.success.astype(float)),
         "time_s": _by_pair(trials.operator[timed], trials.retargeter[timed], trials.time[timed]),
     }
     if data.questionnaires is not None:
         table = data.questionnaires
-        known = np.isfinite(table.workload)
-        found[f"{table.kind}_tlx"] = _by_pair(
-            table.operator[known], table.retargeter[known], table.workload[known]
+        answered = np.isfinite(table.workload)
+        means[f"{table.kind}_tlx"] = _by_pair(
+            table.operator[answered], table.retargeter[answered], table.workload[answered]
         )
-    return found
+    return means
 
 
 def _by_pair(

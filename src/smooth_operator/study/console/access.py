@@ -93,10 +93,10 @@ def _secret() -> bytes:
     try:
         make_private(file.parent)
         _keep(file, drawn)
-        kept = read_own_file(file, len(drawn), secret=True)
+        stored = read_own_file(file, len(drawn), secret=True)
     except (OSError, DocumentError):  # others may know it
         return drawn
-    return kept if len(kept) == len(drawn) else drawn
+    return stored if len(stored) == len(drawn) else drawn
 
 
 def _keep(file: Path, content: bytes) -> None:

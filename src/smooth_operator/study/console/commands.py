@@ -14,38 +14,15 @@ from typing import Any, Final, Literal, TypeAlias
 
 from smooth_operator.errors import StudyError
 from smooth_operator.study.store.clock import Elapsed
-from smooth_operator.study.store.event_fields import event_of
-from smooth_operator.study.store.events import ASIDE, Amended, Event
+from smooth_operator.study.store.events import ASIDE, Amended, Event, event_of
+from smooth_operator.study.store.events import EVENTS as KINDS
+from smooth_operator.study.store.nasa_tlx import shown_pairs
 from smooth_operator.study.store.operator_state import Trial
 from smooth_operator.study.store.progress import Progress
-from smooth_operator.study.store.tlx_words import shown_pairs
 
 Role: TypeAlias = Literal["experimenter", "operator"]
 
-EVENTS: Final = {
-    "calibrated": "calibrated",
-    "start_block": "block_started",
-    "start_familiarisation": "familiarisation_started",
-    "end_familiarisation": "familiarisation_ended",
-    "start_trial": "trial_started",
-    "reset": "trial_reset",
-    "score": "trial_scored",
-    "void": "trial_voided",
-    "answer": "questionnaire_answered",
-    "weigh": "weights_answered",
-    "start_break": "break_started",
-    "end_break": "break_ended",
-    "note": "noted",
-    "undo": "undone",
-    "pause": "trial_paused",
-    "resume": "trial_resumed",
-    "amend": "amended",
-    "end_block": "block_ended",
-    "recalibrate": "recalibrated",
-    "withdraw": "withdrawn",
-    "form": "form_answered",
-    "paper": "form_on_paper",
-}
+EVENTS: Final = {event.word: kind for kind, event in KINDS.items() if event.word}
 """Word -> kind of the event that it causes."""
 OTHER: Final = ("choose", "enrol", "replace", "switch", "cancel_start")
 """Words that cause no event of the operator who is on."""
@@ -76,20 +53,24 @@ class Command:
     waited_s: float = 0.0
 
 
-def command_of(said: Mapping[str, Any], role: Role) -> Command:
+def command_of(message: Mapping[str, Any], role: Role) -> Command:
     """A command from a page, checked as far as it can be without the study.
 
     Raises:
         StudyError: it is none, or not one that this page may give.
     """
-    token, do, operator = said.get("token"), said.get("do"), said.get("operator", "")
+    token, do, operator = message.get("token"), message.get("do"), message.get("operator", "")
     if not isinstance(token, str) or len(token) not in _TOKEN or not token.isprintable():
         raise StudyError(f"a command needs a token of 8 to 128 characters, not {token!r}")
     if not isinstance(do, str) or do not in (*EVENTS, *OTHER):
         raise StudyError(f"no such command: {do!r}; reload the page")
     if role == "operator" and do not in OPERATOR_MAY:
         raise StudyError(f"the operator's page may not do {do!r}")
-    after, fields, waited = said.get("after"), said.get("fields", {}), said.get("waited_s", 0.0)
+    after, fields, waited = (
+        message.get("after"),
+        message.get("fields", {}),
+        message.get("waited_s", 0.0),
+    )
     if not isinstance(operator, str) or not isinstance(fields, Mapping):
         raise StudyError("a command needs an operator and its fields; reload the page")
     if after is not None and (isinstance(after, bool) or not isinstance(after, int)):

@@ -1,34 +1,269 @@
-"""What the experimenter's page shows, as plain values for JSON."""
+"""Content of both pages as plain values for JSON."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import asdict
 from datetime import datetime
 from typing import Any, Final
 
 from smooth_operator.errors import StudyError
-from smooth_operator.study.console.event_texts import Named, event_in_words, naming, step_in_words
-from smooth_operator.study.console.expected_time import break_is_due, time_left
-from smooth_operator.study.console.form_views import forms_view
-from smooth_operator.study.console.operator_view import (
-    asked_key,
-    pairs_view,
-    place,
-    scales_view,
-)
+from smooth_operator.study.design.forms import Form, FormField
 from smooth_operator.study.design.plan import Block, Plan
 from smooth_operator.study.store.events import (
     Answered,
     BlockEnded,
     BreakStarted,
     Event,
+    Named,
     Recalibrated,
     Record,
     Undone,
 )
+from smooth_operator.study.store.nasa_tlx import (
+    ENGLISH,
+    HIGHEST,
+    PAIRS,
+    STEP,
+    TlxWords,
+    shown_pairs,
+)
+from smooth_operator.study.store.operator_state import Step
 from smooth_operator.study.store.progress import Progress
-from smooth_operator.study.store.tlx_words import ENGLISH, TlxWords
+
+
+def naming(plan: Plan, blind: bool) -> Named:
+    """From the name of a condition to what the experimenter sees."""
+    labels = {c.name: c.label for c in plan.protocol.conditions}
+
+    def named(name: str) -> str:
+        label = labels.get(name, "")
+        if blind:
+            return label or "?"
+        return f"{label} ({name})" if label else name
+
+    return named
+
+
+def step_in_words(step: Step) -> str:
+    """What is due, short."""
+    if step.block is None:
+        plain = {
+            "withdrawn": "withdrawn",
+            "refused": "consent refused",
+            "form": f"form {step.form}",
+        }
+        return plain.get(step.what, "done")
+    where = f"{step.block.task.name}, block {step.block.number}"
+    match step.what:
+        case "calibrate":
+            return f"calibration for {step.block.task.name}"
+        case "start_block":
+            return f"start of {where}"
+        case "start_familiarisation" | "familiarise":
+            return f"free movement, {where}"
+        case "start_trial" | "trial" | "paused":
+            return f"trial {step.trial}, {where}" + (" (paused)" if step.what == "paused" else "")
+        case "questionnaire":
+            return f"questionnaire ({step.point}), {where}"
+        case "weights":
+            return f"pairs of scales, {where}"
+    return f"break, {where}"
+
+
+TRIAL_S: Final = 40.0
+"""A trial whose length nobody knows yet [s]."""
+
+
+BETWEEN_S: Final = 15.0
+"""From the end of a trial to the start of the next [s]."""
+
+
+QUESTIONNAIRE_S: Final = 60.0
+"""Six scales, or the fifteen pairs [s]."""
+
+
+BLOCK_S: Final = 60.0
+"""Switching, explaining [s]."""
+
+
+def time_left(progress: Progress) -> float:
+    """What an operator's remaining blocks will take [s], by how long the trials took so far."""
+    protocol = progress.plan.protocol
+    scored = [trial for trial in progress.trials if trial.counts]
+    times = [trial.time_s for trial in scored if trial.time_s is not None]
+    done = Counter((trial.block.task.name, trial.block.number) for trial in scored)
+    answered = Counter((q.block.task.name, q.block.number) for q in progress.questionnaires)
+    left, blocks = 0.0, 0
+    for block in progress.blocks:
+        if progress.over or progress.finished(block):
+            continue
+        key = (block.task.name, block.number)
+        limit = block.task.time_limit_s
+        guess = TRIAL_S if limit is None else min(TRIAL_S, limit / 2)
+        trial_s = sum(times) / len(times) if times else guess
+        left += (block.task.trials - done[key]) * (trial_s + BETWEEN_S)
+        left += (len(block.questionnaires) - answered[key]) * QUESTIONNAIRE_S
+        left += QUESTIONNAIRE_S * (protocol.weights and bool(block.questionnaires))
+        if not done[key]:
+            left += protocol.familiarisation_s + BLOCK_S
+            blocks += 1
+    every = protocol.break_every
+    return left + (protocol.break_s * (blocks // every) if every else 0.0)
+
+
+def break_is_due(progress: Progress) -> bool:
+    """Whether the plan offers a break now: between blocks, and there was none since the last."""
+    every = progress.plan.protocol.break_every
+    finished = sum(progress.finished(block) for block in progress.blocks)
+    if progress.step.what not in ("calibrate", "start_block") or not every or not finished:
+        return False
+    last = progress.trials[-1].started if progress.trials else None
+    rested = bool(progress.breaks) and (last is None or progress.breaks[-1][0] > last)
+    return finished % every == 0 and not rested
+
+
+def form_view(progress: Progress, form: Form) -> dict[str, Any]:
+    """A form with its fields, for an operator."""
+    return {
+        "form": form.name,
+        "title": form.title or form.name,
+        "text": form.text,
+        "fields": [_field(field, progress) for field in form.fields],
+    }
+
+
+def forms_view(progress: Progress) -> list[dict[str, Any]]:
+    """The forms of an operator as the experimenter sees them: which are filled in, and by whom.
+
+    ``state`` is ``filled``, ``paper`` (to be typed in), ``due`` or ``later``; ``can`` is whether it
+    may be typed in now.
+    """
+    views = []
+    for form in progress.plan.protocol.forms:
+        at, answers = progress.forms.get(form.name, (None, None))
+        who = progress.typed.get(form.name, "")
+        state = "filled"
+        if answers is None and form.name in progress.on_paper:
+            state = "paper"
+            at, who = progress.on_paper[form.name]
+        elif answers is None:
+            state = "due" if progress.step.form == form.name else "later"
+        views.append(
+            {
+                **form_view(progress, form),
+                "state": state,
+                "at": None if at is None else 1e3 * at.timestamp(),
+                "who": who,
+                "answers": answers,
+                "can": progress.can_type(form),
+            }
+        )
+    return views
+
+
+def _field(field: FormField, progress: Progress) -> dict[str, Any]:
+    view = asdict(field)
+    if field.kind == "ranking":
+        view["ranked"] = [
+            {"label": label, "where": _met(label, progress)} for label in progress.ranked_labels()
+        ]
+    return view
+
+
+def _met(label: str, progress: Progress) -> str:
+    """In which blocks an operator has met a label: what they remember it by."""
+    blocks = {(t.block.task.name, t.block.number): t.block for t in progress.trials}
+    return ", ".join(
+        f"{block.task.title or block.task.name}, block {block.number}"
+        for block in blocks.values()
+        if block.condition.label == label
+    )
+
+
+def operator_view(
+    plan: Plan, current: Progress | None, words: TlxWords = ENGLISH
+) -> dict[str, Any]:
+    """All of the operator's page."""
+    view: dict[str, Any] = {
+        "study": plan.protocol.name,
+        "what": "wait",
+        "operator": None,
+        "texts": dict(words.texts),
+    }
+    if current is None:
+        return view
+    step = current.step
+    view |= {"operator": current.operator, "after": current.number, "step": step.what}
+    if step.what == "break" or _nothing_follows(step):
+        view["what"] = "break" if step.what == "break" else "done"
+    view["key"] = asked_key(current, step)
+    if step.what == "form":
+        form = next(form for form in plan.protocol.forms if form.name == step.form)
+        return {**view, "what": "form", **form_view(current, form)}
+    if step.block is None:
+        return view
+    view |= place(step.block, None, current)
+    if step.what == "questionnaire":
+        view |= {"what": "questionnaire", "point": step.point, "trial": step.trial}
+        view |= scales_view(words)
+    elif step.what == "weights":
+        shown = shown_pairs(plan.protocol.seed, current.operator)
+        view |= {"what": "weights", "pairs": pairs_view(words, shown)}
+    return view
+
+
+def scales_view(words: TlxWords) -> dict[str, Any]:
+    """The six scales of NASA-TLX."""
+    return {
+        "scales": [asdict(scale) for scale in words.scales],
+        "step_of_scale": STEP,
+        "highest": HIGHEST,
+    }
+
+
+def pairs_view(words: TlxWords, shown: Sequence[tuple[str, str]] = PAIRS) -> list[dict[str, Any]]:
+    """Pairs of scales, each with its place among those of the instrument."""
+    scales = {scale.name: asdict(scale) for scale in words.scales}
+    return [
+        {
+            "place": PAIRS.index((left, right) if (left, right) in PAIRS else (right, left)),
+            "scales": [scales[left], scales[right]],
+        }
+        for left, right in shown
+    ]
+
+
+def _nothing_follows(step: Step) -> bool:
+    """Whether nothing more is asked of the operator."""
+    return step.what in ("done", "withdrawn", "refused")
+
+
+def asked_key(progress: Progress, step: Step) -> str:
+    """Identifies one questionnaire, one that is asked again after an undo included."""
+    undone = sum(isinstance(record.event, Undone) for record in progress.records)
+    block = step.block
+    where = "" if block is None else f"{block.task.name}/{block.number}"
+    name = step.point or step.form or ""
+    return f"{progress.operator}/{where}/{step.what}/{name}/{undone}"
+
+
+def place(block: Block, condition: str | None, progress: Progress) -> dict[str, Any]:
+    """Where in the study something is."""
+    place = {
+        "task": block.task.name,
+        "title": block.task.title or block.task.name,
+        "instruction": block.task.instruction,
+        "block": block.number,
+        "blocks": sum(b.task.name == block.task.name for b in progress.blocks),
+        "session": block.session,
+        "sessions": len({b.task.name for b in progress.blocks}),
+        "trials": block.task.trials,
+        "limit_s": block.task.time_limit_s,
+    }
+    return place if condition is None else {**place, "condition": condition}
+
 
 _LONGEST_LOG: Final = 250
 
@@ -118,7 +353,7 @@ def step_view(progress: Progress, named: Named, words: TlxWords = ENGLISH) -> di
     if (last := progress.undoable) is not None:
         view["undoable"] = {
             "number": last.number,
-            "text": event_in_words(last, named, sums=_known(progress, last)),
+            "text": last.event.in_words(named, sums=_known(progress, last)),
         }
     if step.block is None:
         return view
@@ -146,8 +381,8 @@ def asked_view(progress: Progress, words: TlxWords) -> dict[str, Any] | None:
     what = progress.step.what
     if what not in ("questionnaire", "weights"):
         return None
-    asked = scales_view(words) if what == "questionnaire" else {"pairs": pairs_view(words)}
-    return {"key": asked_key(progress, progress.step), **asked}
+    view = scales_view(words) if what == "questionnaire" else {"pairs": pairs_view(words)}
+    return {"key": asked_key(progress, progress.step), **view}
 
 
 def scored_view(progress: Progress, named: Named) -> list[dict[str, Any]]:
@@ -210,7 +445,7 @@ def log_view(progress: Progress, named: Named) -> list[dict[str, Any]]:
             "at": _milliseconds(record.at),
             "author": record.author,
             "kind": record.event.kind,
-            "text": event_in_words(record, named, sums=_known(progress, record)),
+            "text": record.event.in_words(named, sums=_known(progress, record)),
             "undone": record.number in undone,
         }
         for record in reversed(progress.records[-_LONGEST_LOG:])

@@ -177,18 +177,18 @@ class Console:
             await asyncio.gather(sending, return_exceptions=True)
 
     def _hear(self, page: _Page, message: str | bytes) -> None:
-        said = json_object(message) or {}
-        if said.get("type") == "hello":
-            operator = said.get("operator")
+        request = json_object(message) or {}
+        if request.get("type") == "hello":
+            operator = request.get("operator")
             if page.role == "experimenter" and isinstance(operator, str):
                 self._in_thread(self._propose, operator)
-        elif said.get("type") == "command":
-            asyncio.create_task(self._command(page, said))  # noqa: RUF006  (answers by itself)
+        elif request.get("type") == "command":
+            asyncio.create_task(self._command(page, request))  # noqa: RUF006  (answers by itself)
 
-    async def _command(self, page: _Page, said: dict[str, Any]) -> None:
-        answer: dict[str, Any] = {"type": "done", "token": said.get("token")}
+    async def _command(self, page: _Page, request: dict[str, Any]) -> None:
+        answer: dict[str, Any] = {"type": "done", "token": request.get("token")}
         try:
-            answer["number"] = await self._carried_out(command_of(said, page.role), page.role)
+            answer["number"] = await self._carried_out(command_of(request, page.role), page.role)
             self._note_trouble("command", None)
         except SmoothOperatorError as error:
             again = isinstance(error, StoreFailedError)
@@ -359,7 +359,6 @@ def check_installed() -> None:
     """
     try:
         import segno  # noqa: F401
-        import sqlalchemy  # noqa: F401
         import websockets.asyncio.server  # noqa: F401
     except ImportError as error:
         raise MissingExtraError("the console of a study", "study") from error

@@ -1,18 +1,19 @@
-"""What the console does, without a network: commands, the current operator, the running method.
+"""Console without a network: commands, the current operator, the running method.
 
 All methods may be called from any thread. A command returns when what it caused is on the disk.
 """
 
 from __future__ import annotations
 
+import sqlite3
 import threading
-from collections.abc import Callable, Mapping
-from contextlib import nullcontext, suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import replace
 from datetime import datetime
 from typing import Any, Final
 
-from smooth_operator.errors import StudyError
+from smooth_operator.errors import SmoothOperatorError, StudyError
 from smooth_operator.study.console.commands import (
     EVENTS,
     Command,
@@ -20,28 +21,194 @@ from smooth_operator.study.console.commands import (
     check_seen,
     event_for,
 )
-from smooth_operator.study.console.operator_choice import OperatorChoice
-from smooth_operator.study.console.operator_view import operator_view
-from smooth_operator.study.console.page_state import experimenter_view
+from smooth_operator.study.console.page_state import experimenter_view, operator_view, step_in_words
 from smooth_operator.study.console.session_teleop import SessionTeleop
-from smooth_operator.study.console.store_failures import StoreFailedError as StoreFailedError
-from smooth_operator.study.console.store_failures import store_failures
 from smooth_operator.study.console.switching import Switch, Teleop
 from smooth_operator.study.design.plan import Plan
 from smooth_operator.study.store.clock import Elapsed
 from smooth_operator.study.store.events import (
+    Chosen,
     FamiliarisationEnded,
     FamiliarisationStarted,
     Noted,
     TrialScored,
+    TrialStarted,
 )
+from smooth_operator.study.store.nasa_tlx import ENGLISH, TlxWords
 from smooth_operator.study.store.progress import Progress
 from smooth_operator.study.store.study_store import StudyStore
-from smooth_operator.study.store.tlx_words import ENGLISH, TlxWords
+
+
+class StoreFailedError(StudyError):
+    """Nothing is wrong with the command, but it can't be written now: trying again may help."""
+
+
+@contextmanager
+def store_failures() -> Iterator[None]:
+    """Raises ``StoreFailedError`` where a database is to blame, and not what was asked."""
+    try:
+        yield
+    except StoreFailedError:
+        raise
+    except StudyError as error:
+        cause = error.__cause__
+        blamed = isinstance(cause, sqlite3.Error | OSError)
+        if blamed and not isinstance(cause, SmoothOperatorError):
+            raise StoreFailedError(str(error)) from error
+        raise
+
+
+class OperatorChoice:
+    """The operator who is on at one console.
+
+    Args:
+        store: of the study.
+        operator: who is on; None for the one who was on last and is not done.
+        enrolled: called with a plan that was changed here and is stored.
+        changed: called when another operator is on.
+        report: where a sentence for the terminal goes.
+        lock: held while something is written at this console.
+
+    Raises:
+        UnknownNameError: there is no such operator.
+    """
+
+    def __init__(
+        self,
+        store: StudyStore,
+        operator: str | None,
+        *,
+        enrolled: Callable[[Plan], None],
+        changed: Callable[[], None],
+        report: Callable[[str], None],
+        lock: threading.RLock,
+    ) -> None:
+        self._store = store
+        self._enrolled = enrolled
+        self._changed = changed
+        self._report = report
+        self._lock = lock
+        self.chosen = operator is not None
+        """Whether the current operator was stated and not guessed."""
+        if operator is not None:
+            store.progress(operator)
+        self.operator = self._latest() if operator is None else operator
+        """Who is on; None for nobody."""
+        self.left = self._left_before()
+        """Who was on before, if they were left in a trial or in free movement."""
+
+    def propose(self, operator: str) -> None:
+        """A page that comes back says who was on; heeded if nobody was chosen here since."""
+        with self._lock:
+            busy = self.operator is not None and self._store.progress(self.operator).busy
+            if not self.chosen and not busy and operator in self._store.plan.codes:
+                self.choose(operator, None)
+
+    def _latest(self) -> str | None:
+        """Who did something last and is not done yet."""
+        latest: list[tuple[datetime, str]] = []
+        codes = self._store.plan.codes
+        over = {code for code in codes if self._store.progress(code).over}
+        for code in codes:
+            for record in reversed(self._store.records(code)):
+                event = record.event
+                who = event.operator if isinstance(event, Chosen) else code
+                if who in codes and who not in over:
+                    latest.append((record.at, who))
+                    break
+        return max(latest)[1] if latest else None
+
+    def _left_before(self) -> str | None:
+        """Who was left in a trial or in free movement before this program was started."""
+        for code in self._store.plan.codes:
+            if code == self.operator or not self._store.progress(code).busy:
+                continue
+            for record in reversed(self._store.records(code)):
+                if isinstance(record.event, TrialStarted | FamiliarisationStarted):
+                    break
+                if isinstance(record.event, Chosen):
+                    return code
+        return None
+
+    def choose(self, operator: str, author: Role | None, confirmed: bool = False) -> int:
+        """Puts an operator on; logged where it was somebody's doing."""
+        with self._lock:
+            chosen = self._store.progress(operator)  # there is one, and not erased
+            if operator != self.operator:
+                before = None if self.operator is None else self._store.progress(self.operator)
+                busy = before is not None and before.busy
+                if before is not None and busy and author is not None and not confirmed:
+                    raise StudyError(
+                        f"not done: {step_in_words(before.step)} of operator {before.operator} is "
+                        "on; confirm that another operator is to be put on meanwhile"
+                    )
+                event = Chosen(operator, self.operator or "")
+                logs = [p.operator for p in (before, chosen) if p is not None and p.number]
+                if author is not None and logs:
+                    self._store.append(logs[0], event, author=author)
+                if before is not None and busy:
+                    self.left = before.operator
+            self.operator, self.chosen = operator, True
+        self._changed()
+        return 0
+
+    def still_busy(self) -> str | None:
+        """Whose trial or free movement is on with the hand, if that is not who is on here."""
+        if self.left is None or self.left == self.operator:
+            return None
+        with store_failures():
+            if self._store.progress(self.left).busy:
+                return self.left
+        self.left = None
+        return None
+
+    def _put_on(self, operator: str, role: Role) -> int:
+        """Chooses somebody new, unless that would disturb who is on."""
+        on = None if self.operator is None else self._store.progress(self.operator)
+        if on is not None and on.busy:
+            self._changed()
+            return 0
+        return self.choose(operator, role)
+
+    def replace(self, command: Command, role: Role) -> int:
+        """Gives the rows of the operator of a command, who withdrew, to a new one."""
+        by = command.fields.get("by")
+        if not isinstance(by, str):
+            raise StudyError("the code of the new operator is missing")
+        with self._lock:
+            self._store.replace(command.operator, by, author=role, token=command.token)
+            self._keep(self._store.plan, by)
+            return self._put_on(by, role)
+
+    def _keep(self, plan: Plan, code: str) -> None:
+        try:
+            self._enrolled(plan)
+        except SmoothOperatorError as error:  # the store has it; the file is a copy
+            self._report(f"{code} is enrolled, but the files of the plan are old: {error}")
+
+    def enrol(self, command: Command, role: Role) -> int:
+        """Adds an operator, or tasks for one, to the plan."""
+        tasks = command.fields.get("tasks")
+        listed = isinstance(tasks, list) and all(isinstance(task, str) for task in tasks)
+        if tasks is not None and not listed:
+            raise StudyError("tasks must be a list of names")
+        with self._lock:
+            plan = self._store.plan
+            code = command.operator
+            if code in self._store.erased:
+                raise StudyError(f"{code} was deleted; codes are not used again")
+            if code not in plan.codes or not set(tasks or ()) <= set(plan.enrolment(code).rows):
+                plan = plan.enrol(code, tasks or None, absent=self._store.absent())
+                self._store.revise(plan)
+                self._keep(plan, code)
+            return self._put_on(code, role)
+
 
 _STARTS: Final = (
     "calibrated", "recalibrate", "start_block", "start_familiarisation", "start_trial",
 )  # fmt: skip
+
+
 _WITH_THE_HAND: Final = (
     *_STARTS, "reset", "void", "score", "pause", "resume", "withdraw",
     "undo",
@@ -237,17 +404,17 @@ class SessionService:
 
     def _seen(self, operator: str, mark: tuple[int, int]) -> Progress:
         """An operator's progress, read again only where something was written."""
-        known = self._known_progress.get(operator)
-        if known is None or known[0] != mark:
-            known = self._known_progress[operator] = (mark, self._store.progress(operator))
-        return known[1]
+        cached = self._known_progress.get(operator)
+        if cached is None or cached[0] != mark:
+            cached = self._known_progress[operator] = (mark, self._store.progress(operator))
+        return cached[1]
 
     def _known(self, command: Command) -> int | None:
         """Number of the event that this very command has caused already."""
-        known = self._store.recorded(command.token)
-        if known is None:
+        written = self._store.recorded(command.token)
+        if written is None:
             return None
-        whose, record = known
+        whose, record = written
         if whose != command.operator or record.event.kind != EVENTS[command.do]:
             raise StudyError(f"token {command.token!r} belongs to another command already")
         return record.number

@@ -1,4 +1,4 @@
-"""The running teleoperation of a study: its method, and the trials of its simulation.
+"""Running teleoperation of a study: its method, and the trials of its simulation.
 
 A block starts when the running teleoperation has gone over to its condition, and not before. Where
 that drives a simulation with a task, its trials begin, reset and end with those of the protocol,
@@ -13,10 +13,11 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
 
-from smooth_operator.errors import StudyError
+from smooth_operator.errors import (
+    StudyError,
+)
 from smooth_operator.study.console.commands import Command
-from smooth_operator.study.console.scene_trials import SceneTrials
-from smooth_operator.study.console.switching import Switch
+from smooth_operator.study.console.switching import SceneTrials, Switch
 from smooth_operator.study.design.plan import Block
 from smooth_operator.study.store.events import Calibrated, Recalibrated, TrialStarted, Undone
 from smooth_operator.study.store.progress import Progress

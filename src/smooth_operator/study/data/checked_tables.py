@@ -1,15 +1,17 @@
-"""Rows with named columns into trials, questionnaires and metrics, every value checked."""
+"""Tables of a study, every cell checked; errors are listed by row and column."""
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.errors import brief
-from smooth_operator.study.data.cells import Checked, is_missing
+from smooth_operator.errors import StudyError, brief, listed
 from smooth_operator.study.data.rows import (
     ITEMS,
     PAIRS,
@@ -21,16 +23,164 @@ from smooth_operator.study.data.rows import (
     Trials,
 )
 
+_MISSING = frozenset({"", "na", "n/a", "nan", "none", "null"})
+
+
+_SHOWN = 8
+
+
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+
+
+_MOST_COUNT = 10**9
+"""Of a block or trial; whole numbers of a table fit into 64 bits."""
+
+
+@dataclass
+class Checked:
+    """Rows of one table, and what is wrong with them, gathered so that one look shows all.
+
+    Attributes:
+        name: of the file.
+        rows: (number of its line or entry, values by column).
+        unit: what the number counts: "row" of a file with a header in row 1, or "entry".
+        problems: found so far.
+    """
+
+    name: str
+    rows: Sequence[tuple[int, Mapping[str, Any]]]
+    unit: str = "row"
+    problems: list[str] = field(default_factory=list)
+
+    def complain(self, number: int, column: str, text: str) -> None:
+        """Notes a problem with one value."""
+        self.problems.append(f"{self.unit} {number}, column {column}: {text}")
+
+    def raise_if_any(self) -> None:
+        """Refuses the table if anything was wrong.
+
+        Raises:
+            StudyError: with the first problems by row and column.
+        """
+        if not self.problems:
+            return
+        shown = "\n  ".join(self.problems[:_SHOWN])
+        more = len(self.problems) - _SHOWN
+        rest = f"\n  and {more} more" if more > 0 else ""
+        raise StudyError(f"{self.name} can't be used:\n  {shown}{rest}")
+
+    def words(self, column: str) -> list[str]:
+        """Names; none may be empty, and two must differ by more than case."""
+        texts: list[str] = []
+        first: dict[str, tuple[int, str]] = {}
+        for number, row in self.rows:
+            text = str(row[column]).strip() if row[column] is not None else ""
+            if not text:
+                self.complain(number, column, "expected a name; the field is empty")
+            at, known = first.setdefault(text.casefold(), (number, text))
+            if known != text:
+                self.complain(
+                    number,
+                    column,
+                    f"{brief(text)} and {brief(known)} of {self.unit} {at} differ only in case; "
+                    "write both the same way",
+                )
+            texts.append(text)
+        return texts
+
+    def counts(self, column: str) -> list[int]:
+        """Whole numbers from 1."""
+        wholes = []
+        for number, row in self.rows:
+            value = _number(row[column])
+            if value is None or not 1 <= value <= _MOST_COUNT or value != int(value):
+                self.complain(
+                    number, column, f"expected a whole number from 1 on, came {brief(row[column])}"
+                )
+                value = 1.0
+            wholes.append(int(value))
+        return wholes
+
+    def numbers(
+        self, column: str, expected: str, allowed: Any, *, optional: bool = True
+    ) -> list[float]:
+        """Numbers; NaN where the field is empty, if that is allowed.
+
+        Args:
+            column: which.
+            expected: what to say that was expected.
+            allowed: takes a number, returns whether it is.
+            optional: whether the field may be empty.
+        """
+        floats = []
+        for number, row in self.rows:
+            if is_missing(row[column]):
+                if not optional:
+                    self.complain(number, column, f"expected {expected}; the field is empty")
+                floats.append(math.nan)
+                continue
+            value = _number(row[column])
+            if value is None or not allowed(value):
+                self.complain(number, column, f"expected {expected}, came {brief(row[column])}")
+                value = math.nan
+            floats.append(value)
+        return floats
+
+    def unique(self, columns: Sequence[str]) -> None:
+        """Notes rows that are there twice."""
+        rows_of: dict[tuple[str, ...], int] = {}
+        for number, row in self.rows:
+            key = tuple(str(row[column]).strip() for column in columns)
+            if key in rows_of:
+                what = listed(f"{c} {k}" for c, k in zip(columns, key, strict=True))
+                self.problems.append(
+                    f"{self.unit} {number}: the same {what} as {self.unit} {rows_of[key]}; every "
+                    "trial and questionnaire may be there once"
+                )
+            rows_of.setdefault(key, number)
+
+
+def is_missing(value: Any) -> bool:
+    """Whether a field says that there is no value."""
+    return (
+        value is None
+        or (isinstance(value, str) and value.strip().lower() in _MISSING)
+        or (isinstance(value, float) and math.isnan(value))
+    )
+
+
+def _number(value: Any) -> float | None:
+    """A finite number, or None."""
+    if isinstance(value, bool) or is_missing(value):
+        return None
+    if isinstance(value, str) and not _NUMBER.fullmatch(value.strip()):
+        return None  # Python would take 1_0 for 10
+    try:
+        number = float(value)
+    except (TypeError, ValueError, OverflowError):
+        return None
+    return number if math.isfinite(number) else None
+
+
 TRIAL_COLUMNS: Final = (
     "operator", "task", "retargeter", "block", "trial_in_block", "trial_global", "score", "time_s",
 )  # fmt: skip
+
+
 MORE_TRIAL_COLUMNS: Final = ("duration_s", "line", "resets", "started_at", "place", "amended")
 """Of trials as a study stores them; each may be missing in a table."""
+
+
 QUESTIONNAIRE_COLUMNS: Final = ("operator", "task", "retargeter", "block", "point", *ITEMS)
+
+
 WEIGHT_COLUMNS: Final = tuple(f"weight_{item}" for item in ITEMS)
 """Of questionnaires, where the pairs of scales were asked for: all six, or none."""
+
+
 METRIC_COLUMNS: Final = ("operator", "retargeter")
 """And a column for each metric."""
+
 
 Rows = Sequence[tuple[int, Mapping[str, Any]]]
 
@@ -89,9 +239,9 @@ def make_trials(name: str, rows: Rows, unit: str = "row") -> tuple[Trials, tuple
 def _more(table: Checked) -> dict[str, np.ndarray]:
     """What a table of trials has of ``MORE_TRIAL_COLUMNS``, by the names of ``Trials``."""
     there = [column for column in MORE_TRIAL_COLUMNS if column in table.rows[0][1]]
-    found: dict[str, np.ndarray] = {}
+    arrays: dict[str, np.ndarray] = {}
     if "duration_s" in there:
-        found["duration"] = np.array(
+        arrays["duration"] = np.array(
             table.numbers("duration_s", "a time in seconds from 0, or nothing", lambda x: x >= 0)
         )
     for column, most in (("resets", 100), ("place", 10**6), ("amended", 1)):
@@ -102,12 +252,12 @@ def _more(table: Checked) -> dict[str, np.ndarray]:
                 f"a whole number from {least} to {most}, or nothing",
                 lambda x, least=least, most=most: least <= x <= most and x == int(x),
             )
-            found[column] = np.nan_to_num(np.array(values), nan=-1.0).astype(int)
+            arrays[column] = np.nan_to_num(np.array(values), nan=-1.0).astype(int)
     for column, name in (("line", "line"), ("started_at", "started")):
         if column in there:
             words = ["" if is_missing(row[column]) else str(row[column]) for _, row in table.rows]
-            found[name] = np.array(words, str)
-    return found
+            arrays[name] = np.array(words, str)
+    return arrays
 
 
 def make_questionnaires(
@@ -175,8 +325,8 @@ def _weights(table: Checked) -> Float[np.ndarray, "n 6"] | None:
         )
         for column in WEIGHT_COLUMNS
     ]
-    found = np.array(columns).T.reshape(-1, len(ITEMS))
-    for (number, row), weights in zip(table.rows, found, strict=True):
+    chosen = np.array(columns).T.reshape(-1, len(ITEMS))
+    for (number, row), weights in zip(table.rows, chosen, strict=True):
         known = [not is_missing(row[column]) for column in WEIGHT_COLUMNS]
         if any(known) and not all(known):
             table.complain(
@@ -189,7 +339,7 @@ def _weights(table: Checked) -> Float[np.ndarray, "n 6"] | None:
                 f"expected weights that are {PAIRS} together, as of {PAIRS} pairs; they are "
                 f"{weights.sum():g}",
             )
-    return None if np.isnan(found).all() else found
+    return None if np.isnan(chosen).all() else chosen
 
 
 def make_metrics(name: str, rows: Rows, unit: str = "row") -> SimulationMetrics:

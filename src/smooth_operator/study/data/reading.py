@@ -1,14 +1,11 @@
-"""Files of a study: CSV tables recognised by their columns, a folder of them, or one JSON file.
-
-Next to ``trials.csv`` an export's ``study.json`` gives what tables don't hold: plan, participants.
-"""
+"""Data of a study from tables, JSON files and folders."""
 
 from __future__ import annotations
 
 import csv
 import io
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
@@ -22,27 +19,144 @@ from smooth_operator.study.data.checked_tables import (
     METRIC_COLUMNS,
     QUESTIONNAIRE_COLUMNS,
     TRIAL_COLUMNS,
+    Checked,
     Rows,
     make_metrics,
     make_questionnaires,
     make_trials,
 )
-from smooth_operator.study.data.rows import Questionnaires, SimulationMetrics, StudyData, Trials
-from smooth_operator.study.data.study_facts import study_facts
+from smooth_operator.study.data.rows import (
+    SCORES,
+    Flow,
+    Questionnaires,
+    SecondRatings,
+    SimulationMetrics,
+    StudyData,
+    Trials,
+    Withdrawal,
+    Workload,
+)
+from smooth_operator.study.design.plan import Plan
+from smooth_operator.study.design.plan_file import plan_of
+
+_START: Final = "block_started"
+"""Kind of the event by which an operator has started."""
+
+
+def study_facts(content: Mapping[str, Any], name: str) -> dict[str, Any]:
+    """Facts of a study by their names in ``StudyData``; empty if the file has none.
+
+    Args:
+        content: of ``study.json``.
+        name: of the file, for messages.
+
+    Raises:
+        StudyError: the plan in it is none, or the participants are not as an export writes them.
+    """
+    table = content.get("study")
+    if not isinstance(table, Mapping) or "conditions" not in table:
+        return {}
+    plan = plan_of(dict(table), f"{name}, study")
+    operators = content.get("operators", [])
+    if not isinstance(operators, list) or not all(isinstance(one, Mapping) for one in operators):
+        raise StudyError(f"{name}: 'operators' must be a list of objects, as study export writes")
+    planned = {"plan": plan.protocol, "orders": plan.orders}
+    if not operators:  # a plan alone
+        return planned
+    try:
+        return planned | {
+            "flow": _flow(plan, operators, content.get("trials", [])),
+            "forms": {str(one["operator"]): _answers(one) for one in operators if one.get("forms")},
+            "ranking": {
+                str(one["operator"]): tuple(map(str, one["ranking"]))
+                for one in operators
+                if one.get("ranking")
+            },
+        }
+    except (KeyError, TypeError, AttributeError, ValueError) as error:
+        raise StudyError(
+            f"{name}: the participants are not as study export writes them: "
+            f"{type(error).__name__}: {error}"
+        ) from None
+
+
+def _flow(plan: Plan, operators: list[Mapping[str, Any]], trials: Any) -> Flow:
+    codes = tuple(str(one["operator"]) for one in operators)
+    withdrawn = {
+        str(one["operator"]): Withdrawal(
+            bool(left["keep"]), str(left.get("reason") or ""), str(left.get("at") or "")
+        )
+        for one in operators
+        if (left := one.get("withdrawn"))
+    }
+    names = plan.protocol.condition_names
+    voids = Counter(entry["retargeter"] for _, entry in _each(operators, "voided"))
+    undone: Counter[str] = Counter()
+    for one in operators:
+        undone.update(one.get("undone", {}))
+    amended = Counter(str(row["retargeter"]) for row in trials if row.get("amended"))
+    return Flow(
+        logged=True,
+        planned=plan.protocol.operators,
+        enrolled=codes,
+        started=tuple(str(one["operator"]) for one in operators if _started(one)),
+        completed=tuple(
+            str(o["operator"]) for o in operators if o.get("done") and not o.get("ended_early")
+        ),
+        withdrawn=withdrawn,
+        replaces={str(o["operator"]): str(o["replaces"]) for o in operators if o.get("replaces")},
+        voids={name: voids[name] for name in names},
+        undone={name: undone[name] for name in names},
+        amended={name: amended[name] for name in names},
+        pauses=sum(1 for _ in _each(operators, "pauses")),
+        recalibrations=sum(1 for _ in _each(operators, "recalibrations")),
+        ended_early=sum(1 for _ in _each(operators, "ended_early")),
+    )
+
+
+def _each(
+    operators: list[Mapping[str, Any]], key: str
+) -> Iterator[tuple[Mapping[str, Any], Mapping[str, Any]]]:
+    for one in operators:
+        for entry in one.get(key) or ():
+            yield one, entry
+
+
+def _started(one: Mapping[str, Any]) -> bool:
+    return any(event["kind"] == _START for event in one.get("events", ()))
+
+
+def _answers(one: Mapping[str, Any]) -> dict[str, Any]:
+    """All forms of an operator together, by field; a field of two forms has the form in front."""
+    fields: dict[str, Any] = {}
+    for form, filled in one["forms"].items():
+        for field, answer in filled["answers"].items():
+            fields[f"{form}.{field}" if field in fields else field] = answer
+    return fields
+
 
 NAMES: Final = ("trials.csv", "tlx.csv", "sim_metrics.csv")
 """Names of the tables in a folder."""
+
+
 EXPORT: Final = "study.json"
 """What an export calls its JSON file."""
+
+
 KEYS: Final = ("trials", "questionnaires", "simulation_metrics")
 """Names of the tables in a JSON file."""
+
 
 _KINDS: Final = {
     "trials": frozenset(TRIAL_COLUMNS),
     "questionnaires": frozenset(QUESTIONNAIRE_COLUMNS),
 }
+
+
 _SIMULATED: Final = "simulation.json"
 """Of virtual operators: their plan is in it."""
+
+
 _TELLING: Final = {"score": "trials", "trial_in_block": "trials", "point": "questionnaires"}
 """Columns that identify a table although others are missing."""
 
@@ -103,15 +217,15 @@ def read_study(paths: Sequence[str | Path], *, texts: Sequence[tuple[str, str]] 
 
 def _files(path: Path) -> list[Path]:
     if path.is_dir():
-        found = [path / name for name in NAMES if (path / name).is_file()]
-        if path / NAMES[0] not in found and (path / EXPORT).is_file():
-            found = [path / EXPORT, *(file for file in found if file.name == NAMES[2])]
-        if not found:
+        files = [path / name for name in NAMES if (path / name).is_file()]
+        if path / NAMES[0] not in files and (path / EXPORT).is_file():
+            files = [path / EXPORT, *(file for file in files if file.name == NAMES[2])]
+        if not files:
             raise StudyError(
                 f"the folder {str(path)!r} holds no study: expected {', '.join(NAMES[:-1])} and, "
                 f"if there is one, {NAMES[-1]}"
             )
-        return found
+        return files
     if not path.is_file():
         raise StudyError(f"no such file: {str(path)!r}; expected tables (.csv), JSON, or a folder")
     return [path]
@@ -220,7 +334,7 @@ def _from_json(name: str, content: Mapping[str, Any]) -> list[tuple[str, Rows, s
     if not isinstance(content.get("trials"), list):
         raise StudyError(f"{name}: expected an object with a list of trials ({', '.join(KEYS)})")
     needed = {**{k: sorted(v) for k, v in _KINDS.items()}, KEYS[2]: list(METRIC_COLUMNS)}
-    found: list[tuple[str, Rows, str]] = []
+    tables: list[tuple[str, Rows, str]] = []
     for key in KEYS:
         entries = content.get(key)
         if not entries:
@@ -233,10 +347,10 @@ def _from_json(name: str, content: Mapping[str, Any]) -> list[tuple[str, Rows, s
             lacking = [column for column in needed[key] if column not in entry]
             if lacking and lacking != ["time_s"]:
                 raise StudyError(f"{name}: entry {number} of {key!r} has no {lacking[0]!r}")
-            wanted = dict.fromkeys([*needed[key], *columns])
-            rows.append((number, {**wanted, **entry}))
-        found.append((key, rows, f"{key} entry"))
-    return found
+            required = dict.fromkeys([*needed[key], *columns])
+            rows.append((number, {**required, **entry}))
+        tables.append((key, rows, f"{key} entry"))
+    return tables
 
 
 def _strange_names(data: StudyData, files: Mapping[str, str]) -> tuple[str, ...]:
@@ -251,8 +365,8 @@ def _strange_names(data: StudyData, files: Mapping[str, str]) -> tuple[str, ...]
         for column in ("operator", "task", "retargeter"):
             if not hasattr(table, column):
                 continue
-            known = _distinct(data.trials, column)
-            strange = [word for word in _distinct(table, column) if word not in known]
+            names = _distinct(data.trials, column)
+            strange = [word for word in _distinct(table, column) if word not in names]
             if strange:
                 more = f" and {len(strange) - 5} more" if len(strange) > 5 else ""
                 notes.append(
@@ -264,3 +378,91 @@ def _strange_names(data: StudyData, files: Mapping[str, str]) -> tuple[str, ...]
 
 def _distinct(table: Trials | Questionnaires | SimulationMetrics, column: str) -> list[str]:
     return [str(word) for word in np.unique(getattr(table, column))]
+
+
+SECOND_COLUMNS: Final = ("operator", "task", "block", "trial_in_block", "score")
+
+
+_KEY: Final = SECOND_COLUMNS[:-1]
+
+
+def with_second_ratings(data: StudyData, file: str | Path) -> StudyData:
+    """The study with a second rater's scores of some or all trials.
+
+    Args:
+        data: the study.
+        file: CSV with ``SECOND_COLUMNS``; further columns are ignored.
+
+    Raises:
+        StudyError: it can't be read, a column is missing, a value is none, or a trial is there
+            twice or is none of the study.
+    """
+    file = Path(file)
+    rows = csv_rows(file)
+    missing = [column for column in SECOND_COLUMNS if column not in rows[0][1]]
+    if missing:
+        raise StudyError(
+            f"{file.name}: a table of second ratings needs the columns "
+            f"{', '.join(SECOND_COLUMNS)}; missing: {', '.join(missing)}"
+        )
+    table = Checked(file.name, rows)
+    ratings = SecondRatings(
+        operator=np.array(table.words("operator")),
+        task=np.array(table.words("task")),
+        block=np.array(table.counts("block"), int),
+        trial_in_block=np.array(table.counts("trial_in_block"), int),
+        score=np.array(
+            table.numbers("score", "0, 0.5 or 1", lambda x: x in SCORES, optional=False)
+        ),
+    )
+    table.unique(_KEY)
+    trials = data.trials
+    places = set(
+        zip(trials.operator, trials.task, trials.block, trials.trial_in_block, strict=True)
+    )
+    for k, (number, _) in enumerate(rows):
+        key = (ratings.operator[k], ratings.task[k], ratings.block[k], ratings.trial_in_block[k])
+        if key not in places:
+            where = ", ".join(f"{c} {v}" for c, v in zip(_KEY, key, strict=True))
+            table.problems.append(f"row {number}: the study has no trial of {where}")
+    table.raise_if_any()
+    return replace(data, second_ratings=ratings)
+
+
+_SHOWN: Final = 5
+
+
+def with_workload(data: StudyData, kind: Workload) -> StudyData:
+    """The study with raw or weighted workload.
+
+    Args:
+        data: the study.
+        kind: which.
+
+    Raises:
+        StudyError: weighted, and there are no questionnaires, or some without weights.
+    """
+    table = data.questionnaires
+    if kind == "raw" and table is None:
+        return data
+    if table is None:
+        raise StudyError("a weighted workload needs questionnaires; none were given")
+    if kind == "weighted":
+        without = (
+            np.ones(len(table), bool)
+            if table.weights is None
+            else np.isnan(table.weights).any(axis=1)
+        )
+        if without.any():
+            rows = zip(
+                table.operator[without], table.task[without], table.block[without], strict=True
+            )
+            blocks = list(dict.fromkeys((str(o), str(t), int(b)) for o, t, b in rows))
+            shown = "; ".join(f"operator {o}, task {t}, block {b}" for o, t, b in blocks[:_SHOWN])
+            more = f"; and {len(blocks) - _SHOWN} more" if len(blocks) > _SHOWN else ""
+            raise StudyError(
+                f"a weighted workload needs the answers to the pairs of scales in every block; "
+                f"they are missing in {len(blocks)}: {shown}{more}. Analyse the raw workload, or "
+                "leave these operators out"
+            )
+    return replace(data, questionnaires=replace(table, kind=kind))

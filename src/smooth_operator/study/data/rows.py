@@ -1,4 +1,4 @@
-"""What a study measured, as columns of equal length."""
+"""Data of a study as columns: trials, questionnaires, metrics, ratings, flow of participants."""
 
 from __future__ import annotations
 
@@ -9,22 +9,110 @@ from typing import Any, Final, Literal, TypeAlias, TypeVar
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from smooth_operator.study.data.participants import Flow, SecondRatings
 from smooth_operator.study.design.protocol import Protocol
+
+
+@dataclass(frozen=True)
+class Withdrawal:
+    """An operator who left the study.
+
+    Attributes:
+        keep: whether the data up to then may be analysed.
+        reason: as the experimenter noted it.
+        at: ISO date and time.
+    """
+
+    keep: bool
+    reason: str = ""
+    at: str = ""
+
+
+@dataclass(frozen=True)
+class Flow:
+    """Participants from enrolment to analysis, as CONSORT counts them, and irregular events.
+
+    Attributes:
+        logged: whether a log of the study is known; without one, enrolled and started are those
+            who have data, and the rest is unknown.
+        planned: number of operators of the plan; None where unknown.
+        enrolled: operators.
+        started: those who have an event.
+        completed: those who did all that was planned for them.
+        withdrawn: operator -> how they left.
+        replaces: operator -> the withdrawn one whose place they took.
+        excluded: operator -> reason why their data are left out of the analysis.
+        analysed: operators whose data are in the analysis.
+        voids: retargeter -> trials that were declared void and repeated.
+        undone: retargeter -> events that were taken back.
+        amended: retargeter -> trials that were corrected later.
+        pauses: of all operators.
+        recalibrations: after the first calibration, of all operators.
+        ended_early: blocks that were ended before their last trial.
+    """
+
+    logged: bool = False
+    planned: int | None = None
+    enrolled: tuple[str, ...] = ()
+    started: tuple[str, ...] = ()
+    completed: tuple[str, ...] = ()
+    withdrawn: Mapping[str, Withdrawal] = field(default_factory=dict)
+    replaces: Mapping[str, str] = field(default_factory=dict)
+    excluded: Mapping[str, str] = field(default_factory=dict)
+    analysed: tuple[str, ...] = ()
+    voids: Mapping[str, int] = field(default_factory=dict)
+    undone: Mapping[str, int] = field(default_factory=dict)
+    amended: Mapping[str, int] = field(default_factory=dict)
+    pauses: int = 0
+    recalibrations: int = 0
+    ended_early: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class SecondRatings:
+    """Scores that another rater gave, for instance from video.
+
+    Attributes:
+        operator: pseudonymous codes (n,) of str.
+        task: names (n,) of str.
+        block: which block of the operator's task, from 1 (n,).
+        trial_in_block: from 1 (n,).
+        score: 0, 0.5 or 1 (n,).
+    """
+
+    operator: np.ndarray
+    task: np.ndarray
+    block: Int[np.ndarray, " n"]
+    trial_in_block: Int[np.ndarray, " n"]
+    score: Float[np.ndarray, " n"]
+
+    def __len__(self) -> int:
+        return len(self.score)
+
 
 ITEMS: Final = ("mental", "physical", "temporal", "performance", "effort", "frustration")
 """Scales of the NASA-TLX, each 0 to 100, higher is worse."""
+
+
 PAIRS: Final = len(ITEMS) * (len(ITEMS) - 1) // 2
 """Pairs of scales: an operator says of each pair which added more to the workload."""
+
+
 Workload: TypeAlias = Literal["raw", "weighted"]
 """``raw``: mean of the six answers (Hart 2006); ``weighted``: each as often as its scale was chosen
 (Hart and Staveland 1988)."""
+
+
 POINTS: Final = ("initial", "midpoint", "final")
 """When a questionnaire is filled in: after the first, middle and last trial of a block."""
+
+
 SCORES: Final = (0.0, 0.5, 1.0)
 """Failure, marginal success, success."""
+
+
 SUCCESS: Final = 0.5
 """Score from which a trial counts as a success."""
+
 
 _UNKNOWN: Final = {
     "duration": np.nan, "line": "", "resets": -1, "started": "", "place": -1, "amended": -1,

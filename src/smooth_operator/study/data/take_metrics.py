@@ -125,16 +125,16 @@ def take_metrics(pieces: Sequence[tuple[TrialSpan, Trace]], hand: Hand) -> list[
 
 
 def _row(traces: Sequence[Trace], reach: np.ndarray) -> Mapping[str, float | None]:
-    found: dict[str, float | None] = {}
+    row: dict[str, float | None] = {}
     for name in METRIC_NAMES:
         if name == _POOLED:
-            found[name] = _measured(name, replace(_together(traces), reach=reach))
+            row[name] = _measured(name, replace(_together(traces), reach=reach))
             continue
-        known = [(len(trace), _measured(name, trace)) for trace in traces]
-        frames = sum(count for count, value in known if value is not None)
-        total = sum(count * value for count, value in known if value is not None)
-        found[name] = total / frames if frames else None
-    return found
+        measured = [(len(trace), _measured(name, trace)) for trace in traces]
+        frames = sum(count for count, value in measured if value is not None)
+        total = sum(count * value for count, value in measured if value is not None)
+        row[name] = total / frames if frames else None
+    return row
 
 
 def _measured(name: str, trace: Trace) -> float | None:

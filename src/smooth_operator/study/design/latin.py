@@ -1,22 +1,44 @@
-"""Balanced Latin squares for the order of conditions.
-
-A row is an order of the conditions. In each place every condition stands equally often, and right
-before each condition every other one stands equally often, so that neither practice, fatigue nor
-what the one before left behind favours a condition. An even number of conditions needs as many rows
-as conditions; an odd one has no such square, and needs two: a cyclic square and the same read
-backwards.
-
-Sources: Williams 1949 (both constructions); Bradley 1958 (the form for even numbers).
-"""
+"""Balanced orders of conditions (Williams squares), and draws that are the same everywhere."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
+from hashlib import sha256
 from itertools import pairwise
+from typing import Final
 
 from smooth_operator.errors import StudyError
+
+_TREES: Final = (
+    "Alder", "Aspen", "Beech", "Birch", "Cedar", "Cypress", "Elm", "Fir", "Hazel", "Holly",
+    "Juniper", "Larch", "Linden", "Maple", "Oak", "Olive", "Pine", "Rowan", "Spruce", "Willow",
+)  # fmt: skip
+
+
+def lot(seed: int, *what: object) -> float:
+    """A number in [0, 1) that belongs to a seed and to what it is drawn for."""
+    digest = sha256("\x1f".join(map(str, (seed, *what))).encode()).digest()
+    return int.from_bytes(digest[:6], "big") / 2**48
+
+
+def shuffled(items: Iterable[str], seed: int, what: str) -> list[str]:
+    """The items in an order that the seed draws."""
+    return sorted(items, key=lambda item: lot(seed, what, item))
+
+
+def blind_labels(names: Sequence[str], taken: Collection[str], seed: int) -> dict[str, str]:
+    """Names of trees for conditions, drawn so that none shows which condition it is.
+
+    Args:
+        names: of the conditions.
+        taken: labels that can't be used.
+        seed: of the draw.
+    """
+    free = [tree for tree in shuffled(_TREES, seed, "label") if tree not in taken]
+    free += [f"Tree-{k}" for k in range(1, len(names) + 1) if f"Tree-{k}" not in taken]
+    return dict(zip(shuffled(names, seed, "labelled"), free, strict=False))
 
 
 def balanced_rows(count: int) -> tuple[tuple[int, ...], ...]:

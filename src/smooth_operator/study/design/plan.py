@@ -1,16 +1,270 @@
-"""A study that can be run: the protocol, the square drawn for it, and who gets which row."""
+"""Plan of a study: protocol, orders, enrolled operators, and the schedule of their blocks."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Final, TypeAlias
+
+import numpy as np
 
 from smooth_operator.errors import StudyError, UnknownNameError
+from smooth_operator.formats.csv_table import csv_text
 from smooth_operator.simulation.tasks.checks import check_name
-from smooth_operator.study.design.draws import blind_labels, shuffled
-from smooth_operator.study.design.enrolment import Enrolment, Orders, enrol_all, enrolled
-from smooth_operator.study.design.latin import Balance, balance, balanced_rows
+from smooth_operator.study.design.latin import (
+    Balance,
+    balance,
+    balanced_rows,
+    blind_labels,
+    lot,
+    shuffled,
+)
 from smooth_operator.study.design.protocol import Condition, Point, Protocol, Task
+
+COLUMNS: Final = (
+    "operator", "session", "task", "block", "condition", "label", "row", "familiarisation_s",
+    "trials", "first_trial_global", "questionnaires_after",
+)  # fmt: skip
+
+
+def schedule_csv(plan: Plan, *, blind: bool = False) -> str:
+    """One row a block.
+
+    Args:
+        plan: of the study.
+        blind: leave out what shows which label is which condition.
+    """
+    columns = [name for name in COLUMNS if not (blind and name in ("condition", "row"))]
+    return csv_text(
+        columns,
+        (
+            {
+                "operator": block.operator,
+                "session": block.session,
+                "task": block.task.name,
+                "block": block.number,
+                "condition": block.condition.name,
+                "label": block.condition.label,
+                "row": block.row + 1,
+                "familiarisation_s": f"{plan.protocol.familiarisation_s:g}",
+                "trials": block.task.trials,
+                "first_trial_global": block.trial_global(1),
+                "questionnaires_after": " ".join(map(str, block.questionnaires)),
+            }
+            for block in plan.schedule()
+        ),
+    )
+
+
+def schedule_table(plan: Plan, *, blind: bool = True) -> list[list[str]]:
+    """A heading and one row for each operator and task, for printing.
+
+    Args:
+        plan: of the study.
+        blind: labels in the place of conditions.
+    """
+    count = len(plan.protocol.conditions)
+    heading = ["operator", "task", *(f"block {k}" for k in range(1, count + 1)), "done"]
+    rows = [heading]
+    for one in plan.enrolled:
+        for task in one.rows:
+            blocks = plan.blocks(one.code, task)
+            shown = [b.condition.label if blind else b.condition.name for b in blocks]
+            rows.append([one.code, task, *shown, "[ ]"])
+    return rows
+
+
+def schedule_text(plan: Plan) -> str:
+    """A sheet of plain text to hang on the wall; it doesn't say what the labels mean."""
+    protocol = plan.protocol
+    rows = schedule_table(plan)
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    lines = [protocol.name, "=" * len(protocol.name), ""]
+    for task in protocol.tasks:
+        after = ", ".join(map(str, protocol.questionnaire_trials(task))) or "none"
+        lines.append(
+            f"Task {task.name} ({task.title or 'untitled'}): {protocol.familiarisation_s:g} s of "
+            f"free movement, then blocks of {task.trials} trials; questionnaires after {after}"
+        )
+    lines.append("")
+    lines += ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip()
+              for row in rows]  # fmt: skip
+    return "\n".join(lines) + "\n"
+
+
+def imbalances(plan: Plan) -> Iterator[str]:
+    """What a person should know about the balance of a plan, a sentence each; none where even."""
+    square = balance(plan.orders, plan.protocol.condition_names)
+    if square.spread_of_places or square.spread_of_neighbours:
+        yield (
+            "the orders are no balanced Latin square: places or neighbours of conditions differ "
+            "in how often they come"
+        )
+    for task in plan.protocol.tasks:
+        spread = spread_of_rows(plan.enrolled, task.name, len(plan.orders))
+        count = sum(task.name in one.rows for one in plan.enrolled)
+        if spread > 1:
+            yield (f"task {task.name}: some orders are used {spread} times more often than others")
+        elif spread and count:
+            more = len(plan.orders) - count % len(plan.orders)
+            yield (
+                f"task {task.name}: {count} operators can't be even over {len(plan.orders)} orders;"
+                f" {more} more would be"
+            )
+
+
+_USED: Final = 1e6
+"""Weight of how often a row was used, over that of unevenness: the first always decides."""
+
+
+_AGAIN: Final = 1e12
+"""Weight of a row that the operator has had already: only where no other is left."""
+
+
+Orders: TypeAlias = tuple[tuple[str, ...], ...]
+
+
+@dataclass(frozen=True)
+class Enrolment:
+    """An operator's part of the plan.
+
+    Attributes:
+        code: pseudonym of the operator.
+        rows: task -> row of the square, in the order in which the tasks are done.
+    """
+
+    code: str
+    rows: Mapping[str, int]
+
+
+def enrolled(
+    protocol: Protocol,
+    orders: Orders,
+    before: Sequence[Enrolment],
+    code: str,
+    tasks: Sequence[str],
+    *,
+    salt: int = 0,
+) -> Enrolment:
+    """One operator more.
+
+    Args:
+        protocol: of the study.
+        orders: rows of the square, as names of conditions.
+        before: those who have their rows.
+        code: pseudonym of the new one, or of one who does further tasks.
+        tasks: what the operator is to do.
+        salt: another one draws other lots.
+
+    Returns:
+        The rows of the new tasks, and those that the operator had, which never change.
+    """
+    had = next((dict(one.rows) for one in before if one.code == code), {})
+    order = _task_order(protocol, before, code, [task for task in tasks if task not in had], salt)
+    chosen: dict[str, int] = {}
+    for start in range(0, len(order), len(orders)):  # more tasks than rows: some rows come again
+        part = order[start : start + len(orders)]
+        chosen |= _rows(
+            protocol, orders, before, code, part, {*had.values(), *chosen.values()}, salt
+        )
+    return Enrolment(code, {**had, **{task: chosen[task] for task in order}})
+
+
+def enrol_all(protocol: Protocol, orders: Orders) -> tuple[Enrolment, ...]:
+    """All operators of a plan, P01 on; as many do each task as the protocol says.
+
+    Operators are dealt to tasks in a circle, so that their numbers of tasks differ by one at most.
+    Where choosing one after the other ends with a row used twice more than another, other lots are
+    drawn: there are 64 tries, and the most even wins.
+    """
+    dealt = _dealt(protocol)
+    best: tuple[float, tuple[Enrolment, ...]] | None = None
+    for salt in range(64):
+        made: list[Enrolment] = []
+        for code, tasks in dealt.items():
+            made.append(enrolled(protocol, orders, made, code, tasks, salt=salt))
+        spreads = [spread_of_rows(made, task.name, len(orders)) for task in protocol.tasks]
+        excess = float(sum(max(0, spread - 1) for spread in spreads))
+        if best is None or excess < best[0]:
+            best = (excess, tuple(made))
+        if excess == 0:
+            break
+    assert best is not None
+    return best[1]
+
+
+def spread_of_rows(made: Sequence[Enrolment], task: str, rows: int) -> int:
+    """Most minus least often that a row is used in a task."""
+    used = Counter(one.rows[task] for one in made if task in one.rows)
+    counts = [used[row] for row in range(rows)]
+    return max(counts) - min(counts)
+
+
+def operator_code(number: int, among: int) -> str:
+    """``P01``: short, and of one width, so that tables sort."""
+    return f"P{number:0{max(2, len(str(among)))}d}"
+
+
+def _dealt(protocol: Protocol) -> dict[str, list[str]]:
+    codes = [operator_code(k + 1, protocol.operators) for k in range(protocol.operators)]
+    dealt: dict[str, list[str]] = {code: [] for code in codes}
+    at = 0
+    for task in protocol.tasks:
+        for _ in range(protocol.planned(task)):
+            dealt[codes[at % len(codes)]].append(task.name)
+            at += 1
+    return dealt
+
+
+def _rows(
+    protocol: Protocol,
+    orders: Orders,
+    before: Sequence[Enrolment],
+    code: str,
+    tasks: Sequence[str],
+    had: set[int],
+    salt: int,
+) -> dict[str, int]:
+    from scipy.optimize import linear_sum_assignment  # half a second to import
+
+    cost = np.zeros((len(tasks), len(orders)))
+    for i, task in enumerate(tasks):
+        used = [one.rows[task] for one in before if task in one.rows and one.code != code]
+        counts = Counter(used)
+        so_far = balance([orders[row] for row in used], protocol.condition_names)
+        for row, order in enumerate(orders):
+            uneven = sum(so_far.places[name, place] for place, name in enumerate(order))
+            uneven += sum(so_far.neighbours[pair] for pair in pairwise(order))
+            tie = lot(protocol.seed, "row", salt, code, task, row)
+            cost[i, row] = _USED * counts[row] + uneven + 0.5 * tie
+            cost[i, row] += _AGAIN * (row in had)
+    picked, columns = linear_sum_assignment(cost)
+    return {tasks[i]: int(row) for i, row in zip(picked, columns, strict=True)}
+
+
+def _task_order(
+    protocol: Protocol, before: Sequence[Enrolment], code: str, tasks: Sequence[str], salt: int
+) -> list[str]:
+    """The tasks in the order in which the operator does them."""
+    names = [task.name for task in protocol.tasks]
+    for task in tasks:
+        protocol.task(task)
+        if tasks.count(task) > 1:
+            raise StudyError(f"operator {code}: task {task!r} is named twice")
+    listed = sorted(tasks, key=names.index)
+    if protocol.task_order == "listed" or len(listed) < 2:
+        return listed
+    counts = Counter(tuple(one.rows) for one in before if set(one.rows) == set(listed))
+    so_far = balance([o for o, n in counts.items() for _ in range(n)], listed)
+    ranked = []
+    for row in balanced_rows(len(listed)):
+        order = tuple(listed[k] for k in row)
+        uneven = sum(so_far.places[name, place] for place, name in enumerate(order))
+        tie = lot(protocol.seed, "tasks", salt, code, *order)
+        ranked.append((counts[order], uneven, tie, order))
+    return list(min(ranked)[-1])
 
 
 @dataclass(frozen=True)
@@ -140,13 +394,13 @@ class Plan:
             StudyError: the operator does all of these tasks already, or the code can't be one.
         """
         check_name(operator, "operator")
-        wanted = [task.name for task in self.protocol.tasks] if tasks is None else list(tasks)
+        names = [task.name for task in self.protocol.tasks] if tasks is None else list(tasks)
         present = [one for one in self.enrolled if one.code not in absent]
-        new = enrolled(self.protocol, self.orders, present, operator, wanted)
+        new = enrolled(self.protocol, self.orders, present, operator, names)
         if operator not in self.codes:
             return replace(self, enrolled=(*self.enrolled, new))
         if new == self.enrolment(operator):
-            raise StudyError(f"operator {operator} does {', '.join(wanted)} already")
+            raise StudyError(f"operator {operator} does {', '.join(names)} already")
         return replace(
             self, enrolled=tuple(new if one.code == operator else one for one in self.enrolled)
         )

@@ -1,75 +1,32 @@
-"""``study.toml``: a plan as a file that a person can read and mend.
-
-::
-
-    format = 1
-    name = "four retargeters"
-    baseline = "dexpilot"
-    operators = 18
-    familiarisation_s = 120.0      # optional, as all that follow up to the tables
-    break_s = 120.0
-    questionnaires = ["initial", "midpoint", "final"]
-    weights = false
-    break_every = 1                # blocks between two breaks
-    tlx_language = "tlx-de.toml"   # NASA-TLX in other words
-    resets = 1
-    reset_cap = 0.5
-    task_order = "balanced"        # or "listed"
-    seed = 0
-    rate_hz = 30.0
-    primary = "success/pooled"     # or time, tlx, and a task; the rest is exploratory
-
-    [margins]                      # of equivalence: share, seconds, points
-    success = 0.1
-
-    [conditions.sbr]
-    method = "sbr"                 # optional: the name
-    preset = "paper"               # optional: the method's default
-    label = "Birch"                # optional: drawn
-
-    [tasks.A]
-    title = "Card pickup"          # optional
-    instruction = "Slide ..."      # optional
-    trials = 10
-    operators = 12                 # optional: all
-    time_limit_s = 180.0           # optional: none
-    rubric = [                     # optional
-      { name = "done", score = 1.0, text = "held in a pinch" },
-      { name = "dropped", score = 0.0, text = "left the workspace" },
-    ]
-
-    [[forms]]                      # optional: asked on the operator's page
-    name = "about-you"
-    when = "before"                # the first block, or "after" the last one
-    fields = [{ name = "age", label = "Age [years]", kind = "number" }]
-
-    [orders]                       # drawn where they are missing
-    1 = ["sbr", "dexpilot"]
-    2 = ["dexpilot", "sbr"]
-
-    [enrolled]                     # operator -> its tasks, in their order, with the row of orders
-    P01 = { A = 1 }
-
-Without ``[orders]`` and ``[enrolled]`` it is what ``study new`` makes a plan of.
-"""
+"""Plan as ``study.toml``, and the files next to it."""
 
 from __future__ import annotations
 
+import hashlib
 import json
 import tomllib
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
-from smooth_operator.atomic_files import atomic_write
+from smooth_operator.atomic_files import atomic_write, output_error
 from smooth_operator.errors import StudyError
 from smooth_operator.io.entries import Entries, read_entries
-from smooth_operator.study.design.endpoints import PRIMARY
-from smooth_operator.study.design.enrolment import Enrolment, Orders
 from smooth_operator.study.design.forms import form_lines, read_forms
-from smooth_operator.study.design.plan import Plan, make_plan
+from smooth_operator.study.design.plan import (
+    Enrolment,
+    Orders,
+    Plan,
+    make_plan,
+    schedule_csv,
+    schedule_text,
+)
+from smooth_operator.study.design.preregistration import NAME as PREREGISTRATION
+from smooth_operator.study.design.preregistration import preregistration
 from smooth_operator.study.design.protocol import (
     POINTS,
+    PRIMARY,
     Condition,
     Protocol,
     RubricLine,
@@ -78,8 +35,11 @@ from smooth_operator.study.design.protocol import (
 
 FORMAT: Final = 1
 """Version of the format that this program reads and writes."""
+
+
 NAME: Final = "study.toml"
 """Name of the file in the folder of a study."""
+
 
 _MOST_BYTES: Final = 4_000_000
 
@@ -167,8 +127,8 @@ def _protocol(entries: Entries) -> Protocol:
     margins = entries.table("margins", {})
     # Where a plan was drawn and names no primary endpoint, none was planned.
     primary = entries.text("primary", "" if "orders" in entries.names else PRIMARY)
-    asked = entries.texts("questionnaires", POINTS)
-    for point in asked:
+    points = entries.texts("questionnaires", POINTS)
+    for point in points:
         if point not in POINTS:
             raise entries.error("questionnaires", f"expected some of {', '.join(POINTS)}")
     return Protocol(
@@ -178,7 +138,7 @@ def _protocol(entries: Entries) -> Protocol:
         baseline=entries.text("baseline"),
         operators=entries.whole("operators"),
         familiarisation_s=entries.number("familiarisation_s", 120.0),
-        questionnaires=tuple(point for point in POINTS if point in asked),
+        questionnaires=tuple(point for point in POINTS if point in points),
         weights=entries.flag("weights", False),
         resets=entries.whole("resets", 1),
         reset_cap=entries.number("reset_cap", 0.5),
@@ -235,11 +195,11 @@ def _enrolled(entries: Entries) -> tuple[Enrolment, ...]:
     if "enrolled" not in entries.names:
         return ()
     operators = entries.table("enrolled")
-    made = []
+    enrolled = []
     for code in operators.names:
         rows = operators.table(code)
-        made.append(Enrolment(code, {task: rows.whole(task) - 1 for task in rows.names}))
-    return tuple(made)
+        enrolled.append(Enrolment(code, {task: rows.whole(task) - 1 for task in rows.names}))
+    return tuple(enrolled)
 
 
 def _lines(plan: Plan) -> Iterator[str]:
@@ -328,3 +288,61 @@ def _key(name: str) -> str:
 
 def _flag(value: bool) -> str:
     return "true" if value else "false"
+
+
+KEPT: Final = "PREREGISTRATION.before.md"
+"""The text of the plan before it was changed."""
+
+
+def write_plan_files(plan: Plan, folder: Path) -> list[Path]:
+    """Writes plan and schedules; those that stand there are replaced.
+
+    Args:
+        plan: of the study.
+        folder: exists.
+
+    Returns:
+        The files.
+
+    Raises:
+        OutputError: a file can't be written.
+    """
+    written = [write_plan(plan, folder / NAME)]
+    texts = {"schedule.csv": schedule_csv(plan), "schedule.txt": schedule_text(plan)}
+    for name, text in texts.items():
+        with atomic_write(folder / name) as file:
+            file.write(text.encode("utf-8"))
+        written.append(folder / name)
+    return written
+
+
+def write_preregistration(plan: Plan, folder: Path) -> Path | None:
+    """Writes ``PREREGISTRATION.md``, where none of this very plan is there.
+
+    To be called before anyone has begun only. A text of another plan, which somebody may have
+    completed by hand, is kept under the name of ``KEPT``.
+
+    Returns:
+        The file, or None where it is there.
+
+    Raises:
+        OutputError: it can't be written.
+    """
+    path = folder / PREREGISTRATION
+    mark = f"<!-- plan {_digest(plan)} -->"
+    try:
+        there = path.read_text("utf-8", errors="replace") if path.is_file() else None
+        if there is not None and mark in there:
+            return None
+        if there is not None:
+            path.replace(folder / KEPT)
+    except OSError as error:
+        raise output_error(path, error) from error
+    with atomic_write(path) as file:
+        file.write(f"{preregistration(plan)}\n{mark}\n".encode())
+    return path
+
+
+def _digest(plan: Plan) -> str:
+    """Of all but who is enrolled."""
+    return hashlib.sha256(plan_text(replace(plan, enrolled=())).encode()).hexdigest()[:16]

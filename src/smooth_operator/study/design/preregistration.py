@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Final
 
-from smooth_operator.study.design.endpoints import OUTCOMES, POOLED
 from smooth_operator.study.design.latin import balanced_rows
 from smooth_operator.study.design.plan import Plan
-from smooth_operator.study.design.protocol import Protocol
+from smooth_operator.study.design.protocol import OUTCOMES, POOLED, Protocol
 from smooth_operator.version import __version__
 
 NAME: Final = "PREREGISTRATION.md"
@@ -164,17 +163,17 @@ def _tasks(protocol: Protocol) -> Iterator[str]:
 
 
 def _outcomes(protocol: Protocol) -> Iterator[str]:
-    asked = OUTCOMES if protocol.questionnaires else OUTCOMES[:-1]
+    outcomes = OUTCOMES if protocol.questionnaires else OUTCOMES[:-1]
     outcome, _, scope = protocol.primary.partition("/")
     if outcome:
         yield f"- **Primary:** {_TITLES[outcome]}, {_scope(scope)}."
         yield (
-            f"- **Exploratory:** all else, of {', '.join(_TITLES[one] for one in asked)}, over all "
-            "tasks together and in each; learning over trials; correlations with simulation; the "
-            "further readings of the report."
+            f"- **Exploratory:** all else, of {', '.join(_TITLES[one] for one in outcomes)}, "
+            "over all tasks together and in each; learning over trials; correlations with "
+            "simulation; the further readings of the report."
         )
     else:
-        yield f"- **Exploratory:** {', '.join(_TITLES[one] for one in asked)}, in every scope."
+        yield f"- **Exploratory:** {', '.join(_TITLES[one] for one in outcomes)}, in every scope."
     if protocol.questionnaires:
         yield (
             f"- NASA-TLX is filled in after the {', '.join(protocol.questionnaires)} trial of a "

@@ -1,12 +1,9 @@
-"""Protocol of a study: conditions, tasks, blocks, trials, questionnaires.
-
-A task is done in blocks, one for each condition. A block is a time of free movement, then its
-trials, with a questionnaire after some of them.
-"""
+"""Protocol of a study: conditions, tasks with rubrics, blocks, endpoints and margins."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final, Literal, TypeAlias, get_args
 
@@ -14,12 +11,99 @@ from smooth_operator.errors import StudyError, UnknownNameError
 from smooth_operator.simulation.tasks.checks import check_name, distinct, seconds, whole
 from smooth_operator.simulation.tasks.task import RubricLine as RubricLine
 from smooth_operator.simulation.tasks.task import Task as Task
-from smooth_operator.study.design.endpoints import PRIMARY, check_margins, check_primary
 from smooth_operator.study.design.forms import Form, check_forms
+
+OUTCOMES: Final = ("success", "time", "tlx")
+"""Success rate (0 to 1), completion time [s], workload (0 to 100 points)."""
+
+
+POOLED: Final = "pooled"
+"""The scope that is all tasks together; the others are the tasks."""
+
+
+PRIMARY: Final = f"{OUTCOMES[0]}/{POOLED}"
+
+
+PAPER_MARGINS: Final = {"success": 0.10, "time": 5.0, "tlx": 10.0}
+
+
+_LARGEST: Final = {"success": 1.0, "time": 86_400.0, "tlx": 100.0}
+
+
+def check_primary(primary: str, tasks: Sequence[str], *, workload: bool) -> None:
+    """Refuses a primary endpoint that the study will not have.
+
+    Args:
+        primary: ``OUTCOME/SCOPE``; empty for none.
+        tasks: names.
+        workload: whether questionnaires are asked.
+
+    Raises:
+        StudyError: it is not of that form, or workload without questionnaires.
+        UnknownNameError: there is no such outcome or scope.
+    """
+    if not primary:
+        return
+    outcome, slash, scope = primary.partition("/")
+    if not slash or not scope:
+        raise StudyError(
+            f"the primary endpoint must be OUTCOME/SCOPE as in {PRIMARY!r}, not {primary!r}"
+        )
+    if outcome not in OUTCOMES:
+        raise UnknownNameError("outcome of the primary endpoint:", outcome, OUTCOMES)
+    if scope not in (POOLED, *tasks):
+        raise UnknownNameError("scope of the primary endpoint:", scope, (POOLED, *tasks))
+    if outcome == "tlx" and not workload:
+        raise StudyError(f"the primary endpoint {primary!r} needs questionnaires; none are planned")
+
+
+def margins_of(words: Iterable[str]) -> dict[str, float]:
+    """Margins from what a person types, ``OUTCOME=DIFFERENCE`` each.
+
+    Raises:
+        ValueError: a word is not of that form, or an outcome comes twice.
+        StudyError: a margin can't be one.
+        UnknownNameError: there is no such outcome.
+    """
+    margins: dict[str, float] = {}
+    for word in words:
+        outcome, _, number = word.partition("=")
+        try:
+            margin = float(number)
+        except ValueError:
+            raise ValueError(
+                f"expected OUTCOME=DIFFERENCE as in success=0.1, not {word!r}"
+            ) from None
+        if outcome in margins:
+            raise ValueError(f"{outcome} comes twice")
+        margins[outcome] = margin
+    check_margins(margins)
+    return margins
+
+
+def check_margins(margins: Mapping[str, float]) -> None:
+    """Refuses margins that are none.
+
+    Raises:
+        StudyError: one is not above 0, or as large as the outcome's whole range.
+        UnknownNameError: there is no such outcome.
+    """
+    for outcome, margin in margins.items():
+        if outcome not in OUTCOMES:
+            raise UnknownNameError("outcome of a margin:", outcome, OUTCOMES)
+        if not math.isfinite(margin) or not 0 < margin < _LARGEST[outcome]:
+            raise StudyError(
+                f"the margin of {outcome} must be above 0 and below {_LARGEST[outcome]:g}, in the "
+                f"outcome's unit (success: a share, 0.1 is 10 percentage points), not {margin:g}"
+            )
+
 
 Point: TypeAlias = Literal["initial", "midpoint", "final"]
 """When a questionnaire is asked: after the first, the middle or the last trial of a block."""
+
+
 POINTS: Final[tuple[Point, ...]] = get_args(Point)
+
 
 _SCORES: Final = (0.0, 0.5, 1.0)
 
@@ -203,16 +287,16 @@ class Protocol:
             "midpoint": (task.trials + 1) // 2,
             "final": task.trials,
         }
-        found: dict[int, Point] = {}
+        trials: dict[int, Point] = {}
         for point in self.questionnaires:
             if point not in after:
                 raise UnknownNameError("questionnaire point", point, after)
             trial = after[point]
-            if trial in found:
+            if trial in trials:
                 raise StudyError(
                     f"task {task.name!r}: with {task.trials} trial(s) a block, questionnaires "
-                    f"{found[trial]!r} and {point!r} would both follow trial {trial}; have more "
+                    f"{trials[trial]!r} and {point!r} would both follow trial {trial}; have more "
                     "trials or fewer questionnaires"
                 )
-            found[trial] = point
-        return dict(sorted(found.items()))
+            trials[trial] = point
+        return dict(sorted(trials.items()))

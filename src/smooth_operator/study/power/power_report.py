@@ -12,8 +12,7 @@ from smooth_operator.atomic_files import atomic_write, output_error
 from smooth_operator.errors import OutputError
 from smooth_operator.study.analysis.results import MODES, POOLED, Mode, Outcome
 from smooth_operator.study.power.power_run import PowerSettings, Truth
-from smooth_operator.study.power.tally import Rate, Tally, rate, rates
-from smooth_operator.study.power.verdicts import ALPHA
+from smooth_operator.study.power.verdicts import ALPHA, Rate, Tally, rate, rates
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -44,10 +43,10 @@ def power_json(settings: PowerSettings, tallies: Tallies) -> dict[str, Any]:
     """
     cells = []
     for (operators, truth), tally in tallies.items():
-        for key, found in rates(tally).items():
+        for key, counts in rates(tally).items():
             outcome, scope, mode = key.split("/", 2)
             power: dict[str, dict[str, Any]] = {"dunnett": {}, "holm": {}, "equivalent": {}}
-            for what, value in found.items():
+            for what, value in counts.items():
                 family, _, name = what.partition(":")
                 if family in power:
                     power[family][name] = asdict(value)
@@ -61,11 +60,11 @@ def power_json(settings: PowerSettings, tallies: Tallies) -> dict[str, Any]:
                     "studies": tally.studies,
                     "power": power,
                     "family_error": {
-                        "dunnett": asdict(found["family:dunnett"]),
-                        "holm": asdict(found["family:holm"]),
+                        "dunnett": asdict(counts["family:dunnett"]),
+                        "holm": asdict(counts["family:holm"]),
                     },
-                    "errs": truth == "null" and errs(found["family:dunnett"]),
-                    "refused": asdict(found["refused"]),
+                    "errs": truth == "null" and errs(counts["family:dunnett"]),
+                    "refused": asdict(counts["refused"]),
                 }
             )
     return {"format": FORMAT, "alpha": ALPHA, "settings": settings.to_json(), "cells": cells}

@@ -29,11 +29,8 @@ from smooth_operator.study.chunks import chunk_values
 from smooth_operator.study.design.plan import make_plan, scaled
 from smooth_operator.study.design.plan_file import plan_of, plan_table
 from smooth_operator.study.design.protocol import Protocol
-from smooth_operator.study.power.assumptions import Assumptions, Spread
-from smooth_operator.study.power.simulated_study import Simulator
-from smooth_operator.study.power.study_rows import layout
-from smooth_operator.study.power.tally import Tally
-from smooth_operator.study.power.verdicts import Analyst
+from smooth_operator.study.power.simulated_study import Assumptions, Simulator, Spread, layout
+from smooth_operator.study.power.verdicts import Analyst, Tally
 
 Truth: TypeAlias = Literal["effects", "null"]
 TRUTHS: Final[tuple[Truth, ...]] = ("effects", "null")

@@ -1,4 +1,4 @@
-"""Events of an operator in a study; only events are stored.
+"""Events of an operator in a study: fields, text, and what each changes; only events are stored.
 
 Events are values; they say where they belong (task, block, trial), so that a page that was left
 open can't score the wrong trial. Nothing is changed or taken back in the log: a mistake is undone
@@ -7,21 +7,62 @@ by one more event.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+import dataclasses
+import json
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields
 from datetime import datetime
-from typing import Any, ClassVar, Final, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar, Final, TypeAlias, get_args, get_type_hints
 
+from smooth_operator.errors import StudyError
 from smooth_operator.study.design.protocol import Point
+from smooth_operator.study.store.nasa_tlx import check_ratings, check_winners, raw_workload
+
+if TYPE_CHECKING:
+    from smooth_operator.study.store.operator_state import OperatorState
+
+Named: TypeAlias = Callable[[str], str]
+"""From the name of a condition to what a reader may see."""
+_LONGEST_TEXT: Final = 20_000
 
 
 @dataclass(frozen=True)
-class _Event:
+class Event:
+    """Something that happened to an operator.
+
+    Attributes:
+        kind: name in the store and in exports.
+        word: name of the pages' command that causes it; empty where none does.
+        due: steps of the protocol in which it is expected; further rules are in ``progress``.
+    """
+
     kind: ClassVar[str]
+    word: ClassVar[str] = ""
+    due: ClassVar[tuple[str, ...]] = ()
+
+    def in_words(self, named: Named, *, sums: bool = True) -> str:
+        """The event in a line for people.
+
+        Args:
+            named: turns the name of a condition into what the reader may see.
+            sums: whether the workload may be known already.
+        """
+        return self._line(named, sums)
+
+    def fold(self, state: OperatorState, record: Record) -> None:
+        """Changes the state of the operator by this event, which was checked before."""
+        self._change(state, record)
+
+    def _line(self, named: Named, sums: bool) -> str:
+        return self.kind
+
+    def _change(self, state: OperatorState, record: Record) -> None:
+        """Nothing, where an event changes nothing."""
 
 
 @dataclass(frozen=True)
-class _OfBlock(_Event):
+class _OfBlock(Event):
     task: str
     block: int
 
@@ -32,12 +73,20 @@ class _OfTrial(_OfBlock):
 
 
 @dataclass(frozen=True)
-class Calibrated(_Event):
+class Calibrated(Event):
     """The tracker was calibrated to the operator, or that was left out."""
 
     kind: ClassVar[str] = "calibrated"
+    word: ClassVar[str] = "calibrated"
+    due: ClassVar[tuple[str, ...]] = ("calibrate",)
     task: str
     detail: str = ""
+
+    def _line(self, named: Named, sums: bool) -> str:
+        return f"Calibrated for {self.task}" + _why(self.detail)
+
+    def _change(self, state: OperatorState, record: Record) -> None:
+        state.calibrated.add(self.task)
 
 
 @dataclass(frozen=True)
@@ -51,9 +100,17 @@ class BlockStarted(_OfBlock):
     """
 
     kind: ClassVar[str] = "block_started"
+    word: ClassVar[str] = "start_block"
+    due: ClassVar[tuple[str, ...]] = ("start_block",)
     condition: str
     method: str = field(default="", compare=False)
     preset: str = field(default="", compare=False)
+
+    def _line(self, named: Named, sums: bool) -> str:
+        return f"Block {self.block} of {self.task} began: {named(self.condition)}"
+
+    def _change(self, state: OperatorState, record: Record) -> None:
+        state.started[self.task, self.block] = (self.method, self.preset)
 
 
 @dataclass(frozen=True)
@@ -65,7 +122,15 @@ class FamiliarisationStarted(_OfBlock):
     """
 
     kind: ClassVar[str] = "familiarisation_started"
+    word: ClassVar[str] = "start_familiarisation"
+    due: ClassVar[tuple[str, ...]] = ("start_familiarisation",)
     clock: str = field(default="", compare=False)
+
+    def _line(self, named: Named, sums: bool) -> str:
+        return "Free movement began"
+
+    def _change(self, state: OperatorState, record: Record) -> None:
+        state.moving = (record.at, self.clock)
 
 
 @dataclass(frozen=True)
@@ -73,6 +138,15 @@ class FamiliarisationEnded(_OfBlock):
     """Free movement is over."""
 
     kind: ClassVar[str] = "familiarisation_ended"
+    word: ClassVar[str] = "end_familiarisation"
+    due: ClassVar[tuple[str, ...]] = ("familiarise",)
+
+    def _line(self, named: Named, sums: bool) -> str:
+        return "Free movement ended"
+
+    def _change(self, state: OperatorState, record: Record) -> None:
+        state.moving = None
+        state.moved.add((self.task, self.block))
 
 
 @dataclass(frozen=True)
@@ -84,7 +158,15 @@ class TrialStarted(_OfTrial):
     """
 
     kind: ClassVar[str] = "trial_started"
+    word: ClassVar[str] = "start_trial"
+    due: ClassVar[tuple[str, ...]] = ("start_trial",)
     clock: str = field(default="", compare=False)
+
+    def _line(self, named: Named, sums: bool) -> str:
+        return f"Trial {self.trial} started"
+
+    def _change(self, state: OperatorState, record: Record) -> None:
+        state.begin_trial(self.trial, record.at, self.clock)
 
 
 @dataclass(frozen=True)
@@ -92,6 +174,14 @@ class TrialReset(_OfTrial):
     """The object was put back; caps the score."""
 
     kind: ClassVar[str] = "trial_reset"
+    word: ClassVar[str] = "reset"
+    due: ClassVar[tuple[str, ...]] = ("trial", "paused")
+
+    def _line(self, named: Named, sums: bool) -> str:
+        return f"Trial {self.trial}: object put back"
+
+    def _change(self, state: OperatorState, record: Record) -> None:
+        state.trials[-1].resets += 1
 
 
 @dataclass(frozen=True)
@@ -107,11 +197,22 @@ class TrialScored(_OfTrial):
     """
 
     kind: ClassVar[str] = "trial_scored"
+    word: ClassVar[str] = "score"
+    due: ClassVar[tuple[str, ...]] = ("trial",)
     line: str
     score: float
     time_s: float
     proposed_line: str = field(default="", compare=False)
     proposed_score: float | None = field(default=None, compare=False)
+
+    def _line(self, named: Named, sums: bool) -> str:
+        return f"Trial {self.trial}: {self.line}, score {self.score:g}, {self.time_s:.1f}\u00a0s"
+
+    def _change(self, state: OperatorState, record: Record) -> None:
+        trial = state.trials[-1]
+        trial.line, trial.score, trial.time_s = self.line, self.score, self.time_s
+        trial.proposed_line, trial.proposed_score = self.proposed_line, self.proposed_score
+        state.scored[self.task, self.block] += 1
 
 
 @dataclass(frozen=True)
@@ -119,7 +220,15 @@ class TrialVoided(_OfTrial):
     """The trial doesn't count, for a reason that is not the operator's; it is done again."""
 
     kind: ClassVar[str] = "trial_voided"
+    word: ClassVar[str] = "void"
+    due: ClassVar[tuple[str, ...]] = ("trial", "paused")
     reason: str
+
+    def _line(self, named: Named, sums: bool) -> str:
+        return f"Trial {self.trial} void: {self.reason or 'no reason given'}"
+
+    def _change(self, state: OperatorState, record: Record) -> None:
+        state.void_trial(self.reason, record.at)
 
 
 @dataclass(frozen=True)
@@ -132,8 +241,18 @@ class TrialPaused(_OfTrial):
     """
 
     kind: ClassVar[str] = "trial_paused"
+    word: ClassVar[str] = "pause"
+    due: ClassVar[tuple[str, ...]] = ("trial",)
     reason: str = ""
     clock: str = field(default="", compare=False)
+
+    def _line(self, named: Named, sums: bool) -> str:
+        return f"Trial {self.trial}: clock paused" + _why(self.reason)
+
+    def _change(self, state: OperatorState, record: Record) -> None:
+        trial = state.trials[-1]
+        trial.pauses += ((record.at, None, self.reason),)
+        trial.paused_clock = self.clock
 
 
 @dataclass(frozen=True)
@@ -145,7 +264,15 @@ class TrialResumed(_OfTrial):
     """
 
     kind: ClassVar[str] = "trial_resumed"
+    word: ClassVar[str] = "resume"
+    due: ClassVar[tuple[str, ...]] = ("paused",)
     paused_s: float = field(default=0.0, compare=False)
+
+    def _line(self, named: Named, sums: bool) -> str:
+        return f"Trial {self.trial}: clock goes on after {self.paused_s:.1f}\u00a0s"
+
+    def _change(self, state: OperatorState, record: Record) -> None:
+        state.trials[-1].end_pause(self.paused_s)
 
 
 @dataclass(frozen=True)
@@ -161,11 +288,20 @@ class Amended(_OfTrial):
     """
 
     kind: ClassVar[str] = "amended"
+    word: ClassVar[str] = "amend"
     line: str
     score: float
     time_s: float
     reason: str
     who: str = ""
+
+    def _line(self, named: Named, sums: bool) -> str:
+        where = f"Trial {self.trial} of {self.task}, block {self.block}"
+        now = f"{self.line}, score {self.score:g}, {self.time_s:.1f}\u00a0s"
+        return f"{where} amended to {now}: {self.reason}" + (f" ({self.who})" if self.who else "")
+
+    def _change(self, state: OperatorState, record: Record) -> None:
+        state.amend_trial(record.number, record.at, self)
 
 
 @dataclass(frozen=True)
@@ -177,11 +313,25 @@ class BlockEnded(_OfBlock):
     """
 
     kind: ClassVar[str] = "block_ended"
+    word: ClassVar[str] = "end_block"
+    due: ClassVar[tuple[str, ...]] = (
+        "start_block",
+        "start_familiarisation",
+        "start_trial",
+        "questionnaire",
+        "weights",
+    )
     reason: str
+
+    def _line(self, named: Named, sums: bool) -> str:
+        return f"Block {self.block} of {self.task} ended early: {self.reason}"
+
+    def _change(self, state: OperatorState, record: Record) -> None:
+        state.ended_early[self.task, self.block] = (record.at, self.reason)
 
 
 @dataclass(frozen=True)
-class Recalibrated(_Event):
+class Recalibrated(Event):
     """The tracker was calibrated once more.
 
     Attributes:
@@ -190,12 +340,19 @@ class Recalibrated(_Event):
     """
 
     kind: ClassVar[str] = "recalibrated"
+    word: ClassVar[str] = "recalibrate"
     task: str
     detail: str = ""
 
+    def _line(self, named: Named, sums: bool) -> str:
+        return f"Calibrated again for {self.task}" + _why(self.detail)
+
+    def _change(self, state: OperatorState, record: Record) -> None:
+        state.recalibrations.append((record.at, self.task, self.detail))
+
 
 @dataclass(frozen=True)
-class Withdrawn(_Event):
+class Withdrawn(Event):
     """The operator takes no further part.
 
     Attributes:
@@ -204,12 +361,20 @@ class Withdrawn(_Event):
     """
 
     kind: ClassVar[str] = "withdrawn"
+    word: ClassVar[str] = "withdraw"
     keep: bool
     reason: str = ""
 
+    def _line(self, named: Named, sums: bool) -> str:
+        data = "the data is kept" if self.keep else "the data is left out"
+        return f"Withdrew, {data}" + _why(self.reason)
+
+    def _change(self, state: OperatorState, record: Record) -> None:
+        state.withdraw(record.at, self)
+
 
 @dataclass(frozen=True)
-class Replaces(_Event):
+class Replaces(Event):
     """The operator has the rows of one who withdrew.
 
     Attributes:
@@ -219,9 +384,15 @@ class Replaces(_Event):
     kind: ClassVar[str] = "replaces"
     operator: str
 
+    def _line(self, named: Named, sums: bool) -> str:
+        return f"Takes the place of {self.operator}"
+
+    def _change(self, state: OperatorState, record: Record) -> None:
+        state.replaces = self.operator
+
 
 @dataclass(frozen=True)
-class Chosen(_Event):
+class Chosen(Event):
     """Another operator was put on at a console.
 
     Attributes:
@@ -233,9 +404,13 @@ class Chosen(_Event):
     operator: str
     before: str = ""
 
+    def _line(self, named: Named, sums: bool) -> str:
+        before = f", {self.before} was on" if self.before else ""
+        return f"{self.operator} was put on{before}"
+
 
 @dataclass(frozen=True)
-class FormAnswered(_Event):
+class FormAnswered(Event):
     """A form of the study was filled in, by the operator or from paper.
 
     Attributes:
@@ -246,14 +421,28 @@ class FormAnswered(_Event):
     """
 
     kind: ClassVar[str] = "form_answered"
+    word: ClassVar[str] = "form"
+    due: ClassVar[tuple[str, ...]] = ("form",)
     form: str
     answers: Mapping[str, Any]
     who: str = ""
     reason: str = ""
 
+    def _line(self, named: Named, sums: bool) -> str:
+        if not self.who:
+            return f"Form {self.form} filled in"
+        return f"Form {self.form} typed in by {self.who}" + _why(self.reason)
+
+    def _change(self, state: OperatorState, record: Record) -> None:
+        state.forms[self.form] = (record.at, dict(self.answers))
+        state.on_paper.pop(self.form, None)
+        state.typed.pop(self.form, None)
+        if self.who:
+            state.typed[self.form] = self.who
+
 
 @dataclass(frozen=True)
-class FormOnPaper(_Event):
+class FormOnPaper(Event):
     """A form is filled in on paper, and typed in later.
 
     Attributes:
@@ -262,8 +451,16 @@ class FormOnPaper(_Event):
     """
 
     kind: ClassVar[str] = "form_on_paper"
+    word: ClassVar[str] = "paper"
+    due: ClassVar[tuple[str, ...]] = ("form",)
     form: str
     who: str
+
+    def _line(self, named: Named, sums: bool) -> str:
+        return f"Form {self.form} is on paper ({self.who})"
+
+    def _change(self, state: OperatorState, record: Record) -> None:
+        state.on_paper[self.form] = (record.at, self.who)
 
 
 @dataclass(frozen=True)
@@ -277,9 +474,21 @@ class Answered(_OfBlock):
     """
 
     kind: ClassVar[str] = "questionnaire_answered"
+    word: ClassVar[str] = "answer"
+    due: ClassVar[tuple[str, ...]] = ("questionnaire",)
     point: Point
     ratings: Mapping[str, int]
     who: str = ""
+
+    def _line(self, named: Named, sums: bool) -> str:
+        if not sums:  # who scores the rest of the block is not to know
+            return f"Questionnaire ({self.point}) {_how(self.who)}"
+        more = f", {_how(self.who)}" if self.who else ""
+        return f"Questionnaire ({self.point}): workload {raw_workload(self.ratings):.0f}{more}"
+
+    def _change(self, state: OperatorState, record: Record) -> None:
+        state.answer(self.point, record.at, self.ratings, self.who)
+        state.answered.add((self.task, self.block, self.point))
 
 
 @dataclass(frozen=True)
@@ -293,35 +502,65 @@ class Weighed(_OfBlock):
     """
 
     kind: ClassVar[str] = "weights_answered"
+    word: ClassVar[str] = "weigh"
+    due: ClassVar[tuple[str, ...]] = ("weights",)
     winners: tuple[str, ...]
     shown: tuple[str, ...] = field(default=(), compare=False)
     who: str = ""
 
+    def _line(self, named: Named, sums: bool) -> str:
+        return f"Pairs of scales {_how(self.who)}"
+
+    def _change(self, state: OperatorState, record: Record) -> None:
+        state.winners[self.task, self.block] = self.winners
+
 
 @dataclass(frozen=True)
-class BreakStarted(_Event):
+class BreakStarted(Event):
     """The operator rests."""
 
     kind: ClassVar[str] = "break_started"
+    word: ClassVar[str] = "start_break"
+
+    def _line(self, named: Named, sums: bool) -> str:
+        return "Break began"
+
+    def _change(self, state: OperatorState, record: Record) -> None:
+        state.breaks.append((record.at, None))
 
 
 @dataclass(frozen=True)
-class BreakEnded(_Event):
+class BreakEnded(Event):
     """The operator is back."""
 
     kind: ClassVar[str] = "break_ended"
+    word: ClassVar[str] = "end_break"
+    due: ClassVar[tuple[str, ...]] = ("break",)
+
+    def _line(self, named: Named, sums: bool) -> str:
+        return "Break ended"
+
+    def _change(self, state: OperatorState, record: Record) -> None:
+        state.end_break(record.at)
 
 
 @dataclass(frozen=True)
-class Noted(_Event):
+class Noted(Event):
     """Something worth remembering."""
 
     kind: ClassVar[str] = "noted"
+    word: ClassVar[str] = "note"
     text: str
+
+    def _line(self, named: Named, sums: bool) -> str:
+        return f"Note: {self.text}"
+
+    def _change(self, state: OperatorState, record: Record) -> None:
+        state.notes.append((record.at, self.text))
 
 
 @dataclass(frozen=True)
-class Undone(_Event):
+class Undone(Event):
     """An earlier event counts no more.
 
     Attributes:
@@ -330,42 +569,19 @@ class Undone(_Event):
     """
 
     kind: ClassVar[str] = "undone"
+    word: ClassVar[str] = "undo"
     number: int
     reason: str = ""
 
+    def _line(self, named: Named, sums: bool) -> str:
+        return f"Event {self.number} undone" + _why(self.reason)
 
-Event: TypeAlias = (
-    Calibrated
-    | BlockStarted
-    | FamiliarisationStarted
-    | FamiliarisationEnded
-    | TrialStarted
-    | TrialReset
-    | TrialScored
-    | TrialVoided
-    | Answered
-    | Weighed
-    | BreakStarted
-    | BreakEnded
-    | Noted
-    | Undone
-    | TrialPaused
-    | TrialResumed
-    | Amended
-    | BlockEnded
-    | Recalibrated
-    | Withdrawn
-    | Replaces
-    | Chosen
-    | FormAnswered
-    | FormOnPaper
-)
 
 ASIDE: Final = (Noted, Chosen, Replaces)
 """Kinds that change nothing in what is due, and are not undone."""
 EVENTS: Final[dict[str, type[Event]]] = {
-    made.kind: made
-    for made in (
+    event.kind: event
+    for event in (
         Calibrated, BlockStarted, FamiliarisationStarted, FamiliarisationEnded, TrialStarted,
         TrialReset, TrialScored, TrialVoided, Answered, Weighed, BreakStarted, BreakEnded, Noted,
         Undone, TrialPaused, TrialResumed, Amended, BlockEnded, Recalibrated, Withdrawn, Replaces,
@@ -390,3 +606,93 @@ class Record:
     at: datetime
     author: str
     event: Event
+
+
+def _how(who: str) -> str:
+    return f"typed in from paper by {who}" if who else "answered"
+
+
+def _why(text: str) -> str:
+    return f": {text}" if text else ""
+
+
+def payload(event: Event) -> dict[str, Any]:
+    """An event's fields as plain values."""
+    return {
+        name: list(value) if isinstance(value, tuple) else value
+        for name, value in dataclasses.asdict(event).items()
+    }
+
+
+def event_of(kind: str, values: Mapping[str, Any]) -> Event:
+    """An event from its kind and fields, checked as far as it can be without the plan.
+
+    Raises:
+        StudyError: no such kind, or a field is missing, unknown or of the wrong type.
+    """
+    if kind not in EVENTS:
+        raise StudyError(f"no event is called {kind!r}; expected one of {', '.join(EVENTS)}")
+    event = EVENTS[kind]
+    hints = get_type_hints(event)
+    names = [f.name for f in fields(event)]
+    needed = {f.name for f in fields(event) if f.default is dataclasses.MISSING}
+    missing, unknown = sorted(needed - set(values)), sorted(set(values) - set(names))
+    if missing or unknown:
+        raise StudyError(
+            f"event {kind!r} has the fields {', '.join(names) or '(none)'}"
+            + (f"; missing: {', '.join(missing)}" if missing else "")
+            + (f"; unknown: {', '.join(unknown)}" if unknown else "")
+        )
+    return event(**{name: _checked(kind, name, v, hints[name]) for name, v in values.items()})
+
+
+def _checked(kind: str, name: str, value: Any, hint: Any) -> Any:
+    where = f"event {kind!r}: {name}"
+    if name == "ratings":
+        if not isinstance(value, Mapping):
+            raise StudyError(f"{where} must be a table of the six scales, not {value!r}")
+        check_ratings(value)
+        return dict(value)
+    if name == "winners":
+        if not isinstance(value, list | tuple):
+            raise StudyError(f"{where} must be a list of scales, not {value!r}")
+        check_winners(value)
+        return tuple(value)
+    if name == "answers":
+        return _answers(where, value)
+    if name == "shown":
+        listed = isinstance(value, list | tuple) and all(isinstance(v, str) for v in value)
+        if not listed:
+            raise StudyError(f"{where} must be a list of pairs of scales, not {value!r}")
+        return tuple(value)
+    if value is None and type(None) in get_args(hint):
+        return None
+    if hint is bool:
+        if not isinstance(value, bool):
+            raise StudyError(f"{where} must be true or false, not {value!r}")
+        return value
+    if hint is int:
+        if isinstance(value, bool) or not isinstance(value, int):
+            raise StudyError(f"{where} must be a whole number, not {value!r}")
+        return value
+    if hint in (float, float | None):
+        right = isinstance(value, int | float) and not isinstance(value, bool)
+        if not right or not math.isfinite(value) or value < 0:
+            raise StudyError(f"{where} must be a number of 0 or more, not {value!r}")
+        return float(value)
+    if not isinstance(value, str) or len(value) > _LONGEST_TEXT or "\x00" in value:
+        raise StudyError(f"{where} must be a text of up to {_LONGEST_TEXT} characters")
+    return value
+
+
+def _answers(where: str, value: Any) -> dict[str, Any]:
+    if not isinstance(value, Mapping) or len(json.dumps(dict(value))) > _LONGEST_TEXT:
+        raise StudyError(f"{where} must be a table of fields, not {str(value)[:80]!r}")
+    for name, one in value.items():
+        plain = isinstance(one, str | bool | int | float)
+        listed = isinstance(one, list | tuple) and all(isinstance(part, str) for part in one)
+        if not isinstance(name, str) or not (plain or listed):
+            raise StudyError(f"{where}: {name!r} must be a text, a number, yes or no, or a list")
+        if isinstance(one, float) and not math.isfinite(one):
+            raise StudyError(f"{where}: {name!r} must be a finite number")
+    return {name: list(v) if isinstance(v, tuple) else v for name, v in value.items()}

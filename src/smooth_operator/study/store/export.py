@@ -1,4 +1,4 @@
-"""What was stored, as files for analysis: tables, and one JSON file with everything.
+"""Stored data as files for analysis: tables, and one JSON file with everything.
 
 ``trials.csv`` and ``tlx.csv`` hold what counts; ``study.json`` holds the same rows with more
 columns, and the whole log: void trials, undone events, notes, breaks. ``study analyze`` reads
@@ -22,7 +22,7 @@ from smooth_operator.study.data.checked_tables import (
     WEIGHT_COLUMNS,
 )
 from smooth_operator.study.design.plan_file import plan_table
-from smooth_operator.study.store.export_operators import operator_json
+from smooth_operator.study.store.events import payload
 from smooth_operator.study.store.nasa_tlx import (
     SCALE_NAMES,
     raw_workload,
@@ -35,7 +35,10 @@ from smooth_operator.study.store.study_store import StudyStore
 
 FORMAT: Final = 1
 """Version of ``study.json``."""
+
+
 BLOCK_WEIGHT_COLUMNS: Final = ("operator", "task", "retargeter", "block", *SCALE_NAMES)
+
 
 _TRIALS, _TLX, _WEIGHTS, _ALL = "trials.csv", "tlx.csv", "tlx_weights.csv", "study.json"
 
@@ -84,7 +87,7 @@ def export_study(
 
 
 def study_json(store: StudyStore, operators: Sequence[str] | None = None) -> dict[str, Any]:
-    """Everything that is stored, as plain values of ``export_schema``.
+    """Everything that is stored, as plain values.
 
     Args:
         store: of the study.
@@ -92,7 +95,7 @@ def study_json(store: StudyStore, operators: Sequence[str] | None = None) -> dic
     """
     plan = store.plan
     codes = plan.codes if operators is None else tuple(operators)
-    made: dict[str, Any] = {
+    content: dict[str, Any] = {
         "format": FORMAT,
         "study": plan_table(plan),
         "erased": list(store.erased),
@@ -104,13 +107,13 @@ def study_json(store: StudyStore, operators: Sequence[str] | None = None) -> dic
     for code in codes:
         progress = store.progress(code)
         places = {(b.task.name, b.number): n for n, b in enumerate(progress.blocks, 1)}
-        made["trials"] += [
+        content["trials"] += [
             _trial(code, trial, places) for trial in progress.trials if _counts(trial)
         ]
-        made["questionnaires"] += list(_questionnaires(progress))
-        made["weights"] += list(_weights(progress))
-        made["operators"].append(operator_json(progress))
-    return made
+        content["questionnaires"] += list(_questionnaires(progress))
+        content["weights"] += list(_weights(progress))
+        content["operators"].append(operator_json(progress))
+    return content
 
 
 def _counts(trial: Trial) -> bool:
@@ -141,8 +144,8 @@ def _trial(code: str, trial: Trial, places: Mapping[tuple[str, int], int]) -> di
 
 
 def _questionnaires(progress: Progress) -> Iterator[dict[str, Any]]:
-    for asked in progress.questionnaires:
-        block = asked.block
+    for questionnaire in progress.questionnaires:
+        block = questionnaire.block
         winners = progress.winners.get((block.task.name, block.number))
         chosen = {} if winners is None else weights(winners)
         yield {
@@ -150,16 +153,16 @@ def _questionnaires(progress: Progress) -> Iterator[dict[str, Any]]:
             "task": block.task.name,
             "retargeter": block.condition.name,
             "block": block.number,
-            "point": asked.point,
-            **{name: asked.ratings[name] for name in SCALE_NAMES},
+            "point": questionnaire.point,
+            **{name: questionnaire.ratings[name] for name in SCALE_NAMES},
             **{
                 column: chosen.get(name)
                 for column, name in zip(WEIGHT_COLUMNS, SCALE_NAMES, strict=True)
             },
-            "raw_workload": raw_workload(asked.ratings),
-            "weighted_workload": winners and weighted_workload(asked.ratings, winners),
-            "answered_at": asked.at.isoformat(),
-            "typed_by": asked.who or None,
+            "raw_workload": raw_workload(questionnaire.ratings),
+            "weighted_workload": winners and weighted_workload(questionnaire.ratings, winners),
+            "answered_at": questionnaire.at.isoformat(),
+            "typed_by": questionnaire.who or None,
         }
 
 
@@ -195,3 +198,102 @@ def _remove(path: Path) -> None:
         path.unlink(missing_ok=True)
     except OSError as error:
         raise OutputError(f"can't remove the {path.name} of an earlier export: {error}") from error
+
+
+def operator_json(progress: Progress) -> dict[str, Any]:
+    """The entry as plain values."""
+    left = progress.withdrawn
+    return {
+        "operator": progress.operator,
+        "done": progress.step.what == "done",
+        "withdrawn": left and {"at": left.at.isoformat(), "keep": left.keep, "reason": left.reason},
+        "replaces": progress.replaces or None,
+        "forms": {
+            name: {
+                "at": at.isoformat(),
+                "answers": answers,
+                "typed_by": progress.typed.get(name),
+            }
+            for name, (at, answers) in progress.forms.items()
+        },
+        "forms_on_paper": {
+            name: {"at": at.isoformat(), "who": who}
+            for name, (at, who) in progress.on_paper.items()
+        },
+        "ranking": list(progress.ranking()),
+        "notes": [{"at": at.isoformat(), "text": text} for at, text in progress.notes],
+        "breaks": [
+            {"started_at": start.isoformat(), "ended_at": end and end.isoformat()}
+            for start, end in progress.breaks
+        ],
+        "recalibrations": [
+            {"at": at.isoformat(), "task": task, "detail": detail}
+            for at, task, detail in progress.recalibrations
+        ],
+        **_irregular(progress),
+        "events": [
+            {
+                "number": record.number,
+                "at": record.at.isoformat(),
+                "author": record.author,
+                "kind": record.event.kind,
+                "fields": payload(record.event),
+            }
+            for record in progress.records
+        ],
+    }
+
+
+def _irregular(progress: Progress) -> dict[str, Any]:
+    conditions = {(b.task.name, b.number): b.condition.name for b in progress.blocks}
+    return {
+        "voided": [
+            {**_place(trial), "reason": trial.void}
+            for trial in progress.trials
+            if trial.void is not None
+        ],
+        "pauses": [
+            {**_place(trial), "at": at.isoformat(), "length_s": length, "reason": reason}
+            for trial in progress.trials
+            for at, length, reason in trial.pauses
+        ],
+        "ended_early": [
+            {
+                "task": task,
+                "retargeter": conditions[task, block],
+                "block": block,
+                "at": at.isoformat(),
+                "reason": reason,
+            }
+            for (task, block), (at, reason) in progress.ended_early.items()
+        ],
+        "amendments": [
+            {
+                "at": one.at.isoformat(),
+                "task": one.block.task.name,
+                "retargeter": one.block.condition.name,
+                "block": one.block.number,
+                "trial_in_block": one.trial,
+                "before": _scoring(one.before),
+                "after": _scoring(one.after),
+                "reason": one.reason,
+                "who": one.who,
+            }
+            for one in progress.amendments
+        ],
+        "undone": dict(progress.undone()),
+    }
+
+
+def _place(trial: Trial) -> dict[str, Any]:
+    return {
+        "task": trial.block.task.name,
+        "retargeter": trial.block.condition.name,
+        "block": trial.block.number,
+        "trial_in_block": trial.number,
+    }
+
+
+def _scoring(scoring: tuple[str, float, float]) -> dict[str, Any]:
+    line, score, seconds = scoring
+    return {"line": line, "score": score, "time_s": seconds}

@@ -1,4 +1,7 @@
-"""State of an operator in the protocol: what was done, and what is due."""
+"""The state of an operator in the protocol, which the events of the log change.
+
+It names no event: ``progress`` folds events into it.
+"""
 
 from __future__ import annotations
 
@@ -6,14 +9,15 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
-from typing import Any, Literal, TypeAlias
+from typing import Any, Final, Literal, TypeAlias
 
 from smooth_operator.errors import StudyError
 from smooth_operator.study.design.forms import Form, When
 from smooth_operator.study.design.plan import Block, Plan
 from smooth_operator.study.design.protocol import Point
-from smooth_operator.study.store.events import ASIDE, Record, Undone
 
+LEFT: Final = "the operator withdrew"
+"""Why a trial is void that ran as its operator withdrew."""
 What: TypeAlias = Literal[
     "form", "calibrate", "start_block", "start_familiarisation", "familiarise", "start_trial",
     "trial", "paused", "questionnaire", "weights", "break", "refused", "withdrawn", "done",
@@ -99,6 +103,11 @@ class Trial:
         """Whether its clock stands now."""
         return bool(self.pauses) and self.pauses[-1][1] is None
 
+    def end_pause(self, seconds: float) -> None:
+        """The clock of the trial goes on after so many seconds."""
+        start, _, reason = self.pauses[-1]
+        self.pauses = (*self.pauses[:-1], (start, seconds, reason))
+
     @property
     def counts(self) -> bool:
         """Whether it was scored and is not void."""
@@ -163,7 +172,6 @@ class OperatorState:
     Attributes:
         plan: of the study.
         operator: pseudonym.
-        records: all of the log, undone ones included.
         trials: begun ones, void ones included.
         questionnaires: answered ones.
         winners: (task, block) -> choices from the fifteen pairs.
@@ -177,11 +185,16 @@ class OperatorState:
         forms: name -> when, and answers.
         typed: forms that somebody typed in for the operator -> who.
         on_paper: forms on paper that were not typed in yet -> when and who has them.
+        scored: (task, block) -> number of scored trials.
+        answered: (task, block, point) of answered questionnaires.
+        calibrated: tasks that the tracker was calibrated for.
+        started: (task, block) -> method and preset that the hand said it ran.
+        moving: when free movement began, and the clock then; None where none is on.
+        moved: (task, block) whose free movement is over.
     """
 
     plan: Plan
     operator: str
-    records: list[Record] = field(default_factory=list)
     trials: list[Trial] = field(default_factory=list)
     questionnaires: list[Questionnaire] = field(default_factory=list)
     winners: dict[tuple[str, int], tuple[str, ...]] = field(default_factory=dict)
@@ -195,21 +208,15 @@ class OperatorState:
     forms: dict[str, tuple[datetime, dict[str, Any]]] = field(default_factory=dict)
     typed: dict[str, str] = field(default_factory=dict)
     on_paper: dict[str, tuple[datetime, str]] = field(default_factory=dict)
-    _effective: list[Record] = field(default_factory=list)
-    _scored: Counter[tuple[str, int]] = field(default_factory=Counter)
-    _answered: set[tuple[str, int, Point]] = field(default_factory=set)
-    _calibrated: set[str] = field(default_factory=set)
-    _started: dict[tuple[str, int], tuple[str, str]] = field(default_factory=dict)
-    _moving: tuple[datetime, str] | None = None
-    _moved: set[tuple[str, int]] = field(default_factory=set)
+    scored: Counter[tuple[str, int]] = field(default_factory=Counter)
+    answered: set[tuple[str, int, Point]] = field(default_factory=set)
+    calibrated: set[str] = field(default_factory=set)
+    started: dict[tuple[str, int], tuple[str, str]] = field(default_factory=dict)
+    moving: tuple[datetime, str] | None = None
+    moved: set[tuple[str, int]] = field(default_factory=set)
 
     def __post_init__(self) -> None:
         self.blocks = self.plan.blocks(self.operator)
-
-    @property
-    def number(self) -> int:
-        """Of the last event; 0 before the first."""
-        return len(self.records)
 
     @property
     def step(self) -> Step:
@@ -224,13 +231,13 @@ class OperatorState:
         if block is None:
             return self._form_step("after") or Step("done")
         key = (block.task.name, block.number)
-        if block.task.name not in self._calibrated:
+        if block.task.name not in self.calibrated:
             return Step("calibrate", block)
-        if key not in self._started:
+        if key not in self.started:
             return Step("start_block", block)
-        if key not in self._moved and self.plan.protocol.familiarisation_s > 0:
-            if self._moving is not None:
-                since, clock = self._moving
+        if key not in self.moved and self.plan.protocol.familiarisation_s > 0:
+            if self.moving is not None:
+                since, clock = self.moving
                 return Step("familiarise", block, since=since, clock=clock)
             return Step("start_familiarisation", block)
         if (running := self.running) is not None:
@@ -239,9 +246,9 @@ class OperatorState:
                 return Step("paused", block, running.number, since=since, clock=clock)
             since, clock = running.started, running.clock
             return Step("trial", block, running.number, since=since, clock=clock)
-        done = self._scored[key]
+        done = self.scored[key]
         point = block.questionnaires.get(done)
-        if point is not None and (*key, point) not in self._answered:
+        if point is not None and (*key, point) not in self.answered:
             return Step("questionnaire", block, done, point)
         if done == block.task.trials:
             return Step("weights", block, done)
@@ -251,7 +258,7 @@ class OperatorState:
     def begun(self) -> Block | None:
         """The block that is on and was begun: its condition is what the hand should run."""
         block = None if self.withdrawn else self._block()
-        return block if block and (block.task.name, block.number) in self._started else None
+        return block if block and (block.task.name, block.number) in self.started else None
 
     @property
     def begun_with(self) -> tuple[str, str | None] | None:
@@ -260,7 +267,7 @@ class OperatorState:
         None where no block is on, or nothing was heard then.
         """
         block = self.begun
-        method, preset = self._started[block.task.name, block.number] if block else ("", "")
+        method, preset = self.started[block.task.name, block.number] if block else ("", "")
         return (method, preset or None) if method else None
 
     @property
@@ -278,26 +285,6 @@ class OperatorState:
     def over(self) -> bool:
         """Whether nothing is due any more."""
         return self.step.what in ("done", "withdrawn")
-
-    @property
-    def undoable(self) -> Record | None:
-        """What ``Undone`` would take back now: the last event that counts, asides left out."""
-        for record in reversed(self._effective):
-            if not isinstance(record.event, ASIDE):
-                return record
-        return None
-
-    def undone(self) -> Counter[str]:
-        """Condition -> how many events of its blocks were undone."""
-        conditions = {(b.task.name, b.number): b.condition.name for b in self.blocks}
-        found: Counter[str] = Counter()
-        for record in self.records:
-            if isinstance(record.event, Undone):
-                event = self.records[record.event.number - 1].event
-                key = (getattr(event, "task", ""), getattr(event, "block", 0))
-                if key in conditions:
-                    found[conditions[key]] += 1
-        return found
 
     def ranking(self) -> tuple[str, ...]:
         """Conditions as the operator ranked them, from the best on; empty if not asked."""
@@ -359,7 +346,7 @@ class OperatorState:
             form.name in {**self.forms, **self.on_paper}
             or self.withdrawn is not None
             or self.step.form == form.name
-            or (form.when == "before" and bool(self._started))
+            or (form.when == "before" and bool(self.started))
         )
 
     def finished(self, block: Block) -> bool:
@@ -367,19 +354,73 @@ class OperatorState:
         key = (block.task.name, block.number)
         if key in self.ended_early:
             return True
-        if self._scored[key] < block.task.trials:
+        if self.scored[key] < block.task.trials:
             return False
-        if any((*key, point) not in self._answered for point in block.questionnaires.values()):
+        if any((*key, point) not in self.answered for point in block.questionnaires.values()):
             return False
         unweighed = self.plan.protocol.weights and block.questionnaires
         return not unweighed or key in self.winners
 
+    # Changes by events.
+
+    def begin_trial(self, number: int, at: datetime, clock: str) -> None:
+        """A trial of the block that is on begins."""
+        self.trials.append(Trial(self._on(), number, at, clock=clock))
+
+    def answer(self, point: Point, at: datetime, ratings: Mapping[str, int], who: str) -> None:
+        """A questionnaire of the block that is on was filled in."""
+        self.questionnaires.append(Questionnaire(self._on(), point, at, dict(ratings), who))
+
+    def amend_trial(self, number: int, at: datetime, event: Amended) -> None:
+        """A scored trial gets another line, score and time."""
+        trial = self.scored_trial(event.task, event.block, event.trial)
+        assert trial.line is not None
+        assert trial.score is not None
+        assert trial.time_s is not None
+        before = (trial.line, trial.score, trial.time_s)
+        after = (event.line, event.score, event.time_s)
+        self.amendments.append(
+            Amendment(number, at, trial.block, event.trial, before, after, event.reason, event.who)
+        )
+        trial.line, trial.score, trial.time_s = after
+        trial.amended = True
+
+    def void_trial(self, reason: str, at: datetime) -> None:
+        """The last trial doesn't count; a pause of it is over."""
+        trial = self.trials[-1]
+        trial.void = reason
+        if trial.paused:
+            trial.end_pause(max(0.0, (at - trial.pauses[-1][0]).total_seconds()))
+
+    def end_break(self, at: datetime) -> None:
+        """The break that is on is over."""
+        self.breaks[-1] = (self.breaks[-1][0], at)
+
+    def withdraw(self, at: datetime, event: Withdrawn) -> None:
+        """The operator leaves; whatever was on ends with it."""
+        if self.running is not None:
+            self.void_trial(LEFT, at)
+        if self.breaks and self.breaks[-1][1] is None:
+            self.end_break(at)
+        self.moving = None
+        self.withdrawn = Withdrawal(at, event.keep, event.reason)
+
+    def _on(self) -> Block:
+        block = self._block()
+        assert block is not None
+        return block
+
     def _form_step(self, when: When) -> Step | None:
         for form in self.plan.protocol.forms:
-            known = self.forms.get(form.name)
-            if form.when == "before" and when == "before" and known and form.refused(known[1]):
+            answered = self.forms.get(form.name)
+            if (
+                form.when == "before"
+                and when == "before"
+                and answered
+                and form.refused(answered[1])
+            ):
                 return Step("refused", form=form.name)
-        if when == "before" and self._started:
+        if when == "before" and self.started:
             return None  # the plan may have gained a form since
         due = self.due_form(when)
         return None if due is None else Step("form", form=due.name)

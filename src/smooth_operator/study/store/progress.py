@@ -6,54 +6,76 @@ was undone is left out, and the rest folded again.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from typing import Any, Final
 
 from smooth_operator.errors import StudyError
 from smooth_operator.study.design.plan import Block, Plan
-from smooth_operator.study.store.event_rules import check_event
 from smooth_operator.study.store.events import (
+    ASIDE,
     Amended,
-    Answered,
     BlockEnded,
-    BlockStarted,
     BreakEnded,
     BreakStarted,
-    Calibrated,
     Event,
-    FamiliarisationEnded,
-    FamiliarisationStarted,
     FormAnswered,
     FormOnPaper,
-    Noted,
     Recalibrated,
     Record,
     Replaces,
-    TrialPaused,
     TrialReset,
-    TrialResumed,
     TrialScored,
-    TrialStarted,
-    TrialVoided,
     Undone,
-    Weighed,
     Withdrawn,
-)
+)  # fmt: skip
 from smooth_operator.study.store.operator_state import (
-    Amendment,
     OperatorState,
-    Questionnaire,
-    Trial,
-    Withdrawal,
+    Step,
 )
-from smooth_operator.study.store.operator_state import Step as Step
 
-LEFT = "the operator withdrew"
-"""Why a trial is void that ran as its operator withdrew."""
+_UNBROKEN: Final = ("break", "trial", "paused", "familiarise", "refused", "withdrawn", "done")
+"""Steps in which no break can begin."""
+_UNCALIBRATED: Final = ("form", "calibrate", "trial", "paused", "refused", "withdrawn", "done")
+"""Steps in which nothing can be calibrated once more."""
 
 
+@dataclass
 class Progress(OperatorState):
-    """An operator's part of the study so far, which grows with each event."""
+    """An operator's part of the study so far, which grows with each event.
+
+    Attributes:
+        records: all of the log, undone ones included.
+    """
+
+    records: list[Record] = field(default_factory=list)
+    _effective: list[Record] = field(default_factory=list)
+
+    @property
+    def number(self) -> int:
+        """Of the last event; 0 before the first."""
+        return len(self.records)
+
+    @property
+    def undoable(self) -> Record | None:
+        """What ``Undone`` would take back now: the last event that counts, asides left out."""
+        for record in reversed(self._effective):
+            if not isinstance(record.event, ASIDE):
+                return record
+        return None
+
+    def undone(self) -> Counter[str]:
+        """Condition -> how many events of its blocks were undone."""
+        conditions = {(b.task.name, b.number): b.condition.name for b in self.blocks}
+        counts: Counter[str] = Counter()
+        for record in self.records:
+            if isinstance(record.event, Undone):
+                event = self.records[record.event.number - 1].event
+                key = (getattr(event, "task", ""), getattr(event, "block", 0))
+                if key in conditions:
+                    counts[conditions[key]] += 1
+        return counts
 
     def copy(self) -> Progress:
         """The same, which later events of this one don't change."""
@@ -92,117 +114,14 @@ class Progress(OperatorState):
 
     def _take(self, record: Record) -> None:
         self._effective.append(record)
-        event, at = record.event, record.at
-        match event:
-            case Noted():
-                self.notes.append((at, event.text))
-            case BreakStarted():
-                self.breaks.append((at, None))
-            case BreakEnded():
-                self.breaks[-1] = (self.breaks[-1][0], at)
-            case Calibrated():
-                self._calibrated.add(event.task)
-            case Recalibrated():
-                self.recalibrations.append((at, event.task, event.detail))
-            case BlockStarted():
-                self._started[event.task, event.block] = (event.method, event.preset)
-            case BlockEnded():
-                self.ended_early[event.task, event.block] = (at, event.reason)
-            case FamiliarisationStarted():
-                self._moving = (at, event.clock)
-            case FamiliarisationEnded():
-                self._moving = None
-                self._moved.add((event.task, event.block))
-            case Answered():
-                self.questionnaires.append(
-                    Questionnaire(self._on(), event.point, at, dict(event.ratings), event.who)
-                )
-                self._answered.add((event.task, event.block, event.point))
-            case Weighed():
-                self.winners[event.task, event.block] = event.winners
-            case FormAnswered():
-                self.forms[event.form] = (at, dict(event.answers))
-                self.on_paper.pop(event.form, None)
-                self.typed.pop(event.form, None)
-                if event.who:
-                    self.typed[event.form] = event.who
-            case FormOnPaper():
-                self.on_paper[event.form] = (at, event.who)
-            case Replaces():
-                self.replaces = event.operator
-            case Withdrawn():
-                self._withdraw(record, event)
-            case _:
-                self._take_of_trial(record)
-
-    def _take_of_trial(self, record: Record) -> None:
-        event, at = record.event, record.at
-        match event:
-            case TrialStarted():
-                self.trials.append(Trial(self._on(), event.trial, at, clock=event.clock))
-            case TrialReset():
-                self.trials[-1].resets += 1
-            case TrialPaused():
-                last = self.trials[-1]
-                last.pauses += ((at, None, event.reason),)
-                last.paused_clock = event.clock
-            case TrialResumed():
-                last = self.trials[-1]
-                start, _, reason = last.pauses[-1]
-                last.pauses = (*last.pauses[:-1], (start, event.paused_s, reason))
-            case TrialScored():
-                last = self.trials[-1]
-                last.line, last.score, last.time_s = event.line, event.score, event.time_s
-                last.proposed_line = event.proposed_line
-                last.proposed_score = event.proposed_score
-                self._scored[event.task, event.block] += 1
-            case TrialVoided():
-                self._void(event.reason, record)
-            case Amended():
-                self._amend(record, event)
-
-    def _amend(self, record: Record, event: Amended) -> None:
-        trial = self.scored_trial(event.task, event.block, event.trial)
-        assert trial.line is not None
-        assert trial.score is not None
-        assert trial.time_s is not None
-        before = (trial.line, trial.score, trial.time_s)
-        after = (event.line, event.score, event.time_s)
-        self.amendments.append(
-            Amendment(record.number, record.at, trial.block, event.trial, before, after,
-                      event.reason, event.who)
-        )  # fmt: skip
-        trial.line, trial.score, trial.time_s = after
-        trial.amended = True
-
-    def _withdraw(self, record: Record, event: Withdrawn) -> None:
-        """Whatever was on ends with it."""
-        if self.running is not None:
-            self._void(LEFT, record)
-        if self.breaks and self.breaks[-1][1] is None:
-            self.breaks[-1] = (self.breaks[-1][0], record.at)
-        self._moving = None
-        self.withdrawn = Withdrawal(record.at, event.keep, event.reason)
-
-    def _void(self, reason: str, record: Record) -> None:
-        last = self.trials[-1]
-        last.void = reason
-        if last.paused:
-            start, _, why = last.pauses[-1]
-            length = max(0.0, (record.at - start).total_seconds())
-            last.pauses = (*last.pauses[:-1], (start, length, why))
-
-    def _on(self) -> Block:
-        block = self._block()
-        assert block is not None
-        return block
+        record.event.fold(self, record)
 
     def _undo(self, number: int) -> None:
         left_out = next(r for r in self._effective if r.number == number)
-        kept = [record for record in self._effective if record.number != number]
+        remaining = [record for record in self._effective if record.number != number]
         records = self.records
         fresh = Progress(self.plan, self.operator)
-        for record in kept:
+        for record in remaining:
             fresh._take(record)
         self.__dict__.update(fresh.__dict__)
         self.records = records
@@ -220,3 +139,128 @@ def replay(plan: Plan, operator: str, records: Iterable[Record]) -> Progress:
     for record in records:
         progress.apply(record)
     return progress
+
+
+def check_event(state: Progress, event: Event) -> None:
+    """Refuses an event that is not due; changes nothing.
+
+    Raises:
+        StudyError: it is not its turn; says what is.
+    """
+    step = state.step
+    match event:
+        case Replaces():
+            if state.records:
+                raise _refusal(state, "has begun already, and can't replace anybody")
+            return
+        case _ if isinstance(event, ASIDE):
+            return
+        case Undone():
+            due = state.undoable
+            if due is None or due.number != event.number:
+                what = "nothing" if due is None else f"event {due.number} ({due.event.kind})"
+                raise _refusal(state, f"event {event.number} can't be undone; {what} can")
+        case Amended():
+            _check_amendment(state, event)
+        case Withdrawn():
+            if state.withdrawn is not None:
+                raise _refusal(state, "has withdrawn already")
+        case FormAnswered() if event.who:
+            _check_typed(state, event)
+        case BreakStarted():
+            if step.what in _UNBROKEN:
+                raise _refusal(state, f"no break can begin: {named(step)} is on")
+        case Recalibrated():
+            if step.what in _UNCALIBRATED:
+                raise _refusal(state, f"nothing can be calibrated now: {named(step)} is on")
+            if step.block is not None:
+                _check_place(state, event, step, step.block)
+        case _:
+            _check_due(state, event, step)
+
+
+def _check_due(state: Progress, event: Event, step: Step) -> None:
+    if step.what not in event.due:
+        more = "; score or void its trial first" if isinstance(event, BlockEnded) else ""
+        raise _refusal(state, f"{event.kind!r} is not due; {named(step)} is{more}")
+    if isinstance(event, FormAnswered | FormOnPaper):
+        form = next(f for f in state.plan.protocol.forms if f.name == step.form)
+        if event.form != form.name:
+            raise _refusal(state, f"form {event.form!r} is not due; {form.name!r} is")
+        if isinstance(event, FormAnswered):
+            form.check(event.answers, state.ranked_labels())
+        elif not event.who.strip():
+            raise _refusal(state, "who has the form on paper is missing; give initials")
+    elif not isinstance(event, BreakEnded) and step.block is not None:
+        _check_place(state, event, step, step.block)
+
+
+def _check_typed(state: Progress, event: FormAnswered) -> None:
+    """Refuses a form that an experimenter types in where that can't be."""
+    form = next((f for f in state.plan.protocol.forms if f.name == event.form), None)
+    if form is None or not state.can_type(form):
+        reason = "the study has no such form" if form is None else "it is not due yet"
+        raise _refusal(state, f"form {event.form!r} can't be typed in: {reason}")
+    if form.name in state.forms and not event.reason.strip():
+        raise _refusal(
+            state, f"form {form.name!r} is filled in already; state why it is to be replaced"
+        )
+    form.check(event.answers, state.ranked_labels())
+    if state.trials and form.when == "before" and form.refused(event.answers):
+        raise _refusal(
+            state, "a consent can't be refused once trials were done; withdraw the operator"
+        )
+
+
+def _check_place(state: Progress, event: Any, step: Step, block: Block) -> None:
+    places = {
+        "task": block.task.name,
+        "block": block.number,
+        "condition": block.condition.name,
+        "trial": step.trial,
+        "point": step.point,
+    }
+    for name, due in places.items():
+        came = getattr(event, name, due)
+        if came != due:
+            raise _refusal(
+                state,
+                f"{event.kind!r} is for {name} {came!r}, but {name} {due!r} is on; reload the "
+                "page if it was left open",
+            )
+    if isinstance(event, TrialReset):
+        allowed, trial = state.plan.protocol.resets, state.running
+        if trial is not None and trial.resets >= allowed:
+            raise _refusal(state, f"a trial may have {allowed} reset(s), and this one had them")
+    if isinstance(event, TrialScored) and event.score != (due := state.capped(event.line)):
+        raise _refusal(
+            state,
+            f"line {event.line!r} of the rubric scores {due:g} in this trial, not {event.score:g}",
+        )
+    if isinstance(event, BlockEnded) and not event.reason.strip():
+        raise _refusal(state, "a block is ended early for a reason; state it")
+
+
+def _check_amendment(state: Progress, event: Amended) -> None:
+    trial = state.scored_trial(event.task, event.block, event.trial)
+    if not event.reason.strip():
+        raise _refusal(state, "a trial is amended for a reason; state it")
+    if event.score != (due := state.capped(event.line, trial)):
+        raise _refusal(
+            state,
+            f"line {event.line!r} of the rubric scores {due:g} in this trial, not {event.score:g}",
+        )
+    if (event.line, event.time_s) == (trial.line, trial.time_s):
+        raise _refusal(state, f"trial {event.trial} has that line and time already")
+
+
+def _refusal(state: Progress, text: str) -> StudyError:
+    return StudyError(f"operator {state.operator}: {text}")
+
+
+def named(step: Step) -> str:
+    """A step in a message."""
+    where = "" if step.block is None else f" in block {step.block.number} of {step.block.task.name}"
+    trial = "" if step.trial is None else f" {step.trial}"
+    form = "" if step.form is None else f" {step.form!r}"
+    return f"{step.what.replace('_', ' ')}{form}{trial}{where}"

@@ -7,19 +7,18 @@ write to one store; those about the same operator take turns, each decides on wh
 from __future__ import annotations
 
 import json
-import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Any, Final
+from pathlib import Path
+from sqlite3 import Connection, Row
+from typing import Final
 
-from smooth_operator.errors import StudyError
+from smooth_operator.errors import StudyError, UnknownNameError
 from smooth_operator.study.design.plan import Plan
 from smooth_operator.study.design.plan_file import plan_of, plan_table
 from smooth_operator.study.store.clock import Clock
-from smooth_operator.study.store.database_access import DatabaseAccess
-from smooth_operator.study.store.database_tables import stored
-from smooth_operator.study.store.event_fields import event_of, payload
+from smooth_operator.study.store.database import Database, stored
 from smooth_operator.study.store.events import (
     Event,
     FamiliarisationStarted,
@@ -30,53 +29,104 @@ from smooth_operator.study.store.events import (
     TrialStarted,
     Undone,
     Withdrawn,
+    event_of,
+    payload,
 )
 from smooth_operator.study.store.progress import Progress
-from smooth_operator.study.store.revisions import check_revision, refuse_erased
-
-if TYPE_CHECKING:
-    from sqlalchemy import Connection, Engine
 
 AUTHORS: Final = ("experimenter", "operator", "system")
 """Who may have caused an event."""
 
 
-class StudyStore(DatabaseAccess):
-    """One study in a database.
+FORMAT: Final = 1
+"""Version of what is stored; a store of a newer one is refused."""
+_OF_OPERATOR: Final = "WHERE study_id = ? AND operator = ?"
 
-    Made by ``open_study``. All methods may be called from
-    any thread.
+
+def open_study(
+    target: str | Path, plan: Plan | None = None, *, name: str | None = None
+) -> StudyStore:
+    """Opens the store of a study; makes it if a plan is given.
+
+    Args:
+        target: folder of the study, or its SQLite file.
+        plan: plan of the study; operators that it newly enrols are taken over. None for the stored
+            one.
+        name: name of the study, where a file holds several and no plan is given.
+
+    Raises:
+        StudyError: it can't be opened, holds no such study, or that with another protocol.
+        UnknownNameError: it holds no study of that name.
     """
+    database = Database(target)
+    try:
+        name, study_id = _find(database, plan, plan.protocol.name if plan is not None else name)
+        store = StudyStore(database, study_id, name)
+        if plan is not None:
+            store.revise(plan)
+        return store
+    except BaseException:
+        database.close()
+        raise
 
-    def __init__(self, engine: Engine, study_id: int, name: str) -> None:
-        super().__init__(engine)
+
+def _find(database: Database, plan: Plan | None, name: str | None) -> tuple[str, int]:
+    with database.reading() if plan is None else database.writing() as connection:
+        rows = {row["name"]: row for row in connection.execute("SELECT * FROM studies")}
+        if name is None:
+            if len(rows) != 1:
+                held = ", ".join(sorted(rows)) or "none"
+                raise StudyError(f"the store holds these studies: {held}; say which, by its name")
+            name = next(iter(rows))
+        if name in rows:
+            if rows[name]["format"] != FORMAT:
+                raise StudyError(
+                    f"study {name!r} is stored in format {rows[name]['format']}, this program "
+                    f"reads {FORMAT}: update it"
+                )
+            return name, int(rows[name]["id"])
+        if plan is None:
+            raise UnknownNameError("study", name, rows)
+        cursor = connection.execute(
+            "INSERT INTO studies (name, format, created_at) VALUES (?, ?, ?)", (name, FORMAT, now())
+        )
+        study_id = int(cursor.lastrowid or 0)
+        _insert_plan(connection, study_id, plan)
+        return name, study_id
+
+
+class StudyStore:
+    """One study in a file; made by ``open_study``. All methods may be called from any thread."""
+
+    def __init__(self, database: Database, study_id: int, name: str) -> None:
+        self._database = database
         self._id = study_id
         self._progress: dict[str, Progress] = {}
         self._newest: tuple[int, Plan] | None = None
-        self._lock = threading.RLock()
         self.name = name
         """Of the study."""
         self.clock = Clock()
         """What moments and durations are taken from."""
 
+    def close(self) -> None:
+        """Closes the file."""
+        self._database.close()
+
     @property
     def plan(self) -> Plan:
         """The plan as it is now."""
-        with self._reading() as connection:
+        with self._database.reading() as connection:
             return self._plan(connection)
 
     @property
     def erased(self) -> tuple[str, ...]:
         """Operators whose data was deleted; their codes are not used again."""
-        people = self._tables["participants"].c
-        with self._reading() as connection:
-            query = (
-                self._tables["participants"]
-                .select()
-                .where(people.study_id == self._id, people.erased_at.is_not(None))
-                .order_by(people.operator)
-            )
-            return tuple(row.operator for row in connection.execute(query))
+        query = (
+            "SELECT operator FROM participants WHERE study_id = ? AND erased_at IS NOT NULL "
+            "ORDER BY operator"
+        )
+        with self._database.reading() as connection:
+            return tuple(row["operator"] for row in connection.execute(query, (self._id,)))
 
     def absent(self) -> tuple[str, ...]:
         """Operators who withdrew, whose data is left out, and whom nobody has replaced."""
@@ -117,10 +167,10 @@ class StudyStore(DatabaseAccess):
         if author not in AUTHORS:
             raise StudyError(f"an author is one of {', '.join(AUTHORS)}, not {author!r}")
         event = event_of(event.kind, payload(event))  # as strict as reading it back will be
-        with self._lock, self._writing() as connection:
+        with self._database.writing() as connection:
             self._take_turn(connection, operator)
-            if token is not None and (known := self._by_token(connection, token)) is not None:
-                whose, record = known
+            if token is not None and (written := self._by_token(connection, token)) is not None:
+                whose, record = written
                 if whose != operator or record.event != event:
                     raise StudyError(f"token {token!r} belongs to another event already")
                 return record
@@ -156,10 +206,10 @@ class StudyStore(DatabaseAccess):
             StudyError: the one has not withdrawn, or is replaced already, or the other is enrolled.
             UnknownNameError: nobody of the first code takes part.
         """
-        with self._lock, self._writing() as connection:
+        with self._database.writing() as connection:
             self._take_turn(connection, withdrawn)
-            if token is not None and (known := self._by_token(connection, token)) is not None:
-                return known[1]
+            if token is not None and (written := self._by_token(connection, token)) is not None:
+                return written[1]
             progress = self._caught_up(connection, withdrawn)
             if progress.withdrawn is None:
                 raise StudyError(f"operator {withdrawn} has not withdrawn; nobody can replace them")
@@ -167,7 +217,7 @@ class StudyStore(DatabaseAccess):
             before = self._plan(connection)
             if by in (*before.codes, *self.erased):
                 raise StudyError(f"{by} is or was an operator already; a new one needs a new code")
-            self._write_plan(connection, before.replace_operator(withdrawn, by))
+            _insert_plan(connection, self._id, before.replace_operator(withdrawn, by))
             self._take_turn(connection, by)
             record = Record(1, self.clock.now(), author, Replaces(withdrawn))
             self._insert(connection, by, record, token)
@@ -175,7 +225,7 @@ class StudyStore(DatabaseAccess):
 
     def recorded(self, token: str) -> tuple[str, Record] | None:
         """The operator and the event that a token was written with; None if none was."""
-        with self._reading() as connection:
+        with self._database.reading() as connection:
             return self._by_token(connection, token)
 
     def newest(self) -> tuple[int, dict[str, int]]:
@@ -184,18 +234,11 @@ class StudyStore(DatabaseAccess):
         Returns:
             Which version of the plan is the newest, and operator -> number of events.
         """
-        from sqlalchemy import func, select
-
-        events, plans = self._tables["events"].c, self._tables["plans"].c
-        counts = (
-            select(events.operator, func.count())
-            .where(events.study_id == self._id)
-            .group_by(events.operator)
-        )
-        plan = select(func.max(plans.id)).where(plans.study_id == self._id)
-        with self._reading() as connection:
-            found = {str(operator): int(count) for operator, count in connection.execute(counts)}
-            return int(connection.execute(plan).scalar_one()), found
+        counts = "SELECT operator, count(*) FROM events WHERE study_id = ? GROUP BY operator"
+        newest = "SELECT max(id) FROM plans WHERE study_id = ?"
+        with self._database.reading() as connection:
+            events = {str(who): int(n) for who, n in connection.execute(counts, (self._id,))}
+            return int(connection.execute(newest, (self._id,)).fetchone()[0]), events
 
     def progress(self, operator: str) -> Progress:
         """Where an operator is.
@@ -207,13 +250,13 @@ class StudyStore(DatabaseAccess):
             UnknownNameError: no such operator takes part.
             StudyError: the data was deleted.
         """
-        with self._lock, self._reading() as connection:
+        with self._database.reading() as connection:
             self._check_not_erased(connection, operator)
             return self._caught_up(connection, operator).copy()
 
     def records(self, operator: str) -> list[Record]:
         """All events of an operator, in their order; undone ones and undoings included."""
-        with self._reading() as connection:
+        with self._database.reading() as connection:
             return list(self._records(connection, operator, 0))
 
     def revise(self, plan: Plan) -> None:
@@ -223,19 +266,15 @@ class StudyStore(DatabaseAccess):
             StudyError: the rows of someone who has begun differ, or, once anyone has, protocol or
                 orders.
         """
-        with self._lock, self._writing() as connection:
-            if self._engine.dialect.name != "sqlite":
-                studies = self._tables["studies"]
-                connection.execute(
-                    studies.select().where(studies.c.id == self._id).with_for_update()
-                ).one()
+        with self._database.writing() as connection:
             before = self._plan(connection)
             if plan == before:
                 return
-            people = self._tables["participants"]
-            begun = connection.execute(people.select().where(people.c.study_id == self._id)).all()
-            check_revision(self.name, before, plan, begun)
-            self._write_plan(connection, plan)
+            begun = connection.execute(
+                "SELECT * FROM participants WHERE study_id = ?", (self._id,)
+            ).fetchall()
+            _check_revision(self.name, before, plan, begun)
+            _insert_plan(connection, self._id, plan)
 
     def erase(self, operator: str) -> int:
         """Deletes what is stored of an operator, for good; the code stays taken, and off the plan.
@@ -248,25 +287,18 @@ class StudyStore(DatabaseAccess):
         Raises:
             UnknownNameError: no such operator takes part.
         """
-        events, people = self._tables["events"], self._tables["participants"]
-        with self._lock:
-            with self._writing() as connection:
-                if operator not in self.erased:
-                    self._take_turn(connection, operator)
-                    connection.execute(
-                        people.update()
-                        .where(people.c.study_id == self._id, people.c.operator == operator)
-                        .values(erased_at=now().isoformat())
-                    )
-                    self._write_plan(connection, self._plan(connection).withdraw(operator))
-                gone = connection.execute(
-                    events.delete().where(
-                        events.c.study_id == self._id, events.c.operator == operator
-                    )
-                ).rowcount
-            if self._engine.dialect.name == "sqlite":
-                self._empty_write_ahead_log()
-            return gone
+        mine = (self._id, operator)
+        with self._database.writing() as connection:
+            if operator not in self.erased:
+                self._take_turn(connection, operator)
+                connection.execute(
+                    f"UPDATE participants SET erased_at = ? {_OF_OPERATOR}", (now(), *mine)
+                )
+                plan = self._plan(connection).withdraw(operator)
+                _insert_plan(connection, self._id, plan)
+            deleted = connection.execute(f"DELETE FROM events {_OF_OPERATOR}", mine).rowcount
+        self._database.empty_write_ahead_log()
+        return deleted
 
     def __enter__(self) -> StudyStore:
         return self
@@ -275,27 +307,24 @@ class StudyStore(DatabaseAccess):
         self.close()
 
     def _take_turn(self, connection: Connection, operator: str) -> None:
-        """Until the transaction ends, nobody else writes about this operator."""
-        people = self._tables["participants"]
-        mine = people.select().where(people.c.study_id == self._id, people.c.operator == operator)
-        if connection.execute(mine).first() is None:
+        """Notes that an operator takes part; refuses one whose data was deleted."""
+        if self._participant(connection, operator) is None:
             self._plan(connection).enrolment(operator)
-            values = {"study_id": self._id, "operator": operator, "created_at": now().isoformat()}
-            if self._engine.dialect.name == "postgresql":
-                from sqlalchemy.dialects.postgresql import insert
-
-                connection.execute(insert(people).values(values).on_conflict_do_nothing())
-            else:
-                connection.execute(people.insert().values(values))
-        connection.execute(mine.with_for_update()).one()  # SQLite has its turn already
+            connection.execute(
+                "INSERT INTO participants (study_id, operator, created_at) VALUES (?, ?, ?)",
+                (self._id, operator, now()),
+            )
         self._check_not_erased(connection, operator)
 
+    def _participant(self, connection: Connection, operator: str) -> Row | None:
+        query = f"SELECT * FROM participants {_OF_OPERATOR}"
+        row: Row | None = connection.execute(query, (self._id, operator)).fetchone()
+        return row
+
     def _check_not_erased(self, connection: Connection, operator: str) -> None:
-        people = self._tables["participants"]
-        row = connection.execute(
-            people.select().where(people.c.study_id == self._id, people.c.operator == operator)
-        ).first()
-        refuse_erased(row)
+        row = self._participant(connection, operator)
+        if row is not None:
+            _refuse_erased(row)
 
     def _caught_up(self, connection: Connection, operator: str) -> Progress:
         plan = self._plan(connection)  # a new one empties the cache
@@ -306,62 +335,41 @@ class StudyStore(DatabaseAccess):
         return progress
 
     def _records(self, connection: Connection, operator: str, after: int) -> Iterator[Record]:
-        events = self._tables["events"]
-        query = (
-            events.select()
-            .where(
-                events.c.study_id == self._id,
-                events.c.operator == operator,
-                events.c.number > after,
-            )
-            .order_by(events.c.number)
-        )
-        return map(record_of, connection.execute(query))
+        query = f"SELECT * FROM events {_OF_OPERATOR} AND number > ? ORDER BY number"
+        return map(record_of, connection.execute(query, (self._id, operator, after)))
 
     def _by_token(self, connection: Connection, token: str) -> tuple[str, Record] | None:
-        events = self._tables["events"]
-        row = connection.execute(
-            events.select().where(events.c.study_id == self._id, events.c.token == token)
-        ).first()
-        return None if row is None else (row.operator, record_of(row))
+        query = "SELECT * FROM events WHERE study_id = ? AND token = ?"
+        row = connection.execute(query, (self._id, token)).fetchone()
+        return None if row is None else (row["operator"], record_of(row))
 
     def _plan(self, connection: Connection) -> Plan:
-        plans = self._tables["plans"]
-        ordered = plans.select().where(plans.c.study_id == self._id).order_by(plans.c.id.desc())
-        newest = int(
-            connection.execute(ordered.with_only_columns(plans.c.id).limit(1)).scalar_one()
-        )
+        query = "SELECT max(id) FROM plans WHERE study_id = ?"
+        newest = int(connection.execute(query, (self._id,)).fetchone()[0])
         if self._newest is None or self._newest[0] != newest:
-            row = connection.execute(ordered.limit(1)).one()
+            row = connection.execute("SELECT plan FROM plans WHERE id = ?", (newest,)).fetchone()
             what = f"the stored plan of {self.name!r}"
-            plan = plan_of(stored(row.plan, what), what)
-            self._newest = (int(row.id), plan)
+            plan = plan_of(stored(row["plan"], what), what)
+            self._newest = (newest, plan)
             self._progress.clear()
         return self._newest[1]
-
-    def _write_plan(self, connection: Connection, plan: Plan) -> None:
-        connection.execute(
-            self._tables["plans"]
-            .insert()
-            .values(study_id=self._id, at=now().isoformat(), plan=json.dumps(plan_table(plan)))
-        )
 
     def _insert(
         self, connection: Connection, operator: str, record: Record, token: str | None
     ) -> None:
         connection.execute(
-            self._tables["events"]
-            .insert()
-            .values(
-                study_id=self._id,
-                operator=operator,
-                number=record.number,
-                kind=record.event.kind,
-                at=record.at.isoformat(),
-                author=record.author,
-                token=token,
-                payload=json.dumps(payload(record.event)),
-            )
+            "INSERT INTO events (study_id, operator, number, kind, at, author, token, payload) "
+            "VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
+            (
+                self._id,
+                operator,
+                record.number,
+                record.event.kind,
+                record.at.isoformat(),
+                record.author,
+                token,
+                json.dumps(payload(record.event)),
+            ),
         )
 
     def _check_row_is_free(
@@ -372,19 +380,70 @@ class StudyStore(DatabaseAccess):
             last = progress.undoable
             if last is None or last.number != undone or not isinstance(last.event, Withdrawn):
                 return
-        events = self._tables["events"]
-        query = events.select().where(events.c.study_id == self._id, events.c.kind == Replaces.kind)
-        for row in connection.execute(query):
+        query = "SELECT * FROM events WHERE study_id = ? AND kind = ?"
+        for row in connection.execute(query, (self._id, Replaces.kind)):
             if record_of(row).event == Replaces(operator):
-                raise StudyError(f"operator {row.operator} has replaced {operator} already")
+                raise StudyError(f"operator {row['operator']} has replaced {operator} already")
 
 
-def record_of(row: Any) -> Record:
+def record_of(row: Row) -> Record:
     """A line of the table of events."""
-    event = event_of(row.kind, stored(row.payload, f"the stored event {row.number}"))
-    return Record(int(row.number), datetime.fromisoformat(row.at), row.author, event)
+    event = event_of(row["kind"], stored(row["payload"], f"the stored event {row['number']}"))
+    return Record(int(row["number"]), datetime.fromisoformat(row["at"]), row["author"], event)
 
 
-def now() -> datetime:
-    """This moment, in UTC."""
-    return datetime.now(UTC)
+def now() -> str:
+    """This moment in UTC, as it is stored."""
+    return datetime.now(UTC).isoformat()
+
+
+def _insert_plan(connection: Connection, study_id: int, plan: Plan) -> None:
+    connection.execute(
+        "INSERT INTO plans (study_id, at, plan) VALUES (?, ?, ?)",
+        (study_id, now(), json.dumps(plan_table(plan))),
+    )
+
+
+def _check_revision(name: str, before: Plan, plan: Plan, begun: Sequence[Row]) -> None:
+    """Refuses a new plan that changes what somebody has begun with.
+
+    Args:
+        name: of the study.
+        before: the stored plan.
+        plan: the new one.
+        begun: rows of the table of participants.
+
+    Raises:
+        StudyError: it does.
+    """
+    if begun and (plan.protocol != before.protocol or plan.orders != before.orders):
+        raise StudyError(
+            f"study {name!r} is stored with another protocol or other orders; those of a "
+            "study don't change once someone has begun: make a new study, under another name"
+        )
+    for row in begun:
+        if row["erased_at"] is not None:
+            if row["operator"] in plan.codes:
+                _refuse_erased(row)
+            continue
+        was = before.enrolment(row["operator"])
+        now = {one.code: one for one in plan.enrolled}.get(row["operator"])
+        first_rows = None if now is None else dict(list(now.rows.items())[: len(was.rows)])
+        if first_rows is None or list(first_rows.items()) != list(was.rows.items()):
+            raise StudyError(
+                f"operator {row['operator']} has begun with {dict(was.rows)}; tasks can be added "
+                "at the end, not taken away or given another row"
+            )
+
+
+def _refuse_erased(row: Row) -> None:
+    """Raises for a participant whose data was deleted.
+
+    Raises:
+        StudyError: the data was.
+    """
+    if row["erased_at"] is not None:
+        raise StudyError(
+            f"the data of operator {row['operator']} was deleted on {row['erased_at'][:10]}; enrol "
+            "under another code"
+        )

@@ -63,7 +63,7 @@ class Clearance(mink.Limit):
 
     Args:
         arm: the arm; its base frame is the world.
-        model: of it, with a body ``FLANGE``.
+        model: model of the arm, with a body ``FLANGE``.
         hand: capsules of the hand; None for none.
         rest: (n,) pose in which nothing touches; pairs that overlap in it are left out [rad].
         table: height of the table [m]; None for none.
@@ -155,7 +155,7 @@ class Clearance(mink.Limit):
         line = other - one
         length = np.linalg.norm(line, axis=1)
         parts, no = np.full(len(first), self.config.parts), np.zeros(len(first), bool)
-        found = [(length - reach, parts, no, one, first, other, second,
+        parts_near = [(length - reach, parts, no, one, first, other, second,
                   line / np.maximum(length, _TINY)[:, None])]  # fmt: skip
         for (normal, offset), free in zip(self._planes, self._free, strict=True):
             along = half[free] @ normal
@@ -167,17 +167,17 @@ class Clearance(mink.Limit):
                 least = np.where(touches, self.config.fingers, self.config.table)
             none = np.zeros(len(free), int)  # the base, which nothing moves
             normals = np.tile(normal, (len(free), 1))
-            found.append((gap, least, touches, point, none, point, free, normals))
+            parts_near.append((gap, least, touches, point, none, point, free, normals))
         distance, least, may_touch, one, a, other, b, normal = (
-            np.concatenate(part) for part in zip(*found, strict=True)
+            np.concatenate(part) for part in zip(*parts_near, strict=True)
         )
         spare = distance - least
-        kept = np.flatnonzero(spare < self.config.seen)
-        if len(kept) > _ROWS:
-            kept = kept[np.argpartition(spare[kept], _ROWS)[:_ROWS]]
+        nearest = np.flatnonzero(spare < self.config.seen)
+        if len(nearest) > _ROWS:
+            nearest = nearest[np.argpartition(spare[nearest], _ROWS)[:_ROWS]]
         axis = data.xaxis[self._joint_ids]
         anchor = data.xanchor[self._joint_ids]
-        normal = normal[kept]
+        normal = normal[nearest]
 
         # n . (z x (p - o)) = z . (p x n) - n . (z x o), for joints with axes z through points o
         fixed = normal @ _cross(axis, anchor).T
@@ -186,9 +186,9 @@ class Clearance(mink.Limit):
             out: np.ndarray = (_cross(point, normal) @ axis.T - fixed) * self._moves[part]
             return out
 
-        slope = speed(other[kept], b[kept]) - speed(one[kept], a[kept])
+        slope = speed(other[nearest], b[nearest]) - speed(one[nearest], a[nearest])
         self.nearest = float(distance[~may_touch].min(initial=np.inf))
-        return spare[kept], slope, distance[kept]
+        return spare[nearest], slope, distance[nearest]
 
     def compute_qp_inequalities(
         self, configuration: mink.Configuration, dt: float

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import mink
@@ -11,13 +12,17 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError
+from smooth_operator.hands.hand import Hand
 from smooth_operator.simulation.arms.arm import ArmSpec
 from smooth_operator.simulation.arms.arm_model import FLANGE, arm_spec
+from smooth_operator.simulation.arms.carried import CarriedHand
 from smooth_operator.simulation.arms.hand_mount import HandMount
 from smooth_operator.simulation.arms.rigid import Matrix, angle_between, matrix_of, pose_of, rigid
 from smooth_operator.teleop.arm.clearance import Clearance, ClearanceConfig
+from smooth_operator.teleop.arm.settings import ArmSettings, place_arms
 from smooth_operator.teleop.runtime.limiter import MAX_STEP_S, JointLimiter
 from smooth_operator.teleop.sinks.tick import ArmCommand
+from smooth_operator.types import Side
 
 _WRIST: Final = "wrist"
 
@@ -193,13 +198,13 @@ class ArmController:
         if hand is not None and np.isfinite(hand).all():
             self._hand = hand
         dt = max(dt, 1e-4)
-        wanted = None if stop else _target(target)
-        state = "stopped" if stop else "holding" if wanted is None else "following"
-        if wanted is None:
+        goal = None if stop else _target(target)
+        state = "stopped" if stop else "holding" if goal is None else "following"
+        if goal is None:
             self.limiter.rest(dt)
             self._before = None
         else:
-            velocity, limited = self._solve(wanted, min(dt, MAX_STEP_S))
+            velocity, limited = self._solve(goal, min(dt, MAX_STEP_S))
             if velocity is None:
                 self.limiter.rest(dt)
             else:
@@ -208,10 +213,10 @@ class ArmController:
         self._configuration.update(self.limiter.q)
         now = self._wrist()
         apart = (float("nan"), float("nan"))
-        if wanted is not None:
+        if goal is not None:
             apart = (
-                float(np.linalg.norm(wanted[:3, 3] - now[:3, 3])),
-                angle_between(now, wanted),
+                float(np.linalg.norm(goal[:3, 3] - now[:3, 3])),
+                angle_between(now, goal),
             )
         return ArmCommand(
             self.arm.name,
@@ -224,11 +229,11 @@ class ArmController:
             state,
         )
 
-    def _solve(self, wanted: Matrix, dt: float) -> tuple[Float[np.ndarray, " n"] | None, str]:
+    def _solve(self, goal: Matrix, dt: float) -> tuple[Float[np.ndarray, " n"] | None, str]:
         """Joint velocities [rad/s], None where there are none; what limits them."""
         self._clearance.place_hand(*self._capsules.at(self._hand))
         now = self._wrist()
-        step = self._governed(now, wanted, dt)
+        step = self._governed(now, goal, dt)
         aim = now.copy()
         aim[:3, 3] += step[:3]
         aim[:3, :3] = _turned(step[3:], now[:3, :3])
@@ -252,7 +257,7 @@ class ArmController:
             return None, "braking"
         return velocity, ""
 
-    def _governed(self, now: Matrix, wanted: Matrix, dt: float) -> Float[np.ndarray, "6"]:
+    def _governed(self, now: Matrix, goal: Matrix, dt: float) -> Float[np.ndarray, "6"]:
         """How far to go in this step: translation [m] and rotation vector [rad], in the base frame.
 
         The target's own motion, and of the distance to it as much as lets the wrist come to rest
@@ -260,14 +265,14 @@ class ArmController:
         """
         config = self.config
         if self._before is not None:
-            moved = _difference(self._before, wanted) / dt
+            moved = _difference(self._before, goal) / dt
             if max(np.linalg.norm(moved[:3]), np.linalg.norm(moved[3:]) / 3.0) > _JUMP:
                 moved = np.zeros(6)
             self._twist = self._twist + (moved - self._twist) * min(1.0, dt / _SMOOTHING_S)
         else:
             self._twist = np.zeros(6)
-        self._before = wanted
-        error = _difference(now, wanted)
+        self._before = goal
+        error = _difference(now, goal)
         return np.concatenate(
             [
                 _approach(error[:3], self._twist[:3], dt, config.acceleration, config.speed),
@@ -346,9 +351,9 @@ def _approach(
     # the step itself, and braking after it, are not to go past a standing target
     late = acceleration * dt
     closing = min(np.sqrt(late**2 + 2.0 * acceleration * distance) - late, distance / dt)
-    wanted = moving + (error * (closing / distance) if distance > 1e-12 else 0.0)
-    fast = float(np.linalg.norm(wanted))
-    return np.asarray(wanted * (min(1.0, speed / fast) if fast > 0 else 1.0) * dt)
+    velocity = moving + (error * (closing / distance) if distance > 1e-12 else 0.0)
+    fast = float(np.linalg.norm(velocity))
+    return np.asarray(velocity * (min(1.0, speed / fast) if fast > 0 else 1.0) * dt)
 
 
 def _difference(one: Matrix, other: Matrix) -> Float[np.ndarray, "6"]:
@@ -377,3 +382,39 @@ def _quaternion_of(rotation: np.ndarray) -> np.ndarray:
     quaternion = np.zeros(4)
     mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(rotation).ravel())
     return quaternion
+
+
+@dataclass(frozen=True, eq=False)
+class ArmOfHand:
+    """An arm with its hand.
+
+    Attributes:
+        carried: what a simulation and a page build.
+        controller: what the loop asks.
+    """
+
+    carried: CarriedHand
+    controller: ArmController
+
+
+def build_arms(settings: ArmSettings, hands: Mapping[Side, Hand]) -> dict[Side, ArmOfHand]:
+    """An arm for each hand; between two there is a wall.
+
+    Args:
+        settings: settings of all arms.
+        hands: side -> robot hand.
+
+    Raises:
+        ConfigError: an arm can't reach its home pose with the hand.
+    """
+    built = {}
+    for side, carried in place_arms(settings, hands).items():
+        controller = ArmController(
+            carried.arm,
+            carried.mount,
+            ArmControlConfig(collisions=settings.collisions),
+            table=None if settings.no_table else settings.table,
+            wall=-float(carried.base[1, 3]) if len(hands) > 1 else None,
+        )
+        built[side] = ArmOfHand(replace(carried, home=controller.home), controller)
+    return built

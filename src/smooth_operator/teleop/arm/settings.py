@@ -3,11 +3,21 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from math import radians
 from typing import Literal
 
+import numpy as np
+
 from smooth_operator.errors import ConfigError
+from smooth_operator.hands.hand import Hand
+from smooth_operator.simulation.arms.carried import CarriedHand
+from smooth_operator.simulation.arms.catalogue import arm_named
+from smooth_operator.simulation.arms.hand_mount import HandMount
+from smooth_operator.simulation.arms.rigid import rigid
 from smooth_operator.teleop.components import settings_from_text
+from smooth_operator.types import Side
 
 
 @dataclass(frozen=True)
@@ -17,7 +27,7 @@ class ArmSettings:
     Attributes:
         name: ``panda``, ``ur5e``, ``xarm7`` or ``iiwa14``.
         adapter: thickness of the plate between flange and hand [m].
-        roll: of the hand about the flange's axis [degrees]; as suits the arm if left out.
+        roll: roll of the hand about the flange's axis [degrees]; as suits the arm if left out.
         spacing: between the bases of two arms [m]; each keeps to its side of the middle.
         table: height of the table above the bases [m].
         no_table: the arms stand free.
@@ -53,6 +63,27 @@ def read_arm(text: str) -> ArmSettings:
         ConfigError, UnknownNameError: a setting is unknown or can't be read.
     """
     name, _, rest = text.partition(":")
-    made = settings_from_text(ArmSettings, f"{name}{',' * bool(rest)}{rest}", "arm", name)
-    assert isinstance(made, ArmSettings)
-    return made
+    settings = settings_from_text(ArmSettings, f"{name}{',' * bool(rest)}{rest}", "arm", name)
+    assert isinstance(settings, ArmSettings)
+    return settings
+
+
+def place_arms(settings: ArmSettings, hands: Mapping[Side, Hand]) -> dict[Side, CarriedHand]:
+    """Each hand on its arm, in the arm's nominal posture; two arms stand next to each other.
+
+    Args:
+        settings: settings of all arms.
+        hands: side -> robot hand.
+    """
+    arm = arm_named(settings.name)
+    roll = arm.roll if settings.roll is None else radians(settings.roll)
+    apart = settings.spacing / 2 if len(hands) > 1 else 0.0
+    return {
+        side: CarriedHand(
+            arm,
+            HandMount(hand, settings.adapter, roll),
+            np.array(arm.nominal),
+            rigid(np.eye(3), (0.0, -apart if side == "right" else apart, 0.0)),
+        )
+        for side, hand in hands.items()
+    }

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import sys
+import threading
+import time
 from collections.abc import Callable, Iterator, Mapping
 from typing import Final
 
 from smooth_operator.teleop.control.reporter import Reporter
-from smooth_operator.teleop.control.terminal_keys import keys
 from smooth_operator.teleop.runtime.loop import TeleopLoop
 
 STOP_KEYS: Final = (" ", "\x1b", "x", "X")
@@ -73,7 +75,7 @@ def actions(
 @contextlib.contextmanager
 def keyboard(
     loop: TeleopLoop,
-    said: Reporter,
+    reporter: Reporter,
     more: Mapping[str, Callable[[], None]] = {},
     words: str = "",
 ) -> Iterator[None]:
@@ -81,11 +83,105 @@ def keyboard(
 
     Args:
         loop: the running loop.
-        said: where lines for the person at the keys go.
+        reporter: where lines for the person at the keys go.
         more: other keys.
         words: what those do.
     """
-    with keys(actions(loop, lambda text: said.note(text, matters=True), more)) as there:
+    with keys(actions(loop, lambda text: reporter.note(text, matters=True), more)) as there:
         if there:
-            said.note(WORDS + words)
+            reporter.note(WORDS + words)
         yield
+
+
+@contextlib.contextmanager
+def keys(actions: Mapping[str, Callable[[], None]]) -> Iterator[bool]:
+    """Runs actions as keys are pressed, without waiting for a line.
+
+    Arrows and other keys that send several characters count as Esc on POSIX systems, where they
+    begin with it; what comes with it is dropped.
+
+    Args:
+        actions: key -> what to do, on a thread of this function's. An error of one is
+            printed on standard error, and listening goes on.
+
+    Yields:
+        whether there is a terminal to press keys on; the terminal is put back at the end.
+    """
+    if not sys.stdin or not sys.stdin.isatty():
+        yield False
+        return
+    done = threading.Event()
+
+    def listen(read: Callable[[float], str | None]) -> None:
+        while not done.is_set():
+            pressed = read(0.1)
+            if pressed is None:
+                return
+            for key in pressed:
+                try:
+                    actions.get(key, _nothing)()
+                except Exception as error:  # the next key may be a stop
+                    print(f"error: {type(error).__name__}: {error}", file=sys.stderr)
+
+    with _reader() as read:
+        thread = threading.Thread(target=listen, args=(read,), name="keys", daemon=True)
+        thread.start()
+        try:
+            yield True
+        finally:
+            done.set()
+            thread.join(1.0)
+
+
+def _nothing() -> None:
+    """What a key does that means nothing."""
+
+
+@contextlib.contextmanager
+def _reader() -> Iterator[Callable[[float], str | None]]:
+    """How to wait a while for keys; the terminal hands them over one by one meanwhile. None where
+    the terminal was closed."""
+    if sys.platform == "win32":
+        import msvcrt
+
+        def read(seconds: float) -> str | None:
+            end = time.monotonic() + seconds
+            while time.monotonic() < end:
+                if msvcrt.kbhit():
+                    key = msvcrt.getwch()
+                    if key not in ("\x00", "\xe0"):
+                        return key
+                    msvcrt.getwch()  # of an arrow, whose second character is no key
+                time.sleep(0.01)
+            return ""
+
+        yield read
+    else:
+        import os
+        import select
+        import termios
+        import tty
+
+        terminal = sys.stdin.fileno()
+        before = termios.tcgetattr(terminal)
+
+        def read(seconds: float) -> str | None:
+            ready, _, _ = select.select([terminal], [], [], seconds)
+            if not ready:
+                return ""
+            try:
+                data = os.read(terminal, 64)
+            except OSError:
+                return None
+            if not data:
+                return None  # read again at a closed terminal, it would return immediately
+            pressed = data.decode(errors="ignore")
+            before_escape, escape, _ = pressed.partition("\x1b")
+            return before_escape + escape
+
+        try:
+            tty.setcbreak(terminal)  # Ctrl-C stays a signal
+            yield read
+        finally:
+            with contextlib.suppress(termios.error):  # the terminal was closed
+                termios.tcsetattr(terminal, termios.TCSADRAIN, before)

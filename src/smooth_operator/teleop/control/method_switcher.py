@@ -1,4 +1,4 @@
-"""Another method, preset or setting while the hand moves: built in the background."""
+"""Another method, preset or setting in a running loop, compiled on a thread of its own."""
 
 from __future__ import annotations
 
@@ -10,9 +10,6 @@ from concurrent.futures import Future, InvalidStateError
 from dataclasses import dataclass, replace
 from typing import Final
 
-from smooth_operator.compilation.building import build_for_running_loop
-from smooth_operator.compilation.collection import uncollected
-from smooth_operator.compilation.kept_program import find_lapack
 from smooth_operator.errors import ConfigError, SmoothOperatorError
 from smooth_operator.human.operator import OperatorProfile
 from smooth_operator.methods.method import MethodConfig
@@ -55,9 +52,11 @@ class DriverSpec:
 
 
 class MethodSwitcher:
-    """Builds retargeters on a separate thread; the loop goes on with the old ones until then.
+    """Builds retargeters on a separate thread; the robot holds while a method is compiled.
 
-    What is asked for while one is built replaces it: only the newest is handed over.
+    A method that was compiled in this process before (``compile_first`` of ``teleoperate``, or an
+    earlier switch) takes over without a hold. A request replaces the one before it: only the newest
+    is handed over.
 
     Args:
         loop: whose hands they are for.
@@ -86,7 +85,6 @@ class MethodSwitcher:
         self._request.set_result(self.used)
         self._changed = threading.Condition()
         self._ending = False
-        find_lapack()  # which a program may need that is read while the loop runs
         self._thread = threading.Thread(target=self._run, name="switcher", daemon=True)
         self._thread.start()
 
@@ -180,24 +178,31 @@ class MethodSwitcher:
                 self.building = f"compiling {spec.method} {spec.preset}"
             try:
                 built = self._build(spec, used)
-            except Exception as error:  # whatever it is, the old one goes on
+            except Exception as error:  # whatever it is, the old method goes on
                 known = isinstance(error, SmoothOperatorError)
                 self._fail(spec, error if known else ConfigError(_words(error)))
             else:
                 self._hand_over(spec, built)
 
     def _build(self, spec: DriverSpec, used: DriverSpec) -> dict[Side, Retargeter]:
-        with uncollected(freeze=True):
-            return {
-                side: build_for_running_loop(self._hands[side], config, self._asked.seed)
-                for side, config in spec.configs.items()
-                if config != used.configs[side]
-            }
+        built = {
+            side: Retargeter(self._hands[side], config=config, seed=self._asked.seed)
+            for side, config in spec.configs.items()
+            if config != used.configs[side]
+        }
+        waiting = {side for side, retargeter in built.items() if not retargeter.compiled}
+        if waiting:
+            self._loop.controls.change(lambda hand: hand.hold() if hand.side in waiting else None)
+        for retargeter in built.values():
+            retargeter.warm_up()
+        return built
 
     def _hand_over(self, spec: DriverSpec, built: Mapping[Side, Retargeter]) -> None:
         def switch(hand: HandPipeline) -> None:
             if hand.side in built:
                 hand.switch(built[hand.side], spec.driver(hand.side))
+            else:
+                hand.go_on()  # where an earlier request had it hold
 
         with self._changed:
             self.building = ""
@@ -214,6 +219,7 @@ class MethodSwitcher:
             if spec is self.wanted:
                 self.wanted, self.error = self.used, str(error)
                 self.refused += 1
+                self._loop.controls.change(lambda hand: hand.go_on())
                 self._settle(error)
 
 
@@ -227,14 +233,3 @@ def _tell(request: Future[DriverSpec], outcome: DriverSpec | Exception) -> None:
             request.set_result(outcome)
         else:
             request.set_exception(outcome)
-
-
-def checked(operator: OperatorProfile | None) -> OperatorProfile:
-    """The operator, where there is one.
-
-    Raises:
-        ConfigError: there is none.
-    """
-    if operator is None:
-        raise ConfigError("there is no finished calibration; calibrate first")
-    return operator

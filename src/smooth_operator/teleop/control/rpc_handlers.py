@@ -1,6 +1,6 @@
 """RPC handlers of ``teleop --control``: the commands that change what the hands are driven by.
 
-In addition to those of ``smooth_operator.teleop.runtime.remote``:
+In addition to those of ``smooth_operator.teleop.runtime.rpc_server``:
 
     {"do": "method", "method": "dexpilot", "preset": "default"}
         another method; compiled while the old one goes on, and answered when the hands go over to
@@ -36,8 +36,8 @@ In addition to those of ``smooth_operator.teleop.runtime.remote``:
         is that of "trial".
 
 "status" answers "method", "preset", "rate" (as it was asked for), "sides", "hand", "blind",
-"building" (what is being compiled), "provisional" (sides that a first stage answers while their
-method compiles), "source" {"label", "state", "detail"}, "sinks", "operators" {side: where the
+"building" (what is being compiled), "compiling" (sides whose robot holds until their method is
+compiled), "source" {"label", "state", "detail"}, "sinks", "operators" {side: where the
 calibration is from}, "simulation" (whether there is one that can have a task),
 "task" and "trial" (None without one), "object" (whether it is there) and the loop's own "modes" and
 "rate_hz".
@@ -115,7 +115,7 @@ class RpcHandlers:
             "preset": used.preset,
             "rate": loop.config.rate,
             "building": switcher.building,
-            "provisional": [side for side, hand in loop.pipelines.items() if hand.provisional],
+            "compiling": [s for s, hand in loop.pipelines.items() if hand.supervisor.compiling],
             "blind": self._blind,
             "sides": list(loop.pipelines),
             "hand": next(iter(loop.pipelines.values())).retargeter.hand.name,
@@ -178,26 +178,26 @@ class RpcHandlers:
 
     def _trial(self, fields: Mapping[str, Any]) -> dict[str, Any]:
         runner = self._open_runner()
-        wanted = [
+        actions = [
             word for word in ("begin", "finish", "cancel", "pause", "resume") if fields.get(word)
         ]
-        if len(wanted) > 1:
-            raise ConfigError(f"a trial can't {' and '.join(wanted)} together")
+        if len(actions) > 1:
+            raise ConfigError(f"a trial can't {' and '.join(actions)} together")
         about = fields.get("about") or {}
         if not isinstance(about, dict) or {"when_clear", "limit_s", "mark"} & about.keys():
             raise ConfigError(f"about: expected an object with other entries, not {about!r}")
-        if "begin" in wanted:
+        if "begin" in actions:
             clear = bool(fields.get("when_clear"))
             runner.go(when_clear=clear, limit_s=_limit(fields), **about)
-        elif "cancel" in wanted:
+        elif "cancel" in actions:
             mark = _text(fields, "mark")
             if mark not in (None, "undone", "void"):
                 raise ConfigError(f"mark: expected undone or void, not {mark!r}")
             runner.cancel(mark, **about)
-        elif "finish" in wanted:
+        elif "finish" in actions:
             runner.finish()
-        elif wanted:
-            runner.pause("pause" in wanted)
+        elif actions:
+            runner.pause("pause" in actions)
         return runner.report(_side(fields))
 
     def _reset(self, fields: Mapping[str, Any]) -> dict[str, Any]:

@@ -104,8 +104,8 @@ class ActuatorMap:
     Attributes:
         driver: name of the driver that speaks its protocol.
         hand: name of the robot hand whose joints the table maps.
-        side: of the hand.
-        unit: of the commands, for people: ``deg``, ``0-1000``.
+        side: side of the hand.
+        unit: unit of the commands, for people: ``deg``, ``0-1000``.
         actuators: in the order in which a driver gets commands and answers.
         limit: most current [mA], or force, in the driver's unit, for actuators without their own;
             None to leave the device's as it is.
@@ -169,6 +169,17 @@ class ActuatorMap:
         default = np.nan if self.limit is None else self.limit
         return np.array([default if a.limit is None else a.limit for a in self.actuators], float)
 
+    def check_count(self, count: int, hand: str) -> None:
+        """Refuse a table with another number of actuators than the hand has.
+
+        Raises:
+            ConfigError: with the file, the hand (``an Ability Hand``) and both numbers.
+        """
+        if len(self.actuators) != count:
+            raise ConfigError(
+                f"{self.file}: {hand} has {count} actuators, not {len(self.actuators)}"
+            )
+
     def bind(self, hand: Hand) -> BoundMap:
         """The map for the joints of a loaded hand.
 
@@ -231,8 +242,8 @@ class BoundMap:
 
     def angles(self, positions: Float[np.ndarray, " n"]) -> Float[np.ndarray, " a"]:
         """(a,) drive angles [rad] of joint positions [rad]."""
-        found: np.ndarray = self._weights @ positions
-        return found
+        result: np.ndarray = self._weights @ positions
+        return result
 
     def commands(self, angles: Float[np.ndarray, " a"]) -> Float[np.ndarray, " a"]:
         """(a,) commands for drive angles [rad], not limited to the ends."""
@@ -241,8 +252,8 @@ class BoundMap:
 
     def clip(self, commands: Float[np.ndarray, " a"]) -> Float[np.ndarray, " a"]:
         """Commands within the ends."""
-        kept: np.ndarray = np.clip(commands, self.ends[:, 0], self.ends[:, 1])
-        return kept
+        clipped: np.ndarray = np.clip(commands, self.ends[:, 0], self.ends[:, 1])
+        return clipped
 
     def drive_angles(self, commands: Float[np.ndarray, " a"]) -> Float[np.ndarray, " a"]:
         """(a,) drive angles [rad] that commands, or measured positions, stand for; NaN for NaN."""
@@ -256,8 +267,8 @@ class BoundMap:
             NaN for a joint that no actuator moves, or whose actuator's position is NaN.
         """
         angles = self.drive_angles(commands) - self._weights @ self._offset
-        found: np.ndarray = self._spread(angles) + self._offset
-        return found
+        result: np.ndarray = self._spread(angles) + self._offset
+        return result
 
     def joint_velocities(
         self, commands: Float[np.ndarray, " a"], rates: Float[np.ndarray, " a"]
@@ -269,13 +280,13 @@ class BoundMap:
 
     def _spread(self, angles: Float[np.ndarray, " a"]) -> Float[np.ndarray, " n"]:
         missing = ~np.isfinite(angles)
-        found: np.ndarray = self._gears @ (self._inverse @ np.where(missing, 0.0, angles))
+        spread: np.ndarray = self._gears @ (self._inverse @ np.where(missing, 0.0, angles))
         unknown = ~self.known
         if missing.any():
             lost = (np.abs(self._inverse[:, missing]) > _KNOWN).any(axis=1)
             unknown = unknown | ((np.abs(self._gears) @ lost) > 0)
-        found[unknown] = np.nan
-        return found
+        spread[unknown] = np.nan
+        return spread
 
 
 _Curve: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]

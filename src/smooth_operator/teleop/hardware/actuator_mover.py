@@ -12,9 +12,13 @@ from jaxtyping import Float
 
 from smooth_operator.errors import SinkError
 from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
-from smooth_operator.teleop.hardware.agreed_reading import agreed_reading
-from smooth_operator.teleop.hardware.device import HandDevice, Reading, WrongAnswerError
-from smooth_operator.teleop.hardware.settings_watch import SettingsWatch
+from smooth_operator.teleop.hardware.device import (
+    HandDevice,
+    Reading,
+    WrongAnswerError,
+    agreed_reading,
+)
+from smooth_operator.teleop.hardware.table_file import SettingsWatch
 
 _CONTACT: Final = 0.8
 """Share of the limit of current from which an actuator counts as blocked."""
@@ -40,7 +44,7 @@ class ActuatorMover:
         seconds: how long a motion over the table's whole range of an actuator takes [s].
 
     Attributes:
-        names: of the actuators.
+        names: names of the actuators.
 
     Raises:
         SinkError: it can't be opened, or a position is not known.

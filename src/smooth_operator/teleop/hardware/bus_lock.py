@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import hashlib
 import os
+import re
 import socket
 import stat
 import sys
@@ -12,8 +13,7 @@ import zlib
 from pathlib import Path
 from typing import Final
 
-from smooth_operator.errors import SinkError
-from smooth_operator.teleop.hardware.serial_port import is_serial
+from smooth_operator.errors import MissingExtraError, SinkError
 from smooth_operator.terminal import printable
 
 _FLAGS: Final = sum(getattr(os, f"O_{name}", 0) for name in ("NOFOLLOW", "NONBLOCK", "BINARY"))
@@ -184,3 +184,42 @@ def _lock_file(file: int, sharer: str) -> None:
         import fcntl
 
         fcntl.flock(file, (fcntl.LOCK_SH if sharer else fcntl.LOCK_EX) | fcntl.LOCK_NB)
+
+
+def is_serial(port: str) -> bool:
+    """Whether a name is one of a serial port, a path or ``COM3``, and not an address."""
+    return "/" in port or bool(re.fullmatch(r"(\\\\\.\\)?COM\d+", port, re.IGNORECASE))
+
+
+def serial_ports() -> dict[str, str]:
+    """Serial ports of USB adapters -> what they say that they are; empty without pyserial."""
+    try:
+        from serial.tools import list_ports
+    except ImportError:
+        return {}
+    return {
+        port.device: port.description or port.hwid
+        for port in sorted(list_ports.comports(), key=lambda port: port.device)
+        if port.vid is not None
+    }
+
+
+def only_port(driver: str, extra: str) -> str:
+    """The only USB serial port of this machine.
+
+    Raises:
+        MissingExtraError: pyserial is not installed.
+        SinkError: there is none, or more than one.
+    """
+    try:
+        import serial  # noqa: F401
+    except ImportError as error:
+        raise MissingExtraError(f"the driver {driver}", extra) from error
+    ports = serial_ports()
+    if len(ports) == 1:
+        return next(iter(ports))
+    names = ", ".join(ports) or "none"
+    raise SinkError(
+        f"{driver}: name the serial port, such as {driver}:/dev/ttyUSB0; there are: {names}. "
+        "Check cable and power if the hand's is not among them"
+    )

@@ -11,14 +11,12 @@ from typing import Any, ClassVar, Literal
 from smooth_operator.errors import ConfigError, SinkError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
-from smooth_operator.teleop.hardware.bus_statistics import BusStatistics
 from smooth_operator.teleop.hardware.device import HandDevice
 from smooth_operator.teleop.hardware.guard import GuardSettings
 from smooth_operator.teleop.hardware.table_file import find_table, read_table
-from smooth_operator.teleop.hardware.worker import HandWorker, WorkerSettings
-from smooth_operator.teleop.sinks.hand_state import HandState
+from smooth_operator.teleop.hardware.worker import BusStatistics, HandWorker, WorkerSettings
 from smooth_operator.teleop.sinks.sink import Sink
-from smooth_operator.teleop.sinks.tick import Tick
+from smooth_operator.teleop.sinks.tick import HandState, Tick
 from smooth_operator.types import Side
 
 

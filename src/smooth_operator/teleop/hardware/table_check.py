@@ -50,19 +50,19 @@ class TableCheck:
         Raises:
             SinkError: the device was lost.
         """
-        found, confirmed = list(table.actuators), 0
+        actuators, confirmed = list(table.actuators), 0
         for index, actuator in enumerate(table.actuators):
-            self._say(f"\n{index + 1} of {len(found)}: {actuator.name}" + _numbered(actuator))
+            self._say(f"\n{index + 1} of {len(actuators)}: {actuator.name}" + _numbered(actuator))
             answer = self._one(index, actuator, table.unit)
             if answer == "quit":
                 break
             if isinstance(answer, Actuator):
-                found[index] = answer
+                actuators[index] = answer
                 confirmed += 1
         if not confirmed:
             return None
-        source = f"smooth-operator hardware check: {confirmed} of {len(found)} actuators"
-        return replace(table, actuators=tuple(found), source=source)
+        source = f"smooth-operator hardware check: {confirmed} of {len(actuators)} actuators"
+        return replace(table, actuators=tuple(actuators), source=source)
 
     def _one(self, index: int, actuator: Actuator, unit: str) -> Actuator | str:
         start = self._mover.position(index)
@@ -172,8 +172,8 @@ def blank_table(
     Args:
         driver: name of the driver.
         hand: the hand's model.
-        ids: of the actuators.
-        unit: of the commands.
+        ids: ids of the actuators.
+        unit: unit of the commands.
         ends: from where to where an actuator may be tried.
         limit: most current or force, in the driver's unit; None for the device's own.
     """

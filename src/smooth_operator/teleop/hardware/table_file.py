@@ -2,18 +2,27 @@
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Iterator, Mapping
+import time
+from collections.abc import Iterator, Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+
 from smooth_operator.atomic_files import atomic_write, output_error
-from smooth_operator.errors import ConfigError
+from smooth_operator.errors import ConfigError, SinkError
+from smooth_operator.formats.toml_writer import toml_value
 from smooth_operator.hands.user_folder import user_hands_folder
 from smooth_operator.io.entries import Entries, read_entries
 from smooth_operator.teleop.hardware.actuator_map import Actuator, ActuatorMap
+from smooth_operator.teleop.hardware.device import (
+    DeviceLostError,
+    HandDevice,
+    Setting,
+    WrongAnswerError,
+)
 from smooth_operator.types import Side
 
 FORMAT: Final = 1
@@ -40,30 +49,30 @@ _EACH: Final = (
 
 
 def user_tables_folder() -> Path:
-    """Where the user's tables are, ``NAME_SIDE.toml``; it need not exist."""
+    """Folder of the user's tables, ``NAME_SIDE.toml``; it need not exist."""
     return user_hands_folder() / "hardware"
 
 
 def built_in_tables() -> Path:
-    """Where the tables are that come with the program."""
+    """Folder of the tables that come with the program."""
     return Path(str(files("smooth_operator.teleop.hardware"))) / "tables"
 
 
-def find_table(wanted: str, driver: str, side: Side) -> Path:
-    """The table that a driver is to use.
+def find_table(request: str, driver: str, side: Side) -> Path:
+    """Path of the table that a driver uses.
 
     Args:
-        wanted: a path, ending in ``.toml``; or a name; or empty for the driver's name. A user's
+        request: a path, ending in ``.toml``; or a name; or empty for the driver's name. A user's
             table of that name goes before the built-in one.
         driver: name of the driver.
-        side: of the hand.
+        side: side of the hand.
 
     Raises:
         ConfigError: there is none.
     """
-    if wanted.endswith(".toml"):
-        return Path(wanted).expanduser()
-    name = f"{wanted or driver}_{side}.toml"
+    if request.endswith(".toml"):
+        return Path(request).expanduser()
+    name = f"{request or driver}_{side}.toml"
     for folder in (user_tables_folder(), built_in_tables()):
         if (folder / name).is_file():
             return folder / name
@@ -78,12 +87,12 @@ def find_table(wanted: str, driver: str, side: Side) -> Path:
 def list_tables() -> list[Path]:
     """All tables that can be named, the user's first; a built-in one that it replaces is left
     out."""
-    found: dict[str, Path] = {}
+    tables: dict[str, Path] = {}
     for folder in (user_tables_folder(), built_in_tables()):
         if folder.is_dir():
             for path in sorted(folder.glob("*_*.toml")):
-                found.setdefault(path.name, path)
-    return list(found.values())
+                tables.setdefault(path.name, path)
+    return list(tables.values())
 
 
 def read_table(path: Path) -> ActuatorMap:
@@ -189,38 +198,101 @@ def _lines(table: ActuatorMap, comment: str) -> Iterator[str]:
     yield f"format = {FORMAT}"
     for name in ("driver", "hand", "side", "unit", "source"):
         if value := getattr(table, name):
-            yield f"{name} = {_toml(value)}"
+            yield f"{name} = {toml_value(value)}"
     if table.limit is not None:
-        yield f"limit = {_toml(table.limit)}"
+        yield f"limit = {toml_value(table.limit)}"
     for name in ("rate", "on_silence", "on_stop", "on_end", "hot"):
-        yield f"{name} = {_toml(getattr(table, name))}"
+        yield f"{name} = {toml_value(getattr(table, name))}"
     if table.settings:
-        yield f"settings = {_toml(table.settings)}"
+        yield f"settings = {toml_value(table.settings)}"
     for actuator in table.actuators:
         yield "\n[[actuators]]"
-        yield f"name = {_toml(actuator.name)}"
+        yield f"name = {toml_value(actuator.name)}"
         if actuator.id is not None:
             yield f"id = {actuator.id}"
         if list(actuator.joints.values()) == [1.0]:
-            yield f"joint = {_toml(next(iter(actuator.joints)))}"
+            yield f"joint = {toml_value(next(iter(actuator.joints)))}"
         else:
-            yield f"joints = {_toml(actuator.joints)}"
-        yield f"points = {_toml(actuator.points)} # [rad, {table.unit}]"
-        yield f"ends = {_toml(actuator.ends)}"
+            yield f"joints = {toml_value(actuator.joints)}"
+        yield f"points = {toml_value(actuator.points)} # [rad, {table.unit}]"
+        yield f"ends = {toml_value(actuator.ends)}"
         if actuator.limit is not None:
-            yield f"limit = {_toml(actuator.limit)}"
+            yield f"limit = {toml_value(actuator.limit)}"
         if actuator.settings:
-            yield f"settings = {_toml(actuator.settings)}"
+            yield f"settings = {toml_value(actuator.settings)}"
 
 
-def _toml(value: Any) -> str:
-    """A value of a table as TOML; texts are quoted as in JSON, which TOML reads alike."""
-    if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{_toml(str(k))} = {_toml(v)}" for k, v in value.items()) + " }"
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(_toml(each) for each in value) + "]"
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False)
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    return repr(float(value)) if isinstance(value, float) else str(int(value))
+_EVERY_S: Final = 1.0
+"""Time between two readings of a hand's settings [s]."""
+
+_TRIES: Final = 3
+"""Readings without any confirmed setting after which there are no more: the hand can't tell, and
+waiting for its answer costs time on the bus."""
+
+_TOLERANCE: Final = 0.01
+"""Relative difference of two values that counts as rounding."""
+
+
+class SettingsWatch:
+    """Reads a hand's volatile settings back, now and then, and compares them with what was written.
+
+    No driver has been tried on a physical hand. So only a setting that the hand has once read back
+    as written counts; one that it never did is a warning, and no loss.
+
+    Args:
+        device: the hand.
+        names: the actuators' names, for messages.
+
+    Attributes:
+        warnings: settings that the hand did not take as they were written, a few words each.
+    """
+
+    def __init__(self, device: HandDevice, names: Sequence[str]) -> None:
+        self.warnings: tuple[str, ...] = ()
+        self._device, self._names = device, names
+        self._confirmed: set[str] = set()
+        self._readings = 0
+        self._last = -np.inf
+
+    def look(self) -> None:
+        """Read the settings, if it is time to.
+
+        Raises:
+            DeviceLostError: the hand had a setting and has it no longer, in two readings.
+            WrongAnswerError: it does not answer, or never did and fails.
+        """
+        now = time.perf_counter()
+        useful = self._confirmed or self._readings < _TRIES
+        if now - self._last < _EVERY_S or not useful:
+            return
+        self._last = now
+        self._readings += 1
+        try:
+            different = self._different(self._device.settings())
+            if not self._confirmed.isdisjoint(different):  # one wrong reading restarts no hand
+                different = self._different(self._device.settings())
+        except SinkError as error:
+            if self._confirmed:
+                raise
+            self.warnings = ("its limits can't be read back",)
+            raise WrongAnswerError(str(error)) from error  # a hand that is gone fails again
+        if lost := [text for name, text in different.items() if name in self._confirmed]:
+            raise DeviceLostError(f"the hand restarted: {', '.join(lost)}")
+        self.warnings = tuple(different.values())
+
+    def _different(self, settings: Sequence[Setting]) -> dict[str, str]:
+        """Name of each setting that differs -> how; the others are confirmed."""
+        different: dict[str, str] = {}
+        for setting in settings:
+            pairs = zip(setting.measured, setting.expected, strict=True)
+            wrong = [k for k, (a, b) in enumerate(pairs) if abs(a - b) > _TOLERANCE * abs(b)]
+            if not wrong:
+                self._confirmed.add(setting.name)
+                continue
+            first, every = wrong[0], len(setting.measured) == len(self._names)
+            where = self._names[first] if every else f"no. {first + 1}"
+            different[setting.name] = (
+                f"{setting.name} of {where} is {setting.measured[first]:g}, not "
+                f"{setting.expected[first]:g}"
+            )
+        return different

@@ -7,25 +7,24 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Final, TypeVar
+from typing import Any, Final, TypeVar
 
 import numpy as np
 
 from smooth_operator.errors import SinkError
 from smooth_operator.teleop.hardware.actuator_map import BoundMap, Rest
-from smooth_operator.teleop.hardware.agreed_reading import agreed_reading, apart
 from smooth_operator.teleop.hardware.bus_lock import BusLock
-from smooth_operator.teleop.hardware.bus_statistics import BusStatistics
 from smooth_operator.teleop.hardware.device import (
     DeviceLostError,
     HandDevice,
     Reading,
     WrongAnswerError,
+    agreed_reading,
+    apart,
 )
 from smooth_operator.teleop.hardware.guard import CommandGuard, GuardSettings
-from smooth_operator.teleop.hardware.settings_watch import SettingsWatch
-from smooth_operator.teleop.sinks.hand_state import HandState
-from smooth_operator.teleop.sinks.tick import Mode, Tick
+from smooth_operator.teleop.hardware.table_file import SettingsWatch
+from smooth_operator.teleop.sinks.tick import HandState, Mode, Tick
 from smooth_operator.types import JointCommand, Side
 
 _T = TypeVar("_T")
@@ -61,7 +60,7 @@ class WorkerSettings:
     """How a worker treats its hand.
 
     Attributes:
-        period: of a cycle, at least [s].
+        period: period of a cycle, at least [s].
         silence_s: how long a command counts [s].
         lost_s: time without one right answer after which the device counts as lost [s].
         guard: limits of the commands.
@@ -82,7 +81,7 @@ class HandWorker:
         bus: what only one program may use at a time (``BusLock``). It is locked while the device is
             open: a port that is gone may come back as another device's.
         actuators: its map.
-        side: of the hand.
+        side: side of the hand.
         hand: name of the robot hand.
         settings: see there.
         statistics: to go on counting in; None for new ones.
@@ -189,15 +188,15 @@ class HandWorker:
     @property
     def note(self) -> str:
         """What a person should know now; empty if all is well."""
-        said, since, reading = [], self._busy_since, self.reading
+        facts, since, reading = [], self._busy_since, self.reading
         if since is not None and (waited := time.perf_counter() - since) > _HANGS_S:
-            said.append(f"no answer from the bus for {waited:.1f} s")
+            facts.append(f"no answer from the bus for {waited:.1f} s")
         if self._trouble:
-            said.append(f"{self._trouble}; it is tried again every second")
+            facts.append(f"{self._trouble}; it is tried again every second")
         elif self._doing != "following":
-            said.append(self._doing)
+            facts.append(self._doing)
         if reading is not None and not self._trouble:
-            said += self._warnings(reading)
+            facts += self._warnings(reading)
         count = self.statistics
         slow = count.slow if count.slow > _MANY * count.cycles else 0
         counted = {
@@ -206,20 +205,20 @@ class HandWorker:
             "losses": count.lost,
             "commands not finite": count.not_finite,
         }
-        said += [f"{number} {what}" for what, number in counted.items() if number]
-        return "; ".join(said)
+        facts += [f"{number} {what}" for what, number in counted.items() if number]
+        return "; ".join(facts)
 
     def _warnings(self, reading: Reading) -> list[str]:
         names = self._map.table.names
-        said = [*reading.errors, *self._watch.warnings]
+        warnings = [*reading.errors, *self._watch.warnings]
         held = [name for name, way in zip(names, self._guard.squeezing, strict=True) if way]
         if held:
-            said.append(f"squeezes no further: {', '.join(held)}")
+            warnings.append(f"squeezes no further: {', '.join(held)}")
         if reading.temperatures is not None:
             pairs = zip(names, reading.temperatures, strict=True)
             hot = [f"{name} {t:.0f} °C" for name, t in pairs if t >= self._map.table.hot]
-            said += [f"hot: {', '.join(hot)}"] if hot else []
-        return said
+            warnings += [f"hot: {', '.join(hot)}"] if hot else []
+        return warnings
 
     def _run(self) -> None:
         try:
@@ -239,10 +238,10 @@ class HandWorker:
 
     def _lose(self, error: Exception) -> None:
         """The device is gone: say so, and wait before it is opened again."""
-        known = isinstance(error, SinkError)
+        expected = isinstance(error, SinkError)
         # Who sees the loss sees no measurement from before it.
         self.state = self.reading = None
-        self.statistics.latest = self._trouble = str(error if known else _described(error))
+        self.statistics.latest = self._trouble = str(error if expected else _described(error))
         self.statistics.lost += 1
         self._close()
         with self._change:
@@ -415,3 +414,48 @@ class HandWorker:
 
 def _described(error: Exception) -> SinkError:
     return SinkError(f"{type(error).__name__}: {error}")
+
+
+_KEPT: Final = 20_000
+
+
+class BusStatistics:
+    """What happened on a bus; written by its worker, read by anyone.
+
+    Attributes:
+        cycles: how many there were.
+        wrong: exchanges that failed: no answer in time, wrong checksum, nonsense.
+        slow: cycles that took longer than their period.
+        lost: how often the device was gone.
+        silences: how often commands stopped.
+        not_finite: commands with a NaN or an infinity, in whose place the last one was held.
+        latest: the last failure, a sentence; empty if there was none.
+    """
+
+    def __init__(self) -> None:
+        self.cycles = self.wrong = self.slow = self.lost = self.silences = 0
+        self.not_finite = 0
+        self.latest = ""
+        self._times = np.full(_KEPT, np.nan, np.float32)
+
+    def add(self, seconds: float, period: float) -> None:
+        """A cycle that took so long [s]."""
+        self._times[self.cycles % _KEPT] = seconds * 1e3
+        self.cycles += 1
+        self.slow += seconds > period
+
+    def summary(self) -> dict[str, Any]:
+        """Plain values; times of the last cycles in ms."""
+        times = self._times[np.isfinite(self._times)]
+        figures: dict[str, Any] = {
+            "cycles": self.cycles,
+            "wrong_answers": self.wrong,
+            "slow_cycles": self.slow,
+            "device_lost": self.lost,
+            "silences": self.silences,
+            "commands_not_finite": self.not_finite,
+        }
+        if len(times):
+            p50, p99 = np.percentile(times, (50, 99))
+            figures["cycle_ms"] = {"p50": float(p50), "p99": float(p99), "max": float(times.max())}
+        return figures

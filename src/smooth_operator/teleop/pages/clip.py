@@ -155,13 +155,13 @@ class _Pane:
     def _aimed(self) -> mujoco.MjvCamera:
         """A camera that sees this hand in every frame."""
         if self._robot:
-            seen = np.concatenate(
+            cloud = np.concatenate(
                 [self._robot.robot_tips.reshape(-1, 3), [self._robot.robot_wrist]]
             )
         else:
             points = self._run.human.reshape(-1, 3)
-            seen = points[np.isfinite(points).all(axis=-1)]
-        across = seen @ self._axes.T
+            cloud = points[np.isfinite(points).all(axis=-1)]
+        across = cloud @ self._axes.T
         low, high = across.min(axis=0) - 0.02, across.max(axis=0) + 0.02
         half = (float(high[0] - low[0]) / 2, float(high[1] - low[1]) / 2)
         centre = (low + high) / 2 @ self._axes

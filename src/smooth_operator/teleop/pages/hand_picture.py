@@ -101,8 +101,8 @@ def _draw_hand(
     flat, depths, colors = [], [], []
     for body, (rotation, position) in view.bodies(q).items():
         mesh, owner = view.meshes[body], view.finger_of_body[body]
-        seen = (mesh.vertices @ rotation.T + position) @ directions.T
-        corners = seen[mesh.faces]
+        projected = (mesh.vertices @ rotation.T + position) @ directions.T
+        corners = projected[mesh.faces]
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-15)
         front = normals[:, 2] > 0

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from itertools import pairwise
+from typing import Any
 
 import mujoco
 import numpy as np
 import trimesh
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
+from trimesh.graph import smooth_shade
 
+from smooth_operator.hand_files.menagerie import has_meshes
+from smooth_operator.hand_files.stand_ins import stand_ins
+from smooth_operator.hands.collision import solid_shapes
 from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.solids import Capsule, shape_capsules
 from smooth_operator.human.palm_axes import human_palm_axes
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS
-from smooth_operator.teleop.pages.meshes import body_meshes, finger_of_body, without_forearm
-from smooth_operator.teleop.pages.simple_shapes import simple_meshes
 
 _POSES = 24  # in which the motion of its tip identifies the bodies of a finger
 
@@ -111,3 +116,295 @@ class HandView:
     def _pose(self, every: Float[np.ndarray, " n"]) -> None:
         self._data.qpos[:] = self.hand.qpos(every)
         mujoco.mj_kinematics(self.hand.model, self._data)
+
+
+def simple_meshes(hand: Hand) -> dict[int, trimesh.Trimesh]:
+    """The surfaces of a hand's simple shapes, by body, each in its body's frame [m].
+
+    A model without meshes is drawn as it is. Of one with meshes, as a user's own, or with links
+    that lack shapes, the capsules are drawn that self-collision is judged by; each mesh is about
+    one capsule.
+
+    Args:
+        hand: the robot hand.
+    """
+    estimated = stand_ins(hand)
+    if not has_meshes(hand) and not estimated.capsules:
+        return body_meshes(hand.model, hand.bodies)
+    part = hand.model.body_weldid[hand.model.geom_bodyid]
+    shapes = solid_shapes(hand) & ~np.isin(part, list(estimated.replaced))
+    capsules = [
+        capsule
+        for geom in np.flatnonzero(shapes)
+        for capsule in shape_capsules(hand.model, int(geom))
+    ]
+    parts: dict[int, list[trimesh.Trimesh]] = {}
+    for capsule in [*capsules, *estimated.capsules]:
+        parts.setdefault(capsule.body, []).append(_surface(capsule))
+    merged: dict[int, trimesh.Trimesh] = {}
+    for body, pieces in parts.items():
+        whole: Any = trimesh.util.concatenate(pieces)  # of meshes, it returns a mesh
+        merged[body] = whole
+    return merged or body_meshes(hand.model, hand.bodies)
+
+
+def _surface(capsule: Capsule) -> trimesh.Trimesh:
+    first, second = capsule.ends
+    axis, length = second - first, float(np.linalg.norm(second - first))
+    mesh = trimesh.creation.capsule(height=length, radius=capsule.radius, count=[16, 16])
+    mesh.apply_translation(-mesh.bounds.mean(axis=0))
+    if length > 0:
+        turn, wxyz, matrix = np.eye(4), np.empty(4), np.empty(9)
+        mujoco.mju_quatZ2Vec(wxyz, axis / length)
+        mujoco.mju_quat2Mat(matrix, wxyz)
+        turn[:3, :3] = matrix.reshape(3, 3)
+        mesh.apply_transform(turn)
+    mesh.apply_translation((first + second) / 2)
+    return mesh
+
+
+VISIBLE_GROUPS = 3
+"""MuJoCo's viewer shows geom groups 0, 1 and 2; collision shapes are usually in group 3."""
+
+_CREASE = np.deg2rad(35.0)
+"""Edges sharper than this are drawn as edges; a CAD part with averaged normals looks inflated."""
+
+MOST_FACES = 20_000
+"""Triangles of one part of a model; what has more is made coarser. A browser draws every triangle
+in every picture, and LEAP's published parts have up to 87,000."""
+
+_SPECK = 5e-4
+"""Parts smaller than this [m] are left out: real models hold stray specks, and in millimetres
+taken for metres, far from where they belong; they would count for the framing of the picture."""
+
+
+def geom_mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh | None:
+    """The surface of one geom in its own frame [m]; None for shapes without a finite surface.
+
+    Planes, height fields and signed distance fields are left out: they are scenery, not hand.
+    """
+    size = model.geom_size[geom]
+    kind = int(model.geom_type[geom])
+    kinds = mujoco.mjtGeom
+    mesh: trimesh.Trimesh | None = None
+    if kind == kinds.mjGEOM_SPHERE:
+        mesh = trimesh.creation.icosphere(subdivisions=3, radius=size[0])
+    elif kind == kinds.mjGEOM_ELLIPSOID:
+        mesh = trimesh.creation.icosphere(subdivisions=3, radius=1.0)
+        mesh.apply_scale(size)
+    elif kind == kinds.mjGEOM_CAPSULE:  # size: radius, half-length of the straight part
+        mesh = trimesh.creation.capsule(height=2 * size[1], radius=size[0], count=[24, 24])
+        # trimesh releases differ in where they put the origin; MuJoCo's is the middle
+        mesh.apply_translation(-mesh.bounds.mean(axis=0))
+    elif kind == kinds.mjGEOM_CYLINDER:
+        mesh = trimesh.creation.cylinder(radius=size[0], height=2 * size[1], sections=32)
+    elif kind == kinds.mjGEOM_BOX:
+        mesh = trimesh.creation.box(extents=2 * size)
+    elif kind == kinds.mjGEOM_MESH:
+        mesh = _asset(model, int(model.geom_dataid[geom]))
+    return mesh
+
+
+def body_meshes(
+    model: mujoco.MjModel, bodies: Bool[np.ndarray, " nbody"] | None = None
+) -> dict[int, trimesh.Trimesh]:
+    """One merged mesh per body that has something to draw, in the body's frame [m].
+
+    Geoms of the visible groups are taken; if the model has none of those, all geoms are. Vertices
+    are split along sharp edges, so that averaged vertex normals shade both curves and corners.
+
+    Args:
+        model: the compiled model.
+        bodies: (nbody,) which to look at; all if left out.
+
+    Returns:
+        Body index -> mesh.
+    """
+    own = np.ones(model.ngeom, bool) if bodies is None else bodies[model.geom_bodyid]
+    shown = own & (model.geom_group < VISIBLE_GROUPS)
+    if not shown.any():
+        shown = own
+    parts: dict[int, list[trimesh.Trimesh]] = {}
+    assets: dict[int, trimesh.Trimesh | None] = {}  # phalanges often share a file
+    for geom in np.flatnonzero(shown):
+        asset = int(model.geom_dataid[geom])
+        if asset < 0 or asset not in assets:
+            mesh = geom_mesh(model, int(geom))
+            if mesh is None or mesh.extents is None or mesh.extents.max() < _SPECK:
+                mesh = None
+            assets[asset] = None if mesh is None else smooth_shade(mesh, angle=_CREASE)
+        shaded = assets[asset]
+        if shaded is None:
+            continue
+        pose = np.eye(4)
+        rotation = np.empty(9)
+        mujoco.mju_quat2Mat(rotation, model.geom_quat[geom])
+        pose[:3, :3], pose[:3, 3] = rotation.reshape(3, 3), model.geom_pos[geom]
+        placed = shaded.copy().apply_transform(pose)
+        parts.setdefault(int(model.geom_bodyid[geom]), []).append(placed)
+    merged: dict[int, trimesh.Trimesh] = {}
+    for body, pieces in parts.items():
+        whole: Any = trimesh.util.concatenate(pieces)  # of meshes, it returns a mesh
+        merged[body] = whole
+    return merged
+
+
+def above(
+    mesh: trimesh.Trimesh, point: Float[np.ndarray, "3"], normal: Float[np.ndarray, "3"]
+) -> trimesh.Trimesh | None:
+    """The part of a surface on one side of a plane, open where it was cut; None if there is none.
+
+    Args:
+        mesh: the surface.
+        point: point of the plane, in the mesh's frame [m].
+        normal: normal of the plane, toward the part that stays.
+    """
+    vertices, faces = mesh.vertices, mesh.faces
+    height = (vertices - point) @ normal
+    inside = height > 0
+    if inside.all():
+        return mesh
+    if not inside.any():
+        return None
+    count = inside[faces].sum(axis=1)
+
+    def turned(chosen: Int[np.ndarray, "n 3"], first: Int[np.ndarray, " n"]) -> Any:
+        """The corners of each face in their order, from another one on; as three columns."""
+        return np.take_along_axis(chosen, (first[:, None] + np.arange(3)) % 3, axis=1).T
+
+    def crossing(a: Int[np.ndarray, " n"], b: Int[np.ndarray, " n"]) -> Float[np.ndarray, "n 3"]:
+        share = height[a] / (height[a] - height[b])
+        return np.asarray(vertices[a] + share[:, None] * (vertices[b] - vertices[a]))
+
+    one, two = faces[count == 1], faces[count == 2]
+    a, b, c = turned(one, inside[one].argmax(axis=1))  # a stays
+    d, e, f = turned(two, inside[two].argmin(axis=1))  # d goes
+    edges = [crossing(a, b), crossing(a, c), crossing(e, d), crossing(f, d)]
+    ends = np.cumsum([len(vertices), *map(len, edges)])
+    ab, ac, ed, fd = (np.arange(ends[k], ends[k + 1]) for k in range(4))
+    new = [np.stack(face, axis=1) for face in ((a, ab, ac), (ed, e, f), (ed, f, fd))]
+    # process: merged vertices would average the normals across the edges
+    cut = trimesh.Trimesh(
+        np.concatenate([vertices, *edges]),
+        np.concatenate([faces[count == 3], *new]),
+        process=False,
+    )
+    cut.remove_unreferenced_vertices()
+    return cut
+
+
+def without_forearm(
+    meshes: Mapping[int, trimesh.Trimesh],
+    poses: Mapping[int, tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]],
+    owner: Int[np.ndarray, " nbody"],
+    point: Float[np.ndarray, "3"],
+    distal: Float[np.ndarray, "3"],
+) -> dict[int, trimesh.Trimesh]:
+    """The surfaces of a hand, cut off across the forearm; a body that is all forearm has none.
+
+    Args:
+        meshes: body -> its surface, in the body's frame.
+        poses: body -> rotation and position of its frame.
+        owner: (nbody,) finger of each body, which stays whole; -1 for the palm and the forearm.
+        point: where it is cut, in the frame of ``poses`` [m].
+        distal: unit vector along the forearm, toward the fingers.
+    """
+    cut: dict[int, trimesh.Trimesh] = {}
+    for body, whole in meshes.items():
+        mesh: trimesh.Trimesh | None = whole
+        if owner[body] < 0:
+            rotation, position = poses[body]
+            mesh = above(whole, rotation.T @ (point - position), rotation.T @ distal)
+        if mesh is not None:
+            cut[body] = mesh
+    return cut
+
+
+def finger_of_body(
+    model: mujoco.MjModel,
+    qpos: Float[np.ndarray, "T nq"],
+    tips: Float[np.ndarray, "T F 3"],
+    samples: int = 24,
+) -> Int[np.ndarray, " nbody"]:
+    """Which finger each body belongs to, found from the motion, not from names.
+
+    A fingertip is rigidly fixed to the last body of its finger, so that is the body in whose frame
+    the tip moves least; the finger is its chain up to the first body that other fingers share.
+
+    Args:
+        model: the robot hand.
+        qpos: (T, nq) joint positions [rad].
+        tips: (T, F, 3) fingertips in the world frame [m].
+        samples: how many frames to look at.
+
+    Returns:
+        (nbody,) index of the finger, or -1 for the palm and everything else.
+    """
+    frames = np.unique(np.linspace(0, len(qpos) - 1, samples).astype(int))
+    data = mujoco.MjData(model)
+    local = np.empty((len(frames), tips.shape[1], model.nbody, 3))
+    for row, frame in enumerate(frames):
+        data.qpos[:] = qpos[frame]
+        mujoco.mj_kinematics(model, data)
+        offset = tips[frame][:, None] - data.xpos[None]  # (F, nbody, 3)
+        local[row] = np.einsum("bji,fbj->fbi", data.xmat.reshape(-1, 3, 3), offset)
+    # spread first; where a whole chain is still, the nearest body wins
+    spread = np.ptp(local, axis=0).max(axis=-1) + 1e-3 * np.linalg.norm(local[0], axis=-1)
+    chains = [_chain(model, int(body)) for body in spread.argmin(axis=1)]
+    owner = np.full(model.nbody, -1)
+    for finger, chain in enumerate(chains):
+        others = set().union(*(c for i, c in enumerate(chains) if i != finger))
+        owner[list(set(chain) - others)] = finger
+    for body in range(1, model.nbody):  # parents first: what is fixed beyond the last joint, too
+        if owner[body] < 0:
+            owner[body] = owner[model.body_parentid[body]]
+    return owner
+
+
+def _chain(model: mujoco.MjModel, body: int) -> list[int]:
+    chain = [0]  # the world is nobody's finger
+    while body:
+        chain.append(body)
+        body = int(model.body_parentid[body])
+    return chain
+
+
+def _asset(model: mujoco.MjModel, mesh: int) -> trimesh.Trimesh:
+    vertex, face = model.mesh_vertadr[mesh], model.mesh_faceadr[mesh]
+    surface = trimesh.Trimesh(
+        model.mesh_vert[vertex : vertex + model.mesh_vertnum[mesh]].astype(np.float64),
+        model.mesh_face[face : face + model.mesh_facenum[mesh]],
+        process=True,  # merges duplicate vertices, which the crease splitting relies on
+    )
+    surface.update_faces(surface.nondegenerate_faces())  # slivers flicker as stray pixels
+    return coarser(surface)
+
+
+def coarser(mesh: trimesh.Trimesh, most: int = MOST_FACES) -> trimesh.Trimesh:
+    """A surface of at most so many triangles: vertices in one cell of a grid become their mean.
+
+    Source: Rossignac and Borrel, "Multi-resolution 3D approximations" (1993).
+
+    Args:
+        mesh: the surface; returned as it is if it has no more.
+        most: number of triangles.
+    """
+    if len(mesh.faces) <= most:
+        return mesh
+    # a closed surface has about two triangles to a cell that it passes
+    cell = float(np.sqrt(2 * mesh.area / most))
+    while True:
+        grid = np.floor((mesh.vertices - mesh.bounds[0]) / cell).astype(np.int64)
+        _, of, count = np.unique(grid, axis=0, return_inverse=True, return_counts=True)
+        of = of.reshape(-1)
+        faces = of[mesh.faces]
+        a, b, c = faces.T
+        faces = faces[(a != b) & (b != c) & (c != a)]
+        if len(faces) <= most:
+            break
+        cell *= 1.25
+    means = np.stack([np.bincount(of, column) for column in mesh.vertices.T], axis=1)
+    coarse = trimesh.Trimesh(means / count[:, None], faces, process=False)
+    coarse.update_faces(coarse.unique_faces())
+    coarse.remove_unreferenced_vertices()
+    return coarse

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import pairwise
 
+import mujoco
 import numpy as np
 import trimesh
 import viser
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 
 from smooth_operator.landmarks import BASES, BONES, NUM_LANDMARKS, WRIST
-from smooth_operator.teleop.pages.palette import HIGHLIGHT, PALM, finger_colors, linear
+from smooth_operator.teleop.pages.palette import HIGHLIGHT, PALM, Rgb, finger_colors, linear
 
 _JOINT, _WRIST, _TIP, _PINCHED = 0.0070, 0.0095, 0.0075, 0.0095  # sphere radii [m]
 _BONE, _PALM_BONE = 0.0052, 0.0062  # bone radii [m]
@@ -73,18 +74,18 @@ class HumanView:
             landmarks: (21, 3) [m]; NaN where there is none.
             pinched: (F-1,) which fingers pinch with the thumb; their tips are lit up and grow.
         """
-        seen = np.isfinite(landmarks).all(axis=-1)
-        points = np.where(seen[:, None], landmarks, 0.0)
+        present = np.isfinite(landmarks).all(axis=-1)
+        points = np.where(present[:, None], landmarks, 0.0)
         lit = lit_tips(pinched)
         radii, colors = self._radii.copy(), self._colors.copy()
         radii[self._tips[lit]], colors[self._tips[lit]] = _PINCHED, HIGHLIGHT
         self._joints.batched_positions = points
         # a missing landmark has size zero; unchanged arrays are not sent again
-        self._joints.batched_scales = np.where(seen, radii, 0.0)
+        self._joints.batched_scales = np.where(present, radii, 0.0)
         self._joints.batched_colors = linear(colors)
 
         start, end = points[_PARENTS], points[_CHILDREN]
-        both = (seen[_PARENTS] & seen[_CHILDREN])[:, None]
+        both = (present[_PARENTS] & present[_CHILDREN])[:, None]
         length = np.linalg.norm(end - start, axis=-1, keepdims=True)
         size = np.concatenate([np.repeat(self._bone_radii[:, None], 2, axis=1), length], axis=1)
         self._bones.batched_positions = (start + end) / 2
@@ -118,3 +119,104 @@ def _turn_z(direction: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 4"]:
     quat = np.stack([1 + z[:, 2], -z[:, 1], z[:, 0], np.zeros(len(z))], axis=-1)
     quat[quat[:, 0] < 1e-9] = [0.0, 1.0, 0.0, 0.0]
     return np.asarray(quat / np.linalg.norm(quat, axis=-1, keepdims=True))
+
+
+_BALL, _BALL_PINCHED = 0.0035, 0.0075  # radii of the fingertip markers [m]
+
+
+class BodyNodes:
+    """Draws the bodies of a model where its joints put them, in the model's world frame.
+
+    Args:
+        scene: where to draw.
+        model: the robot hand.
+        meshes: body -> its surface.
+        owner: (nbody,) finger of each body, -1 for the palm.
+        root: name of the parent node.
+        color: colour of all bodies; as its fingers are if left out.
+        opacity: 0 to 1; None for solid.
+        scale: scale of each body about its own origin: a little less hides it in one that stands
+            alike.
+    """
+
+    def __init__(
+        self,
+        scene: viser.SceneApi,
+        model: mujoco.MjModel,
+        meshes: dict[int, trimesh.Trimesh],
+        owner: Int[np.ndarray, " nbody"],
+        root: str,
+        *,
+        color: Rgb | None = None,
+        opacity: float | None = None,
+        scale: float = 1.0,
+    ) -> None:
+        self.data = mujoco.MjData(model)
+        self._model = model
+        palette = finger_colors(int(owner.max()) + 1)
+        self.nodes = {
+            body: scene.add_mesh_simple(
+                f"{root}/body_{body}",
+                mesh.vertices,
+                mesh.faces,
+                color=color or (PALM if owner[body] < 0 else tuple(palette[owner[body]].tolist())),
+                opacity=opacity,
+                scale=scale,
+                side="double",  # users' meshes are not always wound outward
+            )
+            for body, mesh in meshes.items()
+        }
+
+    def place(self, qpos: Float[np.ndarray, " nq"]) -> None:
+        """Where the bodies are, without drawing them."""
+        self.data.qpos[:] = qpos
+        mujoco.mj_kinematics(self._model, self.data)
+
+    def draw(self, qpos: Float[np.ndarray, " nq"]) -> None:
+        """Show a pose; what has not moved is not sent again."""
+        self.place(qpos)
+        for body, node in self.nodes.items():
+            node.position = self.data.xpos[body]
+            node.wxyz = self.data.xquat[body]
+
+    def set_opacity(self, opacity: float | None) -> None:
+        """Make the hand see-through, or solid with None."""
+        for node in self.nodes.values():
+            node.opacity = opacity
+
+    def set_visible(self, visible: bool) -> None:
+        """Show or hide it."""
+        for node in self.nodes.values():
+            node.visible = visible
+
+
+class TipBalls:
+    """Fingertips, which grow and light up where they pinch.
+
+    Args:
+        scene: where to draw.
+        count: number of fingers.
+        name: name of the node.
+    """
+
+    def __init__(self, scene: viser.SceneApi, count: int, name: str) -> None:
+        self._palette = finger_colors(count)
+        ball = trimesh.creation.icosphere(subdivisions=2, radius=1.0)
+        self.node = scene.add_batched_meshes_simple(
+            name,
+            ball.vertices,
+            ball.faces,
+            batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)),
+            batched_positions=np.zeros((count, 3)),
+            batched_scales=np.full(count, _BALL),
+            batched_colors=linear(self._palette),
+            lod="off",
+        )
+
+    def draw(self, tips: Float[np.ndarray, "F 3"], pinched: Bool[np.ndarray, " G"]) -> None:
+        """Show tips [m], and which fingers pinch with the thumb."""
+        lit = lit_tips(pinched)
+        self.node.batched_positions = tips
+        self.node.batched_scales = np.where(lit, _BALL_PINCHED, _BALL)
+        colors = np.where(lit[:, None], np.array(HIGHLIGHT), self._palette)
+        self.node.batched_colors = linear(colors)

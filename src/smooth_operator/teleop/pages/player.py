@@ -10,12 +10,10 @@ from collections.abc import Callable, Iterator, Sequence
 import viser
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.teleop.pages.clock import PlaybackClock
-from smooth_operator.teleop.pages.page_server import PageServer, serve_page
-from smooth_operator.teleop.pages.playback import Playback, check_runs
-from smooth_operator.teleop.pages.player_panel import SPEEDS, Panel
+from smooth_operator.teleop.pages.playback import Playback, PlaybackClock, check_runs
+from smooth_operator.teleop.pages.player_panel import HEIGHT, SPEEDS, Panel
 from smooth_operator.teleop.pages.player_scene import Scene
-from smooth_operator.teleop.pages.timeline import HEIGHT
+from smooth_operator.teleop.pages.viser_server import PageServer, serve_page
 
 _TICK = 1 / 60  # shortest time between two drawn frames [s]: what a display shows
 _TEXT_TICK = 1 / 10  # same for text, slider and plot, which cost the browser far more than poses

@@ -27,14 +27,14 @@ def free_port(host: str, port: int) -> int:
     if not 0 <= port <= 65535:
         raise ConfigError(f"port must be in 0..65535, not {port}")
     try:
-        found = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
+        infos = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
     except OSError as error:
         raise ConfigError(f"can't resolve host {host!r}: {error}; try 127.0.0.1") from None
-    addresses = {(family, address[0]) for family, _, _, _, address in found}
+    addresses = {(family, address[0]) for family, _, _, _, address in infos}
     candidates = range(port, min(port + _TRIES, 65536)) if port else [0]
     for candidate in candidates:
         try:
-            taken = [_bind(family, str(address), candidate) for family, address in addresses]
+            bound = [_bind(family, str(address), candidate) for family, address in addresses]
         except OSError as error:
             if error.errno in (errno.EADDRINUSE, errno.EACCES):
                 continue
@@ -42,7 +42,7 @@ def free_port(host: str, port: int) -> int:
                 f"can't listen on {host!r}: {error.strerror}; use 127.0.0.1 for this machine "
                 "only, or 0.0.0.0 for the whole network"
             ) from None
-        return candidate or taken[0]
+        return candidate or bound[0]
     raise ConfigError(f"no free port in {port}..{candidates[-1]} on {host}; name another port")
 
 

@@ -2,19 +2,30 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
-from collections.abc import Iterator
-from typing import Any, Final
+import http
+import re
+import secrets
+import threading
+from collections.abc import Callable, Coroutine, Iterator
+from dataclasses import dataclass
+from typing import Any, Final, Self, TypeVar
 from weakref import WeakKeyDictionary
 
 import rich
 import viser
 from viser import _messages
+from viser.infra import _infra
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.teleop.pages.ports import free_port
-from smooth_operator.teleop.pages.viser_auth import auth_for, authenticated
-from smooth_operator.web.addresses import lan_addresses
+from smooth_operator.terminal import print_note
+from smooth_operator.web.addresses import is_local, lan_addresses
+from smooth_operator.web.auth import TokenAuth
+from smooth_operator.web.browser import open_page
+from smooth_operator.web.files import shielded
+from smooth_operator.web.quiet import quiet_options
 
 _TOKENS: Final[WeakKeyDictionary[viser.ViserServer, str | None]] = WeakKeyDictionary()
 
@@ -58,7 +69,7 @@ def run_script(server: viser.ViserServer, source: str) -> None:
     that has lost the connection, so a script has to look whether it has run.
 
     Args:
-        server: of ``open_server``.
+        server: result of ``open_server``.
         source: JavaScript.
     """
     interface: Any = server.gui
@@ -71,7 +82,7 @@ def page_url(host: str, server: viser.ViserServer) -> str:
     Args:
         host: that it listens on; for all addresses of this machine, the one that leads to its
             network is named, which works here, too.
-        server: of ``open_server``.
+        server: result of ``open_server``.
     """
     port, token = int(server.get_port()), _TOKENS.get(server)
     if host in ("0.0.0.0", "::"):
@@ -89,3 +100,238 @@ def _quiet_viser() -> Iterator[None]:
         yield
     finally:
         console.quiet = before
+
+
+_SIGNS: Final = re.compile(r"^(?:i(?=mport)|e(?=xport))|[!-/:-@\[-`{-~]")
+
+
+def plain(text: str) -> str:
+    """Any text as Markdown that shows it letter by letter, in one line.
+
+    viser compiles Markdown as MDX, which holds HTML, and JavaScript in braces or after ``import``
+    and ``export`` at the beginning of a line. What people write into a file (a name, a source, a
+    note) is none of that, so every sign that could mean something goes in as its number.
+    """
+    return _SIGNS.sub(lambda sign: f"&#{ord(sign[0])};", " ".join(text.split()))
+
+
+def add_hotkeys(gui: viser.GuiApi, *hotkeys: tuple[str, Any, Callable[[], None]]) -> None:
+    """Add commands: (name, key as viser calls it, action)."""
+
+    def add(name: str, key: Any, action: Callable[[], None]) -> None:
+        gui.add_command(name, hotkey=key).on_trigger(from_person(lambda _: action()))
+
+    for hotkey in hotkeys:
+        add(*hotkey)
+
+
+def from_person(action: Callable[[Any], None]) -> Callable[[Any], Coroutine[Any, Any, None]]:
+    """Wrap an action as a callback that answers people only.
+
+    Handles also call back when the program itself writes a value; such events have no client.
+    Coroutines run in order on the server's event loop, plain functions in a pool without order.
+    """
+
+    async def callback(event: Any) -> None:
+        if event.client is not None:
+            action(event)
+
+    return callback
+
+
+_POLICY: Final = (
+    "default-src 'self' data: blob: 'unsafe-inline' 'unsafe-eval'; "
+    "connect-src 'self' data: blob: ws: wss:; frame-src 'none'; object-src 'none'; "
+    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+"""viser's page is one file with its script in it, and makes WebAssembly and workers from that. It
+loads nothing from elsewhere, and no page frames it."""
+_PATCHING = threading.Lock()
+
+
+def auth_for(host: str) -> TokenAuth:
+    """Asks for a token unless only this machine reaches ``host``."""
+    return TokenAuth(None if is_local(host) else {"page": secrets.token_urlsafe(24)})
+
+
+@dataclass
+class Patched:
+    """Whether a server of viser was started that authenticates.
+
+    Attributes:
+        applied: False if this release of viser starts its server by other means.
+    """
+
+    applied: bool = False
+
+
+@contextlib.contextmanager
+def authenticated(auth: TokenAuth) -> Iterator[Patched]:
+    """Servers of viser that are started in this block refuse what ``auth`` refuses.
+
+    viser has no option for this. So the function that it starts its server with is wrapped, for
+    viser alone, while it starts.
+
+    Yields:
+        Whether that worked; look at it after the start.
+    """
+    with _PATCHING:
+        patched = Patched()
+        viser: Any = _infra
+        plain = viser.websockets
+        server = plain.asyncio.server
+        asking = _Module(server, serve=_asking(auth, patched, server.serve))
+        viser.websockets = _Module(plain, asyncio=_Module(plain.asyncio, server=asking))
+        try:
+            yield patched
+        finally:
+            viser.websockets = plain
+
+
+class _Module:
+    """A module with some names replaced."""
+
+    def __init__(self, module: Any, **replaced: Any) -> None:
+        self._module = module
+        self.__dict__.update(replaced)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._module, name)
+
+
+def _asking(auth: TokenAuth, patched: Patched, serve: Callable[..., Any]) -> Callable[..., Any]:
+    def serve_and_ask(*args: Any, process_request: Callable[..., Any], **options: Any) -> Any:
+        def answer(connection: Any, request: Any) -> Any:
+            refusal = auth.refusal(connection, request) or _not_a_client(connection, request)
+            return refusal or process_request(connection, request)
+
+        patched.applied = True
+        options |= quiet_options("smooth_operator.page")
+        return serve(*args, process_request=shielded(answer, _POLICY), **options)
+
+    return serve_and_ask
+
+
+def _not_a_client(connection: Any, request: Any) -> Any:
+    """Refuses a WebSocket that is not of a page of viser, which would print a line for it."""
+    protocols = request.headers.get_all("Sec-WebSocket-Protocol")
+    if "Upgrade" not in request.headers or any("viser-v" in each for each in protocols):
+        return None
+    return connection.respond(http.HTTPStatus.BAD_REQUEST, "no client of this page\n")
+
+
+class PageServer:
+    """Serves a page. Use as a context manager, or call ``start`` and ``stop``.
+
+    Args:
+        host: address to listen on. The default is reachable from this machine only; any other
+            wants the token that is in ``url``.
+        port: first port to try; the next free one is taken, see ``url``. 0: any free one.
+    """
+
+    def __init__(self, host: str = "127.0.0.1", port: int = 8080) -> None:
+        self._host, self._wanted_port = host, port
+        self._server: viser.ViserServer | None = None
+        self._ended = threading.Event()
+        self._error: BaseException | None = None
+
+    def _build(self, server: viser.ViserServer) -> None:
+        """Puts everything on the page; browsers see it at one time. Each page has its own."""
+        raise NotImplementedError
+
+    def _begin(self, server: viser.ViserServer) -> None:
+        """Called when the page is built."""
+
+    def _end(self) -> None:
+        """Called before the port is closed; also where the page was never started."""
+
+    def start(self) -> Self:
+        """Opens the port and shows the page; returns itself. Starting twice does nothing.
+
+        Raises:
+            ConfigError: if the address is not one of this machine's, or no port is free.
+        """
+        if self._server is not None:
+            return self
+        self._server = open_server(self._host, self._wanted_port)
+        atexit.register(self.stop)
+        with self._server.atomic():
+            self._build(self._server)
+        self._begin(self._server)
+        return self
+
+    def stop(self) -> None:
+        """Closes the port; safe to call twice."""
+        atexit.unregister(self.stop)
+        self._end()
+        server, self._server = self._server, None
+        if server is not None:
+            close_server(server)
+        self._ended.set()
+
+    def wait(self) -> None:
+        """Blocks until ``stop``, or until the page fails, and then raises what went wrong."""
+        while not self._ended.wait(0.2):  # bounded: Windows can't interrupt an endless wait
+            pass
+        if self._error is not None:
+            raise self._error
+
+    def __enter__(self) -> Self:
+        return self.start()
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    @property
+    def port(self) -> int:
+        """The port that the page is served on.
+
+        Raises:
+            ConfigError: the page is not being served.
+        """
+        return int(self._serving().get_port())
+
+    @property
+    def url(self) -> str:
+        """Address of the page, its token included.
+
+        Raises:
+            ConfigError: the page is not being served.
+        """
+        return page_url(self._host, self._serving())
+
+    def _serving(self) -> viser.ViserServer:
+        if self._server is None:
+            raise ConfigError("the page is not being served; call start() first")
+        return self._server
+
+
+_Page = TypeVar("_Page", bound=PageServer)
+
+
+def serve_page(page: _Page, doing: str, *, open_browser: bool, block: bool) -> _Page:
+    """Prints the address of a page that was started, opens it, and serves it.
+
+    Args:
+        page: that was started.
+        doing: what the printed line says before the address.
+        open_browser: open the page, where there is a desktop to open it on.
+        block: return only after Ctrl-C; otherwise immediately, and the caller stops the page.
+
+    Returns:
+        The page: stopped if ``block``, running otherwise.
+    """
+    # standard error: standard output may be a result that a program reads
+    port = page._wanted_port
+    note = "" if port in (0, page.port) else f" (port {port} was taken)"
+    print_note(f"{doing} {page.url}{note}{'; Ctrl-C ends' if block else ''}")
+    if open_browser:
+        open_page(page.url)
+    if block:
+        try:
+            page.wait()
+        except KeyboardInterrupt:
+            pass
+        finally:
+            page.stop()
+    return page

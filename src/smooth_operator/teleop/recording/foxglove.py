@@ -1,37 +1,29 @@
 """Hand, robot and joints as Foxglove's own messages, so that a log opens in its 3D panel.
 
 They are written in addition to the project's own messages, at a bounded rate, and are not read
-back. Their types are those of ``foxglove_types.py``, whose numbers of fields stand here.
+back.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from functools import lru_cache
-from itertools import groupby, repeat
-from typing import Final, NamedTuple, TypeAlias
+from itertools import groupby
+from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.landmarks import BONES, LANDMARKS, WRIST
-from smooth_operator.teleop.recording.foxglove_types import (
+from smooth_operator.landmarks import BONES, WRIST
+from smooth_operator.teleop.recording.log_types import (
+    FOXGLOVE,
     FRAMES,
     HAND_SCENE,
     HUMAN_WRIST,
     JOINTS,
     ROBOT_SCENE,
     WRIST_TARGET,
-)
-from smooth_operator.teleop.recording.wire import (
-    double_key,
-    head,
-    pack_double,
-    part,
-    text,
-    time,
-    whole,
+    message_class,
 )
 from smooth_operator.teleop.sinks.tick import WristCommand
 from smooth_operator.types import HandFrame
@@ -42,26 +34,21 @@ RATE_HZ: Final = 30.0
 ROBOT_FRAME: Final = "robot"
 """The robot's palm; the root."""
 TRACKER_FRAME: Final = "tracker"
-"""That of the landmarks. Its place is arbitrary: the first wrist lies 0.25 m from the robot's
+"""The frame of the landmarks. Its place is arbitrary: the first wrist lies 0.25 m from the robot's
 palm."""
-_BESIDE: Final = np.array([0.25, 0.0, 0.0])  # [m]
-
-# A Point3 as field 5 of LinePrimitive: what stands before each number is the same in all.
-_POINT: Final = np.dtype(
-    [("head", "<u2"), *((f"{k}{v}", t) for v in "xyz" for k, t in (("key_", "u1"), ("", "<f8")))]
-)
-_POINTS: Final = np.zeros(len(LANDMARKS), _POINT)
-_POINTS["head"] = int.from_bytes(head(5, 27), "little")
-for _axis, _key in enumerate(("key_x", "key_y", "key_z"), 1):
-    _POINTS[_key] = double_key(_axis)
+_OFFSET: Final = np.array([0.25, 0.0, 0.0])  # of the first wrist from the robot's palm [m]
 
 Keypoints: TypeAlias = Callable[[Float[np.ndarray, "k n"]], Float[np.ndarray, "k 21 3"]]
 """Joint positions [rad] to the robot's landmarks in its palm's frame [m]; NaN for those that it has
 not, which are the same at all positions."""
 
 _PERIOD_NS: Final = round(1e9 / RATE_HZ)
-_HUMAN: Final = (0.9, 0.6, 0.35, 1.0)
-_ROBOT: Final = (0.0, 0.45, 0.7, 1.0)
+_LOOKS: Final = {
+    HAND_SCENE: ("human hand", TRACKER_FRAME, (0.9, 0.6, 0.35, 1.0)),
+    ROBOT_SCENE: ("robot hand", ROBOT_FRAME, (0.0, 0.45, 0.7, 1.0)),
+}
+"""Topic -> name, frame and colour (red, green, blue, opacity) of its skeleton."""
+_MOST_SCENES: Final = 64
 _THICKNESS: Final = 0.004  # [m]
 _LINE_LIST: Final = 2
 
@@ -80,16 +67,18 @@ class FoxgloveMessages:
     They are gathered, and the skeletons of many frames and commands made in one call.
 
     Args:
-        keypoints: where the robot's landmarks are; None draws no robot.
+        keypoints: the robot's landmarks from its joint positions; None draws no robot.
     """
 
     def __init__(self, keypoints: Keypoints | None) -> None:
         self._keypoints = keypoints
         self._due: dict[str, int] = {}
-        self._place: bytes | None = None  # of the tracker's frame
+        self._transform: Any = None  # from the robot's frame to the tracker's
+        self._joints: Any = None
         self._messages: list[Message] = []
         self._hands: list[tuple[int, np.ndarray, bytes]] = []  # times, landmarks, whether valid
         self._robot: list[tuple[int, np.ndarray]] = []  # times and joint positions
+        self._scenes: dict[tuple[str, bytes], _Scene] = {}
 
     def hand(self, frame: HandFrame, at: int) -> None:
         """Take a hand frame, unless the last one was just now.
@@ -102,39 +91,45 @@ class FoxgloveMessages:
         wrist = frame.T_world_wrist
         known = wrist is not None and all(map(math.isfinite, wrist.tolist()))
         if wrist is not None and known and self._is_due(HUMAN_WRIST, at):
-            self._add(HUMAN_WRIST, at, _placed(wrist, frame.world or "world", at))
+            self._add_pose(HUMAN_WRIST, at, wrist, frame.world or "world")
         if not any(frame.valid.tolist()) or not self._is_due(HAND_SCENE, at):
             return
-        if self._place is None and frame.valid[WRIST]:
-            self._place = _transform(_BESIDE - frame.landmarks[WRIST])
-        place = self._place or _transform(_BESIDE)
-        self._add(FRAMES, at, part(1, time(1, at) + place))
+        transform = self._transform
+        if transform is None:
+            wrist_known = frame.valid[WRIST]
+            place = _OFFSET - frame.landmarks[WRIST] if wrist_known else _OFFSET
+            transform = _frame_transform(place)
+            self._transform = transform if wrist_known else None
+        _set_time(transform.transforms[0].timestamp, at)
+        self._add(FRAMES, at, transform)
         self._hands.append((at, frame.landmarks.copy(), frame.valid.tobytes()))
 
     def wrist(self, wrist: WristCommand, at: int) -> None:
-        """The same for the commanded wrist."""
+        """Take a commanded wrist; see ``hand``."""
         if self._is_due(WRIST_TARGET, at):
-            self._add(WRIST_TARGET, at, _placed(wrist.pose, wrist.world, at))
+            self._add_pose(WRIST_TARGET, at, wrist.pose, wrist.world)
 
     def command(self, names: tuple[str, ...], positions: Float[np.ndarray, " n"], at: int) -> None:
-        """The same for a command.
+        """Take a command; see ``hand``.
 
         Args:
-            names: of the joints.
-            positions: of the joints [rad].
+            names: joint names.
+            positions: joint positions [rad].
             at: its time [ns].
         """
         if not self._is_due(JOINTS, at):
             return
+        if self._joints is None:
+            self._joints = message_class(FOXGLOVE[JOINTS])(joints=[{"name": n} for n in names])
+        _set_time(self._joints.timestamp, at)
         values = positions.tolist()
-        finite = all(map(math.isfinite, values))
-        if finite:
-            pairs = zip(_joint_heads(names), values, strict=True)
-            joints = b"".join(before + pack_double(_POSITION, q) for before, q in pairs)
-        else:
-            joints = b"".join(_joint(name, q) for name, q in zip(names, values, strict=True))
-        self._add(JOINTS, at, time(1, at) + joints)
-        if self._keypoints is not None and finite:
+        for joint, position in zip(self._joints.joints, values, strict=True):
+            if math.isfinite(position):
+                joint.position = position
+            else:
+                joint.ClearField("position")
+        self._add(JOINTS, at, self._joints)
+        if self._keypoints is not None and all(map(math.isfinite, values)):
             self._robot.append((at, positions.copy()))
 
     def take(self) -> list[Message]:
@@ -143,19 +138,30 @@ class FoxgloveMessages:
         robot, self._robot = self._robot, []  # first, so that an error comes once
         for valid, group in groupby(hands, lambda hand: hand[2]):
             times, points, _ = zip(*group, strict=True)
-            scenes = _scenes("human hand", TRACKER_FRAME, times, np.array(points), valid, _HUMAN)
-            self._messages += map(Message, repeat(HAND_SCENE), times, scenes)
+            self._messages += self._scene(HAND_SCENE, valid).messages(times, np.array(points))
         if robot and self._keypoints is not None:
             times, positions = zip(*robot, strict=True)
-            found = self._keypoints(np.array(positions))
-            valid = np.asarray(np.isfinite(found[0]).all(axis=1)).tobytes()  # the same for all
-            scenes = _scenes("robot hand", ROBOT_FRAME, times, found, valid, _ROBOT)
-            self._messages += map(Message, repeat(ROBOT_SCENE), times, scenes)
+            landmarks = self._keypoints(np.array(positions))
+            valid = np.asarray(np.isfinite(landmarks[0]).all(axis=1)).tobytes()  # same for all
+            self._messages += self._scene(ROBOT_SCENE, valid).messages(times, landmarks)
         messages, self._messages = self._messages, []
         return messages
 
-    def _add(self, topic: str, at: int, data: bytes) -> None:
-        self._messages.append(Message(topic, at, data))
+    def _scene(self, topic: str, valid: bytes) -> _Scene:
+        scene = self._scenes.get((topic, valid))
+        if scene is None:
+            if len(self._scenes) >= _MOST_SCENES:
+                self._scenes.clear()
+            scene = self._scenes[topic, valid] = _Scene(topic, valid)
+        return scene
+
+    def _add(self, topic: str, at: int, message: Any) -> None:
+        self._messages.append(Message(topic, at, message.SerializeToString()))
+
+    def _add_pose(self, topic: str, at: int, pose: Float[np.ndarray, "7"], frame: str) -> None:
+        message = message_class(FOXGLOVE[topic])(frame_id=frame, pose=_pose(pose))
+        _set_time(message.timestamp, at)
+        self._add(topic, at, message)
 
     def _is_due(self, topic: str, at: int) -> bool:
         due = self._due.get(topic, at)
@@ -167,88 +173,60 @@ class FoxgloveMessages:
         return True
 
 
-def _scenes(
-    name: str,
-    frame: str,
-    times: Sequence[int],
-    landmarks: Float[np.ndarray, "k 21 3"],
-    valid: bytes,
-    colour: tuple[float, ...],
-) -> Iterator[bytes]:
-    """A skeleton at some times, each as lines, one for each bone whose two ends are known.
+class _Scene:
+    """A skeleton as lines, one for each bone whose two ends are known.
 
-    Single precision is enough to draw, and is packed better.
+    The message is made once, and filled with the points and the time of each frame.
     """
-    before, after = _line(valid, colour)
-    entity = _entity(name, frame)
-    known = landmarks[:, np.frombuffer(valid, bool)].astype(np.float32)
-    rows = np.tile(_POINTS[: known.shape[1]], (len(known), 1))
-    rows["x"], rows["y"], rows["z"] = np.moveaxis(known, 2, 0)
-    for at, points in zip(times, rows, strict=True):
-        line = part(11, b"".join((before, points.tobytes(), after)))
-        yield part(2, b"".join((time(1, at), entity, line)))
+
+    def __init__(self, topic: str, valid: bytes) -> None:
+        self._topic = topic
+        name, frame, colour = _LOOKS[topic]
+        self._known = np.frombuffer(valid, bool)
+        place = np.cumsum(self._known) - 1
+        ends = [place[i] for bone in BONES if self._known[list(bone)].all() for i in bone]
+        line = {
+            "type": _LINE_LIST,
+            "pose": _pose(np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])),
+            "thickness": _THICKNESS,
+            "points": [{}] * int(self._known.sum()),
+            "color": dict(zip("rgba", colour, strict=True)),
+            "indices": ends,
+        }
+        entity = {"frame_id": frame, "id": name, "frame_locked": True, "lines": [line]}
+        self._message = message_class(FOXGLOVE[HAND_SCENE])(entities=[entity])
+        self._timestamp = self._message.entities[0].timestamp
+        self._points = list(self._message.entities[0].lines[0].points)
+
+    def messages(
+        self, times: Sequence[int], landmarks: Float[np.ndarray, "k 21 3"]
+    ) -> Iterator[Message]:
+        """The skeleton at some times [ns]."""
+        rows = landmarks[:, self._known].astype(np.float32)  # enough to draw, and packed better
+        for at, row in zip(times, rows.tolist(), strict=True):
+            _set_time(self._timestamp, at)
+            for point, (x, y, z) in zip(self._points, row, strict=True):
+                point.x, point.y, point.z = x, y, z
+            yield Message(self._topic, at, self._message.SerializeToString())
 
 
-@lru_cache(maxsize=256)
-def _line(valid: bytes, colour: tuple[float, ...]) -> tuple[bytes, bytes]:
-    """What stands before and after the points of a skeleton."""
-    there = np.frombuffer(valid, bool)
-    place = np.cumsum(there) - 1
-    ends = [place[i] for bone in BONES if there[list(bone)].all() for i in bone]
-    before = b"".join(
-        (
-            whole(1, _LINE_LIST),
-            part(2, _pose(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))),
-            pack_double(double_key(3), _THICKNESS),
-            whole(4, 0),
-        )
-    )
-    after = part(6, _numbers(colour)) + part(8, np.array(ends, "<u4").tobytes())
-    return before, after
+def _set_time(timestamp: Any, at: int) -> None:
+    timestamp.seconds, timestamp.nanos = divmod(at, 1_000_000_000)
 
 
-@lru_cache(maxsize=8)
-def _entity(name: str, frame: str) -> bytes:
-    """Frame, name, no lifetime, and that it moves with its frame."""
-    return text(2, frame) + text(3, name) + part(4, b"") + whole(5, 1)
+def _frame_transform(translation: Float[np.ndarray, "3"]) -> Any:
+    transform = {
+        "parent_frame_id": ROBOT_FRAME,
+        "child_frame_id": TRACKER_FRAME,
+        "translation": dict(zip("xyz", translation.tolist(), strict=True)),
+        "rotation": {"w": 1.0},
+    }
+    return message_class(FOXGLOVE[FRAMES])(transforms=[transform])
 
 
-_POSITION: Final = double_key(2)
-
-
-@lru_cache(maxsize=8)
-def _joint_heads(names: tuple[str, ...]) -> tuple[bytes, ...]:
-    """What stands before the position of each joint, which is its last field of 9 bytes."""
-    named = [text(1, name) for name in names]
-    return tuple(head(2, len(one) + 9) + one for one in named)
-
-
-def _joint(name: str, position: float) -> bytes:
-    """A joint whose position may be unknown."""
-    known = pack_double(_POSITION, position) if math.isfinite(position) else b""
-    return part(2, text(1, name) + known)
-
-
-def _placed(found: Float[np.ndarray, "7"], frame: str, at: int) -> bytes:
-    return time(1, at) + text(2, frame) + part(3, _pose(found[:3], found[3:]))
-
-
-def _transform(translation: Float[np.ndarray, "3"]) -> bytes:
-    """From the robot's frame to the tracker's: a ``FrameTransform`` without its time."""
-    return b"".join(
-        (
-            text(2, ROBOT_FRAME),
-            text(3, TRACKER_FRAME),
-            part(4, _numbers(translation)),
-            part(5, _numbers((0.0, 0.0, 0.0, 1.0))),
-        )
-    )
-
-
-def _pose(position: Float[np.ndarray, "3"], wxyz: Float[np.ndarray, "4"]) -> bytes:
-    return part(1, _numbers(position)) + part(2, _numbers(np.roll(wxyz, -1)))
-
-
-def _numbers(values: Sequence[float] | np.ndarray) -> bytes:
-    """A message whose fields are numbers, from the first on."""
-    return b"".join(pack_double(double_key(k), float(x)) for k, x in enumerate(values, 1))
+def _pose(pose: Float[np.ndarray, "7"]) -> dict[str, dict[str, float]]:
+    values = pose.tolist()
+    return {
+        "position": dict(zip("xyz", values[:3], strict=True)),
+        "orientation": dict(zip("wxyz", values[3:], strict=True)),
+    }

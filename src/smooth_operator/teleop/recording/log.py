@@ -13,28 +13,19 @@ import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Any, Literal
+from typing import IO, Any, Final, Literal
 
 import numpy as np
 
 from smooth_operator.atomic_files import output_error
 from smooth_operator.errors import ConfigError, OutputError, RecordingError
 from smooth_operator.formats.jsonable import to_json
-from smooth_operator.teleop.recording import foxglove_types, schemas
-from smooth_operator.teleop.recording import log_messages as encoded
 from smooth_operator.teleop.recording.foxglove import FoxgloveMessages, Keypoints
-from smooth_operator.teleop.recording.loop_state import LoopState
-from smooth_operator.teleop.recording.mcap_writer import (
-    COMPRESSIONS,
-    McapWriter,
-    OpenChannel,
-    close_at,
-)
-from smooth_operator.teleop.recording.protobuf_types import type_set
-from smooth_operator.teleop.recording.schemas import (
+from smooth_operator.teleop.recording.log_types import (
     ARM,
     COMMAND,
     CONFIG,
+    FOXGLOVE,
     HAND,
     LIVE,
     LOOP,
@@ -47,10 +38,15 @@ from smooth_operator.teleop.recording.schemas import (
     TIMING,
     VERSION,
     WRIST,
+    LoopState,
+    message_class,
+    schema_data,
 )
-from smooth_operator.teleop.sinks.hand_state import HandState
-from smooth_operator.teleop.sinks.tick import ArmCommand, WristCommand
+from smooth_operator.teleop.recording.mcap_writer import COMPRESSIONS, McapWriter
+from smooth_operator.teleop.sinks.tick import ArmCommand, HandState, WristCommand
 from smooth_operator.types import HandFrame, JointCommand, Side, Status
+
+_MAX_LOG_TIME: Final = 2**64 - 1
 
 
 class LogWriter:
@@ -114,12 +110,13 @@ class LogWriter:
         self._hand_stamp = -math.inf
         self._side: Side | None = None
         self._names: tuple[str, ...] | None = None
-        self._sequence = dict.fromkeys((*SCHEMAS, *foxglove_types.SCHEMAS), 0)
+        self._sequence = dict.fromkeys((*SCHEMAS, *FOXGLOVE), 0)
         self._foxglove = FoxgloveMessages(keypoints)
         self._log_time = 0
         self._stream: IO[bytes] | None = None
         self._writer: Any = None  # McapWriter, once the file is open
-        self._channels: dict[str, OpenChannel] = {}
+        self._channels: dict[str, int] = {}
+        self._classes = {topic: message_class(name) for topic, name in SCHEMAS.items()}
         with self._writing():
             self._stream = self.path.open("wb" if overwrite else "xb")
             self._writer = McapWriter(self._stream, compression, "smooth-operator")
@@ -151,9 +148,19 @@ class LogWriter:
                 f"{self.path}: this is the log of a {self._side} hand, the frame is of a "
                 f"{frame.side} one; write each hand to its own log"
             )
-        at = encoded.nanoseconds(stamp)
+        message = self._classes[HAND](
+            stamp=stamp,
+            side=frame.side,
+            landmarks=_flat(frame.landmarks),
+            valid=_flat(frame.valid),
+            metacarpals=_flat(frame.metacarpals),
+            orientations=_flat(frame.orientations),
+            wrist=_flat(frame.T_world_wrist),
+            world=None if frame.T_world_wrist is None else frame.world,
+        )
+        at = _nanoseconds(stamp)
         self._foxglove.hand(frame, at)
-        self._append(at, (HAND, encoded.hand_message(stamp, frame)))
+        self._append(at, (HAND, message))
         self._hand_stamp = stamp
         self._side = frame.side
 
@@ -199,18 +206,21 @@ class LogWriter:
         if not math.isfinite(stamp):
             raise RecordingError(f"{self.path}: the stamp of a command must be finite, not {stamp}")
         # The command last, so that in a log that is cut off it never lacks its timing and status.
+        new = self._classes
+        status = Status(status)
         messages = [
-            (TIMING, encoded.timing_message(stamp, latency_ms, stages or {})),
-            (STATUS, encoded.status_message(stamp, Status(status))),
+            (TIMING, _timing(new[TIMING], stamp, latency_ms, stages or {})),
+            (STATUS, new[STATUS](stamp=stamp, status=int(status), reason=status.reason)),
         ]
         if loop is not None:
-            messages.append((LOOP, encoded.loop_message(stamp, loop)))
+            messages.append((LOOP, _loop(new[LOOP], stamp, loop)))
         if wrist is not None:
-            messages.append((WRIST, encoded.wrist_message(stamp, wrist)))
+            messages.append((WRIST, _wrist(new[WRIST], stamp, wrist)))
         if arm is not None:
-            messages.append((ARM, encoded.arm_message(stamp, arm)))
-        messages.append((COMMAND, encoded.command_message(stamp, names, positions)))
-        at = encoded.nanoseconds(stamp)
+            messages.append((ARM, _arm(new[ARM], stamp, arm)))
+        message = new[COMMAND](stamp=stamp, names=names, positions=positions.tolist())
+        messages.append((COMMAND, message))
+        at = _nanoseconds(stamp)
         if wrist is not None:
             self._foxglove.wrist(wrist, at)
         self._foxglove.command(names, positions, at)
@@ -223,7 +233,17 @@ class LogWriter:
         Raises:
             OutputError: as for the class.
         """
-        self._append(encoded.nanoseconds(state.stamp), (STATE, encoded.state_message(state)))
+        message = self._classes[STATE](
+            stamp=state.stamp,
+            names=state.names,
+            positions=_flat(state.positions),
+            velocities=_flat(state.velocities),
+            actuators=state.actuators,
+            currents=_flat(state.currents),
+            temperatures=_flat(state.temperatures),
+            touch=_flat(state.touch),
+        )
+        self._append(_nanoseconds(state.stamp), (STATE, message))
 
     def write_config(self, config: Mapping[str, Any]) -> None:
         """Append the resolved configuration, once.
@@ -299,7 +319,8 @@ class LogWriter:
             return
         with self._writing():
             self._add_config()  # where no frame ever came
-            self._end_chunk().finish()
+            self._end_chunk()
+            self._writer.finish()
             self._stream.flush()
             os.fsync(self._stream.fileno())
             stream, self._stream = self._stream, None
@@ -320,16 +341,18 @@ class LogWriter:
 
     def _metadata(self, name: str, texts: Mapping[str, str]) -> None:
         with self._writing():
-            self._end_chunk().add_metadata(name, texts)
+            self._end_chunk()
+            self._writer.add_metadata(name, texts)
+            self._end_chunk()
 
-    def _append(self, at: int, *messages: tuple[str, bytes]) -> None:
+    def _append(self, at: int, *messages: tuple[str, Any]) -> None:
         """Put messages into the chunk, at a time [ns]."""
         if self._stream is None:
             self._check_open()
         self._log_time = at
         if self._config is not None:
             self._add_config()
-        self._add(at, *messages)
+        self._add(at, *((topic, message.SerializeToString()) for topic, message in messages))
         now = time.monotonic()
         if self._waiting_since is None:
             self._waiting_since = now
@@ -343,18 +366,18 @@ class LogWriter:
         command = sequence[COMMAND]
         for topic, data in messages:
             channel = self._channels.get(topic) or self._channel(topic)
-            # What is said of a command has its number, by which the reader joins them.
+            # The status and the like of a command have its number, by which the reader joins them.
             number = command if topic in OF_COMMANDS else sequence[topic]
             self._writer.add(channel, number, at, data)
             sequence[topic] += 1
 
     def _add_config(self) -> None:
         if self._config is not None:
-            message = encoded.config_message(self._config)
+            message = self._classes[CONFIG](configuration=self._config)
             self._config, self._config_written = None, True
-            self._add(self._log_time, (CONFIG, message))
+            self._add(self._log_time, (CONFIG, message.SerializeToString()))
 
-    def _end_chunk(self, *, sync: bool = False) -> McapWriter:
+    def _end_chunk(self, *, sync: bool = False) -> None:
         assert self._stream is not None
         for topic, at, data in self._foxglove.take():
             self._add(at, (topic, data))
@@ -364,15 +387,11 @@ class LogWriter:
         self._waiting_since = None
         self.commands_flushed = self._sequence[COMMAND]
         self._whole_bytes = self._stream.tell()
-        writer: McapWriter = self._writer
-        return writer
 
-    def _channel(self, topic: str) -> OpenChannel:
-        """Registers a topic."""
-        source = schemas if topic in SCHEMAS else foxglove_types
-        name = source.SCHEMAS[topic]
-        types = type_set(source.TYPES, name)
-        channel: OpenChannel = self._writer.register(topic, name, types, {"version": VERSION})
+    def _channel(self, topic: str) -> int:
+        """Registers a topic; its channel."""
+        name = SCHEMAS.get(topic) or FOXGLOVE[topic]
+        channel: int = self._writer.register(topic, name, schema_data(name), {"version": VERSION})
         self._channels[topic] = channel
         return channel
 
@@ -395,5 +414,74 @@ class LogWriter:
     def _failed(self, error: OSError) -> OutputError:
         stream, self._stream = self._stream, None
         if stream is not None:
-            close_at(stream, self._whole_bytes)  # without the chunk that is written in part
+            _close_at(stream, self._whole_bytes)  # without the chunk that is written in part
         return output_error(self.path, error)
+
+
+def _nanoseconds(stamp: float) -> int:
+    """A stamp as MCAP has it: whole, and none before zero; the message keeps it exactly."""
+    return min(round(min(max(stamp * 1e9, 0.0), float(_MAX_LOG_TIME))), _MAX_LOG_TIME)
+
+
+def _flat(values: np.ndarray | None) -> list[Any]:
+    """The numbers of an array of any shape in a row; none where it is None."""
+    return [] if values is None else np.asarray(values).ravel().tolist()
+
+
+def _known(value: float | None) -> float:
+    return math.nan if value is None else float(value)
+
+
+def _timing(new: Any, stamp: float, latency_ms: float | None, stages: Mapping[str, Any]) -> Any:
+    message = new(stamp=stamp, latency_ms=_known(latency_ms))
+    for name, ms in stages.items():
+        message.stages.add(name=name, ms=_known(ms))
+    return message
+
+
+def _loop(new: Any, stamp: float, loop: LoopState) -> Any:
+    return new(
+        stamp=stamp,
+        number=loop.number,
+        mode=loop.mode,
+        time=loop.time,
+        received=_known(loop.received),
+        tracker_stamp=_known(loop.tracker_stamp),
+        session=loop.session,
+        tracking_loss=loop.tracking_loss,
+        scale=loop.scale,
+        events=loop.events,
+    )
+
+
+def _wrist(new: Any, stamp: float, wrist: WristCommand) -> Any:
+    pose = wrist.pose.tolist()
+    return new(stamp=stamp, pose=pose, engaged=wrist.engaged, valid=wrist.valid, world=wrist.world)
+
+
+def _arm(new: Any, stamp: float, arm: ArmCommand) -> Any:
+    return new(
+        stamp=stamp,
+        name=arm.name,
+        names=arm.joint_names,
+        positions=_flat(arm.positions),
+        velocities=_flat(arm.velocity),
+        measured=_flat(arm.measured),
+        pose=_flat(arm.pose),
+        state=arm.state,
+        clearance=arm.clearance,
+        position_error=arm.position_error,
+        rotation_error=arm.rotation_error,
+    )
+
+
+def _close_at(stream: IO[bytes], size: int) -> None:
+    """Close a file that can't be written any more, as far as it goes, and cut it to a size."""
+    with contextlib.suppress(OSError):
+        file = os.dup(stream.fileno())
+        try:
+            with contextlib.suppress(OSError):
+                stream.close()
+            os.ftruncate(file, size)
+        finally:
+            os.close(file)

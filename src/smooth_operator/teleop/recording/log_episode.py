@@ -16,13 +16,10 @@ from smooth_operator.formats.jsonable import to_json
 from smooth_operator.formats.states import StateTrajectory
 from smooth_operator.formats.wrist_track import WristTrack
 from smooth_operator.io.documents import parse_json
-from smooth_operator.teleop.recording import foxglove_types
 from smooth_operator.teleop.recording.log import LogWriter
-from smooth_operator.teleop.recording.log_reader import Log, read_log
-from smooth_operator.teleop.recording.log_records import read_summary
-from smooth_operator.teleop.recording.schemas import SCHEMAS
-from smooth_operator.teleop.sinks.hand_state import HandState
-from smooth_operator.teleop.sinks.tick import ArmCommand, WristCommand
+from smooth_operator.teleop.recording.log_reader import Log, log_topics, read_log
+from smooth_operator.teleop.recording.log_types import FOXGLOVE, SCHEMAS
+from smooth_operator.teleop.sinks.tick import ArmCommand, HandState, WristCommand
 from smooth_operator.types import HandRecording, JointCommand, Side, Status
 
 _CHUNK_BYTES = 1 << 20  # a crash loses the whole new file anyway, and larger chunks are smaller
@@ -169,14 +166,11 @@ def log_losses(episode: Episode) -> list[str]:
 
 
 def is_own_log(path: Path) -> bool:
-    """Whether this program wrote the file; found from its index, where that is whole."""
+    """True for a log of this program, by its index where that is whole."""
     try:
-        summary = read_summary(path)
-        if summary is not None and summary.topics:
-            topics = set(summary.topics.values())
-            return (
-                bool(topics & SCHEMAS.keys()) and topics <= SCHEMAS.keys() | foxglove_types.SCHEMAS
-            )
+        topics = log_topics(path)
+        if topics:
+            return bool(topics.keys() & SCHEMAS.keys()) and topics.keys() <= {*SCHEMAS, *FOXGLOVE}
         return read_log(path) is not None  # which refuses a log of another program
     except (RecordingError, OSError):
         return False

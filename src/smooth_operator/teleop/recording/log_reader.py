@@ -4,59 +4,75 @@ from __future__ import annotations
 
 import math
 import os
+import struct
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import IO, Any, Final
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
-from smooth_operator.errors import UPGRADE, DocumentError, RecordingError, brief, listed
+from smooth_operator.errors import UPGRADE, RecordingError, brief, listed
 from smooth_operator.formats.arm_track import ArmTrack
+from smooth_operator.formats.bounds import ARRAYS_RATIO, FREE_BYTES, LOG_RATIO, Allowance
 from smooth_operator.formats.checks import check_side
 from smooth_operator.formats.registry import readable
 from smooth_operator.formats.sniff import file_kind
 from smooth_operator.formats.states import StateTrajectory
 from smooth_operator.formats.wrist_track import WristTrack
 from smooth_operator.io.documents import parse_json
-from smooth_operator.teleop.recording.log_json import json_row
-from smooth_operator.teleop.recording.log_protobuf import protobuf_rows
-from smooth_operator.teleop.recording.log_records import (
-    DamagedError,
-    LogMessages,
-    read_records,
-    read_summary,
-)
-from smooth_operator.teleop.recording.log_tables import Table
-from smooth_operator.teleop.recording.log_tracks import (
-    read_arm_track,
-    read_commands,
-    read_hands,
-    read_states,
-    read_wrist_track,
-)
-from smooth_operator.teleop.recording.loop_state import LoopTrack, read_loop_track
-from smooth_operator.teleop.recording.mcap_library import Channel, Metadata
-from smooth_operator.teleop.recording.schemas import (
+from smooth_operator.landmarks import NUM_LANDMARKS
+from smooth_operator.teleop.recording.log_types import (
     ARM,
     COMMAND,
     CONFIG,
     HAND,
-    JSON_VERSIONS,
     LOOP,
     METHOD,
     ORIGIN,
-    READ,
     SCHEMAS,
     STATE,
     STATUS,
     TIMING,
     VERSION,
     WRIST,
+    DecodeError,
+    LoopTrack,
+    McapError,
+    lz4_frame,
+    mcap_reader,
+    mcap_records,
+    mcap_stream,
+    message_class,
+    zstandard,
 )
-from smooth_operator.types import CommandTrajectory, HandRecording, Side
+from smooth_operator.types import CommandTrajectory, HandRecording, Side, Status
 
-_Notes: TypeAlias = list[tuple[str, dict[str, str]]]  # metadata records with their names
+_MOST_BYTES: Final = 1 << 20
+"""Longest message that is read, the configuration left out; a usual one has 1 kB."""
+_MOST_STAGES: Final = 64  # each takes a number for every command
+_MOST_ARM_JOINTS: Final = 64
+_FLOAT_BYTES: Final = 8
+
+# Exceptions of the MCAP library and the decompressors on cut-off or damaged bytes (lz4 raises
+# RuntimeError; a wrong checksum and bad UTF-8 are ValueErrors).
+_DAMAGE: Final = (
+    McapError,
+    struct.error,
+    ValueError,
+    EOFError,
+    RuntimeError,
+    MemoryError,
+    zlib.error,
+    zstandard.ZstdError,
+)
+
+
+class DamagedError(Exception):
+    """The bytes end, or make no sense, from here on."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +133,6 @@ def read_log(path: str | os.PathLike[str]) -> Log:
 
     The file is read from the front, so that one whose end is missing (a crash, a full disk) gives
     every chunk that was completed. Landmarks come back bit for bit, NaN where they were not finite.
-    Logs of versions 1 and 2, whose messages are JSON, are read as well.
 
     Args:
         path: the log.
@@ -126,7 +141,7 @@ def read_log(path: str | os.PathLike[str]) -> Log:
         What it holds; units are not checked here (``read_recording`` does).
 
     Raises:
-        RecordingError: no such file, not an MCAP log, one of another program or a newer version, or
+        RecordingError: no such file, not an MCAP log, one of another program or version, or
             messages that can't be understood.
     """
     path = Path(path)
@@ -135,23 +150,25 @@ def read_log(path: str | os.PathLike[str]) -> Log:
             f"{path}: not a log, but a file of another format; expected the .mcap that "
             "`smooth-operator teleop --sink record:take.mcap` writes"
         )
-    tables, notes, truncated = _read_tables(path)
+    tables, metadata, truncated = _read_tables(path)
     try:
         commands = tables[COMMAND]
-        trajectory, stages = read_commands(commands, tables[TIMING], tables[STATUS])
-        loop = read_loop_track(commands.numbers, tables[LOOP])
+        trajectory, stages = _read_commands(commands, tables[TIMING], tables[STATUS])
+        loop = _read_loop_track(commands.numbers, tables[LOOP])
         configs = tables[CONFIG].column("configuration")
         config = _object(configs[0]) if configs else None
-        recording = read_hands(tables[HAND], path, truncated)
-        wrist = read_wrist_track(commands.numbers, tables[WRIST])
-        arm = read_arm_track(commands.numbers, tables[ARM])
-        states = read_states(tables[STATE])
-        methods = tuple(_method(texts) for name, texts in notes if name == METHOD)
+        recording = _read_hands(tables[HAND], path, truncated)
+        wrist = _read_wrist_track(commands.numbers, tables[WRIST])
+        arm = _read_arm_track(commands.numbers, tables[ARM])
+        states = _read_states(tables[STATE])
+        methods = tuple(_method(one.metadata) for one in metadata if one.name == METHOD)
     except RecordingError:
         raise  # it is a ValueError too, but has its own message
     except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
         raise _not_ours(path, error) from error
-    origin = next((texts for name, texts in reversed(notes) if name == ORIGIN), {})
+    origin: dict[str, str] = next(
+        (one.metadata for one in reversed(metadata) if one.name == ORIGIN), {}
+    )
     return Log(
         recording, trajectory, config, truncated, stages, origin, loop, methods, states, wrist, arm
     )
@@ -173,34 +190,134 @@ def read_log_recording(
     return log.recording
 
 
+def log_topics(path: Path) -> Mapping[str, int] | None:
+    """The topics of a log with the number of their messages, from the summary at its end.
+
+    Returns:
+        None where the log was cut off or has no summary.
+
+    Raises:
+        OSError: the file can't be read.
+    """
+    try:
+        with path.open("rb") as stream:
+            whole: Any = _WholeReads(stream, path.stat().st_size)
+            summary = mcap_reader.make_reader(whole).get_summary()
+    except _DAMAGE:
+        return None
+    if summary is None or summary.statistics is None:
+        return None
+    counts = summary.statistics.channel_message_counts
+    topics = dict.fromkeys((channel.topic for channel in summary.channels.values()), 0)
+    for channel in summary.channels.values():
+        topics[channel.topic] += counts.get(channel.id, 0)
+    return topics
+
+
 def count_log_frames(path: Path) -> int | None:
     """Hand frames, from the summary at the end of the log; None where it was cut off."""
-    summary = read_summary(path)
-    if summary is None or summary.counts is None:
-        return None
-    channels = [number for number, topic in summary.topics.items() if topic == HAND]
-    return sum(summary.counts.get(channel, 0) for channel in channels)
+    topics = log_topics(path)
+    return None if topics is None else topics.get(HAND, 0)
 
 
-def _read_tables(path: Path) -> tuple[dict[str, Table], _Notes, bool]:
+# --- records of the file -------------------------------------------------------------------------
+
+
+class _WholeReads:
+    """A stream that gives all the bytes that are asked for, or EOFError.
+
+    The library takes a record that was cut in its middle for a whole one.
+    """
+
+    def __init__(self, stream: IO[bytes], size: int) -> None:
+        self._stream, self._size = stream, size
+        self.seek, self.seekable = stream.seek, stream.seekable
+
+    def read(self, count: int) -> bytes:
+        if self._stream.tell() + count > self._size:  # a damaged length can't ask for the memory
+            raise EOFError
+        return self._stream.read(count)
+
+
+def _read_records(path: Path) -> Iterator[Any]:
+    """The channels, metadata and messages of a log, in order.
+
+    Raises:
+        RecordingError: a chunk's compression is not known here, or it unpacks to more than a file
+            of this size may.
+        DamagedError: the records stop before their end.
+        OSError: the file can't be read.
+    """
+    size = path.stat().st_size
+    allowance = Allowance.of(path, size, LOG_RATIO)
+    unpacked = 0
+    with path.open("rb") as stream:
+        whole: Any = _WholeReads(stream, size)
+        records = mcap_stream.StreamReader(whole, emit_chunks=True).records
+        while True:
+            try:
+                record = next(records, None)
+                if record is None:
+                    return
+                inner = [record]
+                if isinstance(record, mcap_records.Chunk):
+                    unpacked += _stated_size(record)
+                    allowance.take("its chunks", unpacked)
+                    record.data, record.compression = _unpacked(record, path), ""
+                    inner = mcap_stream.breakup_chunk(record, validate_crc=True)
+            except RecordingError:
+                raise
+            except _DAMAGE as error:
+                raise DamagedError from error
+            yield from inner
+
+
+def _stated_size(chunk: mcap_records.Chunk) -> int:
+    """Bytes that a chunk unpacks to, by its record or its Zstandard frame."""
+    if chunk.compression != "zstd":
+        return max(chunk.uncompressed_size, len(chunk.data) if not chunk.compression else 0)
+    return max(chunk.uncompressed_size, zstandard.frame_content_size(chunk.data))
+
+
+def _unpacked(chunk: mcap_records.Chunk, path: Path) -> bytes:
+    size = chunk.uncompressed_size
+    if chunk.compression == "zstd":
+        data = zstandard.decompress(chunk.data, max_output_size=size)
+    elif chunk.compression == "lz4":
+        # One byte more than it should be: if that comes, the chunk is larger than it says.
+        data = lz4_frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=size + 1)
+    elif not chunk.compression:
+        data = chunk.data
+    else:
+        raise RecordingError(
+            f"{path}: the log's compression {brief(chunk.compression)} is not read here; "
+            "write it with zstd, lz4 or none"
+        )
+    if len(data) != size:
+        raise DamagedError
+    return bytes(data)
+
+
+def _read_tables(path: Path) -> tuple[dict[str, _Table], list[Any], bool]:
     """The messages by topic, the metadata, and whether the end of the file is missing."""
-    tables = {topic: Table(fields) for topic, fields in READ.items()}
-    versions: dict[int, tuple[str, str]] = {}  # topic and version of a channel
+    tables = {topic: _Table(topic) for topic in SCHEMAS}
+    channels: dict[int, _Table] = {}
     foreign: set[str] = set()
-    notes: _Notes = []
+    metadata: list[Any] = []
     truncated = False
     try:
-        for record in read_records(path, versions):
-            if isinstance(record, Channel):
-                if (version := _version(record, path)) is not None:
-                    versions[record.id] = record.topic, version
+        for record in _read_records(path):
+            if isinstance(record, mcap_records.Message):
+                if (table := channels.get(record.channel_id)) is not None:
+                    table.add(record, path)
+            elif isinstance(record, mcap_records.Channel):
+                if _is_own(record, path):
+                    channels[record.id] = tables[record.topic]
                 else:
-                    versions.pop(record.id, None)
+                    channels.pop(record.id, None)
                     foreign.add(record.topic)
-            elif isinstance(record, Metadata):
-                notes.append((record.name, dict(record.metadata)))
-            elif record.channel in versions:
-                _take(tables, record, *versions[record.channel], path)
+            elif isinstance(record, mcap_records.Metadata):
+                metadata.append(record)
     except DamagedError:
         truncated = True
     except OSError as error:
@@ -210,45 +327,20 @@ def _read_tables(path: Path) -> tuple[dict[str, Table], _Notes, bool]:
             f"{path}: an MCAP file of another program, with the topics "
             f"{listed(sorted(foreign))}. What is read: {readable()}"
         )
-    return tables, notes, truncated
+    return tables, metadata, truncated
 
 
-def _version(channel: Channel, path: Path) -> str | None:
-    """The version of the messages of a channel; None where they are not of this program."""
+def _is_own(channel: Any, path: Path) -> bool:
+    """True for a channel of this program."""
     version = channel.metadata.get("version")
     if channel.topic not in SCHEMAS or version is None:
-        return None
-    if version != VERSION and version not in JSON_VERSIONS:
+        return False
+    if version != VERSION:
         raise RecordingError(
-            f"{path}: the log is of version {version[:20]}, this program reads up to version "
-            f"{VERSION}; upgrade it: {UPGRADE}"
+            f"{path}: the log is of version {version[:20]}, this program reads version "
+            f"{VERSION}; if a newer version wrote it, upgrade: {UPGRADE}"
         )
-    return str(version)
-
-
-def _take(
-    tables: dict[str, Table], found: LogMessages, topic: str, version: str, path: Path
-) -> None:
-    """Put messages into the table of their topic."""
-    table = tables[topic]
-    try:
-        if version == VERSION:
-            table.rows += protobuf_rows(found.data, topic)
-            table.numbers += found.numbers
-            return
-        for number, data in zip(found.numbers, found.data, strict=True):
-            row, status = json_row(data, topic)
-            table.rows.append(row)
-            table.numbers.append(number)
-            if status is not None and version == "1":
-                tables[STATUS].rows.append((status,))
-                tables[STATUS].numbers.append(number)
-    except DocumentError as error:
-        raise RecordingError(
-            f"{path}: a message on {topic} is not JSON ({error}); copy or record it again"
-        ) from error
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise _not_ours(path, error) from error
+    return True
 
 
 def _method(texts: dict[str, str]) -> MethodUse:
@@ -270,4 +362,322 @@ def _not_ours(path: Path, error: Exception) -> RecordingError:
     return RecordingError(
         f"{path}: a message of the log lacks a field or has a wrong one ({missing[:200]}); it was "
         "not written by this program, or is damaged"
+    )
+
+
+# --- columns of a topic --------------------------------------------------------------------------
+
+
+class _Table:
+    """The messages of a topic.
+
+    Attributes:
+        numbers: sequence numbers of the messages.
+        messages: the messages.
+    """
+
+    def __init__(self, topic: str) -> None:
+        self._topic = topic
+        self._parse = message_class(SCHEMAS[topic]).FromString
+        self.numbers: list[int] = []
+        self.messages: list[Any] = []
+
+    def __len__(self) -> int:
+        return len(self.messages)
+
+    def add(self, record: Any, path: Path) -> None:
+        """Take a message.
+
+        Raises:
+            RecordingError: it is damaged, or too long.
+        """
+        topic, size = self._topic, len(record.data)
+        if size > _MOST_BYTES and topic != CONFIG:
+            wrong = f"a message on {topic} has {size} bytes, more than {_MOST_BYTES}"
+            raise _not_ours(path, ValueError(wrong))
+        try:
+            self.messages.append(self._parse(record.data))
+        except DecodeError as error:
+            wrong = f"a message on {topic} is no {SCHEMAS[topic]}: {error}"
+            raise _not_ours(path, ValueError(wrong)) from error
+        self.numbers.append(record.sequence)
+
+    def column(self, name: str) -> list[Any]:
+        """The values of a field; of a repeated one a list or tuple for each message."""
+        return [getattr(message, name) for message in self.messages]
+
+    def floats(self, name: str) -> Float[np.ndarray, " T"]:
+        """The values of a field that is a number; what is not finite is NaN."""
+        return _finite(np.array(self.column(name), np.float64))
+
+    def stamps(self) -> Float[np.ndarray, " T"]:
+        """The stamps.
+
+        Raises:
+            ValueError: one is not finite.
+        """
+        stamps = np.array(self.column("stamp"), np.float64)
+        if not np.isfinite(stamps).all():
+            raise ValueError("a stamp is not finite")
+        return stamps
+
+    def matrix(self, name: str, *shape: int) -> Float[np.ndarray, "T ..."]:
+        """The values of a field that is a list of numbers; what is not finite is NaN.
+
+        Args:
+            name: name of the field.
+            shape: shape of each message's numbers; rows of messages that have none are NaN.
+
+        Raises:
+            ValueError: one has another number of numbers.
+        """
+        rows, size = self.column(name), math.prod(shape)
+        for row in rows:
+            if len(row) not in (0, size):
+                raise ValueError(f"{name} has {len(row)} numbers, not {size}")
+        present = [len(row) == size for row in rows]
+        values = np.full((len(rows), size), np.nan)
+        count = sum(map(len, rows))
+        values[present] = np.fromiter(chain.from_iterable(rows), float, count).reshape(-1, size)
+        return _finite(values).reshape(len(rows), *shape)
+
+    def optional(self, name: str, *shape: int) -> Float[np.ndarray, "T ..."] | None:
+        """The same; None where no message has any."""
+        return self.matrix(name, *shape) if any(map(len, self.column(name))) else None
+
+    def present(self, name: str, *shape: int) -> Float[np.ndarray, "T ..."]:
+        """The same, of a list that each message must have.
+
+        Raises:
+            ValueError: one has none, or another number of numbers.
+        """
+        if all(shape) and not all(map(len, self.column(name))):
+            raise ValueError(f"a message has no {name}")
+        return self.matrix(name, *shape)
+
+    def same(self, name: str, what: str) -> Any:
+        """The value of a field that all messages have alike.
+
+        Args:
+            name: name of the field.
+            what: its description, for the error.
+
+        Raises:
+            ValueError: it changes.
+        """
+        values = self.column(name)
+        other = next((value for value in values if value != values[0]), None)
+        if other is not None:
+            raise ValueError(f"{what} changes: {_brief(values[0])}, {_brief(other)}")
+        return values[0] if isinstance(values[0], str) else tuple(values[0])
+
+    def places(self, commands: Sequence[int]) -> Int[np.ndarray, " C"]:
+        """The row that belongs to each command: the last one of its number, -1 for none."""
+        rows = {number: row for row, number in enumerate(self.numbers)}
+        return np.array([rows.get(number, -1) for number in commands], np.int64)
+
+
+def _brief(value: Any) -> str:
+    return brief(value if isinstance(value, str) else tuple(value))
+
+
+def _spread(values: np.ndarray, places: Int[np.ndarray, " C"], absent: Any) -> np.ndarray:
+    """Rows of a table for each command.
+
+    Args:
+        values: values of the rows.
+        places: the row of each command; see ``_Table.places``.
+        absent: value for a command that has none.
+    """
+    spread = np.full((len(places), *values.shape[1:]), absent, values.dtype)
+    there = places >= 0
+    spread[there] = values[places[there]]
+    return spread
+
+
+def _finite(values: np.ndarray) -> np.ndarray:
+    values[np.isinf(values)] = np.nan
+    return values
+
+
+# --- recording and tracks ------------------------------------------------------------------------
+
+
+def _read_hands(table: _Table, path: Path, truncated: bool) -> HandRecording | None:
+    """The hand frames; None where there is none.
+
+    Raises:
+        ValueError: a field is wrong.
+    """
+    if not table:
+        return None
+    side, _ = check_side(set(table.column("side")), None, str(path))
+    flags = table.column("valid")
+    if any(len(row) != NUM_LANDMARKS for row in flags):
+        raise ValueError(f"valid has {len(flags[0])} flags, not {NUM_LANDMARKS}")
+    return HandRecording(
+        table.present("landmarks", NUM_LANDMARKS, 3),
+        table.stamps(),
+        side,
+        valid=np.array([list(row) for row in flags], bool),
+        metacarpals=table.optional("metacarpals", 4, 3),
+        orientations=table.optional("orientations", NUM_LANDMARKS, 4),
+        name=path.stem,
+        meta={"format": "log", "truncated": truncated, "side_assumed": False},
+        **_world_wrists(table),
+    )
+
+
+def _world_wrists(table: _Table) -> dict[str, Any]:
+    """A recording has one world: frames whose wrist is in another than the first one's have
+    none."""
+    rows = table.optional("wrist", 7)
+    if rows is None:
+        return {}
+    worlds = table.column("world")
+    world = next(name for name, wrist in zip(worlds, table.column("wrist"), strict=True) if wrist)
+    rows[[name != world for name in worlds]] = np.nan
+    return {"T_world_wrist": rows, "world": world or None}
+
+
+def _read_commands(
+    table: _Table, timings: _Table, statuses: _Table
+) -> tuple[CommandTrajectory | None, dict[str, np.ndarray]]:
+    """The commands, and the stages of those that have a timing with the same sequence number.
+
+    Raises:
+        ValueError: a field is wrong, or the joints change.
+    """
+    if not table:
+        return None, {}
+    names = table.same("names", "the list of joint names")
+    for one in (timings, statuses):
+        if len(set(one.numbers)) != len(one):
+            raise ValueError("two timings, or two statuses, have the same sequence number")
+    latency = np.full(len(table), np.nan)
+    stages: dict[str, np.ndarray] = {}
+    times = timings.places(table.numbers)
+    if timings:
+        latency = _spread(timings.floats("latency_ms"), times, np.nan)
+        spent = timings.column("stages")
+        for i in np.flatnonzero(times >= 0):
+            for stage in spent[times[i]]:
+                if stage.name not in stages:
+                    if len(stages) == _MOST_STAGES:
+                        raise ValueError(f"more than {_MOST_STAGES} stages of the loop")
+                    stages[stage.name] = np.full(len(table), np.nan)
+                stages[stage.name][i] = stage.ms
+    places = statuses.places(table.numbers)
+    if (places < 0).any():
+        raise ValueError(f"command {table.numbers[int(np.argmin(places))]} has no status")
+    codes = np.array(statuses.column("status"), np.int64)[places]
+    for code in np.unique(codes).tolist():
+        Status(code)
+    trajectory = CommandTrajectory(
+        joint_positions=table.matrix("positions", len(names)),
+        joint_names=names,
+        stamps=table.stamps(),
+        latency_ms=latency,
+        status=codes.astype(np.int8),
+    )
+    return trajectory, stages
+
+
+def _read_wrist_track(commands: Sequence[int], table: _Table) -> WristTrack | None:
+    """The commanded wrist at each command; None where there is no message.
+
+    Args:
+        commands: sequence numbers of the commands.
+        table: of ``/wrist``.
+
+    Raises:
+        ValueError: a field is wrong, or the frame changes.
+    """
+    if not table:
+        return None
+    places = table.places(commands)
+    return WristTrack(
+        _spread(table.present("pose", 7), places, np.nan),
+        _spread(np.array(table.column("engaged"), bool), places, False),
+        _spread(np.array(table.column("valid"), bool), places, False),
+        table.same("world", "the frame of the commanded wrist"),
+    )
+
+
+def _read_arm_track(commands: Sequence[int], table: _Table) -> ArmTrack | None:
+    """The commands of the arm at each command of the hand; None where there is no message.
+
+    Raises:
+        ValueError: a field is wrong, or the arm changes.
+    """
+    if not table:
+        return None
+    name = table.same("name", "the arm")
+    joints = table.same("names", "the list of the arm's joints")
+    if len(joints) > _MOST_ARM_JOINTS:
+        raise ValueError(f"an arm of {len(joints)} joints")
+    places = table.places(commands)
+    columns = (
+        table.present("positions", len(joints)),
+        table.matrix("measured", len(joints)),
+        table.present("pose", 7),
+    )
+    positions, measured, poses = (_spread(values, places, np.nan) for values in columns)
+    return ArmTrack(name, joints, positions, measured, poses)
+
+
+def _read_states(table: _Table) -> StateTrajectory | None:
+    """The measured joints; None where there is no message.
+
+    Raises:
+        ValueError: a field is wrong, or the names change.
+    """
+    if not table:
+        return None
+    names = table.same("names", "the list of measured joints")
+    actuators = table.same("actuators", "the list of actuators")
+    sizes = [_FLOAT_BYTES * len(row) for row in table.column("touch")]
+    # One long row must not be made of many short messages.
+    if len(sizes) * max(sizes) > FREE_BYTES + ARRAYS_RATIO * sum(sizes):
+        raise ValueError("few of the measured states have touch, and too much of it")
+    return StateTrajectory(
+        table.stamps(),
+        table.present("positions", len(names)),
+        names,
+        actuators,
+        table.optional("currents", len(actuators)),
+        table.optional("touch", max(sizes) // _FLOAT_BYTES),
+    )
+
+
+def _read_loop_track(commands: Sequence[int], table: _Table) -> LoopTrack | None:
+    """Put together what the messages of ``/loop`` hold.
+
+    Args:
+        commands: sequence numbers of the commands.
+        table: the messages.
+
+    Returns:
+        None where there is no message: the log is not of a live loop.
+
+    Raises:
+        ValueError, OverflowError: a field is wrong.
+    """
+    if not table:
+        return None
+    places = table.places(commands)
+    modes, events = table.column("mode"), table.column("events")
+
+    def numbers(key: str) -> np.ndarray:
+        return _spread(table.floats(key), places, np.nan)
+
+    return LoopTrack(
+        numbers=_spread(np.array(table.column("number"), np.int64), places, -1),
+        modes=tuple("" if row < 0 else modes[row] for row in places),
+        times=numbers("time"),
+        received=numbers("received"),
+        tracker_stamps=numbers("tracker_stamp"),
+        tracking_loss=numbers("tracking_loss"),
+        scale=numbers("scale"),
+        events={i: tuple(events[row]) for i, row in enumerate(places) if row >= 0 and events[row]},
     )

@@ -1,12 +1,20 @@
-"""Commands to joints as ROS 2 messages."""
+"""Joint commands and wrist poses as ROS 2 messages: names, order, unit, quaternions with w last."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Final, Literal, TypeAlias
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from typing import Final, Literal, Protocol, TypeAlias
 
-from smooth_operator.errors import SinkError
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator.errors import ConfigError, SinkError, UnknownNameError
+from smooth_operator.hands.hand import Hand
+from smooth_operator.teleop.hardware.actuator_map import BoundMap
+from smooth_operator.teleop.hardware.table_file import find_table, read_table
 from smooth_operator.teleop.ros2.messages import (
     Duration,
     Float64MultiArray,
@@ -15,7 +23,13 @@ from smooth_operator.teleop.ros2.messages import (
     JointTrajectory,
     JointTrajectoryPoint,
     Message,
+    Point,
+    Pose,
+    Quaternion,
     Time,
+    Transform,
+    TransformStamped,
+    Vector3,
 )
 
 Kind: TypeAlias = Literal["joint_state", "trajectory", "array"]
@@ -41,7 +55,7 @@ def joint_message(
 
     Args:
         kind: the message.
-        stamp: of a joint state.
+        stamp: time of a joint state.
         names: (k,) of the joints.
         positions: (k,) in the driver's unit.
         velocities: (k,) of a joint state; empty for none.
@@ -61,3 +75,157 @@ def joint_message(
         point = JointTrajectoryPoint(positions, time_from_start=Duration(time.sec, time.nanosec))
         return JointTrajectory(Header(), list(names), [point])
     return JointState(Header(stamp), list(names), positions, velocities)
+
+
+Unit: TypeAlias = Literal["rad", "deg"]
+"""Of joint angles."""
+
+UNITS: Final[dict[Unit, float]] = {"rad": 1.0, "deg": 180.0 / math.pi}
+"""How many of a unit make a radian."""
+
+
+class Layout(Protocol):
+    """Joints as a driver wants them."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """(k,) what the driver calls them."""
+
+    def values(self, positions: Float[np.ndarray, " n"]) -> list[float]:
+        """(k,) what is sent for joint positions [rad]."""
+
+    def rates(self, velocities: Float[np.ndarray, " n"]) -> list[float]:
+        """(k,) what is sent for joint velocities [rad/s]; empty for nothing."""
+
+
+@dataclass(frozen=True)
+class JointLayout:
+    """Joints of a hand as a driver wants them: value = gain · position [rad] + offset.
+
+    Attributes:
+        names: (k,) what the driver calls them.
+        indices: (k,) their places among the joints of the hand.
+        gain: factor to the driver's unit.
+        offset: in the driver's unit.
+    """
+
+    names: tuple[str, ...]
+    indices: tuple[int, ...]
+    gain: float = 1.0
+    offset: float = 0.0
+
+    def values(self, positions: Float[np.ndarray, " n"]) -> list[float]:
+        """(k,) what is sent for joint positions [rad]."""
+        picked: list[float] = (self.gain * positions[list(self.indices)] + self.offset).tolist()
+        return picked
+
+    def rates(self, velocities: Float[np.ndarray, " n"]) -> list[float]:
+        """(k,) what is sent for joint velocities [rad/s]."""
+        picked: list[float] = (self.gain * velocities[list(self.indices)]).tolist()
+        return picked
+
+
+@dataclass(frozen=True)
+class TableLayout:
+    """Actuators of a table, which maps joints to them one by one, within their ends.
+
+    Attributes:
+        table: for the joints of the hand.
+    """
+
+    table: BoundMap
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """(k,) names of the actuators."""
+        return self.table.table.names
+
+    def values(self, positions: Float[np.ndarray, " n"]) -> list[float]:
+        """(k,) commands for joint positions [rad]."""
+        commands = self.table.commands(self.table.angles(positions))
+        within: list[float] = self.table.clip(commands).tolist()
+        return within
+
+    def rates(self, velocities: Float[np.ndarray, " n"]) -> list[float]:
+        """None: drivers with a unit of their own take ``velocity`` for something else."""
+        del velocities
+        return []
+
+
+def table_layout(hand: Hand, table: str) -> TableLayout:
+    """The layout of a table for a hand.
+
+    Args:
+        hand: the hand.
+        table: a file, ``{side}`` in its name stands for the side; or the name of a table.
+
+    Raises:
+        ConfigError: there is no such table, it is of the other side, or it can't be read.
+        UnknownNameError: the hand has no joint of a name in it.
+    """
+    side = hand.spec.side
+    read = read_table(find_table(table.replace("{side}", side), "ros2", side))
+    if read.side != side:
+        raise ConfigError(
+            f"ros2: {read.file} is of the {read.side} hand, and commands are for the {side} one; "
+            "put {side} into the name of the table"
+        )
+    return TableLayout(read.bind(hand))
+
+
+def joint_layout(
+    hand: Hand, joints: str, *, prefix: str = "", gain: float = 1.0, offset: float = 0.0
+) -> JointLayout:
+    """The layout for a hand.
+
+    Args:
+        hand: the hand.
+        joints: ``all``, ``actuated`` (those without couplings to another), or names with ``*`` for
+            any letters, separated by blanks, in the order in which they are sent.
+        prefix: put before each name.
+        gain: see ``JointLayout``.
+        offset: see ``JointLayout``.
+
+    Raises:
+        UnknownNameError: the hand has no joint of a name.
+    """
+    if joints in ("all", "actuated"):
+        indices = hand.actuated if joints == "actuated" else tuple(range(len(hand.joint_names)))
+    else:
+        indices = tuple(dict.fromkeys(i for word in joints.split() for i in _matching(hand, word)))
+    names = tuple(prefix + hand.joint_names[i] for i in indices)
+    return JointLayout(names, indices, gain, offset)
+
+
+def _matching(hand: Hand, pattern: str) -> list[int]:
+    indices = [i for i, name in enumerate(hand.joint_names) if fnmatchcase(name, pattern)]
+    if not indices:
+        raise UnknownNameError(
+            f"joint of hand {hand.name!r}:",
+            pattern,
+            hand.joint_names,
+            "joints= takes all, actuated, or names separated by blanks.",
+        )
+    return indices
+
+
+def pose_message(pose: Float[np.ndarray, "7"]) -> Pose:
+    """A pose x y z [m] and quaternion w x y z as a message."""
+    x, y, z, w, a, b, c = pose.tolist()
+    return Pose(Point(x, y, z), Quaternion(a, b, c, w))
+
+
+def transform_message(header: Header, child: str, pose: Float[np.ndarray, "7"]) -> TransformStamped:
+    """A pose of the frame ``child`` in the frame of the header, as on ``/tf``."""
+    x, y, z, w, a, b, c = pose.tolist()
+    return TransformStamped(header, child, Transform(Vector3(x, y, z), Quaternion(a, b, c, w)))
+
+
+def pose_rows(poses: list[Pose]) -> Float[np.ndarray, "n 7"]:
+    """(n, 7) poses, x y z [m] and quaternion w x y z."""
+    rows = [
+        (p.position.x, p.position.y, p.position.z, q.w, q.x, q.y, q.z)
+        for p in poses
+        for q in (p.orientation,)
+    ]
+    return np.array(rows, np.float64).reshape(len(rows), 7)

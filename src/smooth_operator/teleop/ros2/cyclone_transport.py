@@ -1,4 +1,4 @@
-"""ROS 2 without ROS 2: its messages over DDS, by CycloneDDS's Python binding (extra ``ros2``).
+"""ROS 2 messages over DDS, by CycloneDDS's Python binding (extra ``ros2``); needs no ROS 2.
 
 A ROS 2 topic ``/a/b`` is the DDS topic ``rt/a/b``, the type ``std_msgs/msg/String`` is
 ``std_msgs::msg::dds_::String_``, and the samples are plain CDR (XCDR 1).
@@ -32,7 +32,6 @@ from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
 from smooth_operator.errors import ConfigError, RecordingError
-from smooth_operator.teleop.ros2.loopback_filter import keep_network_out
 from smooth_operator.teleop.ros2.messages import (
     M,
     Message,
@@ -117,10 +116,10 @@ class CycloneTransport:
             self._waitset.wait(duration(seconds=timeout))
             for topic, kind, reader, condition in self._readers:
                 for _ in range(MANY):
-                    found = _take(reader, condition, kind)
-                    if found is None:
+                    messages = _take(reader, condition, kind)
+                    if messages is None:
                         break
-                    received += [(topic, message) for message in found]
+                    received += [(topic, message) for message in messages]
         except DDSException as error:
             raise self._error(f"DDS domain {self._number}: {describe(error)}") from error
         return received
@@ -149,16 +148,16 @@ def reach_of(endpoint: Endpoint) -> Reach:
         return endpoint.network
     if os.environ.get("CYCLONEDDS_URI"):
         return "own"
-    wanted = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").upper()
-    known: dict[str, Reach] = {"LOCALHOST": "localhost", "SUBNET": "subnet", "": "localhost"}
-    if wanted not in known:
+    discovery = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").upper()
+    reaches: dict[str, Reach] = {"LOCALHOST": "localhost", "SUBNET": "subnet", "": "localhost"}
+    if discovery not in reaches:
         raise ConfigError(
             f"{endpoint.feature}: ROS_AUTOMATIC_DISCOVERY_RANGE must be LOCALHOST or SUBNET, not "
-            f"{wanted!r}; or say network=localhost or network=subnet"
+            f"{discovery!r}; or say network=localhost or network=subnet"
         )
-    if not wanted and os.environ.get("ROS_LOCALHOST_ONLY") == "0":
+    if not discovery and os.environ.get("ROS_LOCALHOST_ONLY") == "0":
         return "subnet"  # said, not left out
-    return known[wanted]
+    return reaches[discovery]
 
 
 def _take(
@@ -186,14 +185,14 @@ def wire_class(kind: type[Message]) -> Any:
     fields: dict[str, Any] = {}
     for name, (inner, many) in field_types(kind).items():
         if isinstance(inner, str):
-            made: Any = _NUMBERS[inner]
+            kind_on_wire: Any = _NUMBERS[inner]
         else:
-            made = wire_class(inner) if issubclass(inner, Message) else inner
-        fields[name] = sequence_of[made] if many else made
+            kind_on_wire = wire_class(inner) if issubclass(inner, Message) else inner
+        fields[name] = sequence_of[kind_on_wire] if many else kind_on_wire
     package, _, name = kind.type_name.partition("/msg/")
-    made = final(make_idl_struct(f"{name}_", f"{package}.msg.dds_.{name}_", fields))
-    _CLASSES[kind] = made
-    return made
+    kind_on_wire = final(make_idl_struct(f"{name}_", f"{package}.msg.dds_.{name}_", fields))
+    _CLASSES[kind] = kind_on_wire
+    return kind_on_wire
 
 
 def _qos(reliability: Any, depth: int) -> Qos:
@@ -232,8 +231,6 @@ class _Domains:
                     domain = Domain(number, _CONFIG.format(general=_GENERAL[reach]))
                 except DDSException as error:
                     raise endpoint.error(_refused(number, error)) from error
-                if reach == "localhost":
-                    keep_network_out(number)
             cls._joined[number] = reach, domain, users + 1
 
     @classmethod

@@ -10,6 +10,7 @@ import numpy as np
 
 from smooth_operator import poses
 from smooth_operator.errors import RecordingError
+from smooth_operator.teleop.ros2.commands import pose_rows
 from smooth_operator.teleop.ros2.messages import (
     Header,
     ManusGlove,
@@ -18,8 +19,7 @@ from smooth_operator.teleop.ros2.messages import (
     PoseStamped,
     String,
 )
-from smooth_operator.teleop.ros2.poses import pose_rows
-from smooth_operator.teleop.sources.manus.manus_message import read_glove, read_manus
+from smooth_operator.teleop.sources.manus_gloves import read_glove, read_manus
 from smooth_operator.teleop.sources.payload import Reading, hand_frame, read_payload
 from smooth_operator.types import HandFrame, Side
 

@@ -278,15 +278,15 @@ def field_types(kind: type[Message]) -> dict[str, tuple[Any, bool]]:
     if kind in _FIELDS:
         return _FIELDS[kind]
     hints = get_type_hints(kind, include_extras=True)
-    found: dict[str, tuple[Any, bool]] = {}
+    types: dict[str, tuple[Any, bool]] = {}
     for each in dataclasses.fields(kind):
         hint, many = hints[each.name], False
         if getattr(hint, "__origin__", None) is list:
             (hint,), many = get_args(hint), True
         number = getattr(hint, "__metadata__", None)
-        found[each.name] = (hint if number is None else number[0], many)
-    _FIELDS[kind] = found
-    return found
+        types[each.name] = (hint if number is None else number[0], many)
+    _FIELDS[kind] = types
+    return types
 
 
 def to_foreign(message: Message, find: Callable[[type[Message]], Any]) -> Any:
@@ -309,10 +309,10 @@ def from_foreign(value: Any, kind: type[M]) -> M:
     """An object of a library with the fields of a message, as that message."""
     values: dict[str, Any] = {}
     for name, (inner, many) in field_types(kind).items():
-        given: Any = getattr(value, name)
+        item: Any = getattr(value, name)
         if isinstance(inner, type) and issubclass(inner, Message):
-            read: Sequence[Any] = [from_foreign(v, inner) for v in (given if many else [given])]
+            read: Sequence[Any] = [from_foreign(v, inner) for v in (item if many else [item])]
             values[name] = read if many else read[0]
         else:
-            values[name] = list(given) if many else given
+            values[name] = list(item) if many else item
     return kind(**values)

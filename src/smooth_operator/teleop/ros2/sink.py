@@ -12,9 +12,19 @@ import numpy as np
 
 from smooth_operator.errors import ConfigError, SinkError
 from smooth_operator.hands.hand import Hand
-from smooth_operator.teleop.ros2.backends import open_transport
-from smooth_operator.teleop.ros2.commands import KINDS, Kind, joint_message
-from smooth_operator.teleop.ros2.joints import UNITS, Layout, Unit, joint_layout, table_layout
+from smooth_operator.teleop.ros2 import open_transport
+from smooth_operator.teleop.ros2.commands import (
+    KINDS,
+    UNITS,
+    Kind,
+    Layout,
+    Unit,
+    joint_layout,
+    joint_message,
+    pose_message,
+    table_layout,
+    transform_message,
+)
 from smooth_operator.teleop.ros2.messages import (
     Header,
     JointState,
@@ -24,24 +34,21 @@ from smooth_operator.teleop.ros2.messages import (
     TFMessage,
     Time,
 )
-from smooth_operator.teleop.ros2.poses import pose_message, transform_message
 from smooth_operator.teleop.ros2.transport import (
     TF_DEPTH,
-    Backend,
     Endpoint,
     Network,
     Transport,
     topic_name,
 )
-from smooth_operator.teleop.sinks.hand_state import HandState
-from smooth_operator.teleop.sinks.threaded_sink import Link, ThreadedSink
-from smooth_operator.teleop.sinks.tick import Tick
+from smooth_operator.teleop.sinks.sink import Link, ThreadedSink
+from smooth_operator.teleop.sinks.tick import HandState, Tick
 from smooth_operator.types import Side
 
 
 @dataclass(frozen=True)
 class Ros2Sink(ThreadedSink):
-    """Publishes commands on ROS 2 topics, by rclpy or, without ROS 2, by CycloneDDS.
+    """Publishes commands on ROS 2 topics.
 
     ``std_msgs/String`` on ``<topic>_mode`` says what the loop does, whenever that changes:
     ``tracking``, ``holding``, ..., ``stalled`` when no commands come, ``ended``. A driver stops its
@@ -49,7 +56,7 @@ class Ros2Sink(ThreadedSink):
     publishing.
 
     Attributes:
-        topic: of the commands; ``{hand}`` and ``{side}`` stand for the hand's.
+        topic: topic of the commands; ``{hand}`` and ``{side}`` stand for the hand's.
         message: ``joint_state``, ``trajectory`` (one point, to be reached after ``duration``) or
             ``array`` (numbers alone, in the order of the joints).
         joints: ``all``, ``actuated``, or names of joints separated by blanks, in their order, with
@@ -76,11 +83,9 @@ class Ros2Sink(ThreadedSink):
         tf: send both wrists as transforms on ``/tf``, too.
         base: name of the frame that the target is in; default: the one that the command names.
         frame: name of the frame of the target on ``/tf``.
-        node: name of the node (rclpy).
         domain: ROS domain, 0 to 232; default: ``ROS_DOMAIN_ID``.
-        network: ``localhost`` or ``subnet``, for CycloneDDS; default: what ROS 2's variables say,
+        network: ``localhost`` or ``subnet``; default: what ROS 2's variables say,
             else localhost.
-        backend: ``rclpy``, ``cyclonedds``, or ``auto``: rclpy where it can be imported.
 
     Raises:
         ConfigError: a setting is outside its range, or a name is none that ROS 2 takes.
@@ -105,10 +110,8 @@ class Ros2Sink(ThreadedSink):
     tf: bool = False
     base: str | None = None
     frame: str = "{hand}_{side}_wrist"
-    node: str = "smooth_operator"
     domain: int | None = None
     network: Network | None = None
-    backend: Backend = "auto"
 
     def __post_init__(self) -> None:
         for side in ("right", "left"):
@@ -116,8 +119,8 @@ class Ros2Sink(ThreadedSink):
         self._endpoint()
         if not self.joints.strip():
             raise ConfigError("ros2: joints must be all, actuated or names of joints, not nothing")
-        given = (self.joints, self.prefix, self.unit, self.scale, self.offset)
-        if self.table is not None and given != ("auto", "", "rad", 1.0, 0.0):
+        settings = (self.joints, self.prefix, self.unit, self.scale, self.offset)
+        if self.table is not None and settings != ("auto", "", "rad", 1.0, 0.0):
             raise ConfigError(
                 "ros2: the table says names, order and unit; leave out joints, prefix, unit, scale "
                 "and offset"
@@ -136,9 +139,9 @@ class Ros2Sink(ThreadedSink):
 
     @property
     def note(self) -> str:
-        """By which library the open sink sends, and whom that reaches."""
-        found: str = getattr(self, "_reach", "")
-        return found
+        """The domain of the open sink, and the machines that it reaches."""
+        reach: str = getattr(self, "_reach", "")
+        return reach
 
     def connect(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> Link:
         """Open the transport and its publishers."""
@@ -156,9 +159,7 @@ class Ros2Sink(ThreadedSink):
         return link
 
     def _endpoint(self) -> Endpoint:
-        return Endpoint(
-            "the ros2 sink", SinkError, self.node, self.domain, self.network, self.backend
-        )
+        return Endpoint("the ros2 sink", SinkError, self.domain, self.network)
 
     def _layout(self, hand: Hand) -> Layout:
         if self.table is not None:
@@ -267,29 +268,29 @@ class _Publisher:
             return
         self._states[tick.side] = state
         age = max(0, round((time.perf_counter() - state.stamp) * 1e9))
-        known = np.isfinite(state.positions)
-        names = [name for name, good in zip(state.names, known, strict=True) if good]
-        rates = None if state.velocities is None else state.velocities[known]
+        measured = np.isfinite(state.positions)
+        names = [name for name, good in zip(state.names, measured, strict=True) if good]
+        rates = None if state.velocities is None else state.velocities[measured]
         sent = [] if rates is None or not np.isfinite(rates).all() else rates.tolist()
         header = Header(Time.of(max(0, stamp.nanoseconds - age)))
-        publish(JointState(header, names, state.positions[known].tolist(), sent))
+        publish(JointState(header, names, state.positions[measured].tolist(), sent))
 
     def _wrists(self, tick: Tick, stamp: Time) -> None:
         """Publish the wrist's target and the operator's wrist, as far as there are."""
-        found = []
+        poses = []
         if tick.wrist is not None:
             parent = self._sink.base or tick.wrist.world
-            found.append(("wrist", parent, self._frames[tick.side], tick.wrist.pose))
+            poses.append(("wrist", parent, self._frames[tick.side], tick.wrist.pose))
         frame = None if tick.arrival is None else tick.arrival.frame
         if frame is not None and frame.T_world_wrist is not None:
             child = f"human_{tick.side}_wrist"
-            found.append(("human_wrist", frame.world or "world", child, frame.T_world_wrist))
-        found = [each for each in found if all(map(math.isfinite, each[-1].tolist()))]
-        for name, parent, _, pose in found:
+            poses.append(("human_wrist", frame.world or "world", child, frame.T_world_wrist))
+        poses = [each for each in poses if all(map(math.isfinite, each[-1].tolist()))]
+        for name, parent, _, pose in poses:
             if publish := self._publish[tick.side].get(name):
                 publish(PoseStamped(Header(stamp, parent), pose_message(pose)))
-        if self._tf is not None and found:
-            transforms = [transform_message(Header(stamp, p), c, pose) for _, p, c, pose in found]
+        if self._tf is not None and poses:
+            transforms = [transform_message(Header(stamp, p), c, pose) for _, p, c, pose in poses]
             self._tf(TFMessage(transforms))
 
     def _is_due(self, tick: Tick) -> bool:

@@ -7,11 +7,10 @@ from dataclasses import dataclass
 
 from smooth_operator.errors import ConfigError, SourceError
 from smooth_operator.io.anatomy import layout_order
-from smooth_operator.teleop.ros2.backends import open_transport
+from smooth_operator.teleop.ros2 import open_transport
 from smooth_operator.teleop.ros2.hand_poses import KINDS, Frame, HandPoseReader, Kind
 from smooth_operator.teleop.ros2.messages import PoseStamped
 from smooth_operator.teleop.ros2.transport import (
-    Backend,
     Endpoint,
     Network,
     Transport,
@@ -19,7 +18,7 @@ from smooth_operator.teleop.ros2.transport import (
 )
 from smooth_operator.teleop.sources.message_receiver import Message
 from smooth_operator.teleop.sources.payload import Reading
-from smooth_operator.teleop.sources.stream import KEPT, Hands, StreamSource, only_side, sides_of
+from smooth_operator.teleop.sources.stream import KEPT, Hands, StreamSource, only_side
 from smooth_operator.types import Side
 
 
@@ -28,8 +27,8 @@ class Ros2Source(StreamSource):
     """Each message a hand: from a publisher of any kind, reliable or best effort.
 
     Attributes:
-        topic: of the hands; ``{side}`` stands for right and left; several names may stand there,
-            separated by blanks.
+        topic: topic of the hands; ``{side}`` stands for right and left; several names may stand
+            there, separated by blanks.
         side: the hands that are taken. ``both`` needs ``{side}`` in the topic, or messages that
             say it (``json``, ``manus_glove``).
         message: ``pose_array``: ``geometry_msgs/PoseArray`` of 21, 25 or 26 poses; ``json``:
@@ -42,11 +41,9 @@ class Ros2Source(StreamSource):
         layout: order of the landmarks in a message of 21, by its name in ``LAYOUTS``.
         right_glove: id of the right MANUS glove, where messages do not say which hand is which.
         left_glove: id of the left one.
-        node: name of the node (rclpy).
         domain: ROS domain, 0 to 232; default: ``ROS_DOMAIN_ID``.
-        network: ``localhost`` or ``subnet``, for CycloneDDS; default: what ROS 2's variables say,
+        network: ``localhost`` or ``subnet``; default: what ROS 2's variables say,
             else localhost.
-        backend: ``rclpy``, ``cyclonedds``, or ``auto``: rclpy where it can be imported.
 
     Raises:
         ConfigError: a setting is outside its range, or a name is none that ROS 2 takes.
@@ -61,10 +58,8 @@ class Ros2Source(StreamSource):
     layout: str = "mediapipe"
     right_glove: str | None = None
     left_glove: str | None = None
-    node: str = "smooth_operator_source"
     domain: int | None = None
     network: Network | None = None
-    backend: Backend = "auto"
 
     def __post_init__(self) -> None:
         layout_order(self.layout)
@@ -86,11 +81,6 @@ class Ros2Source(StreamSource):
     def label(self) -> str:
         """What it is, in a few words."""
         return f"ROS 2 {self.topic}"
-
-    @property
-    def sides(self) -> tuple[Side, ...]:
-        """The hands that it takes."""
-        return sides_of(self.side)
 
     def connect(self) -> Ros2Inbox:
         """Open the transport and its subscriptions."""
@@ -121,19 +111,17 @@ class Ros2Source(StreamSource):
         return reader.read(topic, content, received)
 
     def _endpoint(self) -> Endpoint:
-        return Endpoint(
-            "the source 'ros2'", SourceError, self.node, self.domain, self.network, self.backend
-        )
+        return Endpoint("the source 'ros2'", SourceError, self.domain, self.network)
 
     def _topics(self) -> dict[str, Side | None]:
         """Topic -> side of its hands, None where a message says it."""
-        found: dict[str, Side | None] = {}
+        topics: dict[str, Side | None] = {}
         names = self.topic.split() or [self.topic]
         for name in names:
             for side in self.sides:
                 topic = topic_name(name, "ros2", side=side)
-                found[topic] = side if "{side}" in name else only_side(self.side)
-        return found
+                topics[topic] = side if "{side}" in name else only_side(self.side)
+        return topics
 
     def _wrist_topics(self) -> Mapping[str, Side]:
         if self.wrist is None:

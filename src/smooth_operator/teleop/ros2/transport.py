@@ -1,4 +1,4 @@
-"""The way to other ROS 2 programs: one protocol, by rclpy or by CycloneDDS."""
+"""The way to other ROS 2 programs: settings, names of topics, and the protocol of a transport."""
 
 from __future__ import annotations
 
@@ -16,8 +16,6 @@ from smooth_operator.errors import (
 )
 from smooth_operator.teleop.ros2.messages import M, Message, Time
 
-Backend: TypeAlias = Literal["auto", "rclpy", "cyclonedds"]
-"""``rclpy`` of a ROS 2 installation, ``cyclonedds`` (extra ``ros2``), or what is there."""
 Network: TypeAlias = Literal["localhost", "subnet"]
 """Who can be heard and hears: programs on this machine, or on the whole network."""
 
@@ -34,7 +32,6 @@ TF_DEPTH: Final = 100
 """Messages that are kept on ``/tf``."""
 
 _TOPIC = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
-_NODE = re.compile(r"[A-Za-z_]\w*", re.ASCII)
 
 
 class Transport(Protocol):
@@ -70,10 +67,8 @@ class Endpoint:
     Attributes:
         feature: what needs it, for messages of errors: ``the ros2 sink``.
         error: class of its errors.
-        node: name of the node; CycloneDDS has participants in place of nodes and does not use it.
         domain: ROS domain; None for ``ROS_DOMAIN_ID``, or 0.
         network: whom it reaches; None for what the variables of the environment say.
-        backend: which library.
 
     Raises:
         ConfigError: a setting is outside its range.
@@ -81,14 +76,10 @@ class Endpoint:
 
     feature: str
     error: type[SinkError] | type[SourceError]
-    node: str = "smooth_operator"
     domain: int | None = None
     network: Network | None = None
-    backend: Backend = "auto"
 
     def __post_init__(self) -> None:
-        if not _NODE.fullmatch(self.node):
-            raise ConfigError(f"{self.feature}: {self.node!r} can't be the name of a node")
         if self.domain is not None and not 0 <= self.domain <= LARGEST_DOMAIN:
             raise ConfigError(
                 f"{self.feature}: domain must be 0 to {LARGEST_DOMAIN}, not {self.domain}"

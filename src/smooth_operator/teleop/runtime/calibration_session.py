@@ -27,7 +27,7 @@ class Moment:
         number: which of the prompts, from 0.
         phase: ``settle``, get there; ``hold``, keep it; ``wait``, no hand is seen.
         done: share of the whole calibration that is done, 0 to 1.
-        left_s: of this phase [s].
+        left_s: time left of this phase [s].
     """
 
     prompt: Prompt
@@ -70,8 +70,8 @@ class CalibrationSession:
         Returns:
             None when all is done.
         """
-        seen = bool(self._frames) and now - self._frames[-1].received <= SIGHT_S
-        if self._last is not None and seen:
+        in_sight = bool(self._frames) and now - self._frames[-1].received <= SIGHT_S
+        if self._last is not None and in_sight:
             self._spent += now - self._last
         self._last = now
         self._holding = None
@@ -84,12 +84,12 @@ class CalibrationSession:
         else:
             return None
         settling = self._spent < holds
-        if seen and not settling:
+        if in_sight and not settling:
             self._holding = number
         left = (holds if settling else ends) - self._spent
         phase: Literal["settle", "hold", "wait"] = "settle" if settling else "hold"
         total = sum(p.settle + p.hold for p in self.prompts)
-        return Moment(prompt, number, phase if seen else "wait", self._spent / total, left)
+        return Moment(prompt, number, phase if in_sight else "wait", self._spent / total, left)
 
     def recording(self) -> HandRecording:
         """All frames, with the times at which they came for stamps.
@@ -113,9 +113,9 @@ class CalibrationSession:
 
     def segments(self) -> list[Segment]:
         """Where in the recording each prompt was held; what was asked is taken as done."""
-        found = []
+        holds = []
         for number, prompt in enumerate(self.prompts):
             rows = [i for i, held in enumerate(self._held) if held == number]
             if rows:
-                found.append(Segment(prompt.pose, rows[0], rows[-1] + 1, 1.0))
-        return found
+                holds.append(Segment(prompt.pose, rows[0], rows[-1] + 1, 1.0))
+        return holds

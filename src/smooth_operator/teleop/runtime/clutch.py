@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator import poses
-from smooth_operator.teleop.runtime.pose_limiter import PoseLimiter
+from smooth_operator.teleop.runtime.limiter import PoseLimiter
 from smooth_operator.teleop.runtime.settings import LoopConfig
 from smooth_operator.teleop.sinks.tick import Mode, WristCommand
 from smooth_operator.teleop.sources.live import Arrival
@@ -164,21 +164,21 @@ class Clutch:
         )
 
     def _target(
-        self, seen: _Seen, at: float
+        self, arrival: _Seen, at: float
     ) -> tuple[Float[np.ndarray, "7"], Float[np.ndarray, "6"] | None]:
         """Where the wrist of the robot is to be at a time, and how that moves."""
-        scale, since = self.config.wrist.scale, max(at - seen.received, 0.0)
-        lead = min(seen.gap, _AHEAD_S)
-        ahead = seen.moving * min(since, lead)
-        moved = seen.pose[:3] + ahead[:3] - self._anchor[:3]
-        turned = poses.multiply(seen.pose[3:], poses.conjugate(self._anchor[3:]))
+        scale, since = self.config.wrist.scale, max(at - arrival.received, 0.0)
+        lead = min(arrival.gap, _AHEAD_S)
+        ahead = arrival.moving * min(since, lead)
+        moved = arrival.pose[:3] + ahead[:3] - self._anchor[:3]
+        turned = poses.multiply(arrival.pose[3:], poses.conjugate(self._anchor[3:]))
         turned = poses.multiply(poses.from_rotation_vectors(ahead[3:]), turned)
         target = np.concatenate(
             [self._home[:3] + scale * moved, poses.multiply(turned, self._home[3:])]
         )
         if since > 1.5 * lead:  # the next frame is late: do not go on without it
             return target, None
-        return target, seen.moving * np.array([scale, scale, scale, 1, 1, 1])
+        return target, arrival.moving * np.array([scale, scale, scale, 1, 1, 1])
 
     def _measured(self) -> Float[np.ndarray, "7"] | None:
         place = self.measured()

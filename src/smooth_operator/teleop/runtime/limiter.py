@@ -8,9 +8,10 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
+from smooth_operator import poses
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
-from smooth_operator.teleop.runtime.settings import LimitsConfig
+from smooth_operator.teleop.runtime.settings import LimitsConfig, WristConfig
 
 MAX_STEP_S: Final = 0.1
 """Longest time that counts between two commands [s]: after a pause the robot does not catch up."""
@@ -149,11 +150,11 @@ class JointLimiter:
         up = np.minimum(stoppable_speed(self._high - self.q, dt, a), top)
         return down, up, a * min(dt, (self._last_dt + dt) / 2)
 
-    def _go(self, wanted: Float[np.ndarray, " m"], dt: float) -> Float[np.ndarray, " m"]:
+    def _go(self, target: Float[np.ndarray, " m"], dt: float) -> Float[np.ndarray, " m"]:
         """Take a step at the velocity within the limits that is nearest to the one wanted."""
         down, up, change = self._room(dt)
         # Acceleration comes last: a joint that is too fast for new limits slows down to them.
-        velocity = np.clip(wanted, -down, up)
+        velocity = np.clip(target, -down, up)
         velocity = np.clip(velocity, self.velocity - change, self.velocity + change)
         q = np.asarray(np.clip(self.q + velocity * dt, self._start, self._end))
         self.velocity = (q - self.q) / dt
@@ -214,3 +215,294 @@ def stoppable_speed(
     half = acceleration * dt / 2
     braking = np.sqrt(half**2 + acceleration * left + stopped_by_one**2) - half
     return np.asarray(np.minimum(braking, left / dt))
+
+
+_STILL: Final = np.zeros(3)
+_AXIS_SHARE: Final = 1 / math.sqrt(3.0)
+"""Share of the acceleration that each axis may count on when all three brake together."""
+
+
+class PoseLimiter:
+    """Follows a pose within limits; holds what was last commanded.
+
+    The limits hold between the stamps of consecutive poses, however uneven these are. Velocities
+    ``v[k] = (p[k] - p[k-1]) / dt[k]`` and ``w[k]``, the rotation vector from the one orientation to
+    the other over ``dt[k]``, have the lengths of the velocity limits at most, and so have their
+    changes over the shorter of ``dt[k]`` and ``(dt[k-1] + dt[k]) / 2`` those of the acceleration
+    limits. The position stays within the workspace; one that starts outside may only come closer.
+    The wrist is always slow enough to stop before the end of its workspace, whatever steps follow.
+
+    Args:
+        config: the limits.
+
+    Attributes:
+        pose: (7,) last command.
+        velocity: (3,) its velocity, from the command before [m/s].
+        turn: (3,) its angular velocity in the frame of the base [rad/s].
+    """
+
+    def __init__(self, config: WristConfig) -> None:
+        self.config = config
+        self.put(np.array(config.home))
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether it stands."""
+        return not (self.velocity.any() or self.turn.any())
+
+    def put(self, pose: Float[np.ndarray, "7"]) -> None:
+        """Begin here, at rest: for the first command, which has none before it."""
+        self.pose = np.asarray(pose, np.float64)
+        self.velocity = self.turn = _STILL
+        self._last_dt = math.inf
+
+    def step(
+        self,
+        target: Float[np.ndarray, "7"],
+        dt: float,
+        moving: Float[np.ndarray, "6"] | None = None,
+        share: float = 1.0,
+    ) -> Float[np.ndarray, "7"]:
+        """The next command.
+
+        Args:
+            target: where to be after the step.
+            dt: time since the last command [s].
+            moving: velocity [m/s] and angular velocity [rad/s] of the target; None if it stands. It
+                is followed without lag where the limits allow.
+            share: share of the velocity limits.
+
+        Returns:
+            (7,) command.
+        """
+        dt, config = max(dt, SHORTEST_S), self.config
+        going, turning = (_STILL, _STILL) if moving is None else (moving[:3], moving[3:])
+        way = target[:3] - self.pose[:3]
+        arc = poses.rotation_vectors(poses.multiply(target[3:], poses.conjugate(self.pose[3:])))
+        return self._go(
+            _towards(way, going, dt, config.acceleration),
+            _towards(arc, turning, dt, config.turn_acceleration),
+            dt,
+            share,
+        )
+
+    def rest(self, dt: float) -> Float[np.ndarray, "7"]:
+        """Brake as hard as the limits let it, and then stand.
+
+        Args:
+            dt: time since the last command [s].
+
+        Returns:
+            (7,) command.
+        """
+        if self.at_rest:
+            self._last_dt = max(dt, SHORTEST_S)
+            return self.pose
+        return self._go(_STILL, _STILL, max(dt, SHORTEST_S), 1.0)
+
+    def _go(
+        self,
+        target: Float[np.ndarray, "3"],
+        turn: Float[np.ndarray, "3"],
+        dt: float,
+        share: float,
+    ) -> Float[np.ndarray, "7"]:
+        """Take a step with the velocities within the limits that are nearest to those wanted."""
+        config, place = self.config, self.pose[:3]
+        low, high = np.minimum(config.low, place), np.maximum(config.high, place)
+        shorter = min(dt, (self._last_dt + dt) / 2)
+        brief = min(1.0, MAX_STEP_S / dt)  # after a pause the robot does not catch up
+
+        # Limits may have become stricter in mid-motion: then it brakes as hard as the workspace
+        # takes, no harder than before.
+        ahead = np.where(self.velocity > 0, high - place, place - low)
+        usual = config.acceleration * _AXIS_SHARE
+        needed = self.velocity**2 / np.maximum(ahead, 1e-9)
+        each = np.where(needed > usual * 1.001, needed, usual)
+        velocity = _nearest(
+            self.velocity,
+            target,
+            config.velocity * share * brief,
+            max(config.acceleration, math.sqrt(each @ each)) * shorter,
+            stoppable_speed(place - low, dt, each),
+            stoppable_speed(high - place, dt, each),
+        )
+        self.turn = _nearest(
+            self.turn,
+            turn,
+            config.turn_velocity * share * brief,
+            config.turn_acceleration * shorter,
+        )
+        moved = np.clip(place + velocity * dt, low, high)
+        self.velocity = (moved - place) / dt
+        turned = poses.multiply(poses.from_rotation_vectors(self.turn * dt), self.pose[3:])
+        self.pose = np.concatenate([moved, turned / np.sqrt(turned @ turned)])
+        self._last_dt = dt
+        return self.pose
+
+
+def _towards(
+    way: Float[np.ndarray, "3"], going: Float[np.ndarray, "3"], dt: float, acceleration: float
+) -> Float[np.ndarray, "3"]:
+    """Velocity that goes with a target, and makes up for what is left of the way to it.
+
+    Args:
+        way: to where the target is after the step.
+        going: velocity of the target.
+        dt: length of the step [s].
+        acceleration: limit.
+    """
+    behind = way - going * dt
+    left = float(np.sqrt(behind @ behind))
+    if left < 1e-12:
+        return going
+    speed = stoppable_speed(np.array(left), dt, np.array(acceleration), acceleration * USUAL_S)
+    return going + behind * (float(speed) / left)
+
+
+def _nearest(
+    before: Float[np.ndarray, "3"],
+    target: Float[np.ndarray, "3"],
+    top: float,
+    change: float,
+    down: Float[np.ndarray, "3"] | float = math.inf,
+    up: Float[np.ndarray, "3"] | float = math.inf,
+) -> Float[np.ndarray, "3"]:
+    """The velocity next to the one wanted that the limits allow.
+
+    What the workspace and the speed allow are convex sets, so the way between two velocities in
+    them is within them. It leads from the last velocity, braked as far as the workspace asks for,
+    to the same within the speed limit, and on to the one wanted; as far as the acceleration goes.
+
+    Args:
+        before: the last velocity.
+        target: the one that is asked for.
+        top: largest speed; it may have become lower.
+        change: largest length of the change.
+        down: largest speed against each axis.
+        up: largest speed along each axis.
+    """
+    braked = np.clip(before, -down, up)
+    slow = _cut(braked, top)
+    if math.dist(slow, before) >= change:
+        return _reach(before, braked, slow, change)
+    return _reach(before, slow, _cut(np.clip(target, -down, up), top), change)
+
+
+def _reach(
+    before: Float[np.ndarray, "3"],
+    start: Float[np.ndarray, "3"],
+    end: Float[np.ndarray, "3"],
+    change: float,
+) -> Float[np.ndarray, "3"]:
+    """The farthest point on the way from ``start`` to ``end`` that is a change away at most."""
+    must, way = start - before, end - start
+    left, length = change * change - float(must @ must), float(way @ way)
+    if left <= 0:
+        return np.asarray(before + _cut(must, change))
+    if length < 1e-24:
+        return end
+    along = float(must @ way)
+    share = (math.sqrt(along * along + length * left) - along) / length
+    return end if share >= 1 else np.asarray(start + share * way)
+
+
+def _cut(vector: Float[np.ndarray, "3"], length: float) -> Float[np.ndarray, "3"]:
+    """A vector, shortened to a length."""
+    size = math.sqrt(vector @ vector)
+    return vector * (length / size) if size > length else vector
+
+
+SHORTEST: Final = 0.25
+"""Shortest time between two commands, over the period."""
+BORROWED: Final = 1.0 - SHORTEST
+"""How much earlier than in an even pace a frame may be answered, over the period: its turn is taken
+from the commands after it. It keeps frames that come between two commands of the pace from
+waiting."""
+KEPT: Final = 0.5
+"""How much of the time that a command came late may be made up for, over the period: a frame that
+was late does not delay those after it."""
+WAITS: Final = 0.1
+"""Longest wait of a frame for its turn, over the period: one that would wait for longer is replaced
+by the next one, if no turn is lost by that. A tracker at the rate that has lost its phase, such as
+after a stall, so gets it back for one frame, and does not keep that wait for the rest of the run.
+"""
+LONGEST: Final = 2.0
+"""Longest time between two commands, over the period."""
+EXTRA: Final = 1 + BORROWED + KEPT
+"""Commands over the rate: within any time t there are at most rate x t + 2.25."""
+
+
+class RateLimiter:
+    """When the commands of one hand leave.
+
+    Commands have turns, a period apart. A frame may take one early and a command may take one late,
+    within bounds that don't add up: in any time t there are at most ``t / period + EXTRA``
+    commands, two are at least ``SHORTEST`` periods apart, and over a run the rate is never
+    exceeded. This is the generic cell rate algorithm (ITU-T I.371), in which frames may come early
+    and commands that only keep the pace may not.
+
+    All times are by one clock [s]. Nothing here has a clock or sleeps.
+
+    Args:
+        period: time between two commands [s]; may be changed at any time.
+    """
+
+    def __init__(self, period: float) -> None:
+        self.period = period
+        self._last = -math.inf  # when the latest command left
+        self._turn = -math.inf  # when the next one does, at an even pace
+
+    def begin(self, now: float) -> None:
+        """The loop starts: a frame may be answered now."""
+        self._turn = now + BORROWED * self.period
+
+    @property
+    def opens(self) -> float:
+        """Until when nothing may leave, but for an emergency stop [s]."""
+        period = self.period
+        return max(self._turn - BORROWED * period, self._last + SHORTEST * period)
+
+    def answers(self, received: float, following: float | None) -> float:
+        """When a frame is to be answered, if no newer one comes until then [s].
+
+        A frame that comes after the turn has begun is answered as it comes. One that came before,
+        by more than ``WAITS``, is replaced by the next frame if that comes so soon after the
+        beginning that no turn is lost.
+        So of a tracker that is faster than the pace, the frames that are answered are fresh.
+
+        Args:
+            received: when it came [s].
+            following: when the next frame is expected [s]; None if unknown.
+        """
+        opens, latest = self.opens, self._last + LONGEST * self.period
+        if received >= opens:
+            return received
+        waits = opens - received > WAITS * self.period
+        if (
+            following is None
+            or not 0 <= following - opens <= (1.0 if waits else KEPT) * self.period
+        ):
+            return opens
+        patience = SHORTEST * (following - received)  # trackers are uneven
+        return min(following + patience, latest) if following <= latest else opens
+
+    def keeps(self, following: float | None) -> float:
+        """When a command is due though no frame has come [s].
+
+        Args:
+            following: when the next frame is expected [s]; None if unknown. If that is about
+                now the command waits for it a little, rather than leave just before it.
+        """
+        period, at = self.period, self._turn
+        if following is not None and at - SHORTEST * period <= following <= at + KEPT * period:
+            latest = max(at, self._last + LONGEST * period)
+            at = min(following + SHORTEST * period, latest)
+        return max(at, self.opens)
+
+    def take(self, now: float) -> None:
+        """A command leaves now [s]."""
+        period = self.period
+        turn = max(self._turn, now - KEPT * period) + period
+        # An emergency stop, which waits for no turn, delays what comes after it only so far.
+        self._turn, self._last = min(turn, now + LONGEST * period), now

@@ -34,19 +34,19 @@ def log_timing(log: Log) -> dict[str, Any]:
     """
     if log.commands is None:
         raise RecordingError("the log holds no commands, so there is nothing that took time")
-    found: dict[str, Any] = {
+    figures: dict[str, Any] = {
         "commands": len(log.commands),
         "truncated": log.truncated,
         "method_ms": percentiles(log.commands.latency_ms),
         "stages_ms": {name: percentiles(values) for name, values in log.stages_ms.items()},
     }
     if log.loop is None:  # of `demo` or `convert`: no loop, no pace
-        return found
+        return figures
     gaps = np.diff(log.loop.times)
     length = float(log.loop.times[-1] - log.loop.times[0])
     events = Counter(event for events in log.loop.events.values() for event in events)
     return {
-        **found,
+        **figures,
         "frames_answered": int(log.loop.answers.sum()),
         "duration_s": length,
         "rate_hz": len(gaps) / length if length > 0 else None,

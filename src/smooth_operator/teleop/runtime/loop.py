@@ -13,9 +13,8 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.teleop.runtime.controls import Controls
-from smooth_operator.teleop.runtime.limiter import Limiter
+from smooth_operator.teleop.runtime.limiter import Limiter, RateLimiter
 from smooth_operator.teleop.runtime.pipeline import HandPipeline
-from smooth_operator.teleop.runtime.rate_limiter import RateLimiter
 from smooth_operator.teleop.runtime.settings import LoopConfig
 from smooth_operator.teleop.runtime.statistics import LoopStatistics
 from smooth_operator.teleop.sinks.runner import SinkRunner
@@ -159,13 +158,13 @@ class TeleopLoop:
         """Sleep until something is to be done."""
         if self.controls.waiting:
             return
-        seen, now = self.mailbox.received, self.mailbox.clock()
+        count, now = self.mailbox.received, self.mailbox.clock()
         opens = [self._rate_limiters[side].opens for side in sides]
         until = min(
             at if at > now else self._due(side, now) for side, at in zip(sides, opens, strict=True)
         )
         # where nothing may leave yet no frame need wake the loop: the newest is looked at then
-        self.mailbox.sleep(until - now, seen if min(opens) <= now else None)
+        self.mailbox.sleep(until - now, count if min(opens) <= now else None)
 
     def _change(self) -> None:
         """Do what the switches ask for."""

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from typing import Final, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.teleop.sinks.hand_state import HandState
-from smooth_operator.teleop.sinks.tick import Tick
+from smooth_operator.teleop.sinks.tick import HandState, Tick
+from smooth_operator.teleop.sources.live import Arrival
 
 _WINDOW_S: Final = 10.0
 _LEAST_S: Final = 2.0
@@ -37,7 +38,7 @@ class Delay(NamedTuple):
 
     Attributes:
         seconds: from the command's time to the measured motion [s].
-        correlation: of the velocities at that delay, 0 to 1.
+        correlation: correlation of the velocities at that delay, 0 to 1.
     """
 
     seconds: float
@@ -110,38 +111,38 @@ class MotionDelay:
         commands, states = self._commands, self._states
         if commands is None or states is None:
             return None
-        asked, wanted = commands.newest()
-        seen, measured = states.newest()
-        if len(asked) < 3 or len(seen) < 3 or wanted.shape[1] != measured.shape[1]:
+        sent_at, commanded = commands.newest()
+        measured_at, measured = states.newest()
+        if len(sent_at) < 3 or len(measured_at) < 3 or commanded.shape[1] != measured.shape[1]:
             return None
-        begin, end = max(asked[0] + _LONGEST_S, seen[0]), min(asked[-1], seen[-1])
+        begin, end = max(sent_at[0] + _LONGEST_S, measured_at[0]), min(sent_at[-1], measured_at[-1])
         if end - begin < _LEAST_S:
             return None
         lags = round(_LONGEST_S / _GRID_S)
         grid = np.arange(begin, end, _GRID_S)
         before = np.arange(-lags, len(grid)) * _GRID_S + begin
-        known = np.isfinite(measured).all(axis=0)
-        moved = _velocities(grid, seen, measured[:, known])
-        asked_for = _velocities(before, asked, wanted[:, known])
+        complete = np.isfinite(measured).all(axis=0)
+        moved = _velocities(grid, measured_at, measured[:, complete])
+        asked_for = _velocities(before, sent_at, commanded[:, complete])
         moving = (moved.std(axis=0) > _MOVES) & (asked_for.std(axis=0) > _MOVES)
         if not moving.any():
             return None
         moved, asked_for = moved[:, moving], asked_for[:, moving]
         moved, asked_for = moved - moved.mean(axis=0), asked_for - asked_for.mean(axis=0)
         count = len(moved)
-        found = np.empty(lags + 1)
+        scores = np.empty(lags + 1)
         for lag in range(lags + 1):
             part = asked_for[lags - lag : lags - lag + count]
-            found[lag] = (part * moved).sum() / np.sqrt((part**2).sum() * (moved**2).sum())
-        best = int(found.argmax())
-        if found[best] < _TRUSTED:
+            scores[lag] = (part * moved).sum() / np.sqrt((part**2).sum() * (moved**2).sum())
+        best = int(scores.argmax())
+        if scores[best] < _TRUSTED:
             return None
         shift = 0.0
         if 0 < best < lags:
-            left, top, right = found[best - 1 : best + 2]
+            left, top, right = scores[best - 1 : best + 2]
             curve = left - 2 * top + right
             shift = 0.5 * (left - right) / curve if curve < 0 else 0.0
-        return Delay((best + shift) * _GRID_S, float(found[best]))
+        return Delay((best + shift) * _GRID_S, float(scores[best]))
 
 
 def _velocities(
@@ -149,3 +150,41 @@ def _velocities(
 ) -> np.ndarray:
     columns = [np.interp(grid, times, column) for column in positions.T]
     return np.diff(np.array(columns).T, axis=0) / _GRID_S
+
+
+_STATE_WINDOW_S = 10.0
+
+
+class TrackerDelay:
+    """Delay of each frame above the fastest of the last seconds.
+
+    Two clocks that were never compared show only how the delay varies: the difference of arrival
+    and stamp is the delay and a constant, whose smallest value lately stands for the fastest way.
+    The window is short enough to follow clocks that drift apart. Stamps of a recording that is
+    played at another speed are scaled to ours.
+    """
+
+    def __init__(self) -> None:
+        self._session: int | None = None
+        self._lowest: deque[tuple[float, float]] = deque()  # (received, difference), both rising
+
+    def see(self, arrival: Arrival) -> None:
+        """Take note of a frame."""
+        if arrival.session != self._session:
+            self._session = arrival.session
+            self._lowest.clear()
+        difference = _difference(arrival)
+        while self._lowest and self._lowest[-1][1] >= difference:
+            self._lowest.pop()
+        self._lowest.append((arrival.received, difference))
+        while self._lowest[0][0] < arrival.received - _STATE_WINDOW_S:
+            self._lowest.popleft()
+
+    def above_fastest(self, arrival: Arrival) -> float:
+        """[s]; of a frame that was seen."""
+        return _difference(arrival) - self._lowest[0][1]
+
+
+def _difference(arrival: Arrival) -> float:
+    """Of the two clocks at an arrival, and the delay [s]."""
+    return arrival.received - arrival.stamp / arrival.speed

@@ -10,8 +10,8 @@ import numpy as np
 
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.teleop.runtime.clutch import Clutch
-from smooth_operator.teleop.runtime.delay import TrackerDelay
 from smooth_operator.teleop.runtime.limiter import Limiter
+from smooth_operator.teleop.runtime.motion_delay import TrackerDelay
 from smooth_operator.teleop.runtime.plausible import SessionCheck, implausible
 from smooth_operator.teleop.runtime.settings import LoopConfig
 from smooth_operator.teleop.runtime.supervisor import Supervisor
@@ -24,9 +24,9 @@ if TYPE_CHECKING:  # which needs the extra arm
 
 SWITCHED: Final = "another method, or other settings"
 """Event of the first tick after a switch; which they are is in its driver, for the record alone."""
-PROVISIONAL: Final = "answered by the first stage, while the method compiles"
-OWN: Final = "answered by the method, which is compiled"
-"""Events of the first tick of each."""
+COMPILING: Final = "the method is compiled first; the robot holds"
+COMPILED: Final = "the method is compiled"
+"""Events of the first tick of a hold for the compiler, and after it."""
 
 
 class HandPipeline:
@@ -41,13 +41,13 @@ class HandPipeline:
         clock: measures the stages; the time of a step is given.
         driver: what the retargeter is, by name, for the record.
         arm: controller of the arm that carries the hand; None without an arm.
+        compiling: the method is not compiled yet: the robot holds until ``go_on``.
 
     Attributes:
         supervisor: mode and policies.
         limiter: what was last commanded.
         clutch: moves the wrist, where the tracker has one.
         seen: the last frame that was not refused, in a pause or an emergency stop, too.
-        provisional: whether the last answer was not the method's own (``Result.provisional``).
     """
 
     def __init__(
@@ -57,6 +57,7 @@ class HandPipeline:
         clock: Callable[[], float] = time.perf_counter,
         driver: Driver | None = None,
         arm: ArmController | None = None,
+        compiling: bool = False,
     ) -> None:
         self.retargeter = retargeter
         self.arm = arm
@@ -67,8 +68,7 @@ class HandPipeline:
         self.clutch = Clutch(config)
         self.side: Side = retargeter.hand.spec.side
         self._clock = clock
-        self._state = retargeter.live.init()
-        self.provisional = False
+        self._state = retargeter.init()
         self._wanted = self.limiter.q  # what the operator asked for last
         self._from = self.limiter.q  # where a blend began
         self._delay = TrackerDelay()
@@ -77,6 +77,8 @@ class HandPipeline:
         self._number = 0
         self.seen: Arrival | None = None
         self._told: list[str] = []  # events of the next step
+        if compiling:
+            self.hold()
 
     @property
     def mode_now(self) -> Mode:
@@ -84,15 +86,28 @@ class HandPipeline:
         return self.supervisor.preview(self._clock())
 
     def switch(self, retargeter: Retargeter, driver: Driver | None = None) -> None:
-        """Go on with another method, or other settings of it; it should be warmed up.
+        """Go on with another method, or other settings of it; it must be compiled.
 
         The robot goes over from its last command as the limits let it.
         """
         self.retargeter, self.driver = retargeter, driver
         self.note(SWITCHED)
-        self._state = retargeter.live.init()
+        self._state = retargeter.init()
         self.supervisor.restart_blend(self._last)
         self._from = self.limiter.q
+        self.go_on()
+
+    def hold(self) -> None:
+        """Hold the robot while a method is compiled; frames are shown and not answered."""
+        if not self.supervisor.compiling:
+            self.supervisor.compiling = True
+            self.note(COMPILING)
+
+    def go_on(self) -> None:
+        """End the hold, if there is one; the robot goes over to the operator's hand."""
+        if self.supervisor.compiling:
+            self.supervisor.compiling = False
+            self.note(COMPILED)
 
     def note(self, text: str) -> None:
         """Have something stand among the events of the next step, and so in the record."""
@@ -148,9 +163,6 @@ class HandPipeline:
             else:
                 self.seen = arrival
                 result, stages = self._answer(arrival, now)
-                if result.provisional is not self.provisional:
-                    self.provisional = result.provisional
-                    events.append(PROVISIONAL if result.provisional else OWN)
                 if result.status != Status.OK:
                     events.append(f"frame not used: {result.status.reason}")
         mode = self.supervisor.update(now)
@@ -198,7 +210,6 @@ class HandPipeline:
             self.driver,
             wrist,
             arm=arm,
-            provisional=result is not None and result.provisional,
         )
         # Times of commands, not of the frames that they answer: solving occasionally takes longer.
         self._last, self._number = guarded, self._number + 1
@@ -208,8 +219,8 @@ class HandPipeline:
         """The method's answer to a frame, and how long its stages took [ms]."""
         start = self._clock()
         if self.supervisor.starts_again:
-            self._state = self.retargeter.live.init()
-        state, result = self.retargeter.live.step(self._state, arrival.frame)
+            self._state = self.retargeter.init()
+        state, result = self.retargeter.step(self._state, arrival.frame)
         solved = self._clock()
         if result.status == Status.OK:
             if not self.supervisor.mode.moves:

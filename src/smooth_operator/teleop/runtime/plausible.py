@@ -62,7 +62,7 @@ class SessionCheck:
     Each start of a tracker is judged by itself: over its first frames, and then occasionally.
 
     Args:
-        side: of the hand that is driven.
+        side: side of the hand that is driven.
     """
 
     def __init__(self, side: Side) -> None:

@@ -4,7 +4,7 @@
     teleop.request("method", method="dexpilot", preset="default")
     teleop.request("status")["method"]
 
-The words, and what each answers, are in ``smooth_operator.teleop.runtime.remote``.
+The words, and what each answers, are in ``smooth_operator.teleop.runtime.rpc_server``.
 """
 
 from __future__ import annotations

@@ -1,22 +1,25 @@
 """RPC server of a running loop.
 
-The commands are those of ``smooth_operator.teleop.runtime.remote``, which receives them.
+The commands are those of ``smooth_operator.teleop.runtime.rpc_server``, which receives them.
 """
 
 from __future__ import annotations
 
+import contextlib
 import math
+import queue
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Final, TypeAlias
 
-from smooth_operator.errors import SmoothOperatorError
+from smooth_operator.errors import MissingExtraError, SmoothOperatorError, SourceError
 from smooth_operator.formats.jsonable import to_json
 from smooth_operator.io.documents import json_object
 from smooth_operator.teleop.runtime.loop import TeleopLoop
+from smooth_operator.terminal import print_note
 
 RpcHandler: TypeAlias = Callable[[Mapping[str, Any]], Mapping[str, Any]]
 """What is done for a command: from the message's fields to the answer's; errors of the family are
@@ -210,3 +213,124 @@ def _failed(command: str, error: Exception) -> dict[str, Any]:
 
 def _encoded(answer: Mapping[str, Any]) -> bytes:
     return to_json(answer).encode()
+
+
+_TURN_MS: Final = 20
+_SOON_MS: Final = 1  # while an answer waits for the loop
+_LARGEST: Final = 1 << 16  # [bytes]
+_FRAMES: Final = 8
+"""Most parts of a message: an address for each relay, an empty one, the command."""
+_GULP: Final = 256
+"""Messages that are heard before the next one is done."""
+_END_S: Final = 2.0
+
+
+@contextlib.contextmanager
+def remote(
+    loop: TeleopLoop,
+    address: str,
+    handlers: Mapping[str, RpcHandler] = {},
+    status: Callable[[], Mapping[str, Any]] = dict,
+) -> Iterator[str]:
+    """Listen for commands of other programs while the loop runs.
+
+    Args:
+        loop: what they are said to.
+        address: where to listen, such as ``tcp://127.0.0.1:5558``; ``tcp://127.0.0.1:*`` takes any
+            free port.
+        handlers: more commands than the loop's own -> what is done for each, on a thread of its
+            own.
+        status: more fields of the status; must be quick.
+
+    Yields:
+        the address.
+
+    Raises:
+        MissingExtraError: pyzmq is not installed.
+        SourceError: the address can't be listened on.
+    """
+    context, socket = _listening(address)
+    bound = str(socket.last_endpoint.decode()).rstrip("\0")
+    server = RpcServer(loop, handlers, status)
+    answers: queue.SimpleQueue[list[bytes]] = queue.SimpleQueue()
+    done = threading.Event()
+
+    def send_all() -> None:
+        with contextlib.suppress(queue.Empty):
+            while True:
+                socket.send_multipart(answers.get_nowait())
+
+    def reply_to(envelope: list[bytes]) -> Reply:
+        return lambda text: answers.put([*envelope, text])
+
+    def hear() -> None:
+        """Take what has come, so that a stop is done before what came ahead of it."""
+        for _ in range(_GULP):
+            if not socket.poll(0):
+                return
+            frames = socket.recv_multipart()
+            if len(frames) <= _FRAMES:
+                *envelope, message = frames
+                server.hear(message, reply_to(envelope))
+
+    def listen() -> None:
+        try:
+            while not done.is_set():
+                if server.idle:
+                    socket.poll(_TURN_MS)
+                elif not server.queued:
+                    socket.poll(_SOON_MS)
+                try:
+                    hear()
+                    server.turn()
+                    send_all()
+                except Exception as error:  # nothing that is sent may end the listening
+                    print_note(f"note: {address}: {type(error).__name__}: {error}")
+            server.finish()
+            send_all()
+        finally:
+            socket.close()
+
+    thread = threading.Thread(target=listen, name="remote", daemon=True)
+    thread.start()
+    try:
+        yield bound
+    finally:
+        done.set()
+        thread.join(_END_S)
+        if not thread.is_alive():  # the context waits for its sockets to be closed
+            context.term()
+
+
+def check_address(address: str) -> None:
+    """Find out whether ``remote`` can listen there, before anything slow is done.
+
+    Raises:
+        MissingExtraError, SourceError: as ``remote``.
+    """
+    context, socket = _listening(address)
+    socket.close(0)
+    context.term()
+
+
+def _listening(address: str) -> tuple[Any, Any]:
+    """A ZeroMQ context and its socket, which listens."""
+    try:
+        import zmq
+    except ImportError:
+        raise MissingExtraError("listening for switches (--control)", "zmq") from None
+    context = zmq.Context()
+    # Not REP, which would have a stop wait for the answer to whatever was asked before.
+    socket = context.socket(zmq.ROUTER)
+    socket.setsockopt(zmq.LINGER, 200)
+    socket.setsockopt(zmq.MAXMSGSIZE, _LARGEST)
+    try:
+        socket.bind(address)
+    except zmq.ZMQError as error:
+        socket.close()
+        context.term()
+        raise SourceError(
+            f"can't listen for switches on {address!r} ({error}); an address looks like "
+            "tcp://127.0.0.1:5558"
+        ) from error
+    return context, socket

@@ -125,7 +125,7 @@ class LoopConfig:
         rate: commands per second and hand; never more, and that many where frames come too slowly
             or not at all [Hz].
         safety: what happens when the tracker fails.
-        limits: of what leaves the loop.
+        limits: limits of what leaves the loop.
         wrist: how the wrist follows the operator's.
     """
 

@@ -39,7 +39,7 @@ class LoopStatistics:
     """Counts and times of a loop; written by the loop, read by anyone.
 
     Args:
-        period: of the loop [s].
+        period: period of the loop [s].
 
     Attributes:
         motion: side -> delay from command to motion, of the hands that are measured.
@@ -51,7 +51,6 @@ class LoopStatistics:
         self._stages: dict[str, _Times] = defaultdict(_Times)
         self._commands: dict[Side, int] = defaultdict(int)
         self._answered = 0
-        self._provisional = 0
         self._unusable: dict[str, int] = defaultdict(int)
         self._missed = 0
         self._due = 0
@@ -81,7 +80,6 @@ class LoopStatistics:
         self._missed += sent - due > self.period
         if tick.status is not None:
             self._answered += tick.status == Status.OK
-            self._provisional += tick.status == Status.OK and tick.provisional
             if tick.status != Status.OK:
                 self._unusable[tick.status.reason] += 1
             self._added.append((sent - tick.arrival.received) * 1e3 if tick.arrival else np.nan)
@@ -119,7 +117,6 @@ class LoopStatistics:
             "commands": dict(self._commands),
             "rate_hz": self.rate_hz,
             "frames_answered": self._answered,
-            "frames_provisional": self._provisional,
             "frames_unusable": self.unusable,
             "frames_unusable_by_reason": dict(self._unusable),
             "deadlines_missed": self._missed,
@@ -127,7 +124,7 @@ class LoopStatistics:
             "added_latency_ms": percentiles(self._added.newest()),
             "stages_ms": {name: percentiles(t.newest()) for name, t in self._stages.items()},
             "motion_delay_ms": {
-                side: None if (found := delay.now()) is None else 1e3 * found.seconds
+                side: None if (estimate := delay.now()) is None else 1e3 * estimate.seconds
                 for side, delay in self.motion.items()
             },
             "mode_share": {mode.value: self._modes[mode] / max(total, 1) for mode in self._modes},
@@ -140,8 +137,8 @@ def percentiles(values: Any) -> dict[str, float]:
     array = array[np.isfinite(array)]
     if not len(array):
         return {}
-    found = np.percentile(array, _PERCENTILES)
+    quantiles = np.percentile(array, _PERCENTILES)
     named: Mapping[str, float] = {
-        f"p{p:g}": float(v) for p, v in zip(_PERCENTILES, found, strict=True)
+        f"p{p:g}": float(v) for p, v in zip(_PERCENTILES, quantiles, strict=True)
     }
     return {**named, "max": float(array.max())}

@@ -17,11 +17,13 @@ class Supervisor:
         config: the policies.
         mode: what the loop is doing with the hand.
         refused: why -> number of frames that were refused.
+        compiling: the method is being compiled: the robot holds, and frames are only shown.
     """
 
     config: SafetyConfig
     mode: Mode = Mode.WAITING
     refused: dict[str, int] = field(default_factory=dict)
+    compiling: bool = False
     _last_good: float | None = None
     _newest: tuple[int, float] | None = None
     _blend_start: float = 0.0
@@ -111,8 +113,8 @@ class Supervisor:
 
     @property
     def listens(self) -> bool:
-        """Whether frames move the robot at all."""
-        return not (self._paused or self._stopped)
+        """Frames move the robot."""
+        return not (self._paused or self._stopped or self.compiling)
 
     def _mode(self, now: float) -> Mode:
         if self._stopped:
@@ -125,6 +127,8 @@ class Supervisor:
             return Mode.WAITING
         if self._last_good is None:
             return Mode.WAITING
+        if self.compiling:
+            return Mode.HOLDING
         silence = now - self._last_good
         if silence > self.config.lost_s and self.config.on_loss == "ease":
             return Mode.EASING

@@ -19,9 +19,8 @@ from jaxtyping import Float
 from smooth_operator.errors import ConfigError, SmoothOperatorError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.simulation.arms.carried import CarriedHand
-from smooth_operator.teleop.sinks.hand_state import HandState
 from smooth_operator.teleop.sinks.sink import Sink
-from smooth_operator.teleop.sinks.tick import Tick
+from smooth_operator.teleop.sinks.tick import HandState, Tick
 from smooth_operator.teleop.sources.live import Clock
 from smooth_operator.types import Side
 
@@ -144,13 +143,13 @@ class SinkRunner:
 
     def state(self, side: Side) -> HandState | None:
         """Where a hand is, as it was last measured: by a real one, else by a simulated one."""
-        found: HandState | None = None
+        first: HandState | None = None
         for entry in self._entries:
             if entry.state == "open" and (measured := entry.sink.state(side)) is not None:
                 if entry.sink.simulation is None:
                     return measured
-                found = found or measured
-        return found
+                first = first or measured
+        return first
 
     def stalled(self, seconds: float) -> None:
         """Notify every open sink that no command has come for so long.
@@ -162,18 +161,18 @@ class SinkRunner:
 
     def measured_wrist(self, side: Side) -> Float[np.ndarray, "7"] | None:
         """Where an arm has the wrist of a hand: that of the first open sink that knows it."""
-        found: list[Float[np.ndarray, "7"] | None] = [None]
+        poses: list[Float[np.ndarray, "7"] | None] = [None]
         for entry in self._entries:
-            entry.call(lambda sink: found.append(sink.measured_wrist(side)))
-            if found[-1] is not None:
+            entry.call(lambda sink: poses.append(sink.measured_wrist(side)))
+            if poses[-1] is not None:
                 break
-        return found[-1]
+        return poses[-1]
 
     def measured_arm(self, side: Side) -> Float[np.ndarray, " n"] | None:
         """Where the joints of an arm are [rad]: by the first open sink that knows it."""
         for entry in self._entries:
-            if entry.state == "open" and (found := entry.sink.measured_arm(side)) is not None:
-                return found
+            if entry.state == "open" and (positions := entry.sink.measured_arm(side)) is not None:
+                return positions
         return None
 
     def add(self, sink: Sink) -> None:
@@ -191,10 +190,10 @@ class SinkRunner:
     def remove(self, sink: Sink) -> None:
         """Close a sink and let it go; its errors stay in ``report``. No such sink: nothing."""
         with self._changed:
-            found = [entry for entry in self._entries if entry.sink is sink]
+            entries = [entry for entry in self._entries if entry.sink is sink]
             self._entries = tuple(entry for entry in self._entries if entry.sink is not sink)
-            self._gone += found
-        for entry in found:
+            self._gone += entries
+        for entry in entries:
             entry.end()
 
     def close(self) -> None:
@@ -330,9 +329,9 @@ class _Entry:
                 self._fail(error)
 
     def _fail(self, error: Exception) -> None:
-        known = isinstance(error, SmoothOperatorError)
+        expected = isinstance(error, SmoothOperatorError)
         with self._change:
-            self._error = str(error) if known else f"{type(error).__name__}: {error}"
+            self._error = str(error) if expected else f"{type(error).__name__}: {error}"
             self._retry_at = self._clock() + self._retry_s
             self.failed += 1
             if self.state == "open":

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import enum
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.teleop.sinks.hand_state import HandState
 from smooth_operator.teleop.sources.live import Arrival
-from smooth_operator.types import JointCommand, Side, Status
+from smooth_operator.types import HandFrame, JointCommand, Side, Status
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class ArmCommand:
     """A command to the arm that carries a hand.
 
     Attributes:
-        name: of the arm.
+        name: name of the arm.
         joint_names: (n,) from the base.
         positions: (n,) within all limits [rad].
         velocity: (n,) from the command before [rad/s].
@@ -116,13 +116,13 @@ class Tick:
             tracker's clock, or the time of the tick where no frame is answered.
         velocity: (n,) velocity of all joints [rad/s], for drivers that feed it forward.
         mode: what the loop is doing.
-        time: of the command, by the loop's clock [s]; the limits hold from one such time to the
-            next.
-        number: of the tick, counted from 0 for each hand.
-        status: of the frame that it answers; None where it answers none.
+        time: time of the command, by the loop's clock [s]; the limits hold from one such time to
+            the next.
+        number: number of the tick, counted from 0 for each hand.
+        status: status of the frame that it answers; None where it answers none.
         arrival: that frame.
         stages: name -> how long it took [ms], in order; empty where no frame is answered.
-        tracking_loss: of the frame; NaN where none is answered.
+        tracking_loss: loss of the frame; NaN where none is answered.
         scale: robot size over human size in the frame; NaN where none is answered.
         events: what happened at this tick, a sentence each: a mode that changed, frames refused.
         driver: what the hand is driven by, if the loop knows; the same object until it
@@ -133,7 +133,6 @@ class Tick:
             fingers only.
         arm: the command to the arm that carries the hand, with the same stamp; None without an
             arm.
-        provisional: whether the frame's answer is not the method's own, as ``Result.provisional``.
     """
 
     side: Side
@@ -153,4 +152,80 @@ class Tick:
     wrist: WristCommand | None = None
     state: HandState | None = None
     arm: ArmCommand | None = None
-    provisional: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class HandState:
+    """Where a robot hand is, real or simulated, and what its actuators feel.
+
+    Attributes:
+        side: which hand.
+        hand: name of the robot hand.
+        stamp: time of the measurement, by the loop's clock [s].
+        names: (n,) joint names, in the model's own order, coupled ones included.
+        positions: (n,) measured joint positions [rad]; NaN where the hand measures none.
+        velocities: (n,) measured joint velocities [rad/s], or None.
+        actuators: (a,) names of the actuators; empty where there are none of their own.
+        currents: (a,) current of the actuators, or force, in the driver's unit; NaN where unknown;
+            None if the hand measures none.
+        temperatures: (a,) of the actuators [degrees Celsius], or None.
+        touch: (k,) touch or force sensors, in the driver's unit and order, or None.
+    """
+
+    side: Side
+    hand: str
+    stamp: float
+    names: tuple[str, ...]
+    positions: Float[np.ndarray, " n"]
+    velocities: Float[np.ndarray, " n"] | None = None
+    actuators: tuple[str, ...] = ()
+    currents: Float[np.ndarray, " a"] | None = None
+    temperatures: Float[np.ndarray, " a"] | None = None
+    touch: Float[np.ndarray, " k"] | None = None
+
+    @property
+    def time(self) -> float:
+        """The stamp; the name that simulations use."""
+        return self.stamp
+
+
+_STEP: Final = 2e-6
+"""What separates stamps that would be the same or go back [s]."""
+
+_FORGET: Final = 0.9995
+"""How much of the latest lateness is remembered from one frame to the next."""
+
+
+class StampMap:
+    """Stamps for the log of one hand: by the loop's clock, and strictly increasing.
+
+    A frame is stamped by its tracker, whose clock restarts with every start; a command that
+    answers no frame has the loop's own time. Each start of the tracker is shifted by one constant,
+    reception minus stamp of its first frame, so that differences of stamps within it are the
+    tracker's own. A jump of the stamps counts as a start
+    (``JUMP_S``), so that one bad stamp moves no others. Commands
+    without a frame are put earlier by as much as the last frames came late, so that they do not
+    get a later stamp than the next frame.
+    """
+
+    def __init__(self) -> None:
+        self._session: int | None = None
+        self._shift = self._late = 0.0
+        self._last = -math.inf
+
+    def __call__(self, tick: Tick) -> tuple[float, HandFrame | None]:
+        """The stamp of a tick's command, and the frame that is to have the same."""
+        arrival = tick.arrival
+        stamp = math.nan if arrival is None else arrival.stamp
+        if arrival is None or not math.isfinite(stamp):
+            return self._next(tick.time - self._late), None
+        if arrival.session != self._session:
+            self._session = arrival.session
+            self._shift, self._late = arrival.received - stamp, 0.0
+        stamp += self._shift
+        self._late = max(arrival.received - stamp, _FORGET * self._late)
+        return self._next(stamp), arrival.frame
+
+    def _next(self, stamp: float) -> float:
+        self._last = max(stamp, self._last + _STEP)
+        return self._last

@@ -10,12 +10,11 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from smooth_operator.errors import ConfigError, MissingExtraError, SinkError
+from smooth_operator.formats.jsonable import numbers
 from smooth_operator.hands.hand import Hand
 from smooth_operator.poses import is_valid
-from smooth_operator.teleop.recording.messages import numbers
-from smooth_operator.teleop.sinks.hand_state import HandState
-from smooth_operator.teleop.sinks.threaded_sink import Link, ThreadedSink
-from smooth_operator.teleop.sinks.tick import ArmCommand, Tick
+from smooth_operator.teleop.sinks.sink import Link, ThreadedSink
+from smooth_operator.teleop.sinks.tick import ArmCommand, HandState, Tick
 from smooth_operator.types import Side
 
 FORMAT: Final = 1

@@ -13,7 +13,6 @@ from smooth_operator.teleop.sources.grpc_inbox import GrpcInbox
 from smooth_operator.teleop.sources.message_receiver import Message
 from smooth_operator.teleop.sources.payload import Reading
 from smooth_operator.teleop.sources.stream import Hands, Inbox, StreamSource, sides_of
-from smooth_operator.types import Side
 
 
 @dataclass(frozen=True)
@@ -26,8 +25,8 @@ class AvpSource(StreamSource):
     that is sent again unchanged while the fingers move is not valid.
 
     Attributes:
-        address: of the headset, as the app shows it.
-        port: of the app.
+        address: address of the headset, as the app shows it.
+        port: port of the app.
         side: the hands that are taken.
 
     Raises:
@@ -49,11 +48,6 @@ class AvpSource(StreamSource):
     def label(self) -> str:
         """What it is, in a few words."""
         return f"Tracking Streamer (Vision Pro) at {self.address}"
-
-    @property
-    def sides(self) -> tuple[Side, ...]:
-        """The hands that it takes."""
-        return sides_of(self.side)
 
     def connect(self) -> Inbox:
         """Begin to connect; the headset need not be there yet."""

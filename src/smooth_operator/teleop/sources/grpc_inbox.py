@@ -119,8 +119,8 @@ class GrpcInbox:
             return f"{self.address} is a gRPC server, but has no hand tracking: another program"
         if code == "RESOURCE_EXHAUSTED":
             return f"{self.address} sends messages longer than {self._longest} bytes"
-        said = " ".join(str(error.details() or "").split())[:_WORDS]
+        text = " ".join(str(error.details() or "").split())[:_WORDS]
         return (
-            f"can't connect to {self.address} ({code}: {said}); is the app started, the address "
+            f"can't connect to {self.address} ({code}: {text}); is the app started, the address "
             "the one that it shows, and the headset on this network? Trying again"
         )

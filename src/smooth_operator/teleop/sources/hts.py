@@ -7,15 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, Literal, TypeAlias
 
-from smooth_operator.errors import ConfigError
 from smooth_operator.headsets.hts_lines import HtsHands, begins_line, parse_line
-from smooth_operator.teleop.sources.message_receiver import Message
-from smooth_operator.teleop.sources.one_sender import OneSender
+from smooth_operator.teleop.sources.message_receiver import Message, OneSender
 from smooth_operator.teleop.sources.payload import Reading
-from smooth_operator.teleop.sources.stream import Hands, Inbox, StreamSource, sides_of
+from smooth_operator.teleop.sources.stream import Hands, Inbox, StreamSource, check_port, sides_of
 from smooth_operator.teleop.sources.tcp_inbox import Sockets, TcpInbox, Together, split_lines
 from smooth_operator.teleop.sources.udp import UdpInbox
-from smooth_operator.types import Side
 
 Transport: TypeAlias = Literal["both", "udp", "tcp"]
 """What the app sends over; ``both`` listens to both."""
@@ -48,19 +45,13 @@ class HtsSource(StreamSource):
     side: Hands = "both"
 
     def __post_init__(self) -> None:
-        if self.port is not None and not 0 <= self.port <= 65_535:
-            raise ConfigError(f"port must be 0 to 65535, not {self.port}")
+        check_port(self.port)
         sides_of(self.side)
 
     @property
     def label(self) -> str:
         """What it is, in a few words."""
         return "Hand Tracking Streamer"
-
-    @property
-    def sides(self) -> tuple[Side, ...]:
-        """The hands that it takes."""
-        return sides_of(self.side)
 
     @property
     def hint(self) -> str:

@@ -7,14 +7,15 @@ up, and the loop always answers the newest.
 
 from __future__ import annotations
 
+import itertools
 import threading
 import time
 from abc import ABC, abstractmethod
 from collections import Counter, deque
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
 from statistics import median
-from typing import Final, Literal, Protocol, TypeAlias
+from typing import Final, Literal, Protocol, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -330,3 +331,40 @@ class Running:
         self.stopping.set()
         if self._thread is not None and self._thread is not threading.current_thread():
             self._thread.join(timeout)
+
+
+_Item = TypeVar("_Item")
+
+
+class Stopping(Protocol):
+    """What may end a wait: ``threading.Event``."""
+
+    def wait(self, timeout: float) -> bool:
+        """Wait up to ``timeout`` [s]; whether it is set."""
+
+    def is_set(self) -> bool:
+        """Whether it is set."""
+
+
+def on_time(
+    due: Iterable[tuple[float, _Item]], clock: Clock, stopping: Stopping
+) -> Iterator[tuple[float, _Item]]:
+    """Items when they are due; those that are late already come immediately, in order.
+
+    Args:
+        due: (time since the start [s], item), times not decreasing.
+        clock: seconds that never go back. It starts when the first item has been made, which may
+            take a while.
+        stopping: ends it.
+
+    Yields:
+        How late the item is [s], and the item.
+    """
+    items = iter(due)
+    first = list(itertools.islice(items, 1))
+    start = clock()
+    for moment, item in itertools.chain(first, items):
+        left = start + moment - clock()
+        if stopping.wait(left) if left > 0.0 else stopping.is_set():
+            return
+        yield clock() - (start + moment), item

@@ -6,7 +6,6 @@ import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from smooth_operator.errors import ConfigError
 from smooth_operator.headsets.pico_packets import (
     PORT,
     Axes,
@@ -15,12 +14,10 @@ from smooth_operator.headsets.pico_packets import (
     split_packets,
 )
 from smooth_operator.headsets.repeats import Repeats
-from smooth_operator.teleop.sources.message_receiver import Message
-from smooth_operator.teleop.sources.one_sender import OneSender
+from smooth_operator.teleop.sources.message_receiver import Message, OneSender
 from smooth_operator.teleop.sources.payload import Reading
-from smooth_operator.teleop.sources.stream import Hands, Inbox, StreamSource, sides_of
+from smooth_operator.teleop.sources.stream import Hands, Inbox, StreamSource, check_port, sides_of
 from smooth_operator.teleop.sources.tcp_inbox import TcpInbox
-from smooth_operator.types import Side
 
 
 @dataclass(frozen=True)
@@ -35,8 +32,8 @@ class PicoSource(StreamSource):
         host: address to listen on; ``0.0.0.0`` for the whole network, which a headset needs.
         port: TCP port; the app connects to 63901 and to no other.
         side: the hands that are taken.
-        axes: of the joints: ``openxr``, right-handed, or ``unity``, left-handed, for an app that
-            sends them so.
+        axes: axes of the joints: ``openxr``, right-handed, or ``unity``, left-handed, for an app
+            that sends them so.
 
     Raises:
         ConfigError: a setting is outside its range.
@@ -48,19 +45,13 @@ class PicoSource(StreamSource):
     axes: Axes = "openxr"
 
     def __post_init__(self) -> None:
-        if not 0 <= self.port <= 65_535:
-            raise ConfigError(f"port must be 0 to 65535, not {self.port}")
+        check_port(self.port)
         sides_of(self.side)
 
     @property
     def label(self) -> str:
         """What it is, in a few words."""
         return "XRoboToolkit (PICO)"
-
-    @property
-    def sides(self) -> tuple[Side, ...]:
-        """The hands that it takes."""
-        return sides_of(self.side)
 
     @property
     def hint(self) -> str:
@@ -80,10 +71,10 @@ class PicoSource(StreamSource):
         data, host, connection = message
         sender: OneSender = getattr(self, "_sender")  # noqa: B009  (set in connect())
         repeats: Repeats = getattr(self, "_repeats")  # noqa: B009
-        found = read_packet(data, self.axes)  # what is no packet does not choose the sender
+        packet = read_packet(data, self.axes)  # what is no packet does not choose the sender
         sender.check(host, received)
-        frames = tuple(frame for frame in map(repeats.new, found.frames) if frame is not None)
-        if found.stamp is None:
+        frames = tuple(frame for frame in map(repeats.new, packet.frames) if frame is not None)
+        if packet.stamp is None:
             frames = tuple(dataclasses.replace(frame, stamp=received) for frame in frames)
         session = f"{host.decode()} {connection.decode()}"
-        return [Reading(frame, found.stamp is not None, session) for frame in frames]
+        return [Reading(frame, packet.stamp is not None, session) for frame in frames]

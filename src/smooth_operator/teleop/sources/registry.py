@@ -39,7 +39,7 @@ SOURCES: Final = Registry(
         ),
         "pico": Entry(f"{_HERE}.pico:PicoSource", "the PICO app XRoboToolkit: pico:0.0.0.0"),
         "manus": Entry(
-            f"{_HERE}.manus.manus_stream:ManusStream",
+            f"{_HERE}.manus_gloves:ManusStream",
             "the ZeroMQ stream of glove bridges (extra zmq)",
         ),
         "zmq": Entry(f"{_HERE}.zmq_stream:ZmqSource", "landmarks over ZeroMQ (extra zmq)"),
@@ -73,12 +73,12 @@ def build_source(text: str, hands: Hands | None = None) -> LiveSource:
             raise ConfigError(
                 f"{text!r} is a file, and a source is a word and what it takes: write {word}:{text}"
             )
-    made = build_component(SOURCES, text)
-    if hands is not None and _takes_hands(made):
+    source = build_component(SOURCES, text)
+    if hands is not None and _takes_hands(source):
         settings = SOURCES.split(text)[1].split(",")
         if not any(part.startswith("side=") for part in settings):
-            made = dataclasses.replace(made, side=hands)
-    return cast("LiveSource", made)
+            source = dataclasses.replace(source, side=hands)
+    return cast("LiveSource", source)
 
 
 def _takes_hands(source: object) -> bool:
@@ -90,7 +90,7 @@ def _takes_hands(source: object) -> bool:
 def _word_for(path: Path) -> str | None:
     """The source that a file is for, by its name."""
     from smooth_operator.formats.registry import recording_suffixes
-    from smooth_operator.teleop.sources.webcam.video_file import is_video
+    from smooth_operator.teleop.sources.webcam.camera import is_video
 
     if is_video(path):
         return "video"

@@ -12,8 +12,7 @@ from smooth_operator.errors import ConfigError
 from smooth_operator.formats.readers import read_recording
 from smooth_operator.io.anatomy import layout_order
 from smooth_operator.synthetic.settings import check_range
-from smooth_operator.teleop.sources.live import Running, SourceHealth, ThreadedSource
-from smooth_operator.teleop.sources.pacing import on_time
+from smooth_operator.teleop.sources.live import Running, SourceHealth, ThreadedSource, on_time
 from smooth_operator.types import HandFrame, HandRecording
 
 _DEFAULT_PERIOD_S = 0.01  # between the rounds of a recording of a single frame

@@ -45,6 +45,16 @@ def only_side(hands: str) -> Side | None:
     return sides[0] if len(sides) == 1 else None
 
 
+def check_port(port: int | None) -> None:
+    """Refuse a port that is none; None stands for a default.
+
+    Raises:
+        ConfigError: it is outside 0 to 65535.
+    """
+    if port is not None and not 0 <= port <= 65_535:
+        raise ConfigError(f"port must be 0 to 65535, not {port}")
+
+
 class Inbox(Protocol):
     """An open socket."""
 
@@ -64,7 +74,13 @@ class Inbox(Protocol):
 
 
 class StreamSource(ThreadedSource):
-    """A source with an inbox; subclasses open it and read its messages."""
+    """A source with an inbox; subclasses open it and read its messages.
+
+    Attributes:
+        side: the hands that are taken.
+    """
+
+    side: Hands
 
     @abstractmethod
     def connect(self) -> Inbox:
@@ -84,9 +100,9 @@ class StreamSource(ThreadedSource):
         """
 
     @property
-    @abstractmethod
     def sides(self) -> Collection[Side]:
         """The hands that it takes."""
+        return sides_of(self.side)
 
     @property
     def hint(self) -> str:

@@ -14,8 +14,7 @@ from smooth_operator.synthetic.operator import SyntheticOperator
 from smooth_operator.synthetic.settings import check_range
 from smooth_operator.synthetic.tracker import TrackerModel
 from smooth_operator.synthetic.wrist import WristMotion
-from smooth_operator.teleop.sources.live import Running, SourceHealth, ThreadedSource
-from smooth_operator.teleop.sources.pacing import on_time
+from smooth_operator.teleop.sources.live import Running, SourceHealth, ThreadedSource, on_time
 from smooth_operator.teleop.sources.stream import Hands, sides_of
 from smooth_operator.types import HandFrame, Side
 

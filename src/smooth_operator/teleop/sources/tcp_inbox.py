@@ -111,7 +111,7 @@ class TcpInbox:
             self._drop(next(iter(self._clients)))
 
     def _read(self, connection: socket.socket, client: _Client) -> list[Message]:
-        found: list[Message] = []
+        messages: list[Message] = []
         # The order in the table is that of the last word, for the one to close.
         self._clients[connection] = self._clients.pop(connection)
         for _ in range(_AT_ONCE):
@@ -131,15 +131,15 @@ class TcpInbox:
                     f"port, closed: {brief(bytes(client.buffer[:24]))} begins no message of this "
                     "source"
                 )
-            found += [(data, *client.mark) for data in self._split(client.buffer)]
-            client.new = client.new and not found
+            messages += [(data, *client.mark) for data in self._split(client.buffer)]
+            client.new = client.new and not messages
             if len(client.buffer) > MAX_BYTES:
                 # No message ends: it is another protocol. What has come is refused where it is
                 # read, with its first bytes.
-                found.append((bytes(client.buffer[: MAX_BYTES + 1]), *client.mark))
+                messages.append((bytes(client.buffer[: MAX_BYTES + 1]), *client.mark))
                 self._drop(connection)
                 break
-        return found
+        return messages
 
     def _drop(self, connection: socket.socket) -> None:
         self._clients.pop(connection, None)

@@ -8,14 +8,26 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from smooth_operator.errors import ConfigError, SourceError
+from smooth_operator.errors import SourceError
 from smooth_operator.io.anatomy import layout_order
 from smooth_operator.teleop.sources.message_receiver import Message
-from smooth_operator.teleop.sources.message_stamps import StampUnit
-from smooth_operator.teleop.sources.payload import MAX_BYTES, Forms, PayloadReader, Reading
-from smooth_operator.teleop.sources.point_forms import MatrixOrder, QuaternionOrder
-from smooth_operator.teleop.sources.stream import KEPT, Hands, StreamSource, only_side, sides_of
-from smooth_operator.types import Side
+from smooth_operator.teleop.sources.payload import (
+    MAX_BYTES,
+    Forms,
+    MatrixOrder,
+    PayloadReader,
+    QuaternionOrder,
+    Reading,
+    StampUnit,
+)
+from smooth_operator.teleop.sources.stream import (
+    KEPT,
+    Hands,
+    StreamSource,
+    check_port,
+    only_side,
+    sides_of,
+)
 
 _AT_ONCE = 10_000  # datagrams emptied in one go, so that a flood can't keep it from stopping
 
@@ -53,8 +65,7 @@ class UdpSource(StreamSource):
     matrix: MatrixOrder = "auto"
 
     def __post_init__(self) -> None:
-        if not 0 <= self.port <= 65_535:
-            raise ConfigError(f"port must be 0 to 65535, not {self.port}")
+        check_port(self.port)
         sides_of(self.side)
         layout_order(self.layout)
 
@@ -62,11 +73,6 @@ class UdpSource(StreamSource):
     def label(self) -> str:
         """What it is, in a few words."""
         return f"UDP port {self.port}"
-
-    @property
-    def sides(self) -> tuple[Side, ...]:
-        """The hands that it takes."""
-        return sides_of(self.side)
 
     def connect(self) -> UdpInbox:
         """Take the port."""

@@ -1,14 +1,20 @@
-"""Files of pickles, read as data: what of them is no data is refused, and nothing is executed.
+"""Files of pickles, read as data: every class and function of a pickle is refused but a few.
 
 MANO's model files, and the files of several data sets of hands, are pickles or hold pickles in
-``.npy`` and ``.npz``. ``load_restricted`` builds from them NumPy's arrays, tables, lists, texts and
-numbers, and stand-ins for sparse matrices, for chumpy's arrays and for PyTorch's tensors, whose
-numbers ``numbers`` gives. All else that a file asks for is refused with its name.
+``.npy`` and ``.npz``. ``load_restricted`` reads them with an ``Unpickler`` that imports nothing:
+the names of NumPy's arrays, of sparse matrices, of chumpy's arrays and of PyTorch's tensors stand
+for classes of this module, whose numbers ``numbers`` gives. Every other name is refused.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection
+import io
+import math
+import pickle
+import pickletools
+import re
+import struct
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,26 +23,31 @@ import numpy as np
 from smooth_operator.errors import DocumentError, RecordingError, listed
 from smooth_operator.formats.arrays import StoredArray, open_arrays
 from smooth_operator.io.documents import check_plain_file
-from smooth_operator.lab.datasets.mano.pickle_arrays import PickledArray, numbers
-from smooth_operator.lab.datasets.mano.pickle_machine import Machine
-from smooth_operator.lab.datasets.mano.pickle_parts import (
-    FREE_BYTES,
-    RATIO,
-    Budget,
-    NotDataError,
-)
-from smooth_operator.lab.datasets.mano.pickle_values import check_nesting, find_global
 
-__all__ = ("MOST_BYTES", "array", "load_restricted", "numbers", "table", "text")
+__all__ = ("MOST_BYTES", "NotDataError", "array", "load_restricted", "numbers", "table", "text")
 
 MOST_BYTES: Final = 1 << 30
 """Longest file that is read."""
+FREE_BYTES: Final = 64 << 20
+"""Bytes that the arrays of any pickle may take, however short it is."""
+RATIO: Final = 16
+"""Bytes that they may take in addition, as a multiple of its length."""
+MOST_STEPS: Final = 20_000_000
+"""Instructions of one pickle."""
 
 _NPY: Final = b"\x93NUMPY"
 _ZIP: Final = (b"PK\x03\x04", b"PK\x05\x06")
 _READ: Final = (
     "of a pickle only arrays, sparse matrices, tensors, tables, lists, texts and numbers are read"
 )
+_MOST_ROWS: Final = 10_000_000  # numbers in lists
+_NUMBERS: Final = re.compile(r"[<>=|]?(b1|i[1248]|u[1248]|f(2|4|8|16)|c8|c16|[SU]\d{0,6}|O8?)")
+_PUTS: Final = ("PUT", "BINPUT", "LONG_BINPUT")
+_ORDERS: Final = ("<", ">", "=", "|")
+
+
+class NotDataError(RecordingError):
+    """A pickle asks for a class or function that is refused, or is damaged, or too large."""
 
 
 def load_restricted(path: Path, *, names: Collection[str] | None = None) -> Any:
@@ -140,13 +151,11 @@ def text(value: Any, most: int = 200) -> str | None:
 def _decoded(data: bytes, start: int, where: str, *, inner: bool = False) -> Any:
     """The value of a pickle; ``inner`` for that in a ``.npy``, which is an array of objects."""
     try:
-        value = Machine(data, start, Budget(len(data)), find_global).run()
+        value = _load(io.BytesIO(data), start, lambda stream: _Unpickler(stream, int(inner)))
         if not inner:
-            check_nesting(value)
             return value
-        if not isinstance(value, PickledArray) or value.objects is None:
+        if not isinstance(value, _Array) or value.objects is None:
             raise NotDataError("it is damaged: its array of objects is missing")
-        check_nesting(value.objects)
         return value.objects[0] if value.objects_shape == () else value.objects
     except NotDataError as error:
         raise RecordingError(f"{where}: {error}; {_READ}") from error
@@ -180,3 +189,509 @@ def _reason(error: Exception) -> str:
     if isinstance(error, OSError) and error.strerror:
         return error.strerror
     return " ".join(str(error).split())[:160] or type(error).__name__
+
+
+# --- the restricted unpickler --------------------------------------------------------------------
+
+
+class _Unpickler(pickle.Unpickler):
+    """Gives stand-ins for the names in a pickle, and imports nothing.
+
+    Args:
+        stream: the pickle, from its current place.
+        object_arrays: the most arrays of objects in it.
+    """
+
+    def __init__(self, stream: io.BytesIO, object_arrays: int) -> None:
+        super().__init__(stream, encoding="latin1")  # of texts that Python 2 wrote
+        self._budget = _Budget(FREE_BYTES + RATIO * len(stream.getbuffer()), object_arrays)
+
+    def find_class(self, module: str, name: str) -> Any:
+        """The stand-in of a global, which no other load shares.
+
+        Raises:
+            NotDataError: there is none, with its name.
+        """
+        whole = f"{_OLD_MODULES.get(module, module)}.{name}"
+        if whole == "numpy.core.multiarray._reconstruct":
+            return _Function(whole, lambda *of: _new_array(self._budget, *of))
+        if whole in _FUNCTIONS:
+            return _Function(whole, _FUNCTIONS[whole])
+        sparse = _SPARSE.fullmatch(whole)
+        if sparse:
+            return type("Sparse", (_Sparse,), {"name": sparse[2]})
+        if re.fullmatch(r"chumpy(\.\w+)+", whole):
+            return type("Chumpy", (_Chumpy,), {"name": whole})
+        raise NotDataError(f"it asks for {whole[:120]!r}, which is no data")
+
+    def persistent_load(self, pid: Any) -> Any:
+        """Raises NotDataError: a plain pickle has no objects outside of it."""
+        raise NotDataError("it refers to objects outside of it")
+
+
+def _load(stream: io.BytesIO, start: int, unpickler: Callable[[io.BytesIO], Any]) -> Any:
+    """The value of the pickle at a place of a stream, which is behind it afterwards.
+
+    Raises:
+        NotDataError: it is damaged, too long, or asks for a class or function that is refused.
+    """
+    try:
+        stream.seek(start)
+        size = len(stream.getbuffer())
+        for step, (instruction, argument, _) in enumerate(pickletools.genops(stream)):
+            if step >= MOST_STEPS:
+                raise NotDataError(f"it has more than {MOST_STEPS:,} instructions")
+            # The unpickler makes room for as many entries as the index of one says.
+            if instruction.name in _PUTS and isinstance(argument, int) and argument > size:
+                raise NotDataError("it is damaged")
+        stream.seek(start)
+        return unpickler(stream).load()
+    except NotDataError:
+        raise
+    except Exception as error:  # pickle promises no list
+        raise NotDataError("it is damaged or cut off") from error
+
+
+class _Budget:
+    """Bytes that the arrays of one pickle may still take, and how many may be of objects."""
+
+    def __init__(self, left: int, object_arrays: int) -> None:
+        self.left, self.object_arrays = left, object_arrays
+
+    def take_objects(self) -> None:
+        """Counts an array of objects."""
+        self.object_arrays -= 1
+        if self.object_arrays < 0:
+            raise NotDataError("it has an array of objects among its values")
+
+    def take(self, count: int) -> None:
+        """Counts bytes before they are copied."""
+        self.left -= count
+        if self.left < 0:
+            raise NotDataError("it would take more memory than a file of this size may")
+
+
+class _Function:
+    """Stands for a function, or a class that a pickle calls."""
+
+    def __init__(self, name: str, make: Callable[..., Any]) -> None:
+        self.name, self._make = name, make
+
+    def __call__(self, *arguments: Any) -> Any:
+        return self._make(*arguments)
+
+    def __setstate__(self, state: Any) -> None:
+        raise TypeError("a function has no state")
+
+
+# --- stand-ins -----------------------------------------------------------------------------------
+
+
+class _Dtype:
+    """An element type."""
+
+    def __init__(self, code: Any) -> None:
+        if not isinstance(code, str) or not _NUMBERS.fullmatch(code):
+            raise NotDataError("it has an array of an element type that is not read")
+        self.value: np.dtype[Any] = np.dtype(code)
+
+    def __setstate__(self, state: Any) -> None:
+        """Takes the order of bytes; fields and sub-arrays are not read."""
+        if not isinstance(state, tuple) or len(state) < 5 or any(state[2:5]):
+            raise NotDataError("it has an array of an element type that is not read")
+        order = state[1]
+        if order not in _ORDERS:
+            raise ValueError("order of bytes")
+        if order in "<>":
+            self.value = self.value.newbyteorder(order)
+
+
+class _Array(np.ndarray):
+    """An array, empty until its state has come.
+
+    Attributes:
+        objects: the objects of an array of them, which are not put into it.
+        budget: bytes that it may take; the pickle's.
+    """
+
+    budget: _Budget
+    objects: list[Any] | None = None
+    objects_shape: tuple[int, ...] = ()
+
+    def __setstate__(self, state: Any) -> None:
+        """Takes shape, element type and bytes."""
+        if not isinstance(state, tuple) or len(state) not in (4, 5):
+            raise TypeError("state of an array")
+        shape, dtype, fortran, raw = state[-4:]
+        if not isinstance(dtype, _Dtype):
+            raise TypeError("element type")
+        shape = _lengths(shape)
+        if dtype.value.hasobject:
+            if not isinstance(raw, list) or len(raw) != math.prod(shape):
+                raise ValueError("objects")
+            self.budget.take_objects()
+            self.objects, self.objects_shape = raw, shape
+            return
+        raw = raw.encode("latin-1") if isinstance(raw, str) else raw
+        _check_bytes(raw, shape, dtype.value)
+        self.budget.take(len(raw))
+        checked: Any = (1, shape, dtype.value, bool(fortran), raw)
+        np.ndarray.__setstate__(self, checked)
+        _check_text(self)
+
+
+def _lengths(shape: Any) -> tuple[int, ...]:
+    """A shape of plain numbers.
+
+    Raises:
+        TypeError, ValueError: it is none.
+    """
+    if isinstance(shape, int):
+        shape = (shape,)
+    if not isinstance(shape, tuple) or len(shape) > 16:
+        raise TypeError("shape")
+    if not all(isinstance(n, int) and 0 <= n < 1 << 40 for n in shape):
+        raise ValueError("shape")
+    return tuple(int(n) for n in shape)
+
+
+def _check_bytes(raw: Any, shape: Sequence[int], dtype: np.dtype[Any]) -> None:
+    if not isinstance(raw, bytes) or dtype.hasobject or not dtype.itemsize:
+        raise TypeError("bytes of an array")
+    if len(raw) != math.prod(shape) * dtype.itemsize:
+        raise ValueError("length of an array")
+
+
+def _check_text(array: np.ndarray) -> None:
+    """NumPy checks text only when it is read."""
+    if array.dtype.kind != "U":
+        return
+    native = np.ascontiguousarray(array, array.dtype.newbyteorder("="))
+    codes = native.reshape(-1).view(np.uint32)
+    if ((codes > 0x10FFFF) | ((codes >= 0xD800) & (codes < 0xE000))).any():
+        raise ValueError("text")
+
+
+def _new_array(budget: _Budget, kind: Any, *_: Any) -> _Array:
+    """An empty array, as ``numpy.core.multiarray._reconstruct`` makes it."""
+    if not isinstance(kind, _Function) or kind.name != "numpy.ndarray":
+        raise NotDataError("it has an array of a kind that is not read")
+    made = np.ndarray.__new__(_Array, (0,), np.int8)
+    made.budget = budget
+    return made
+
+
+def _scalar(dtype: Any, raw: Any = None) -> Any:
+    """One number or text of an element type."""
+    if not isinstance(dtype, _Dtype):
+        raise TypeError("element type")
+    raw = raw.encode("latin-1") if isinstance(raw, str) else raw
+    _check_bytes(raw, (), dtype.value)
+    value = np.frombuffer(raw, dtype.value)
+    _check_text(value)
+    return value[0].item()
+
+
+def _from_buffer(raw: Any, dtype: Any, shape: Any, order: Any) -> np.ndarray:
+    """An array of bytes that stand in the pickle, as protocol 5 has it."""
+    if not isinstance(dtype, _Dtype) or order not in ("C", "F"):
+        raise TypeError("element type")
+    shape, raw = _lengths(shape), bytes(raw) if isinstance(raw, bytearray) else raw
+    _check_bytes(raw, shape, dtype.value)
+    values = np.frombuffer(raw, dtype.value).reshape(shape, order=order)
+    _check_text(values)
+    return values
+
+
+class _Stated:
+    """An object that is known by its class and attributes."""
+
+    name = ""
+
+    state: dict[Any, Any]
+
+    def __new__(cls, *_: Any) -> _Stated:
+        """An object without attributes, as a pickle makes it before they follow."""
+        made = object.__new__(cls)
+        made.state = {}
+        return made
+
+    def __setstate__(self, state: Any) -> None:
+        """Takes the attributes; of a pair, as Python has it for slots, the first."""
+        if isinstance(state, tuple) and len(state) == 2 and not state[1]:
+            state = state[0]
+        if not isinstance(state, dict):
+            raise TypeError("attributes")
+        self.state = state
+
+    def array(self) -> np.ndarray:
+        """The numbers of the object.
+
+        Raises:
+            NotDataError: it is damaged, or its class is not known.
+        """
+        raise NotDataError(f"it has an object of {self.name[:80]} where numbers should be")
+
+
+class _Chumpy(_Stated):
+    """An array of chumpy, which is an expression: those of published models are read."""
+
+    def array(self) -> np.ndarray:
+        """Its numbers: ``x`` of ``Ch``, ``a.ravel()[idxs]`` in a shape of ``Select``."""
+        state = self.state
+        try:
+            if self.name == "chumpy.ch.Ch" and "x" in state:
+                return numbers(state["x"])
+            if self.name == "chumpy.reordering.Select" and "a" in state:
+                found = numbers(state["a"]).ravel()[numbers(state["idxs"]).astype(np.int64)]
+                shape = state.get("preferred_shape")
+                return found if shape is None else found.reshape(_lengths(shape))
+        except (LookupError, TypeError, ValueError) as error:
+            raise NotDataError(f"its array of {self.name} is damaged") from error
+        raise NotDataError(
+            f"it has an array of {self.name[:80]}, which is not read; convert the file once to "
+            "plain arrays, as smplx does with tools/clean_ch.py"
+        )
+
+
+class _Sparse(_Stated):
+    """A sparse matrix of SciPy; its name is ``csc`` or ``csr``."""
+
+    def array(self) -> np.ndarray:
+        """Its numbers, with the zeros."""
+        state = self.state
+        shape = state.get("_shape", state.get("shape"))
+        parts = [numbers(state.get(key)) for key in ("data", "indices", "indptr")]
+        if not isinstance(shape, tuple) or len(shape) != 2:
+            raise NotDataError("it has a sparse matrix of a kind that is not read")
+        rows, columns = (int(n) for n in _lengths(shape))
+        major, minor = (columns, rows) if self.name == "csc" else (rows, columns)
+        data, indices, ends = parts[0], *(part.astype(np.int64) for part in parts[1:])
+        if major * minor > 50_000_000:
+            raise NotDataError("its sparse matrix is too large")
+        counts = np.diff(ends)
+        if (
+            not data.ndim == indices.ndim == ends.ndim == 1
+            or len(ends) != major + 1
+            or len(data) != len(indices)
+            or (counts < 0).any()
+            or ends[0] != 0
+            or ends[-1] != len(data)
+            or (len(indices) and not 0 <= indices.min() <= indices.max() < minor)
+        ):
+            raise NotDataError("its sparse matrix is damaged")
+        dense = np.zeros((major, minor))
+        np.add.at(dense, (np.repeat(np.arange(major), counts), indices), data)
+        return dense.T if self.name == "csc" else dense
+
+
+def numbers(value: Any) -> np.ndarray:
+    """The numbers of a value of a pickle, as float64 whatever held them.
+
+    Args:
+        value: an array, a stand-in, a number, or lists of numbers up to three levels.
+
+    Raises:
+        NotDataError: it holds something else.
+    """
+    if isinstance(value, _Stated | _Tensor):
+        return np.asarray(value.array(), np.float64)
+    if isinstance(value, list | tuple):
+        _check_rows(value)
+        try:
+            value = np.asarray(value)
+        except ValueError as error:  # rows of different lengths
+            raise NotDataError("it has rows of different lengths") from error
+    if isinstance(value, bool | int | float):
+        value = np.asarray(float(value))
+    if not isinstance(value, np.ndarray) or value.dtype.kind not in "biuf":
+        raise NotDataError(f"it has a {type(value).__name__} where numbers should be")
+    if isinstance(value, _Array) and value.objects is not None:
+        raise NotDataError("it has an array of objects where numbers should be")
+    return np.asarray(value, np.float64)
+
+
+def _check_rows(rows: Any) -> None:
+    """Refuses lists of other things than numbers, of too many, or of more than three levels."""
+    left, count = [(rows, 3)], 0
+    while left:
+        row, levels = left.pop()
+        count += len(row)
+        if not levels or count > _MOST_ROWS:
+            raise NotDataError("it has lists in lists where numbers should be")
+        for item in row:
+            if isinstance(item, list | tuple):
+                left.append((item, levels - 1))
+            elif not isinstance(item, bool | int | float) or abs(item) > 1e300:
+                raise NotDataError(f"it has a {type(item).__name__} where numbers should be")
+
+
+class _Storage:
+    """The numbers of tensors, in the form that PyTorch writes into a plain pickle.
+
+    Args:
+        raw: the bytes of ``torch.save`` in its old form: five pickles, then the numbers.
+    """
+
+    def __init__(self, raw: Any) -> None:
+        if not isinstance(raw, bytes):
+            raise TypeError("storage")
+        self._raw = raw
+
+    def numbers(self) -> np.ndarray:
+        """(n,) numbers.
+
+        Raises:
+            NotDataError: it is damaged, or of an element type that is not read.
+        """
+        stream = io.BytesIO(self._raw)
+        parts = [_load(stream, stream.tell(), _StorageUnpickler) for _ in range(3)]
+        magic, version, system = parts
+        if magic != _TORCH_MAGIC or version != 1001:
+            raise NotDataError("it has a tensor in a form that is not read")
+        if not isinstance(system, dict) or system.get("little_endian") is not True:
+            raise NotDataError("its tensor is damaged")
+        storage, keys = (_load(stream, stream.tell(), _StorageUnpickler) for _ in range(2))
+        rest = self._raw[stream.tell() :]
+        if not isinstance(storage, _StorageKey) or keys != [storage.key] or len(rest) < 8:
+            raise NotDataError("its tensor is damaged")
+        (count,) = struct.unpack("<q", rest[:8])
+        itemsize = np.dtype(storage.code).itemsize
+        if count != storage.count or not 0 <= count <= (len(rest) - 8) // itemsize:
+            raise NotDataError("its tensor is damaged")
+        return np.frombuffer(rest, storage.code, count, 8)
+
+
+class _StorageKey:
+    def __init__(self, code: str, key: str, count: int) -> None:
+        self.code, self.key, self.count = code, key, count
+
+
+_TORCH_MAGIC: Final = 0x1950A86A20F9469CFC6C
+_TORCH_TYPES: Final = {
+    "FloatStorage": "<f4", "DoubleStorage": "<f8", "HalfStorage": "<f2", "LongStorage": "<i8",
+    "IntStorage": "<i4", "ShortStorage": "<i2", "CharStorage": "i1", "ByteStorage": "u1",
+    "BoolStorage": "?",
+}  # fmt: skip
+
+
+class _StorageUnpickler(pickle.Unpickler):
+    """Reads the pickles within the storage of a tensor."""
+
+    def find_class(self, module: str, name: str) -> Any:
+        """The element type of a storage."""
+        if module in ("torch", "torch.cuda", "torch.storage") and name in _TORCH_TYPES:
+            return _Function(_TORCH_TYPES[name], dict)
+        raise NotDataError(f"it asks for {module}.{name}, which is no data")
+
+    def persistent_load(self, pid: Any) -> _StorageKey:
+        """The element type, key and length of a storage."""
+        if not isinstance(pid, tuple) or len(pid) not in (5, 6):
+            raise TypeError("storage")
+        word, kind, key, _, count, *view = pid
+        if word != "storage" or not isinstance(kind, _Function) or any(view):
+            raise TypeError("storage")
+        if not isinstance(key, str) or not isinstance(count, int):
+            raise TypeError("storage")
+        return _StorageKey(kind.name, key, count)
+
+
+class _Tensor:
+    """A tensor of PyTorch; its numbers are read on demand."""
+
+    def __init__(self, storage: Any, offset: Any, size: Any, stride: Any) -> None:
+        if not isinstance(storage, _Storage) or not isinstance(offset, int) or offset < 0:
+            raise TypeError("tensor")
+        self.storage, self.offset = storage, offset
+        self.size, self.stride = _lengths(size), _lengths(stride)
+        if len(self.size) != len(self.stride):
+            raise ValueError("tensor")
+
+    def array(self) -> np.ndarray:
+        """Its numbers."""
+        values = self.storage.numbers()
+        spans = [(n - 1) * step for n, step in zip(self.size, self.stride, strict=True)]
+        count = math.prod(self.size)
+        if count and self.offset + sum(spans) >= len(values):
+            raise NotDataError("its tensor is damaged")
+        if count > len(values):  # the same number many times, which parameters of hands are not
+            raise NotDataError("its tensor takes more than its numbers")
+        plain = tuple(math.prod(self.size[i + 1 :]) for i in range(len(self.size)))
+        if self.stride == plain:
+            return values[self.offset : self.offset + count].reshape(self.size)
+        steps = [step * values.itemsize for step in self.stride]
+        strided = np.lib.stride_tricks.as_strided(values[self.offset :], self.size, steps)
+        return strided.copy()
+
+
+# --- names that a pickle may ask for -------------------------------------------------------------
+
+
+def _set(items: Any = ()) -> set[Any]:
+    if not isinstance(items, list | tuple) or not all(isinstance(i, str | int) for i in items):
+        raise TypeError("set")
+    return set(items)
+
+
+def _ordered(items: Any = ()) -> dict[Any, Any]:
+    if not isinstance(items, list | tuple) or items:
+        raise TypeError("table")
+    return {}
+
+
+def _encoded(text: Any, encoding: Any = "latin1") -> bytes:
+    if not isinstance(text, str) or encoding not in ("latin1", "latin-1"):
+        raise TypeError("bytes")
+    return text.encode("latin-1")
+
+
+def _bytearray(raw: Any = b"", *_: Any) -> bytes:
+    if isinstance(raw, str):  # as Python 2 has it, with the name of an encoding
+        raw = raw.encode("latin-1")
+    if not isinstance(raw, bytes | bytearray):
+        raise TypeError("bytes")
+    return bytes(raw)
+
+
+def _reconstructed(kind: Any, base: Any, state: Any = None) -> Any:
+    if not isinstance(kind, type) or not issubclass(kind, _Stated) or state is not None:
+        raise TypeError("class")
+    return kind()
+
+
+def _new_object(kind: Any, *_: Any) -> Any:
+    return _reconstructed(kind, None)
+
+
+def _refused(*_: Any) -> Any:
+    raise NotDataError("it has an array of a kind that is not read")
+
+
+_FUNCTIONS: Final[dict[str, Callable[..., Any]]] = {
+    "builtins.set": _set,
+    "builtins.frozenset": _set,
+    "builtins.bytes": lambda: b"",
+    "builtins.bytearray": _bytearray,
+    "builtins.complex": lambda real, imaginary: complex(float(real), float(imaginary)),
+    "builtins.object": _refused,
+    "_codecs.encode": _encoded,
+    "collections.OrderedDict": _ordered,
+    "copyreg.__newobj__": _new_object,
+    "copyreg._reconstructor": _reconstructed,
+    "numpy.dtype": lambda code, *_: _Dtype(code),
+    "numpy.ndarray": _refused,
+    "numpy.core.multiarray.scalar": _scalar,
+    "numpy.core.numeric._frombuffer": _from_buffer,
+    "torch.Size": lambda lengths: _lengths(tuple(lengths)),
+    "torch._utils._rebuild_parameter": lambda tensor, *_: tensor,
+    "torch._utils._rebuild_tensor": _Tensor,
+    "torch._utils._rebuild_tensor_v2": lambda a, b, c, d, *_: _Tensor(a, b, c, d),
+    "torch.storage._load_from_bytes": _Storage,
+}
+_OLD_MODULES: Final = {
+    "__builtin__": "builtins",
+    "copy_reg": "copyreg",
+    "numpy._core.multiarray": "numpy.core.multiarray",
+    "numpy._core.numeric": "numpy.core.numeric",
+}
+_SPARSE: Final = re.compile(r"scipy\.sparse\._?(csc|csr)\.(csc|csr)_(matrix|array)")

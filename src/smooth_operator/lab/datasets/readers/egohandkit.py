@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.episode_files.lerobot.arrow import arrow, parquet, read_table
+from smooth_operator.episode_files.lerobot.tables import arrow, parquet, read_table
 from smooth_operator.errors import MissingExtraError, RecordingError, brief, listed
 from smooth_operator.formats.checks import check_stamps, stamps_from_rate
 from smooth_operator.lab.datasets.clip import CAMERA, SIDES, Clip

@@ -22,8 +22,14 @@ from smooth_operator.formats.arrays import open_arrays
 from smooth_operator.formats.checks import stamps_from_rate
 from smooth_operator.lab.datasets.clip import CAMERA, SIDES, Clip
 from smooth_operator.lab.datasets.mano.model import PlacedHand, load_model
-from smooth_operator.lab.datasets.mano.pickle_parts import NotDataError
-from smooth_operator.lab.datasets.mano.unpickle import array, load_restricted, numbers, table, text
+from smooth_operator.lab.datasets.mano.unpickle import (
+    NotDataError,
+    array,
+    load_restricted,
+    numbers,
+    table,
+    text,
+)
 from smooth_operator.lab.datasets.readers.both_hands import shares
 from smooth_operator.lab.datasets.readers.scene import Scene, checked_count, world_pose
 from smooth_operator.lab.datasets.registry import ClipRef, ReadingOptions

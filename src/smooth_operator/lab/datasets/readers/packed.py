@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from smooth_operator.episode_files.lerobot.arrow import arrow, parquet
+from smooth_operator.episode_files.lerobot.tables import arrow, parquet
 from smooth_operator.errors import DocumentError, RecordingError, SmoothOperatorError, brief
 from smooth_operator.formats.arrays import damaged
 from smooth_operator.io.documents import check_plain_file, parse_json

@@ -24,12 +24,6 @@ from typing import IO, Any, Final
 import numpy as np
 
 from smooth_operator.atomic_files import atomic_write, write_json
-from smooth_operator.episode_files.lerobot.arrow import arrow, column, parquet
-from smooth_operator.episode_files.lerobot.stats import (
-    Statistics,
-    columns_statistics,
-    joint_statistics,
-)
 from smooth_operator.episode_files.lerobot.tables import (
     CODEBASE_VERSION,
     DATA_PATH,
@@ -39,20 +33,21 @@ from smooth_operator.episode_files.lerobot.tables import (
     UNNAMED_TASK,
     VIDEO_MB,
     VIDEO_PATH,
+    Statistics,
+    arrow,
+    column,
+    columns_statistics,
+    dataset_card,
     episodes_table,
+    joint_statistics,
+    parquet,
     tasks_table,
 )
 from smooth_operator.errors import RecordingError, require
 from smooth_operator.formats.jsonable import to_json
 from smooth_operator.lab.datasets.robot_clip import RobotClip
 from smooth_operator.lab.datasets.writers.arrays import clip_document
-from smooth_operator.lab.datasets.writers.lerobot_columns import RobotLayout
-from smooth_operator.lab.datasets.writers.lerobot_meta import (
-    card,
-    statistics_from_json,
-    statistics_to_json,
-    video_statistics,
-)
+from smooth_operator.lab.datasets.writers.lerobot_columns import RobotLayout, unit_of
 from smooth_operator.lab.datasets.writers.registry import WritingOptions
 from smooth_operator.lab.datasets.writers.resampling import drift, mean_rate, resampled
 from smooth_operator.lab.datasets.writers.shards import (
@@ -71,6 +66,7 @@ require("a LeRobot data set", "datasets", "pyarrow")
 _FILE_MB: Final = 100  # at most in a file, as LeRobot
 _GROUP_BYTES: Final = 8 * MB  # of frames in a row group
 _OFF_GRID: Final = 0.25  # frames
+_IMAGENET: Final = {"mean": (0.485, 0.456, 0.406), "std": (0.229, 0.224, 0.225)}
 
 
 class _Writer(ShardedWriter):
@@ -237,7 +233,7 @@ class _Writer(ShardedWriter):
             "tasks": self._new_tasks,
             "videos": self._new_videos,
             "layout": asdict(self._layout),
-            "statistics": {name: statistics_to_json(part) for name, part in together.items()},
+            "statistics": {name: part.to_json() for name, part in together.items()},
         }
 
     def _drop(self) -> None:
@@ -270,7 +266,7 @@ class _Writer(ShardedWriter):
         for video in index["videos"]:
             self._videos.setdefault(video, len(self._videos))
         for name, part in index["statistics"].items():
-            new = statistics_from_json(part)
+            new = Statistics.from_json(part)
             known = self._total.get(name)
             self._total[name] = new if known is None else joint_statistics([known, new])
 
@@ -286,7 +282,7 @@ class _Writer(ShardedWriter):
         features = layout.features()
         if layout.video is not None:
             features = {**features, VIDEO_KEY: dict(layout.video)}
-            stats[VIDEO_KEY] = video_statistics(self._frames)
+            stats[VIDEO_KEY] = _video_statistics(self._frames)
         whole = float(layout.fps).is_integer()
         info = {
             "codebase_version": CODEBASE_VERSION,
@@ -306,7 +302,7 @@ class _Writer(ShardedWriter):
         write_json(meta / "stats.json", stats, indent=4)
         write_json(meta / "info.json", info, indent=4)
         with atomic_write(self.output / "README.md") as file:
-            file.write(card(info).encode())
+            file.write(_card(info).encode())
 
     # Frames a second, and videos.
 
@@ -371,6 +367,35 @@ class _Writer(ShardedWriter):
             f"videos/{VIDEO_KEY}/from_timestamp": start,
             f"videos/{VIDEO_KEY}/to_timestamp": start + seconds,
         }
+
+
+def _video_statistics(frames: int) -> dict[str, Any]:
+    """ImageNet's statistics, as LeRobot has them by default; no picture is decoded."""
+
+    def each(values: tuple[float, ...]) -> list[Any]:
+        return [[[value]] for value in values]
+
+    zero, one = each((0.0,) * 3), each((1.0,) * 3)
+    mean, std = each(_IMAGENET["mean"]), each(_IMAGENET["std"])
+    return {"min": zero, "max": one, "mean": mean, "std": std, "count": [frames]}
+
+
+def _card(info: dict[str, Any]) -> str:
+    """The README of a data set, from ``meta/info.json``."""
+    text = (
+        f"A LeRobot data set ({info['codebase_version']}), written by smooth-operator: "
+        f"{info['total_episodes']} episodes, {info['total_frames']} frames, {info['fps']:g} frames "
+        f"a second, hands {info['robot_type']}. Human hands were retargeted; no robot moved."
+    )
+    rows = []
+    for name, feature in info["features"].items():
+        size = " × ".join(map(str, feature["shape"]))
+        unit = "the source's video" if name == VIDEO_KEY else unit_of(name)
+        rows.append((name, f"{feature['dtype']} × {size}", unit))
+    readme = dataset_card("Human hands as robot hands", text, rows)
+    if VIDEO_KEY in info["features"]:
+        readme += f"\nThe statistics of `{VIDEO_KEY}` are ImageNet's, not measured.\n"
+    return readme
 
 
 class _LeRobot:

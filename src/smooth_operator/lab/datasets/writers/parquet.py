@@ -13,7 +13,7 @@ from typing import IO, Any, Final
 
 import numpy as np
 
-from smooth_operator.episode_files.lerobot.arrow import arrow, parquet
+from smooth_operator.episode_files.lerobot.tables import arrow, parquet
 from smooth_operator.errors import require
 from smooth_operator.formats.jsonable import to_json
 from smooth_operator.lab.datasets.clip import SIDES

@@ -5,9 +5,15 @@ from __future__ import annotations
 from typing import Final
 
 from smooth_operator.study.analysis.analyze import Analysis
-from smooth_operator.study.analysis.readings.interaction import Interaction
-from smooth_operator.study.analysis.report.number_text import number, p_said, signed, with_minus
-from smooth_operator.study.analysis.report.report_tables import DIGITS, scope_name
+from smooth_operator.study.analysis.readings import Interaction
+from smooth_operator.study.analysis.report.tables import (
+    DIGITS,
+    number,
+    p_said,
+    scope_name,
+    signed,
+    with_minus,
+)
 from smooth_operator.study.analysis.results import MODES, OUTCOMES, POOLED, Outcome, ScopeResult
 
 _ALPHA: Final = 0.05
@@ -39,8 +45,8 @@ def conclusion(analysis: Analysis) -> list[str]:
 def primary_of(analysis: Analysis) -> tuple[Outcome | None, str]:
     """Outcome and scope that the plan names; (None, pooled) where no plan is known."""
     name, scope = analysis.primary or ("", POOLED)
-    known = [one for one in OUTCOMES if one == name]
-    return (known[0], scope) if known and scope in analysis.scopes else (None, POOLED)
+    outcomes = [one for one in OUTCOMES if one == name]
+    return (outcomes[0], scope) if outcomes and scope in analysis.scopes else (None, POOLED)
 
 
 def _data(analysis: Analysis, outcome: Outcome | None, scope: str) -> str:
@@ -66,40 +72,40 @@ def _differences(outcome: Outcome, result: ScopeResult, baseline: str) -> str:
     if result.refused is not None:
         return f"no result, refused: {with_minus(result.refused)}"
     scale, digits, unit = DIGITS[outcome]
-    found: list[str] = []
+    shown_ones: list[str] = []
     open_: list[str] = []
     for name, exact in result.separated.items():
         test = exact.against.get(baseline)
         always = "always" if exact.rate else "never"
         if test is None or test.p_dunnett is None:
-            found.append(f"{name} {always} succeeds")
+            shown_ones.append(f"{name} {always} succeeds")
             continue
         shown = f"{name} {always} succeeds, exact {_p(test.p_dunnett)}"
-        (found if test.p_dunnett < _ALPHA else open_).append(shown)
+        (shown_ones if test.p_dunnett < _ALPHA else open_).append(shown)
     for name, one in result.dunnett.items():
         low, high = (signed(scale * end, digits) for end in (one.lower, one.upper))
         shown = (
             f"{name} {signed(scale * one.difference, digits)}{_FIXED}{_unit(unit)} "
             f"[{low}, {high}], {_p(one.p_dunnett)}, {one.effect_words}"
         )
-        (found if one.p_dunnett < _ALPHA else open_).append(shown)
-    if not found and not open_:
+        (shown_ones if one.p_dunnett < _ALPHA else open_).append(shown)
+    if not shown_ones and not open_:
         return "no result, nothing to compare with the baseline"
-    if not found:
+    if not shown_ones:
         return f"no difference shown ({'; '.join(open_)})"
-    return "; ".join(found) + (f"; not shown for {'; '.join(open_)}" if open_ else "")
+    return "; ".join(shown_ones) + (f"; not shown for {'; '.join(open_)}" if open_ else "")
 
 
 def _limits(analysis: Analysis, outcome: Outcome | None, scope: str) -> str:
-    said = []
+    parts = []
     for one, test in analysis.readings.interaction.items():
         if isinstance(test, Interaction) and test.found:
-            said.append(
+            parts.append(
                 f"differences in {NAMES[one].lower()} depend on the task "
                 f"({_p(test.test.p)}), so their mean over tasks says little"
             )
     if outcome is not None:
-        said += _alike(analysis, outcome, scope)
+        parts += _alike(analysis, outcome, scope)
     refused = [
         f"{NAMES[one].lower()} in {scope_name(part)}"
         for one in OUTCOMES
@@ -107,9 +113,9 @@ def _limits(analysis: Analysis, outcome: Outcome | None, scope: str) -> str:
         if result.refused is not None and (one != "tlx" or analysis.data.questionnaires is not None)
     ]
     if refused:
-        said.append(f"refused with a reason: {', '.join(refused)}")
-    said.append("a difference that is not shown is no evidence of equality")
-    text = "; ".join(said)
+        parts.append(f"refused with a reason: {', '.join(refused)}")
+    parts.append("a difference that is not shown is no evidence of equality")
+    text = "; ".join(parts)
     return f"{text[0].upper()}{text[1:]}."
 
 

@@ -6,31 +6,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from smooth_operator.reporting.drawing import colors_of, styled
-from smooth_operator.reporting.html import Html, details, element, escape, join, paragraph
-from smooth_operator.reporting.report_page import Plots, write_report_page
+from smooth_operator.reporting.html import Html, details, join, paragraph, text_table
+from smooth_operator.reporting.report_page import Plots, templates, write_report_page
 from smooth_operator.study.analysis.analyze import Analysis
 from smooth_operator.study.analysis.citations import cited
 from smooth_operator.study.analysis.methods_text import methods_paragraph
-from smooth_operator.study.analysis.report import checks, curves, figures, report_tables
+from smooth_operator.study.analysis.report import figures, sections, tables
 from smooth_operator.study.analysis.report.conclusion import NAMES, conclusion
-from smooth_operator.study.analysis.report.participant_section import participant_section
-from smooth_operator.study.analysis.report.reading_section import reading_section
-from smooth_operator.study.analysis.report.report_tables import scope_name
-from smooth_operator.study.analysis.results import MODES, OUTCOMES, Outcome, ScopeResult
+from smooth_operator.study.analysis.results import Outcome
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 REPORT: Final = "report.html"
 FIGURES: Final = "figures"
-
-_PUBLISHED: Final = (
-    "Analysed as the paper was: the operator as the only random effect, sandwich errors for "
-    "success, normal statistics. In 1,000 simulated null studies of the paper's design it errs: it "
-    "finds a difference in 10 % (success), and where operators prefer some retargeters in 11 % "
-    "(success), 19 % (time) and 32 % (workload), instead of 5 %. Do not report it."
-)
-"""Shares: see the table of family-wise errors in the reference."""
 
 
 def write_report(analysis: Analysis, folder: Path) -> Path:
@@ -49,65 +38,67 @@ def write_report(analysis: Analysis, folder: Path) -> Path:
     return _Page(analysis, Plots(folder / FIGURES)).write(folder / REPORT)
 
 
-def _upper(text: str) -> str:
-    return text[:1].upper() + text[1:]  # capitalize() would lower the name of the task
-
-
 class _Page:
     def __init__(self, analysis: Analysis, plots: Plots) -> None:
         self._analysis, self._plots = analysis, plots
         self._colors = colors_of(analysis.retargeters)
+        self._macros = templates(__package__ or "").get_template("sections.html.j2").module
 
     def write(self, path: Path) -> Path:
-        sections = [
+        analysis = self._analysis
+        text = methods_paragraph(analysis)
+        analysed = len({str(name) for name in analysis.data.trials.operator})
+        parts = [
             ("Success", "success", self._outcome("success")),
             ("Time", "time", self._outcome("time")),
             ("Workload", "workload", self._outcome("tlx")),
             ("Learning", "learning", self._learning()),
             ("Operators", "operators", self._operators()),
-            ("Other readings", "readings", self._readings()),
+            (
+                "Other readings",
+                "readings",
+                self._made("readings", analysis, self._incidence(), sections, tables, NAMES),
+            ),
         ]
-        if self._analysis.spearman:
-            sections.append(("Simulation", "simulation", self._simulation()))
-        sections += [
-            ("Participants", "participants", participant_section(self._analysis)),
+        if analysis.spearman:
+            parts.append(("Simulation", "simulation", self._simulation()))
+        flow = analysis.data.flow
+        parts += [
+            (
+                "Participants",
+                "participants",
+                self._made("participants", analysis, flow, analysed, text_table),
+            ),
             ("Checks", "checks", self._checks()),
-            ("Methods", "methods", self._methods()),
-            ("Appendix: as published", "published", self._published()),
+            ("Methods", "methods", self._made("methods", text, cited(text))),
+            (
+                "Appendix: as published",
+                "published",
+                self._made("published", analysis, self._colors, tables, NAMES),
+            ),
         ]
         return write_report_page(
             path,
             "User study",
-            self._header(),
-            sections,
+            self._made("header", analysis, analysed, conclusion(analysis)),
+            parts,
             "Made by smooth-operator study analyze. Figures: results.json and the CSV tables; "
             "plots as files: figures/.",
         )
 
-    def _header(self) -> Html:
-        analysis = self._analysis
-        data = analysis.data
-        operators = len({str(name) for name in data.trials.operator})
-        said = (
-            f"{operators} operators, {len(data.trials):,} trials, "
-            f"{len(data.questionnaires or ()):,} questionnaires; "
-            f"{', '.join(analysis.retargeters)}; baseline {analysis.baseline}"
-        )
-        notes = [paragraph(note, "warning") for note in data.notes]
-        found = join(paragraph(line) for line in conclusion(analysis))
-        top = [element("h1", "User study"), paragraph(said, "soft")]
-        return join([*top, element("div", found, class_="verdict"), *notes])
+    def _made(self, macro: str, *values: object) -> Html:
+        """HTML of a macro of the template."""
+        return Html(str(getattr(self._macros, macro)(*values)))
 
     def _outcome(self, outcome: Outcome) -> Html:
-        analysis = self._analysis
-        parts = [self._figure_of(outcome)]
-        for i, scope in enumerate(analysis.scopes):
-            content = self._scope(outcome, analysis.results[MODES[0]][outcome][scope])
-            title = _upper(scope_name(scope))
-            role = analysis.role(outcome, scope)
-            title += f": {role}" if role else ""
-            parts.append(details(title, content, opened=i == 0, class_="recording"))
-        return join(parts)
+        drawn = self._figure_of(outcome)
+        return self._made("outcome_section", outcome, drawn, self._analysis, self._colors, tables)
+
+    def _incidence(self) -> Html:
+        return self._drawn(
+            figures.incidence_figure, "time-to-success",
+            "Share of all trials that have succeeded by a time.",
+        )  # fmt: skip
 
     def _figure_of(self, outcome: Outcome) -> Html:
         if outcome == "success":
@@ -134,39 +125,9 @@ class _Page:
         )  # fmt: skip
         return join([dots, details("As radars", radar)]) if dots else dots
 
-    def _scope(self, outcome: Outcome, result: ScopeResult) -> Html:
-        warnings = report_tables.warning_list(result)
-        if result.refused is not None:
-            return join([warnings, report_tables.observed_table(outcome, result, self._colors)])
-        return join([
-            warnings,
-            report_tables.means_table(outcome, result, self._colors, self._analysis.baseline),
-            details("All pairs", report_tables.pairs_table(outcome, result)),
-            details("Coefficients", report_tables.coefficients_table(result)),
-            report_tables.model_facts(result),
-        ])  # fmt: skip
-
-    def _published(self) -> Html:
-        """Mode paper, folded."""
-        analysis = self._analysis
-        parts = [paragraph(_PUBLISHED, "warning")]
-        for outcome in OUTCOMES:
-            for scope in analysis.scopes:
-                result = analysis.results[MODES[1]][outcome][scope]
-                title = f"{NAMES[outcome]}, {scope_name(scope)}: as published"
-                parts.append(details(title, self._scope(outcome, result)))
-        return join(parts)
-
-    def _readings(self) -> Html:
-        drawn = self._drawn(
-            checks.incidence_figure, "time-to-success",
-            "Share of all trials that have succeeded by a time.",
-        )  # fmt: skip
-        return reading_section(self._analysis, drawn)
-
     def _checks(self) -> Html:
         drawn = self._drawn(
-            checks.residual_figure, "residuals",
+            figures.residual_figure, "residuals",
             "Residuals of the models of all tasks (random effects taken out): over the fitted "
             "value, where they should spread alike, and by quantiles, where they should follow "
             "the line.",
@@ -175,17 +136,17 @@ class _Page:
 
     def _learning(self) -> Html:
         drawn = self._drawn(
-            curves.learning_figure, "learning",
+            figures.learning_figure, "learning",
             "Means over trials by retargeter; dashed: the slope for all of them, adjusted for "
             "retargeter and task, with its uncorrected p-value.",
         )  # fmt: skip
-        return join([drawn, report_tables.learning_table(self._analysis.learning)])
+        return join([drawn, tables.learning_table(self._analysis.learning)])
 
     def _operators(self) -> Html:
         parts = [paragraph("Each dot is an operator's mean; the bar is the median of operators.")]
         for outcome, title in NAMES.items():
             parts.append(self._drawn(
-                lambda analysis, colors, o=outcome: curves.violin_figure(analysis, colors, o),
+                lambda analysis, colors, o=outcome: figures.violin_figure(analysis, colors, o),
                 f"operators-{outcome}",
                 f"{title} by operator.",
             ))  # fmt: skip
@@ -202,24 +163,7 @@ class _Page:
             for pair, entry in self._analysis.spearman.items()
             if "refused" in entry
         ]
-        return join([drawn, report_tables.correlation_table(self._analysis.spearman), *refused])
-
-    def _methods(self) -> Html:
-        text = methods_paragraph(self._analysis)
-        entries = [
-            element(
-                "li", Html(f"<b>{escape(c.method)}</b> [{escape(c.key)}]. {escape(c.reference)}")
-            )
-            for c in cited(text)
-        ]
-        return join(
-            [
-                paragraph("To paste into a manuscript:"),
-                element("blockquote", paragraph(text), id="paragraph"),
-                element("h3", "What was used, and whom to cite"),
-                element("ul", join(entries)),
-            ]
-        )
+        return join([drawn, tables.correlation_table(self._analysis.spearman), *refused])
 
     def _drawn(self, draw: object, stem: str, caption: str) -> Html:
         with styled():

@@ -51,8 +51,8 @@ class AbilitySink(HardwareSink):
 
     Attributes:
         port: its serial port.
-        baud: of the port; the hand's own is 460800.
-        address: of the hand on its line.
+        baud: baud rate of the port; the hand's own is 460800.
+        address: address of the hand on its line.
 
     Raises:
         ConfigError: a setting is out of its range.
@@ -85,20 +85,17 @@ class AbilityDevice:
     driver sets nothing that a restart could lose, and the protocol has nothing to read back.
 
     Args:
-        table: of the hand.
+        table: table of the hand.
         port: a serial port.
-        baud: of the port.
-        address: of the hand.
+        baud: baud rate of the port.
+        address: address of the hand.
 
     Raises:
         ConfigError: the table has not six actuators.
     """
 
     def __init__(self, table: ActuatorMap, port: str, baud: int, address: int) -> None:
-        if len(table.actuators) != MOTORS:
-            raise ConfigError(
-                f"{table.file}: an Ability Hand has {MOTORS} actuators, not {len(table.actuators)}"
-            )
+        table.check_count(MOTORS, "an Ability Hand")
         self._table, self._port, self._baud, self._address = table, port, baud, address
         self._line: Any = None
         self._expected = False
@@ -198,8 +195,8 @@ class AbilityDevice:
         if self._line is None:
             raise DeviceLostError("ability: the hand is not open")
         try:
-            found = getattr(self._line, what)
-            return found(*values) if callable(found) else found
+            member = getattr(self._line, what)
+            return member(*values) if callable(member) else member
         except serial.SerialTimeoutException as error:
             raise WrongAnswerError(f"ability: {self._port} takes nothing") from error
         except (OSError, TypeError) as error:  # TypeError: pyserial, while the port is closing

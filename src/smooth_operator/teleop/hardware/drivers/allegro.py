@@ -64,7 +64,7 @@ class Version:
     """What differs between two versions of the hand.
 
     Attributes:
-        angle: of one count [rad].
+        angle: angle of one count [rad].
         most: greatest value of a torque frame.
         stiffness: (4,) of a finger and (4,) of the thumb, units of torque per rad.
         damping: the same per rad/s.
@@ -127,20 +127,17 @@ class AllegroDevice:
     given a period, and without angles for 0.1 s it is lost. The protocol reads neither back.
 
     Args:
-        table: of the hand. Its settings have ``version`` (``v4`` or ``v5``) and may have ``gain``,
-            a factor on the stiffness (1.0), and ``period_ms`` of the hand's reports (3). ``limit``
-            is the most duty or current.
-        port: of the CAN bus.
+        table: table of the hand. Its settings have ``version`` (``v4`` or ``v5``) and may have
+            ``gain``, a factor on the stiffness (1.0), and ``period_ms`` of the hand's reports (3).
+            ``limit`` is the most duty or current.
+        port: port of the CAN bus.
 
     Raises:
         ConfigError: the table has not 16 actuators, or a setting is out of range.
     """
 
     def __init__(self, table: ActuatorMap, port: str) -> None:
-        if len(table.actuators) != MOTORS:
-            raise ConfigError(
-                f"{table.file}: an Allegro Hand has {MOTORS} actuators, not {len(table.actuators)}"
-            )
+        table.check_count(MOTORS, "an Allegro Hand")
         version = table.settings.get("version")
         if version not in VERSIONS:
             raise ConfigError(f"{table.file}: version must be v4 or v5, not {version!r}")

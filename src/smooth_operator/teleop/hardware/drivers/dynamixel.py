@@ -14,6 +14,7 @@ from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
+from smooth_operator.teleop.hardware.bus_lock import only_port
 from smooth_operator.teleop.hardware.device import (
     DeviceLostError,
     Reading,
@@ -41,7 +42,6 @@ from smooth_operator.teleop.hardware.drivers.dynamixel_bus import (
     gains_of,
 )
 from smooth_operator.teleop.hardware.hardware_sink import HardwareSink
-from smooth_operator.teleop.hardware.serial_port import only_port
 
 _PER_UNIT: Final = {"step": 1.0, "rad": STEPS / (2 * math.pi), "deg": STEPS / 360.0}
 """Steps of one unit of a table."""

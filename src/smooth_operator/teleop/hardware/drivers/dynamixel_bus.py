@@ -69,7 +69,7 @@ class DynamixelBus:
     Args:
         port: the serial port.
         baud: bits per second.
-        ids: of the servos, in the order in which values are given and come back.
+        ids: ids of the servos, in the order in which values are given and come back.
         names: what messages call them.
         extra: the extra that brings the SDK, for the message where it is missing.
 
@@ -131,9 +131,9 @@ class DynamixelBus:
     def set(self, register: _Register, values: Sequence[int] | int) -> None:
         """Write a register of all servos, in one packet that is not answered."""
         address, size = register
-        given = [values] * len(self.ids) if isinstance(values, int) else values
+        each = [values] * len(self.ids) if isinstance(values, int) else values
         group = self._sdk.GroupSyncWrite(self._open(), self._packets, address, size)
-        for number, value in zip(self.ids, given, strict=True):
+        for number, value in zip(self.ids, each, strict=True):
             group.addParam(number, int(value).to_bytes(size, "little", signed=value < 0))
         with self._lost():
             self._check(group.txPacket())
@@ -155,10 +155,10 @@ class DynamixelBus:
                     break
         self._check(result)
         if error & 0x7F:
-            said = str(self._packets.getRxPacketError(error)).removeprefix("[RxPacketError] ")
+            text = str(self._packets.getRxPacketError(error)).removeprefix("[RxPacketError] ")
             raise SinkError(
                 f"servo {self.ids[index]} ({self.names[index]}) refuses {value} at address "
-                f"{address}: {said}"
+                f"{address}: {text}"
             )
 
     def get(self, register: _Register) -> list[bytes]:
@@ -181,10 +181,10 @@ class DynamixelBus:
                 self._handler.ser.reset_input_buffer()
             result = reader.fastSyncRead() if self._fast else reader.txRxPacket()
         self._check(result)
-        found = [bytes(reader.data_dict[number]) for number in self.ids]
-        if any(len(data) != register[1] for data in found):
+        blocks = [bytes(reader.data_dict[number]) for number in self.ids]
+        if any(len(data) != register[1] for data in blocks):
             raise WrongAnswerError(f"{self.port}: an answer of the wrong length")
-        return found
+        return blocks
 
     def get_numbers(self, register: _Register) -> list[int]:
         """The same as whole numbers without sign."""
@@ -206,8 +206,8 @@ class DynamixelBus:
 
     def _check(self, result: int) -> None:
         if result != self._sdk.COMM_SUCCESS:
-            said = str(self._packets.getTxRxResult(result)).removeprefix("[TxRxResult] ")
-            raise WrongAnswerError(f"{self.port}: {said}")
+            text = str(self._packets.getTxRxResult(result)).removeprefix("[TxRxResult] ")
+            raise WrongAnswerError(f"{self.port}: {text}")
 
     @contextlib.contextmanager
     def _lost(self) -> Any:
@@ -255,17 +255,17 @@ def _port_handler(sdk: Any, port: str, baud: int) -> Any:
 
 def _cant_open(port: str, error: Exception) -> str:
     number = getattr(error, "errno", None)
-    said = str(error)
-    if number == 2 or "No such file" in said:
+    text = str(error)
+    if number == 2 or "No such file" in text:
         return f"there is no serial port {port}; check cable and power, or name another one"
-    if number == 13 or "Permission" in said or "denied" in said:
+    if number == 13 or "Permission" in text or "denied" in text:
         return (
             f"no permission to open {port}: add yourself to its group (on Linux: sudo usermod -aG "
             "dialout $USER, then log in again)"
         )
-    if number in (11, 16) or "exclusively lock" in said:
+    if number in (11, 16) or "exclusively lock" in text:
         return f"{port} is in use by another program; end that one first"
-    return f"can't open {port}: {said}"
+    return f"can't open {port}: {text}"
 
 
 def errors_of(bits: int) -> str:

@@ -23,6 +23,7 @@ from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError, SinkError, require
 from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
+from smooth_operator.teleop.hardware.bus_lock import is_serial
 from smooth_operator.teleop.hardware.device import (
     DeviceLostError,
     Reading,
@@ -30,7 +31,6 @@ from smooth_operator.teleop.hardware.device import (
     WrongAnswerError,
 )
 from smooth_operator.teleop.hardware.hardware_sink import HardwareSink
-from smooth_operator.teleop.hardware.serial_port import is_serial
 
 MOTORS: Final = 6
 PORT: Final = 6000
@@ -94,8 +94,8 @@ class InspireDevice:
     in mA, ``Reading.touch`` the six forces [g].
 
     Args:
-        table: of the hand. Its settings may have ``device_id`` (1), ``speed`` and ``force``, the
-            hand's own limits: 0 to 1000, and 0 to 3000 g. ``limit`` is the most current [mA].
+        table: table of the hand. Its settings may have ``device_id`` (1), ``speed`` and ``force``,
+            the hand's own limits: 0 to 1000, and 0 to 3000 g. ``limit`` is the most current [mA].
         port: ``ADDRESS`` or ``ADDRESS:PORT`` for TCP; a serial port such as ``/dev/ttyUSB0``.
 
     Raises:
@@ -103,10 +103,7 @@ class InspireDevice:
     """
 
     def __init__(self, table: ActuatorMap, port: str) -> None:
-        if len(table.actuators) != MOTORS:
-            raise ConfigError(
-                f"{table.file}: an Inspire hand has {MOTORS} actuators, not {len(table.actuators)}"
-            )
+        table.check_count(MOTORS, "an Inspire hand")
         self._table, self._port = table, port
         number = port.partition(":")[2]
         self._serial = is_serial(port)
@@ -184,15 +181,15 @@ class InspireDevice:
         )
 
     def _errors(self) -> tuple[str, ...]:
-        found = []
+        texts = []
         flags = self._slow.get(_ERROR, np.zeros(MOTORS, int))
         statuses = self._slow.get(_STATUS, np.zeros(MOTORS, int))
         for name, flag, status in zip(self._table.names, flags, statuses, strict=True):
             words = [text for bit, text in enumerate(_ERRORS) if int(flag) >> bit & 1]
             if not words and int(status) in _STATUSES:
                 words = [_STATUSES[int(status)]]
-            found += [f"{name}: {text}" for text in words]
-        return tuple(found)
+            texts += [f"{name}: {text}" for text in words]
+        return tuple(texts)
 
     def settings(self) -> Sequence[Setting]:
         """Force and speed; see ``HandDevice``."""

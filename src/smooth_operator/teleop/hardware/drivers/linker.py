@@ -81,7 +81,7 @@ class LinkerSink(HardwareSink):
 
     Attributes:
         port: a CAN channel, ``can0`` or ``INTERFACE:CHANNEL`` of python-can.
-        model: of the hand; it chooses the table, too, unless one is named.
+        model: model of the hand; it chooses the table, too, unless one is named.
     """
 
     driver: ClassVar[str] = "linker"
@@ -112,9 +112,9 @@ class LinkerDevice:
     report currents.
 
     Args:
-        table: of the hand. ``limit`` is the hand's torque (L10) or current (L20), 0 to 255. Its
-            settings may have ``speed`` (0 to 255) and ``gap_ms``, the time between two frames.
-        port: of the CAN bus.
+        table: table of the hand. ``limit`` is the hand's torque (L10) or current (L20), 0 to 255.
+            Its settings may have ``speed`` (0 to 255) and ``gap_ms``, the time between two frames.
+        port: port of the CAN bus.
         model: ``l10`` or ``l20``.
 
     Raises:
@@ -123,11 +123,7 @@ class LinkerDevice:
 
     def __init__(self, table: ActuatorMap, port: str, model: str) -> None:
         self._model = MODELS[model]
-        if len(table.actuators) != self._model.motors:
-            raise ConfigError(
-                f"{table.file}: a LinkerHand {model.upper()} has {self._model.motors} actuators, "
-                f"not {len(table.actuators)}"
-            )
+        table.check_count(self._model.motors, f"a LinkerHand {model.upper()}")
         speed, gap = table.settings.get("speed", _SPEED), table.settings.get("gap_ms", 1.0)
         if not isinstance(speed, int) or not 1 <= speed <= 255:
             raise ConfigError(f"{table.file}: speed must be 1 to 255, not {speed!r}")
@@ -214,12 +210,12 @@ class LinkerDevice:
             )
         return self._reading()
 
-    def _collect(self, bus: CanBus, deadline: float, wanted: list[int] | None = None) -> None:
+    def _collect(self, bus: CanBus, deadline: float, fields: list[int] | None = None) -> None:
         """Take frames of the hand until all wanted ones are there, or the time is over."""
         for identifier, data in bus.until(deadline):
             if identifier == self._identifier and data:
                 self._answers[data[0]] = data[1:]
-            if wanted is not None and all(kind in self._answers for kind in wanted):
+            if fields is not None and all(kind in self._answers for kind in fields):
                 return
 
     def _reading(self) -> Reading:

@@ -79,8 +79,8 @@ class OrcaDevice:
                 raise ConfigError(
                     f"{actuators.file}: orca has no setting {name!r}; known: {', '.join(_SETTINGS)}"
                 )
-        given = dict(actuators.settings)
-        self._options = {"config_path": config} if config else given
+        options = dict(actuators.settings)
+        self._options = {"config_path": config} if config else options
         self._mock = mock
         self._hand: Any = None
         self._powered = False
@@ -110,9 +110,9 @@ class OrcaDevice:
 
             hand.config = dataclasses.replace(hand.config, port=self._port)
         with self._bus("connecting"):
-            connected, said = hand.connect(interactive=False)
+            connected, message = hand.connect(interactive=False)
         if not connected:
-            raise SinkError(f"orca: {said}; check power and cable")
+            raise SinkError(f"orca: {message}; check power and cable")
         self._hand = hand
         if not hand.calibrated:
             self.close()
@@ -133,7 +133,7 @@ class OrcaDevice:
         """Joint positions; currents and temperatures in turns."""
         hand = self._connected()
         with self._bus("reading"):
-            found = hand.get_joint_position().as_dict()
+            by_name = hand.get_joint_position().as_dict()
             fresh = hand.last_read_ok
             if self._cycle % _CURRENTS_EVERY == 0:
                 self._currents = np.array(hand.get_motor_current(), float)[self._motors]
@@ -142,7 +142,7 @@ class OrcaDevice:
         self._cycle += 1
         if not fresh:
             raise WrongAnswerError("orca: the motors do not answer")
-        positions = [found.get(name) for name in self._table.names]
+        positions = [by_name.get(name) for name in self._table.names]
         return Reading(
             np.array([np.nan if value is None else value for value in positions], float),
             None,
@@ -200,7 +200,7 @@ class OrcaDevice:
         except SinkError:
             raise
         except Exception as error:  # orca-core raises errors of several libraries
-            said = f"{type(error).__name__}: {error}"
+            cause = f"{type(error).__name__}: {error}"
             raise DeviceLostError(
-                f"orca: {doing} failed ({said}); check power and cable"
+                f"orca: {doing} failed ({cause}); check power and cable"
             ) from error

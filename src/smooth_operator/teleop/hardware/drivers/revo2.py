@@ -43,7 +43,7 @@ class Revo2Sink(HardwareSink):
 
     Attributes:
         port: its serial port.
-        baud: of the port.
+        baud: baud rate of the port.
 
     Raises:
         ConfigError: a setting is out of its range.
@@ -73,19 +73,16 @@ class Revo2Device:
     its motors off, so ``relax`` does nothing.
 
     Args:
-        table: of the hand. Its settings may have ``speed`` (1 to 1000) and ``device_id``.
+        table: table of the hand. Its settings may have ``speed`` (1 to 1000) and ``device_id``.
         port: a serial port.
-        baud: of the port.
+        baud: baud rate of the port.
 
     Raises:
         ConfigError: the table has not six actuators, or a setting is out of range.
     """
 
     def __init__(self, table: ActuatorMap, port: str, baud: int) -> None:
-        if len(table.actuators) != MOTORS:
-            raise ConfigError(
-                f"{table.file}: a Revo2 has {MOTORS} actuators, not {len(table.actuators)}"
-            )
+        table.check_count(MOTORS, "a Revo2")
         speed = table.settings.get("speed", 1000)
         number = table.settings.get("device_id", _NUMBERS[table.side])
         for what, value, low, high in (("speed", speed, 1, 1000), ("device_id", number, 1, 255)):

@@ -42,7 +42,7 @@ class WujiSink(HardwareSink):
 
     Attributes:
         port: serial number of the hand; empty for the only one that is plugged in.
-        cutoff: of the low-pass filter between two commands [Hz].
+        cutoff: cutoff of the low-pass filter between two commands [Hz].
 
     Raises:
         ConfigError: a setting is out of its range.
@@ -72,19 +72,16 @@ class WujiDevice:
     """A Wuji Hand on USB; see ``HandDevice``.
 
     Args:
-        table: of the hand; ``limit`` is the current [mA] of each joint.
+        table: table of the hand; ``limit`` is the current [mA] of each joint.
         port: serial number of the hand, or empty.
-        cutoff: of the filter [Hz].
+        cutoff: cutoff of the filter [Hz].
 
     Raises:
         ConfigError: the table has not 20 actuators.
     """
 
     def __init__(self, table: ActuatorMap, port: str, cutoff: float) -> None:
-        if len(table.actuators) != MOTORS:
-            raise ConfigError(
-                f"{table.file}: a Wuji Hand has {MOTORS} actuators, not {len(table.actuators)}"
-            )
+        table.check_count(MOTORS, "a Wuji Hand")
         self._table, self._port, self._cutoff = table, port, cutoff
         self._hand: Any = None
         self._controller: Any = None

@@ -14,12 +14,10 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.simulation.arms.arm_model import arm_spec
 from smooth_operator.simulation.arms.carried import CarriedHand, WristKinematics
 from smooth_operator.simulation.arms.rigid import inverse, matrix_of, pose_of, rigid
-from smooth_operator.teleop.arm.places import place_arms
-from smooth_operator.teleop.arm.settings import ArmSettings
-from smooth_operator.teleop.pages.body_nodes import BodyNodes
-from smooth_operator.teleop.pages.hand_view import HandView
+from smooth_operator.teleop.arm.settings import ArmSettings, place_arms
+from smooth_operator.teleop.pages.hand_view import HandView, body_meshes
+from smooth_operator.teleop.pages.human import BodyNodes
 from smooth_operator.teleop.pages.live.scenery_nodes import SceneryNodes
-from smooth_operator.teleop.pages.meshes import body_meshes
 from smooth_operator.teleop.pages.palette import PALM, SIMULATED, Rgb
 from smooth_operator.types import Side
 
@@ -41,7 +39,7 @@ class ArmRoom:
     Args:
         scene: where to draw.
         hands: side -> robot hand.
-        settings: of the arms.
+        settings: settings of the arms.
         measured: whether the arms are measured.
     """
 
@@ -74,8 +72,8 @@ class ArmRoom:
                 for z in (z0, z1)
             ]
         )
-        seen = _SCALE * corners @ self._rows.T
-        self._low, self._high = seen.min(axis=0), seen.max(axis=0)
+        projected = _SCALE * corners @ self._rows.T
+        self._low, self._high = projected.min(axis=0), projected.max(axis=0)
         if not settings.no_table:
             scene.add_grid(
                 "/room/table", _SCALE * _TABLE[0], _SCALE * _TABLE[0], plane="xy",
@@ -122,7 +120,7 @@ class ArmRoom:
 
         Args:
             side: which hand's.
-            pose: of the object in the palm frame of the task's own fixture.
+            pose: pose of the object in the palm frame of the task's own fixture.
             fixture: pose of that frame in the arm's base.
 
         Returns:

@@ -70,7 +70,7 @@ class LivePage:
         setup: what to show, and where.
 
     Attributes:
-        url: of the page, with its token; empty before ``serve``.
+        url: address of the page, with its token; empty before ``serve``.
         trouble: why the page ended by itself; empty as long as it has not.
     """
 

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import contextlib
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
 
 import mujoco
 import numpy as np
 import viser
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 
+from smooth_operator.errors import SmoothOperatorError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import (
     MIN_CONDITION,
@@ -17,21 +19,23 @@ from smooth_operator.human.alignment import (
     palm_alignment,
     reference_landmarks,
 )
-from smooth_operator.human.operator import OperatorProfile
+from smooth_operator.human.operator import FingerProfile, OperatorProfile
 from smooth_operator.human.palm_axes import human_palm_axes
 from smooth_operator.landmarks import FINGERS, TIPS
 from smooth_operator.teleop.arm.settings import ArmSettings
-from smooth_operator.teleop.pages.aiming import Aiming
-from smooth_operator.teleop.pages.body_nodes import TipBalls
+from smooth_operator.teleop.opencv import opencv
 from smooth_operator.teleop.pages.hand_view import HandView
-from smooth_operator.teleop.pages.human import HumanView, keyvector_colors, thumb_lines
+from smooth_operator.teleop.pages.human import (
+    BodyNodes,
+    HumanView,
+    TipBalls,
+    keyvector_colors,
+    thumb_lines,
+)
 from smooth_operator.teleop.pages.live.arm_room import ArmRoom
-from smooth_operator.teleop.pages.live.robot_bodies import RobotBodies
-from smooth_operator.teleop.pages.live.scene_parts import background, operator_of
 from smooth_operator.teleop.pages.live.scenery_nodes import SceneryNodes
-from smooth_operator.teleop.pages.live.wrist_map import WristMaps
-from smooth_operator.teleop.pages.page_layout import FOREARM, GAP, upright
-from smooth_operator.teleop.pages.palette import Rgb
+from smooth_operator.teleop.pages.page_layout import FOREARM, GAP, Aiming, upright
+from smooth_operator.teleop.pages.palette import SIMULATED, Rgb
 from smooth_operator.types import Side
 
 _LINE: Final = 0.0022  # thickness of a keyvector [m]
@@ -76,6 +80,10 @@ class LiveScene:
             self._sides[side].add_meshes(HandView(hand))
         self._room = None if arm is None else ArmRoom(server.scene, hands, arm, simulated)
         self._server = server
+        # viser encodes pictures by OpenCV where it can be imported; an import of its own that fails
+        # would leave a folder on the module path that ends processes which are started later.
+        with contextlib.suppress(SmoothOperatorError):
+            opencv()
         server.scene.set_background_image(background(), format="png")
         self._floor = server.scene.add_grid(
             "/floor", _FLOOR, _FLOOR, plane="xy", cell_size=0.02, section_size=0.1,
@@ -88,7 +96,6 @@ class LiveScene:
         """Give each hand its place; where the picture's middle is, and half its size [m]."""
         low = np.min([view.low for view in self._sides.values()], axis=0)
         high = np.max([view.high for view in self._sides.values()], axis=0)
-        low[1] -= max(view.wrists.height for view in self._sides.values())
         size = high - low
         # One hand: human next to robot. Two: each human above its robot.
         # At a task: the robots alone, large.
@@ -142,9 +149,9 @@ class LiveScene:
     def draw_lines(self, hands: Mapping[Side, Mapping[str, Any]]) -> None:
         """Show the human hands, keyvectors and fingertips, which a browser has in its next picture
         but one."""
-        moved = [v.draw_lines(hands[side]) for side, v in self._sides.items() if side in hands]
-        if any(moved):
-            self._aim()
+        for side, view in self._sides.items():
+            if side in hands:
+                view.draw_lines(hands[side])
 
     def draw_bodies(self, hands: Mapping[Side, Mapping[str, Any]]) -> None:
         """Show the robots' bodies, which a browser has in its next picture."""
@@ -154,21 +161,21 @@ class LiveScene:
                 if self._room is not None:
                     self._room.draw(side, hands[side])
 
-    def draw_scenery(self, seen: Mapping[str, Any]) -> None:
+    def draw_scenery(self, scenery: Mapping[str, Any]) -> None:
         """Show what the hands work on; see ``Scenery``."""
-        self.scenery_number = seen["number"]
-        if "parts" in seen:
+        self.scenery_number = scenery["number"]
+        if "parts" in scenery:
             for side, view in self._sides.items():
-                view.scenery.show(seen["parts"].get(side, ()))
+                view.scenery.show(scenery["parts"].get(side, ()))
                 if self._room is not None:
-                    self._room.show_scenery(side, seen["parts"].get(side, ()))
-                view.face(seen["views"].get(side), seen["poses"].get(side))
+                    self._room.show_scenery(side, scenery["parts"].get(side, ()))
+                view.face(scenery["views"].get(side), scenery["poses"].get(side))
             self._floor.visible = not self.has_task  # which stands on its own floor
             self._aim()
         for side, view in self._sides.items():
-            pose, fixture = seen["poses"].get(side), seen["fixtures"].get(side)
+            pose, fixture = scenery["poses"].get(side), scenery["fixtures"].get(side)
             view.scenery.draw(pose)
-            view.scenery.hide_object(side in seen.get("away", ()))
+            view.scenery.hide_object(side in scenery.get("away", ()))
             if self._room is not None:
                 there = self._room.draw_scenery(side, pose, fixture)
                 if there is not None:  # what stands in the room goes past a hand that moves
@@ -177,8 +184,8 @@ class LiveScene:
     def set_operators(self, operators: Mapping[Side, Mapping[str, Any] | None]) -> None:
         """Which calibrations correct the human hands."""
         for side, view in self._sides.items():
-            found = operators.get(side)
-            view.operator = None if found is None else operator_of(found)
+            operator = operators.get(side)
+            view.operator = None if operator is None else operator_of(operator)
 
     def set_overlay(self, overlay: bool) -> None:
         """Each human hand inside its robot, or side by side."""
@@ -239,7 +246,6 @@ class _SideView:
         self._balls = TipBalls(scene, len(tips), f"/{side}/robot/tips")
         self._tips = tips
         self.scenery = SceneryNodes(scene, f"/{side}/robot/scenery")
-        self.wrists = WristMaps(scene, side)
         none = np.zeros(len(tips) - 1, bool)
         self._lines = {
             name: scene.add_line_segments(
@@ -295,8 +301,6 @@ class _SideView:
         """Where the two stand when they don't stand in each other: right and up [m]."""
         here, there = (np.array([*place, 0.0]) @ _VIEW for place in (human, robot))
         self._places = (here, there)
-        middle = np.array([(self.low[0] + self.high[0]) / 2, self.low[1] - self.wrists.height / 2])
-        self.wrists.put(*(place + np.array([*middle, 0.0]) @ _VIEW for place in (here, there)))
         self.set_overlay(self._overlaid)
 
     def _poses(self, state: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray | None]:
@@ -312,8 +316,7 @@ class _SideView:
         self._state = state
         self._robot.draw(*self._poses(state))
 
-    def draw_lines(self, state: Mapping[str, Any]) -> bool:
-        """Show them; whether the hands need other places then."""
+    def draw_lines(self, state: Mapping[str, Any]) -> None:
         hand = self._hand
         every, _ = self._poses(state)
         latched = np.array([finger in (state["latched"] or ()) for finger in hand.fingers[1:]])
@@ -325,7 +328,6 @@ class _SideView:
         for name, points in (("human", landmarks[self._tips]), ("robot", robot_tips)):
             self._lines[name].points = thumb_lines(points)
             self._lines[name].colors = colors
-        return self.wrists.draw(state.get("wrist"))
 
     def set_overlay(self, overlay: bool) -> None:
         self._overlaid = overlay
@@ -368,7 +370,7 @@ class _SideView:
 
         Args:
             axes: (3, 3) rows right, up and toward the viewer in the palm frame; None for the palm.
-            object_pose: of what the hand works on, which is to be in the picture, too.
+            object_pose: pose of what the hand works on, which is to be in the picture, too.
         """
         rows = self._axes if axes is None else np.asarray(axes, float)
         turn, wxyz = _VIEW.T @ rows, np.empty(4)
@@ -379,8 +381,8 @@ class _SideView:
         points = np.concatenate([self._points, end[None]])
         if object_pose is not None:
             points = np.concatenate([points, self.scenery.bounds(object_pose)])
-        seen = points @ rows.T
-        self.low, self.high = seen.min(axis=0), seen.max(axis=0)
+        extent = points @ rows.T
+        self.low, self.high = extent.min(axis=0), extent.max(axis=0)
         for label in self._labels:
             label.position = end
 
@@ -392,3 +394,119 @@ class _SideView:
         for q in (neutral, straight):
             points += self._simple.corners(hand.full_configuration(q))
         return np.concatenate(points)
+
+
+_TRANSLUCENT = 0.45  # opacity of a hand that overlaps another
+_WITHIN = 0.985  # size of a simulated body, which is seen where it leaves the commanded one
+
+
+class RobotBodies:
+    """The hand at its command, and see-through the hand as it is simulated.
+
+    Args:
+        scene: where to draw.
+        hand: the robot hand, in the order of whose joints poses come.
+        view: the same hand on the model to draw, with the same joints by name, in any order.
+        root: name of the parent node, in the palm frame.
+        up: unit vector along the forearm, toward the fingers.
+        simulated: whether there is a simulated hand.
+    """
+
+    def __init__(
+        self,
+        scene: viser.SceneApi,
+        hand: Hand,
+        view: HandView,
+        root: str,
+        up: Float[np.ndarray, "3"],
+        simulated: bool,
+    ) -> None:
+        drawn = view.hand
+        self._drawn = drawn
+        self._rest = drawn.full_configuration(drawn.neutral)
+        self._order = [drawn.joint_names.index(name) for name in hand.joint_names]
+        self._meshes = view.without_forearm(FOREARM, up)
+        owner = view.finger_of_body
+        wxyz, position = _inverse_palm(drawn)
+        scene.add_frame(root, show_axes=False, wxyz=wxyz, position=position)
+        self.command = BodyNodes(scene, drawn.model, self._meshes, owner, f"{root}/command")
+        fingers = {body: mesh for body, mesh in self._meshes.items() if owner[body] >= 0}
+        self._simulated = (
+            BodyNodes(
+                scene,
+                drawn.model,
+                fingers,
+                owner,
+                f"{root}/simulated",
+                color=SIMULATED,
+                opacity=_TRANSLUCENT,
+                scale=_WITHIN,
+            )
+            if simulated
+            else None
+        )
+
+    def draw(self, every: Float[np.ndarray, " n"], other: Float[np.ndarray, " n"] | None) -> None:
+        """Show a pose, and the one that is seen where it differs."""
+        self.command.draw(self._qpos(every))
+        if self._simulated is not None and other is not None:
+            self._simulated.draw(self._qpos(other))
+
+    def show(self, visible: bool, simulated: bool, overlay: bool) -> None:
+        """Show or hide it; the simulated hand, too; see-through if hands overlap."""
+        self.command.set_visible(visible)
+        self.command.set_opacity(_TRANSLUCENT if overlay else None)
+        if self._simulated is not None:
+            self._simulated.set_visible(visible and simulated)
+
+    def corners(self, every: Float[np.ndarray, " n"]) -> Iterator[Float[np.ndarray, "8 3"]]:
+        """Corners of the bodies' boxes in a pose, in the palm frame [m]."""
+        self.command.place(self._qpos(every))
+        data, palm = self.command.data, self._drawn.model.body(self._drawn.spec.palm).id
+        turn, origin = data.xmat[palm].reshape(3, 3), data.xpos[palm]
+        for body, mesh in self._meshes.items():
+            box = mesh.bounding_box.vertices @ data.xmat[body].reshape(3, 3).T
+            yield (box + data.xpos[body] - origin) @ turn
+
+    def _qpos(self, every: Float[np.ndarray, " n"]) -> Float[np.ndarray, " nq"]:
+        """Joint positions of the drawn model; what it has besides the hand's joints rests."""
+        positions = self._rest.copy()
+        positions[self._order] = every
+        return self._drawn.qpos(positions)
+
+
+def _inverse_palm(hand: Hand) -> tuple[Float[np.ndarray, "4"], Float[np.ndarray, "3"]]:
+    """Pose of the model's world in the palm frame; fingers hang from the palm, it does not move."""
+    data = mujoco.MjData(hand.model)
+    data.qpos[:] = hand.qpos(hand.full_configuration(hand.neutral))
+    mujoco.mj_kinematics(hand.model, data)
+    palm = data.body(hand.spec.palm)
+    wxyz, position = np.empty(4), np.empty(3)
+    mujoco.mju_negPose(position, wxyz, palm.xpos, palm.xquat)
+    return wxyz, position
+
+
+_SKY: Final[Rgb] = (72, 80, 92)
+_GROUND: Final[Rgb] = (44, 49, 57)
+
+
+def background() -> UInt8[np.ndarray, "h w 3"]:
+    """A grey that is lighter above: dark bodies and the finger colours stand out on it."""
+    shade = np.linspace(_SKY, _GROUND, 64).round().astype(np.uint8)
+    return np.repeat(shade[:, None], 2, axis=1)
+
+
+def operator_of(content: Mapping[str, Any]) -> OperatorProfile:
+    """A profile that came as JSON."""
+    fingers = tuple(
+        FingerProfile(**{**finger, "bones": tuple(finger["bones"])})
+        for finger in content["fingers"]
+    )
+    return OperatorProfile(
+        **{
+            **content,
+            "fingers": fingers,
+            "palm_rotation": tuple(content["palm_rotation"]),
+            "apply": tuple(content["apply"]),
+        }
+    )

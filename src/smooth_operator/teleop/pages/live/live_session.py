@@ -2,28 +2,35 @@
 
 from __future__ import annotations
 
+import threading
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from smooth_operator.errors import ConfigError, SmoothOperatorError
+from smooth_operator.errors import ConfigError, SinkError, SmoothOperatorError
 from smooth_operator.formats.jsonable import to_json
+from smooth_operator.hands.hand import Hand
 from smooth_operator.methods.presets import live_presets
 from smooth_operator.planning import RetargetRequest, live_configuration
 from smooth_operator.poses import is_valid
-from smooth_operator.teleop.control.method_switcher import MethodSwitcher, checked
-from smooth_operator.teleop.pages.live.calibration_wizard import CalibrationWizard
-from smooth_operator.teleop.pages.live.camera import CameraFeed
-from smooth_operator.teleop.pages.live.fields import changed, config_fields
-from smooth_operator.teleop.pages.live.rates import RateMeter
-from smooth_operator.teleop.pages.live.recordings import Recordings
-from smooth_operator.teleop.pages.live.scenery import Scenery
+from smooth_operator.simulation.arms.rigid import Matrix, inverse, pose_of, rigid
+from smooth_operator.simulation.live import LiveSimulation
+from smooth_operator.simulation.scenes import Scene, ScenePart, SceneState
+from smooth_operator.simulation.scenes.mount import Mount
+from smooth_operator.teleop.control.method_switcher import MethodSwitcher
+from smooth_operator.teleop.pages.live.settings import (
+    LOOP_SETTINGS,
+    METHOD_SETTINGS,
+    changed,
+    values,
+)
 from smooth_operator.teleop.runtime.loop import TeleopLoop
-from smooth_operator.teleop.runtime.settings import LoopConfig
+from smooth_operator.teleop.sinks.record import RecordSink
+from smooth_operator.teleop.sinks.runner import SinkRunner
 from smooth_operator.teleop.sinks.sink import Sink, simulated_hands
 from smooth_operator.teleop.sinks.tick import ArmCommand, Tick, WristCommand
 from smooth_operator.teleop.sources.live import Arrival
@@ -45,10 +52,10 @@ class LiveSession:
 
     Args:
         loop: the running loop.
-        asked: what the run was begun with.
+        request: what the run was begun with.
         sinks: those that it was begun with; of a simulated hand among them the state is shown, and
             what it works on.
-        folder: where recordings and calibrations go.
+        folder: where recordings go.
         switcher: builds methods; a new one if left out.
         trial: what is to be shown of the trial of a task; None for nothing.
         blind: nothing on the page shows which method drives the hands, and none can be chosen.
@@ -57,7 +64,7 @@ class LiveSession:
     def __init__(
         self,
         loop: TeleopLoop,
-        asked: RetargetRequest,
+        request: RetargetRequest,
         sinks: Sequence[Sink] = (),
         folder: Path = Path(),
         *,
@@ -67,22 +74,19 @@ class LiveSession:
     ) -> None:
         self.loop = loop
         self._trial = trial
-        self.wizard = CalibrationWizard()
-        self.switcher = MethodSwitcher(loop, asked) if switcher is None else switcher
+        self.switcher = MethodSwitcher(loop, request) if switcher is None else switcher
         self.blind = blind
         self.recordings = Recordings(loop.sinks, folder / "takes", self._configuration)
-        self._asked, self._folder = asked, folder
+        self._asked, self._folder = request, folder
         self._simulation = simulated_hands(sinks)
         self._scenery = None if self._simulation is None else Scenery(self._simulation)
-        self._camera = CameraFeed(loop.source)
-        self._default = LoopConfig(loop.config.rate)
         self._ticks: dict[Side, Tick] = {}
         self._arrivals: dict[Side, Arrival] = {}
         self._events: deque[tuple[float, str]] = deque(maxlen=_EVENTS)
         self._commands = {side: RateMeter(_RATE_S) for side in loop.pipelines}
         self._frames = {side: RateMeter(_FRAME_RATE_S) for side in loop.pipelines}
         self._message = ""
-        self._fields_changed = 0
+        self._settings_changed = 0
         self._actions: dict[str, Callable[..., None]] = {
             "stop": loop.controls.stop,
             "release": loop.controls.release,
@@ -93,11 +97,6 @@ class LiveSession:
             "method": self._choose,
             "set": self._set,
             "set_loop": self._set_loop,
-            "calibrate": self._calibrate,
-            "cancel_calibration": self.wizard.cancel,
-            "use_operator": self._use_operator,
-            "drop_operator": self._drop_operator,
-            "save_operator": self._save_operator,
         }
         if blind:
             for name in ("method", "set"):
@@ -106,10 +105,9 @@ class LiveSession:
     def watch(self, tick: Tick) -> None:
         """Take note of a tick; called by the loop after its sinks."""
         self._ticks[tick.side] = tick
-        seen = self.loop.pipelines[tick.side].seen
-        if seen is not None and seen is not self._arrivals.get(tick.side):
-            self._arrivals[tick.side] = seen
-            self.wizard.see(seen)
+        arrival = self.loop.pipelines[tick.side].seen
+        if arrival is not None and arrival is not self._arrivals.get(tick.side):
+            self._arrivals[tick.side] = arrival
         if tick.events:
             self._note(tick)
 
@@ -125,38 +123,32 @@ class LiveSession:
         except TypeError:
             self._message = f"the page asks for {name!r} with the wrong values"
 
-    def look(
-        self, *, text: bool, fields: int, scenery: int = 0, picture: int | None = None
-    ) -> dict[str, Any]:
-        """What to show now, as JSON has it.
+    def look(self, *, text: bool, settings: int, scenery: int = 0) -> dict[str, Any]:
+        """The state to show now, as JSON values.
 
         Args:
             text: with figures and controls, not the hands alone.
-            fields: for which ``fields_number`` the fields are known already.
-            scenery: for which number the shapes of the task's scene are.
-            picture: which of the camera's pictures is known; None if none is wanted.
+            settings: the ``settings_number`` that the page has.
+            scenery: the number of the task's scene whose shapes the page has.
         """
         now = self.loop.mailbox.clock()
         shown: dict[str, Any] = {
             "hands": {side: self._hand(side, tick, now) for side, tick in self._ticks.items()},
-            "calibration": self.wizard.look(now),
         }
         if (trial := self._trial()) is not None:
             shown["trial"] = dict(trial)
         if self._scenery is not None:
             shown["scenery"] = self._scenery.look(tuple(self.loop.pipelines), scenery)
-        if picture is not None and (camera := self._camera.look(picture, now)) is not None:
-            shown["camera"] = camera
         if text:
             shown["status"] = self._status(now)
-            shown["controls"] = self._controls(fields)
+            shown["controls"] = self._controls(settings)
         return shown
 
     @property
-    def fields_number(self) -> int:
-        """Changes when the page has to update the fields: another method, a value refused."""
+    def settings_number(self) -> int:
+        """Changes when the page has to update its settings: another method, a value refused."""
         shown = self.switcher.wanted
-        return hash((shown.method, shown.preset, self.switcher.refused, self._fields_changed))
+        return hash((shown.method, shown.preset, self.switcher.refused, self._settings_changed))
 
     def configuration(self) -> str:
         """The configuration as it is now, as JSON text; empty where it is not to be known."""
@@ -198,7 +190,7 @@ class LiveSession:
             "age_s": age,
             # a method without latches has None, and so has one that is not to be known
             "latched": None if self.blind else pipeline.latched,
-            "provisional": pipeline.provisional,
+            "compiling": pipeline.supervisor.compiling,
             "scale": pipeline.retargeter.config.alignment.scale,
             "wrist": None if arrival is None else _wrist(arrival, tick, pipeline.clutch.released),
         }
@@ -219,9 +211,9 @@ class LiveSession:
         for side, meter in self._frames.items():
             meter.count(loop.mailbox.received_of[side], now)
         stages = {
-            name: {key: round(found[key], 3) for key in ("p50", "p99")}
-            for name, found in statistics.recent(500).items()
-            if found and not (self.blind and name in _TELLING)
+            name: {key: round(percentiles[key], 3) for key in ("p50", "p99")}
+            for name, percentiles in statistics.recent(500).items()
+            if percentiles and not (self.blind and name in _TELLING)
         }
         return {
             "rates": {side: meter.rate for side, meter in self._commands.items()},
@@ -230,7 +222,7 @@ class LiveSession:
             "stages": stages,
             "missed_share": statistics.missed_share,
             "motion_delay": {
-                side: None if (found := delay.now()) is None else found.seconds
+                side: None if (percentiles := delay.now()) is None else percentiles.seconds
                 for side, delay in list(statistics.motion.items())
             },
             "unusable": statistics.unusable,
@@ -240,10 +232,10 @@ class LiveSession:
             "events": [(round(now - at, 1), words) for at, words in list(self._events)],
         }
 
-    def _controls(self, known: int) -> dict[str, Any]:
+    def _controls(self, shown_number: int) -> dict[str, Any]:
         switcher = self.switcher
         supervisors = [pipeline.supervisor for pipeline in self.loop.pipelines.values()]
-        shown, number = switcher.wanted, self.fields_number
+        shown, number = switcher.wanted, self.settings_number
         controls: dict[str, Any] = {
             "building": self._told(switcher.building, "getting ready"),
             "message": self._message
@@ -256,16 +248,15 @@ class LiveSession:
                 side: None if operator is None else asdict(operator)
                 for side, operator in switcher.operators.items()
             },
-            "fields_number": number,
+            "settings_number": number,
         }
         if not self.blind:
             controls["method"], controls["preset"] = shown.method, shown.preset
             controls["presets"] = live_presets()
-        if number != known:
+        if number != shown_number:
             if not self.blind:
-                controls["fields"] = [asdict(f) for f in config_fields(shown.shown, shown.base)]
-            loop = config_fields(self.loop.config, self._default)
-            controls["loop_fields"] = [asdict(field) for field in loop if field.path != "rate"]
+                controls["settings"] = values(shown.shown, METHOD_SETTINGS)
+            controls["loop_settings"] = values(self.loop.config, LOOP_SETTINGS)
         return controls
 
     def _told(self, words: str, blind: str) -> str:
@@ -276,32 +267,14 @@ class LiveSession:
         self.switcher.choose(method, preset)
 
     def _set(self, path: str, value: Any) -> None:
-        self.switcher.adjust(lambda config: changed(config, path, value))
+        self.switcher.adjust(lambda config: changed(config, METHOD_SETTINGS, path, value))
 
     def _set_loop(self, path: str, value: Any) -> None:
         try:
-            self.loop.configure(changed(self.loop.config, path, value))
+            self.loop.configure(changed(self.loop.config, LOOP_SETTINGS, path, value))
         except SmoothOperatorError:
-            self._fields_changed += 1
+            self._settings_changed += 1
             raise
-
-    def _calibrate(self, side: Side) -> None:
-        if side not in self.loop.pipelines:
-            raise ConfigError(f"there is no {side} hand in this run")
-        self.wizard.begin(self.loop.pipelines[side].retargeter.hand)
-
-    def _use_operator(self) -> None:
-        operator = checked(self.wizard.operator)
-        self.switcher.operate({operator.side: operator})
-        self._fields_changed += 1
-
-    def _drop_operator(self, side: Side) -> None:
-        self.switcher.operate({side: None})
-        self._fields_changed += 1
-
-    def _save_operator(self) -> None:
-        path = self.wizard.save(self._folder)
-        self._message = f"wrote {path.resolve()}; next time: --operator {path}"
 
     def _note(self, tick: Tick) -> None:
         for words in tick.events:
@@ -324,15 +297,13 @@ def _arm(arm: ArmCommand, wrist: WristCommand | None) -> dict[str, Any]:
 
 
 def _wrist(arrival: Arrival, tick: Tick, released: bool) -> dict[str, Any] | None:
-    """The wrists of a hand; None with a tracker that has none."""
-    found, command = arrival.frame.T_world_wrist, tick.wrist
-    if found is None or command is None:
+    """The state of a wrist; None with a tracker that has none."""
+    pose, command = arrival.frame.T_world_wrist, tick.wrist
+    if pose is None or command is None:
         return None
     return {
-        "operator": _numbers(found) if command.valid and is_valid(found) else None,
+        "tracked": bool(command.valid and is_valid(pose)),
         "world": arrival.frame.world or "its world",
-        "target": _numbers(command.pose),
-        "base": command.world,
         "engaged": command.engaged,
         "released": released,
     }
@@ -345,5 +316,177 @@ def _trusted(arrival: Arrival) -> np.ndarray:
     return np.where(frame.valid[:, None], frame.landmarks, np.nan)
 
 
-def _numbers(values: np.ndarray) -> list[float]:
-    return [round(value, 5) for value in np.asarray(values, float).tolist()]
+def _numbers(*arrays: np.ndarray) -> list[float]:
+    return [round(value, 5) for array in arrays for value in np.asarray(array, float).tolist()]
+
+
+class RateMeter:
+    """Measures the rate of a count over a window of time.
+
+    Args:
+        window: least time over which it is measured [s].
+
+    Attributes:
+        rate: rate of the last whole window [Hz]; None before there is one.
+    """
+
+    def __init__(self, window: float) -> None:
+        self.rate: float | None = None
+        self._window = window
+        self._start: tuple[int, float] | None = None
+
+    def count(self, number: int, time: float) -> None:
+        """Take note of the count.
+
+        Args:
+            number: how many there have been.
+            time: time of the count, by a clock that never goes back [s].
+        """
+        if self._start is None:
+            self._start = number, time
+        elif time - self._start[1] >= self._window:
+            self.rate = round((number - self._start[0]) / (time - self._start[1]), 1)
+            self._start = number, time
+
+
+@dataclass(frozen=True)
+class _Take(RecordSink):
+    """A recording that holds the configuration of when it began, and not of when the run did."""
+
+    configuration: Callable[[], Mapping[str, Any]] = dict
+
+    def open(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> None:
+        """Create the files."""
+        super().open(hands, {**config, **self.configuration()})
+
+
+class Recordings:
+    """Begins and ends recordings; creating and ending files may take a while, and is waited for by
+    nobody.
+
+    Args:
+        sinks: sinks of the running loop.
+        folder: where the takes go.
+        configuration: what has changed since the run began, for the log.
+    """
+
+    def __init__(
+        self,
+        sinks: SinkRunner,
+        folder: Path,
+        configuration: Callable[[], Mapping[str, Any]] = dict,
+    ) -> None:
+        self.folder = folder
+        self.error = ""
+        self._sinks, self._configuration = sinks, configuration
+        self._take: _Take | None = None
+        self._working = threading.Lock()
+
+    @property
+    def recording(self) -> str:
+        """The files that are being written, or nothing."""
+        take = self._take
+        return "" if take is None else ", ".join(path.name for path in take.paths)
+
+    def toggle(self) -> None:
+        """Begin a take, or end the one that runs; does not wait."""
+        threading.Thread(target=self._toggle, name="take", daemon=True).start()
+
+    def _toggle(self) -> None:
+        with self._working:
+            self.error = ""
+            take, self._take = self._take, None
+            if take is not None:
+                self._sinks.remove(take)
+                return
+            try:
+                take = _Take(self.folder, configuration=self._configuration)
+                self._sinks.add(take)
+            except SmoothOperatorError as error:
+                self.error = str(error)
+            else:
+                self._take = take
+
+
+class Scenery:
+    """Looks at a simulation, as JSON has it; poses are in the palm frame, where pages draw hands.
+
+    Args:
+        simulation: with a task or without, which may change.
+    """
+
+    def __init__(self, simulation: LiveSimulation) -> None:
+        self._simulation = simulation
+
+    def look(self, sides: Sequence[Side], shown_number: int) -> dict[str, Any]:
+        """What to draw.
+
+        Args:
+            sides: the hands.
+            shown_number: the number of the scenes whose shapes the page has.
+
+        Returns:
+            ``number`` of the scenes; ``poses``: side -> position [m] and quaternion (w x y z) of
+            the object; ``away``: sides where there is none now; ``fixtures``: side -> that of the
+            frame that they are in, in the base of an arm that carries the hand; ``parts``: side ->
+            shapes, if others than the known ones are
+            there, and ``views``: side -> rows right, up, toward of who looks at the scene.
+        """
+        simulation, number = self._simulation, self._simulation.world_number
+        shown: dict[str, Any] = {"number": number, "poses": {}, "away": [], "fixtures": {}}
+        try:
+            mounts = {side: simulation.scene_of(side).mount for side in sides}
+            for side, mount in mounts.items():
+                state = simulation.scene_state(side)
+                if state is not None:
+                    shown["poses"][side] = _pose(mount, state)
+                    if state.away:
+                        shown["away"].append(side)
+                if (base := simulation.arm_base(side)) is not None:
+                    shown["fixtures"][side] = _fixture(mount, base)
+            if number != shown_number:
+                shown["parts"] = {
+                    side: [_part(mount, part) for part in simulation.parts_of(side)]
+                    for side, mount in mounts.items()
+                }
+                shown["views"] = {side: _view(simulation.scene_of(side), side) for side in sides}
+        except SinkError:  # no task, or the scene is just being changed
+            shown["poses"] = {}
+            if number != shown_number:
+                shown["parts"], shown["views"] = {}, {}
+        return shown
+
+
+def _pose(mount: Mount, state: SceneState) -> list[float]:
+    return _numbers(*mount.in_palm(state.position, state.quaternion))
+
+
+def _fixture(mount: Mount, base: Matrix) -> list[float]:
+    position, turn = mount.palm
+    return _numbers(pose_of(inverse(base) @ rigid(turn, position)))
+
+
+def _part(mount: Mount, part: ScenePart) -> dict[str, Any]:
+    if not part.moves:
+        at, turn = mount.in_palm(part.position, part.quaternion)
+        part = replace(part, position=at, quaternion=turn)
+    plain = asdict(part)
+    return {**plain, "position": _numbers(part.position), "quaternion": _numbers(part.quaternion)}
+
+
+def _view(scene: Scene, side: Side) -> list[list[float]]:
+    """(3, 3) rows right, up and toward the viewer, in the palm frame."""
+    azimuth, elevation = np.radians(scene.view)
+    azimuth = azimuth if side == "right" else -azimuth
+    ahead = np.array(
+        [
+            np.cos(azimuth) * np.cos(elevation),
+            np.sin(azimuth) * np.cos(elevation),
+            np.sin(elevation),
+        ]
+    )
+    right = np.cross(ahead, (0.0, 0.0, 1.0))
+    right /= np.linalg.norm(right)
+    axes = np.stack([right, np.cross(right, ahead), -ahead])  # in the world
+    _, turn = scene.mount.palm
+    return [_numbers(row) for row in axes @ turn]

@@ -1,4 +1,4 @@
-"""Texts of the live page as HTML: modes, figures, health, calibration."""
+"""Texts of the live page as HTML: modes, figures, health, the trial of a task."""
 
 from __future__ import annotations
 
@@ -52,8 +52,8 @@ def modes(hands: Mapping[str, Mapping[str, Any]]) -> str:
             f"<b>{sign} {side}: {words}</b>"
             + ("" if latched is None else "<br><span data-latched>pinch latches: "
                f"{html.escape(', '.join(latched) or 'none')}</span>")
-            + ("" if not state.get("provisional") else
-               "<br><span data-provisional>first answers: the method compiles</span>")
+            + ("" if not state.get("compiling") else
+               "<br><span data-compiling>the robot holds: the method is compiled</span>")
             + f"<br><span data-wrist>{_wrist(state.get('wrist'))}</span>"
             + ("" if state.get("arm") is None else
                f"<br><span data-arm>{_arm(state['arm'])}</span>")
@@ -62,31 +62,31 @@ def modes(hands: Mapping[str, Mapping[str, Any]]) -> str:
     return f'<div id="live-modes" role="status" style="{_BOX}">{"".join(rows) or "…"}</div>'
 
 
-def _wrist(seen: Mapping[str, Any] | None) -> str:
+def _wrist(wrist: Mapping[str, Any] | None) -> str:
     """Whether the tracker has a wrist, and whether that moves the robot's."""
-    if seen is None:
+    if wrist is None:
         return "wrist: not tracked"
     what = (
         "moves the robot's"
-        if seen["engaged"]
+        if wrist["engaged"]
         else "released (C)"
-        if seen["released"]
+        if wrist["released"]
         else "lost: the robot's is held"
-        if seen["operator"] is None
+        if not wrist["tracked"]
         else "the robot's is held"
     )
-    return f"wrist in {html.escape(seen['world'])}: {what}"
+    return f"wrist in {html.escape(wrist['world'])}: {what}"
 
 
 def _arm(arm: Mapping[str, Any]) -> str:
     """What an arm does, how far its wrist is off, and how near it is to something."""
-    said = [_ARM_STATES.get(arm["state"], html.escape(arm["state"]))]
+    facts = [_ARM_STATES.get(arm["state"], html.escape(arm["state"]))]
     error, clearance = arm["position_error"], arm["clearance"]
     if error is not None and error > _OFF:  # False for NaN
-        said.append(f"the wrist is {1e3 * error:.0f} mm off")
+        facts.append(f"the wrist is {1e3 * error:.0f} mm off")
     if clearance is not None and clearance < _NEAR:
-        said.append(f"{1e3 * clearance:.0f} mm from touching something")
-    return f"arm: {', '.join(said)}"
+        facts.append(f"{1e3 * clearance:.0f} mm from touching something")
+    return f"arm: {', '.join(facts)}"
 
 
 def summary(status: Mapping[str, Any]) -> str:
@@ -118,9 +118,9 @@ def timing(status: Mapping[str, Any]) -> str:
     head = "".join(f'<th style="{_CELL}">{w}</th>' for w in ("", "p50 [ms]", "p99 [ms]"))
     rows = "".join(
         f'<tr><td style="padding-right:0.9em">{html.escape(name)}</td>'
-        f'<td style="{_CELL}">{found["p50"]:.2f}</td><td style="{_CELL}">{found["p99"]:.2f}</td>'
-        "</tr>"
-        for name, found in _in_order(status["stages"])
+        f'<td style="{_CELL}">{figures["p50"]:.2f}</td>'
+        f'<td style="{_CELL}">{figures["p99"]:.2f}</td></tr>'
+        for name, figures in _in_order(status["stages"])
     )
     refused: dict[str, int] = {}
     for reasons in status["refused"].values():
@@ -159,7 +159,7 @@ def notice(controls: Mapping[str, Any]) -> str:
     """What is under way, and what went wrong."""
     parts = []
     if controls["building"]:
-        parts.append(f"<b>⏳ {html.escape(controls['building'])}…</b> the old one goes on")
+        parts.append(f"<b>⏳ {html.escape(controls['building'])}…</b>")
     if controls["recording"]:
         parts.append(f"<b>⏺ recording</b> {html.escape(controls['recording'])}")
     if controls["message"]:
@@ -171,7 +171,7 @@ def legend(fingers: Sequence[str], simulated: bool, task: bool) -> str:
     """What is drawn, each with its sign: the hands, and the colours of the fingers.
 
     Args:
-        fingers: of the robot hand, thumb first.
+        fingers: fingers of the robot hand, thumb first.
         simulated: whether a simulated robot is drawn.
         task: whether it works on a task, and then it is the solid one.
     """
@@ -196,71 +196,11 @@ def _chip(sign: str, color: str, text: str) -> str:
     )
 
 
-def calibration(state: Mapping[str, Any]) -> str:
-    """The prompt, large; or what was found."""
-    phase = state["phase"]
-    if phase in ("settle", "hold", "wait"):
-        words = {
-            "settle": f"get ready: {state['left_s']:.0f} s",
-            "hold": f"hold it: {state['left_s']:.0f} s",
-            "wait": "no hand is seen: waiting",
-        }[phase]
-        return (
-            f'<div id="live-prompt" data-phase="{phase}" style="padding:0.5em 0.8em">'
-            f"<div>{state['number']} of {state['count']}, {state['side']} hand</div>"
-            f'<div style="font-size:1.5em;line-height:1.2;margin:0.3em 0">'
-            f"<b>{html.escape(state['text'])}</b></div>"
-            f'<div style="font-size:1.2em">{words}</div></div>'
-        )
-    if phase == "estimate":
-        return f'<div id="live-prompt" data-phase="estimate" style="{_BOX}">estimating …</div>'
-    if state["error"]:
-        return (
-            f'<div id="live-prompt" data-phase="failed" style="{_BOX}"><b>⚠</b> '
-            f"{html.escape(state['error'])}</div>"
-        )
-    if state["figures"]:
-        return _figures(state["figures"])
-    return (
-        f'<div id="live-prompt" data-phase="idle" style="{_BOX}">About a minute: one pose after '
-        "another is shown here, and then what they say about your hand.</div>"
-    )
-
-
-def _figures(found: Mapping[str, Any]) -> str:
-    latch = (
-        "as the method has it"
-        if found["project_mm"] is None
-        else f"closes at {found['project_mm']:.1f} mm, opens at {found['escape_mm']:.1f} mm"
-    )
-    rows = "".join(
-        f'<tr><td style="padding-right:0.9em">{html.escape(name)}</td>'
-        f'<td style="{_CELL}">{finger["scale"]:.2f}</td>'
-        f'<td style="{_CELL}">{_mm(finger["gap_mm"])}</td>'
-        f'<td style="{_CELL}">{_mm(finger["corrected_mm"])}</td></tr>'
-        for name, finger in found["fingers"].items()
-    )
-    missing = ", ".join(found["missing"])
-    return (
-        f'<div id="live-prompt" data-phase="done" style="{_SMALL}">'
-        f"<b>{html.escape(found['hand'])} {found['side']}</b>: {found['frames_used']} frames; palm "
-        f"{found['palm_width_mm']:.0f} mm wide, scale {found['palm_scale']:.3f}; latch {latch}"
-        f"<table><tr><th></th><th style='{_CELL}'>scale</th><th style='{_CELL}'>pinch gap</th>"
-        f"<th style='{_CELL}'>left, 90 % under [mm]</th></tr>{rows}</table>"
-        + (f"⚠ not found: {html.escape(missing)}" if missing else "✓ all poses found")
-        + "</div>"
-    )
-
-
 def _rates(rates: Mapping[str, float | None]) -> str:
     """Of each hand, the slow ones with a decimal."""
     words = ["–" if r is None else f"{r:.0f}" if r >= 10 or r == 0 else f"{r:.1f}"
              for r in rates.values()]  # fmt: skip
     return " / ".join(words if len(set(words)) > 1 else words[:1])
-
-
-def _mm(value: float | None) -> str:
-    return "–" if value is None else f"{value:.1f}"
 
 
 def _in_order(stages: Mapping[str, Any]) -> list[tuple[str, Any]]:
@@ -284,3 +224,54 @@ def _sign(state: str) -> str:
 
 def _detail(text: str) -> str:
     return f" – {html.escape(text)}" if text else ""
+
+
+_GO_S: Final = 1.5
+"""So long "Go" stays after the start [s]."""
+
+STYLE: Final = """<style>
+#live-trial {position: fixed; top: 12px; left: 12px; z-index: 6; pointer-events: none;
+  max-width: min(30em, 60vw); padding: 0.5em 0.9em; border-radius: 8px; color: #fff;
+  background: rgba(20, 22, 26, 0.8); font-size: 1rem; line-height: 1.3}
+#live-trial b {display: block; font-size: 2.2em; line-height: 1.15;
+  font-variant-numeric: tabular-nums}
+#live-trial[data-phase="waiting"] b, #live-trial[data-phase="paused"] b {color: #e69f00}
+#live-trial[data-phase="go"] b {color: #00d79b; font-size: 4em}
+</style>"""
+
+
+def trial(state: Mapping[str, Any] | None) -> str:
+    """Task, number, clock and sign of a trial, as HTML; empty without a task.
+
+    Args:
+        state: what ``TaskTrials.shown`` gave.
+    """
+    if state is None:
+        return ""
+    phase, sign = _phase(state)
+    number, count = state["number"], state["count"]
+    which = "" if not number else f"trial {number}" + (f" of {count}" if count else "")
+    head = " · ".join(filter(None, (state["title"], which)))
+    return (
+        f'<div id="live-trial" role="status" data-phase="{phase}">{html.escape(head)}'
+        f"<b>{html.escape(sign)}</b>{html.escape(state['instruction'])}</div>"
+    )
+
+
+def _phase(state: Mapping[str, Any]) -> tuple[str, str]:
+    phase, elapsed, limit = state["phase"], state["elapsed_s"], state["limit_s"]
+    if state.get("paused"):
+        return "paused", "Paused: keep your hand as it is"
+    if phase == "waiting":
+        return phase, "Hand away from the object"
+    if phase == "running":
+        if elapsed < _GO_S:
+            return "go", "Go"
+        return phase, f"{_clock(elapsed)} of {_clock(limit)}"
+    if phase == "done":
+        return phase, f"Over: {_clock(elapsed)}"
+    return phase, "Wait" if state["object"] else "Move freely"
+
+
+def _clock(seconds: float) -> str:
+    return f"{int(seconds) // 60}:{int(seconds) % 60:02d}"

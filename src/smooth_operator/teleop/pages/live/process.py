@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import sys
 import threading
 import time
 import warnings
+from collections import deque
 from importlib import resources
-from typing import Any, Final
+from typing import IO, Any, Final
+
+import viser
 
 from smooth_operator.errors import SmoothOperatorError
 from smooth_operator.hand_files.menagerie import hand_with_meshes
@@ -20,8 +24,6 @@ from smooth_operator.teleop.arm.settings import ArmSettings
 from smooth_operator.teleop.pages.hand_view import HandView
 from smooth_operator.teleop.pages.live.live_panel import LivePanel
 from smooth_operator.teleop.pages.live.live_scene import LiveScene
-from smooth_operator.teleop.pages.live.pace import Pace
-from smooth_operator.teleop.pages.live.page_link import Link, LoopEnded
 from smooth_operator.teleop.pages.viser_server import open_server, page_url, run_script
 from smooth_operator.types import Side
 
@@ -74,7 +76,7 @@ class _Page:
             arm = None if setup["arm"] is None else ArmSettings(**setup["arm"])
             self._scene = LiveScene(self._server, hands, setup["simulated"], arm=arm)
             self._panel = LivePanel(
-                self._server, hands, link, self._scene, None if setup["blind"] else self.download
+                self._server, hands, link.do, self._scene, None if setup["blind"] else self.download
             )
         keys = resources.files(__package__).joinpath("stop_keys.js").read_text("utf-8")
         run_script(self._server, keys)
@@ -94,21 +96,20 @@ class _Page:
         while True:
             begun = time.monotonic()
             watched = bool(self._server.get_clients())
-            wanted, self._configuration_wanted = self._configuration_wanted, False
+            configuration, self._configuration_wanted = self._configuration_wanted, False
             text = watched and begun >= next_text
-            seen = self._link.look(
+            state = self._link.look(
                 text=text,
-                fields=self._panel.fields_number,
+                settings=self._panel.settings_number,
                 scenery=self._scene.scenery_number,
-                picture=self._panel.picture_number if watched else None,
-                configuration=wanted,
+                configuration=configuration,
             )
             if watched:
                 self._show_meshes()
-                self._draw(seen)
-            if wanted:
+                self._draw(state)
+            if configuration:
                 self._server.send_file_download(
-                    "configuration.json", seen["configuration"].encode(), save_immediately=True
+                    "configuration.json", state["configuration"].encode(), save_immediately=True
                 )
             if text:
                 next_text = begun + _TEXT_S
@@ -135,18 +136,18 @@ class _Page:
                 self._scene.add_meshes(views)
                 self._panel.show_meshes(bool(views), note)
 
-    def _draw(self, seen: dict[str, Any]) -> None:
+    def _draw(self, state: dict[str, Any]) -> None:
         """Send what has changed; to a slow browser in two steps, see ``Pace``."""
         with self._server.atomic():
-            self._scene.draw_lines(seen["hands"])
-            self._panel.show(seen, self._pace.delay)
+            self._scene.draw_lines(state["hands"])
+            self._panel.show(state, self._pace.delay)
         if self._pace.slow:
             self._server.flush()
             self._pace.wait()
         with self._server.atomic():
-            self._scene.draw_bodies(seen["hands"])
-            if "scenery" in seen:
-                self._scene.draw_scenery(seen["scenery"])
+            self._scene.draw_bodies(state["hands"])
+            if "scenery" in state:
+                self._scene.draw_scenery(state["scenery"])
         self._server.flush()
 
     def download(self) -> None:
@@ -160,6 +161,137 @@ class _Page:
 
     async def _forget(self, client: Any) -> None:
         self._scene.aiming.forget(client)
+
+
+class LoopEnded(Exception):
+    """Nobody answers any more: the loop's process has closed the pipe, or is gone."""
+
+
+class Link:
+    """Asks the loop's process what to show, and sends it what was clicked.
+
+    Args:
+        incoming: answers.
+        outgoing: questions and clicks; from any thread.
+    """
+
+    def __init__(self, incoming: IO[bytes], outgoing: IO[bytes]) -> None:
+        self._in, self._out = incoming, outgoing
+        self._writing = threading.Lock()
+
+    def hear(self) -> dict[str, Any]:
+        """The next answer.
+
+        Raises:
+            LoopEnded: there is none.
+        """
+        line = self._in.readline()
+        if not line:
+            raise LoopEnded
+        answer: dict[str, Any] = json.loads(line)
+        return answer
+
+    def say(self, message: dict[str, Any]) -> None:
+        """Send a message.
+
+        Raises:
+            LoopEnded: nobody listens.
+        """
+        try:
+            with self._writing:
+                self._out.write(json.dumps(message).encode() + b"\n")
+                self._out.flush()
+        except OSError as error:
+            raise LoopEnded from error
+
+    def do(self, name: str, *values: Any) -> None:
+        """Have something done; a click into the void does nothing."""
+        try:
+            self.say({"do": [name, *values]})
+        except LoopEnded:
+            return
+
+    def look(
+        self, *, text: bool, settings: int, scenery: int, configuration: bool = False
+    ) -> dict[str, Any]:
+        """The state to show; see ``LiveSession.look``."""
+        request = {"text": text, "settings": settings, "scenery": scenery}
+        self.say({"look": request, "configuration": configuration})
+        return self.hear()
+
+
+_FASTEST_S: Final = 1 / 30
+_SLOWEST_S: Final = 1.0
+_LATE_S: Final = 0.1
+_RECENT: Final = 12  # questions; the slowest answer counts
+_SETTLE: Final = 3  # pictures of a slow browser in which it shows nothing else
+_EVERY_S: Final = 0.3  # between two questions
+_PATIENCE_S: Final = 2.0
+
+
+class Pace:
+    """Occasionally asks each browser for a message, and measures how long the answer takes.
+
+    Browsers handle messages in order, so a browser that can't keep up answers late. What it has
+    not shown yet would grow without bound otherwise, and a page that is seconds late is dangerous.
+
+    viser's page puts poses of nodes into its next picture and all other changes into the one
+    after, and draws no further picture once 250 ms are over. Where a picture takes longer, bodies
+    and lines on it are of different moments. So a slow browser gets the lines first, and the bodies
+    one picture later.
+
+    Args:
+        server: whose browsers they are.
+
+    Attributes:
+        period: least time between two drawn frames [s].
+        delay: how late the slowest browser shows what it is sent, at worst in the last few
+            seconds [s]; the time of one picture varies a lot without a graphics card.
+    """
+
+    def __init__(self, server: viser.ViserServer) -> None:
+        self.period, self.delay = _FASTEST_S, 0.0
+        self._server = server
+        self._recent: deque[float] = deque(maxlen=_RECENT)
+        self._thread = threading.Thread(target=self._run, name="pace", daemon=True)
+        self._thread.start()
+
+    @property
+    def slow(self) -> bool:
+        """Whether what belongs together has to be sent in two steps, with a ``wait`` between
+        them."""
+        return self.delay >= _LATE_S
+
+    def wait(self) -> None:
+        """Until all browsers have handled what they were sent; two seconds at most for each."""
+        for client in self._server.get_clients().values():
+            _round_trip(client)
+
+    def _run(self) -> None:
+        while True:
+            time.sleep(_EVERY_S)
+            clients = list(self._server.get_clients().values())
+            slowest = max((_round_trip(client) for client in clients), default=0.0)
+            self._recent.append(slowest)
+            self.period, self.delay = period_for(slowest), max(self._recent)
+
+
+def period_for(delay: float) -> float:
+    """Least time between two drawn frames for a browser that shows them so late [s]."""
+    period = delay if delay < _LATE_S else _SETTLE * delay
+    return min(max(_FASTEST_S, period), _SLOWEST_S)
+
+
+def _round_trip(client: Any) -> float:
+    """Until a browser has handled all that it was sent before now [s]; 0 if it has left."""
+    start = time.monotonic()
+    try:
+        client.local_storage.get_item("pace", timeout=_PATIENCE_S)
+    except TimeoutError:
+        return _PATIENCE_S
+    except RuntimeError:  # it has left, or keeps no such things, and says so
+        pass
+    return time.monotonic() - start
 
 
 if __name__ == "__main__":

@@ -22,7 +22,7 @@ class SceneryNodes:
     Args:
         scene: where to draw.
         root: name of the node of the palm frame.
-        scale: of all of it.
+        scale: scale of everything.
     """
 
     def __init__(self, scene: viser.SceneApi, root: str, scale: float = 1.0) -> None:
@@ -101,10 +101,10 @@ def _rotation(quaternion: Sequence[float]) -> Float[np.ndarray, "3 3"]:
 
 def _mesh(kind: str, size: Sequence[float]) -> trimesh.Trimesh:
     if kind == "box":
-        made = trimesh.creation.box([2 * half for half in size])
+        mesh = trimesh.creation.box([2 * half for half in size])
     elif kind == "capsule":
-        made = trimesh.creation.capsule(2 * size[1], size[0], count=[_ROUND, _ROUND // 2])
+        mesh = trimesh.creation.capsule(2 * size[1], size[0], count=[_ROUND, _ROUND // 2])
     else:
-        made = trimesh.creation.cylinder(size[0], 2 * size[1], sections=_ROUND)
-    assert isinstance(made, trimesh.Trimesh)
-    return made
+        mesh = trimesh.creation.cylinder(size[0], 2 * size[1], sections=_ROUND)
+    assert isinstance(mesh, trimesh.Trimesh)
+    return mesh

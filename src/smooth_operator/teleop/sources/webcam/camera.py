@@ -8,21 +8,17 @@ import sys
 import threading
 import time
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final, TypeAlias
 
 from jaxtyping import UInt8
 from numpy import ndarray
 
-from smooth_operator.errors import MissingExtraError, SourceError
+from smooth_operator.errors import SourceError
+from smooth_operator.teleop.opencv import opencv
 
 RETRY_S: Final = 1.0
 """Pause between attempts to open a camera again [s]."""
-
-_INSTALL: Final = {
-    "linux": "It needs libraries of the system: sudo apt install libgl1 libglib2.0-0 libxcb1 "
-    "(Debian, Ubuntu), or an OpenCV without windows, see docs/how-to/webcam.md"
-}
-"""System -> what OpenCV needs there."""
 
 # OpenCV comes without types that mypy may rely on.
 Capture: TypeAlias = Any
@@ -151,47 +147,87 @@ def _advice(cv2: Any, name: int | str) -> str:
     """What was tried, and what there is."""
     backends = cv2.videoio_registry.getCameraBackends()
     tried = ", ".join(cv2.videoio_registry.getBackendName(b) for b in backends)
-    said = f"Tried through {tried or 'no interface at all'}."
+    advice = f"Tried through {tried or 'no interface at all'}."
     if sys.platform.startswith("linux"):
         devices = sorted(glob.glob("/dev/video*"))
         shut = [d for d in devices if not os.access(d, os.R_OK | os.W_OK)]
         there = f"of these: {', '.join(devices)}" if devices else "no camera: /dev/video* is empty"
-        said += f" This machine has {there}."
+        advice += f" This machine has {there}."
         if shut:
-            said += f" You may not use {', '.join(shut)}: join the group 'video' and log in again."
+            advice += (
+                f" You may not use {', '.join(shut)}: join the group 'video' and log in again."
+            )
     elif sys.platform == "darwin":
-        said += " Allow this terminal the camera: System Settings, Privacy & Security, Camera."
+        advice += " Allow this terminal the camera: System Settings, Privacy & Security, Camera."
     elif sys.platform == "win32":
-        said += " Allow desktop apps the camera: Settings, Privacy & security, Camera."
+        advice += " Allow desktop apps the camera: Settings, Privacy & security, Camera."
     if name == 0:
-        said += " Another camera is webcam:1 and so on; without one there is video:FILE."
-    return said
+        advice += " Another camera is webcam:1 and so on; without one there is video:FILE."
+    return advice
 
 
-def opencv() -> Any:
-    """OpenCV's module, without its own messages, which this package words better.
+SUFFIXES: Final = (".mp4", ".m4v", ".mov", ".avi", ".mkv", ".webm")
+"""Of files that are taken for videos by their name."""
+
+
+def is_video(path: Path) -> bool:
+    """Whether a file is a video, by its name."""
+    return path.suffix.lower() in SUFFIXES
+
+
+class VideoFile:
+    """A video that is being read.
+
+    Args:
+        path: the file.
 
     Raises:
-        MissingExtraError: it is not installed.
-        SourceError: it is installed, but can't be loaded; with the libraries that it needs.
+        MissingExtraError: OpenCV is not installed.
+        SourceError: there is no such file, or it holds no video.
+
+    Attributes:
+        rate: pictures per second, as the file says.
+        count: how many there are, as the file says; 0 where it does not.
     """
-    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # read when the first file is opened
-    path = list(sys.path)
-    try:
-        import cv2
-    except ModuleNotFoundError as error:
-        raise MissingExtraError("reading a camera or a video", "webcam") from error
-    except ImportError as error:
-        # OpenCV's loader leaves its folder on the path, where its `typing` hides Python's own from
-        # every process that is started later, and a mark that makes a second import fail otherwise.
-        sys.path[:] = path
-        for name in [name for name in sys.modules if name.partition(".")[0] == "cv2"]:
-            del sys.modules[name]
-        vars(sys).pop("OpenCV_LOADER", None)
-        advice = _INSTALL.get(
-            sys.platform,
-            "Install it again: python -m pip install --force-reinstall opencv-contrib-python",
-        )
-        raise SourceError(f"OpenCV can't be loaded: {error}. {advice}") from error
-    getattr(cv2.utils, "logging", cv2).setLogLevel(0)  # moved there in OpenCV 5; 0 is silent
-    return cv2
+
+    def __init__(self, path: Path) -> None:
+        if not path.is_file():
+            raise SourceError(f"{path}: no such file; check the name and the folder")
+        cv2 = opencv()
+        self._time_ms = cv2.CAP_PROP_POS_MSEC
+        self._capture = cv2.VideoCapture(str(path))
+        rate = self._capture.get(cv2.CAP_PROP_FPS) if self._capture.isOpened() else 0.0
+        self.rate = rate if 0.0 < rate < 1000.0 else 30.0
+        self.count = max(0, int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT)))
+        self._time = -1.0 / self.rate
+        if not self._capture.isOpened() or not self._capture.grab():
+            self.close()
+            raise SourceError(
+                f"{path}: it can't be read as a video; H.264 in .mp4 is understood everywhere: "
+                "ffmpeg -i INPUT -c:v libx264 out.mp4"
+            )
+        self._grabbed = True
+
+    def advance(self) -> float | None:
+        """Go to the next picture without unpacking it.
+
+        Returns:
+            its time in the video [s], always later than the last; None at the end.
+        """
+        if not (self._grabbed or self._capture.grab()):
+            return None
+        self._grabbed = False
+        time = float(self._capture.get(self._time_ms)) * 1e-3
+        if time <= self._time:  # some files have no times, or stand still
+            time = self._time + 1.0 / self.rate
+        self._time = time
+        return time
+
+    def picture(self) -> UInt8[ndarray, "h w 3"] | None:
+        """The picture that was gone to, blue, green, red; None if it is damaged."""
+        there, pixels = self._capture.retrieve()
+        return pixels if there else None
+
+    def close(self) -> None:
+        """Give it back; a second call does nothing."""
+        self._capture.release()

@@ -91,7 +91,7 @@ def assign_sides(
     Args:
         seen: the hands of one picture.
         tracks: where they were before; ``Tracks()`` at the start.
-        time: of the picture [s]; if it goes back, what was before is forgotten.
+        time: time of the picture [s]; if it goes back, what was before is forgotten.
 
     Returns:
         side -> hand, at most one of each; and the new tracks.
@@ -104,17 +104,17 @@ def assign_sides(
         rival = chosen.get(side)
         if rival is None or _rank(hand, side, recent) > _rank(rival[0], side, recent):
             chosen[side] = hand, track
-    found = {side: hand for side, (hand, _) in chosen.items()}
+    hands = {side: hand for side, (hand, _) in chosen.items()}
     moved = recent | {side: track for side, (_, track) in chosen.items()}
-    return found, Tracks(moved)
+    return hands, Tracks(moved)
 
 
 def _without_duplicates(seen: Iterable[SeenHand]) -> list[SeenHand]:
-    kept: list[SeenHand] = []
+    distinct: list[SeenHand] = []
     for hand in sorted(seen, key=lambda h: -h.score):
-        if all(_distance(hand, other.centre) > SAME for other in kept):
-            kept.append(hand)
-    return kept
+        if all(_distance(hand, other.centre) > SAME for other in distinct):
+            distinct.append(hand)
+    return distinct
 
 
 def _side_of(hand: SeenHand, recent: Mapping[Side, Track]) -> tuple[Side, int]:

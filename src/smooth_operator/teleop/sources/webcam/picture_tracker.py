@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, TypeAlias
@@ -10,12 +11,9 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.teleop.sources.webcam.camera import opencv
+from smooth_operator.teleop.opencv import opencv
 from smooth_operator.teleop.sources.webcam.hand_labels import SeenHand, Tracks, assign_sides
-from smooth_operator.teleop.sources.webcam.mediapipe_hands import HandLandmarker
-from smooth_operator.teleop.sources.webcam.model_file import hand_model
-from smooth_operator.teleop.sources.webcam.one_euro import OneEuroConfig, OneEuroState, one_euro
-from smooth_operator.teleop.sources.webcam.seen_picture import SeenPicture
+from smooth_operator.teleop.sources.webcam.mediapipe_hands import HandLandmarker, hand_model
 from smooth_operator.types import HandFrame, Side
 
 Points: TypeAlias = Literal["world", "picture"]
@@ -32,7 +30,7 @@ class PictureConfig:
         points: ``world``, the tracker's own positions in metres; ``picture``, what it sees in the
             picture, brought to the size of those.
         smoothing: cutoff of a filter for a hand at rest [Hz]; 0 filters nothing. It follows a hand
-            that moves, see ``smooth_operator.teleop.sources.webcam.one_euro``.
+            that moves, see ``smooth_operator.teleop.sources.webcam.picture_tracker``.
         model: the hand-landmarker file; None for the published one, fetched once.
     """
 
@@ -65,9 +63,6 @@ class PictureTracker:
     Raises:
         MissingExtraError: MediaPipe is not installed.
         SourceError: the model can't be had or loaded.
-
-    Attributes:
-        seen: the last picture, with the hands that were found; None before there is one.
     """
 
     def __init__(self, config: PictureConfig) -> None:
@@ -79,27 +74,21 @@ class PictureTracker:
         self._tracks = Tracks()
         self._filter = OneEuroConfig(config.smoothing) if config.smoothing else None
         self._filtered: dict[Side, OneEuroState] = {}
-        self._count = 0
-        self.seen: SeenPicture | None = None
 
     def frames(self, pixels: UInt8[np.ndarray, "h w 3"], time: float) -> list[HandFrame]:
         """The hands of a picture, at most one of each side.
 
         Args:
             pixels: blue, green, red.
-            time: of the picture [s]; becomes the stamp.
+            time: time of the picture [s]; becomes the stamp.
 
         Raises:
             SourceError: MediaPipe failed.
         """
         colours = self._cv2.cvtColor(pixels, self._cv2.COLOR_BGR2RGB)
         turned = self._cv2.flip(colours, 1) if self._config.mirrored else colours
-        seen = self._landmarker.find(turned, time)
-        hands, self._tracks = assign_sides(seen, self._tracks, time)
-        self._count += 1
-        self.seen = SeenPicture(
-            self._count, turned, {side: hand.picture[:, :2] for side, hand in hands.items()}
-        )
+        hands_seen = self._landmarker.find(turned, time)
+        hands, self._tracks = assign_sides(hands_seen, self._tracks, time)
         return [
             HandFrame(self._landmarks(side, hand, time), time, side, valid=hand.inside)
             for side, hand in hands.items()
@@ -131,6 +120,79 @@ def landmarks_of(hand: SeenHand, points: Points) -> Float[np.ndarray, "21 3"]:
     if points == "world":
         return hand.world
     centred = hand.picture - hand.picture.mean(axis=0)
-    wanted = np.linalg.norm(hand.world - hand.world.mean(axis=0))
-    scaled: np.ndarray = centred * (wanted / max(float(np.linalg.norm(centred)), 1e-9))
+    size = np.linalg.norm(hand.world - hand.world.mean(axis=0))
+    scaled: np.ndarray = centred * (size / max(float(np.linalg.norm(centred)), 1e-9))
     return scaled
+
+
+@dataclass(frozen=True)
+class OneEuroConfig:
+    """How strongly is filtered.
+
+    Attributes:
+        cutoff: cutoff of a point at rest [Hz]; lower is smoother, and later.
+        gain: by how much the cutoff rises with speed [Hz per m/s].
+        speed_cutoff: cutoff of the low-pass on the speed [Hz].
+        gap: after a longer gap in the stamps the filter restarts [s].
+    """
+
+    cutoff: float = 4.0
+    gain: float = 20.0
+    speed_cutoff: float = 1.0
+    gap: float = 0.25
+
+    def __post_init__(self) -> None:
+        for name in ("cutoff", "speed_cutoff", "gap"):
+            if not 0.0 < getattr(self, name) < math.inf:
+                raise ConfigError(f"One Euro: {name} must be positive, not {getattr(self, name)}")
+        if not 0.0 <= self.gain < math.inf:
+            raise ConfigError(f"One Euro: gain must not be negative, not {self.gain}")
+
+
+@dataclass(frozen=True, eq=False)
+class OneEuroState:
+    """What the filter remembers.
+
+    Attributes:
+        points: (N, 3) filtered points [m].
+        velocity: (N, 3) their filtered velocity [m/s].
+        stamp: time of the last frame [s].
+    """
+
+    points: Float[np.ndarray, "N 3"]
+    velocity: Float[np.ndarray, "N 3"]
+    stamp: float
+
+
+def one_euro(
+    state: OneEuroState | None,
+    points: Float[np.ndarray, "N 3"],
+    stamp: float,
+    config: OneEuroConfig = OneEuroConfig(),
+) -> OneEuroState:
+    """Filter one frame.
+
+    Args:
+        state: state of the last frame; None at the start.
+        points: (N, 3) [m]; one that is not finite stays so, and restarts when it is back.
+        stamp: time of the frame [s]; if it stands or goes back, the filter restarts.
+        config: how strongly.
+
+    Returns:
+        the new state; its ``points`` are the answer.
+    """
+    step = math.inf if state is None else stamp - state.stamp
+    if state is None or not 0.0 < step <= config.gap:
+        return OneEuroState(points, np.zeros_like(points), stamp)
+    complete = np.isfinite(state.points).all(axis=1, keepdims=True)
+    before = np.where(complete, state.points, points)
+    velocity = np.where(np.isfinite(state.velocity), state.velocity, 0.0)
+    velocity = velocity + _share(config.speed_cutoff, step) * ((points - before) / step - velocity)
+    speed = np.linalg.norm(velocity, axis=1, keepdims=True)
+    moved = before + _share(config.cutoff + config.gain * speed, step) * (points - before)
+    return OneEuroState(moved, np.where(complete, velocity, 0.0), stamp)
+
+
+def _share(cutoff: float | np.ndarray, step: float) -> np.ndarray:
+    """Weight of the new value in a first-order low-pass."""
+    return np.asarray(1.0 / (1.0 + 1.0 / (2.0 * math.pi * cutoff * step)))

@@ -4,20 +4,25 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import os
+from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from smooth_operator.errors import ConfigError
+import numpy as np
+
+from smooth_operator.errors import ConfigError, RecordingError
+from smooth_operator.formats.checks import check_recording
+from smooth_operator.landmarks import NUM_LANDMARKS
 from smooth_operator.teleop.sources.live import Running, SourceHealth, ThreadedSource
-from smooth_operator.teleop.sources.webcam.camera import Camera, CameraMode
+from smooth_operator.teleop.sources.webcam.camera import Camera, CameraMode, VideoFile
 from smooth_operator.teleop.sources.webcam.picture_tracker import (
     PictureConfig,
     PictureTracker,
     Points,
 )
-from smooth_operator.teleop.sources.webcam.seen_picture import SeenPicture
-from smooth_operator.teleop.sources.webcam.video_file import VideoFile
-from smooth_operator.types import HandFrame
+from smooth_operator.types import HandFrame, HandRecording, Side
 
 
 class _Pictures(ThreadedSource):
@@ -38,16 +43,10 @@ class _Pictures(ThreadedSource):
         super().stop()
         atexit.unregister(self.stop)
 
-    def picture(self) -> SeenPicture | None:
-        """The newest picture, with the hands found in it; None before there is one. Any thread."""
-        tracker: PictureTracker | None = self.__dict__.get("_tracker")
-        return None if tracker is None else tracker.seen
-
     def _hold(self, pictures: Camera | VideoFile, tracker: PictureTracker) -> None:
         """Keep what was opened for the thread."""
-        # the settings are frozen, these are none
+        # the settings are frozen, this is none
         object.__setattr__(self, "_opened", (pictures, tracker))
-        object.__setattr__(self, "_tracker", tracker)
         atexit.register(self.stop)  # a thread in native code must not meet the interpreter's end
 
     def _config(self) -> PictureConfig:
@@ -75,8 +74,8 @@ class Webcam(_Pictures):
         confidence: how sure the tracker must be that there is a hand, 0 to 1.
         points: ``world`` or ``picture``, see ``PictureConfig``.
         smoothing: cutoff of a filter for a hand at rest [Hz]; 0 filters nothing, 4 is mild.
-        width: of the picture that is asked for [pixels].
-        height: of the picture that is asked for [pixels].
+        width: width of the picture that is asked for [pixels].
+        height: height of the picture that is asked for [pixels].
         rate: pictures per second that are asked for [Hz].
         model: the hand-landmarker file; fetched once if left out.
     """
@@ -241,9 +240,9 @@ class Counts:
     hands: int = 0
 
     def __str__(self) -> str:
-        seen = self.pictures - self.late
+        tried = self.pictures - self.late
         late = f", {self.late} left out since they were late" if self.late else ""
-        return f"a hand on {self.hands} of {seen} pictures{late}"
+        return f"a hand on {self.hands} of {tried} pictures{late}"
 
 
 def _say(running: Running, frames: list[HandFrame]) -> None:
@@ -252,3 +251,63 @@ def _say(running: Running, frames: list[HandFrame]) -> None:
     detail = f"{sides} hand in the picture" if sides else "no hand in the picture"
     if running.health.detail != detail or running.health.state != "running":
         running.health = SourceHealth("running", detail)
+
+
+def track_video(
+    path: str | os.PathLike[str],
+    *,
+    side: Side | None = None,
+    config: PictureConfig | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> HandRecording:
+    """Track one hand through a video file.
+
+    Args:
+        path: the video.
+        side: which hand; the one that is seen more often if left out.
+        config: how it is found; ``PictureConfig()`` if left out.
+        progress: called with the pictures done and, as far as the file says, those there are.
+
+    Returns:
+        a frame for each picture, NaN and not valid where the hand is not seen.
+
+    Raises:
+        MissingExtraError: MediaPipe is not installed.
+        SourceError: the video can't be read, or the model not be had.
+        RecordingError: the hand is on no picture.
+
+    Example:
+        >>> recording = track_video("clip.mp4", side="right")  # doctest: +SKIP
+    """
+    path = Path(path)
+    with contextlib.ExitStack() as stack:
+        video = stack.enter_context(contextlib.closing(VideoFile(path)))
+        tracker = stack.enter_context(contextlib.closing(PictureTracker(config or PictureConfig())))
+        pictures: list[dict[Side, HandFrame]] = []
+        stamps: list[float] = []
+        while (time := video.advance()) is not None:
+            pixels = video.picture()
+            frames = [] if pixels is None else tracker.frames(pixels, time)
+            pictures.append({frame.side: frame for frame in frames})
+            stamps.append(time)
+            if progress is not None:
+                progress(len(stamps), max(video.count, len(stamps)))
+    counts = Counter(each_side for hands in pictures for each_side in hands)
+    chosen = side or (counts.most_common(1)[0][0] if counts else "right")
+    if not counts[chosen]:
+        others = f", but a {next(iter(counts))} hand is on {counts.total()}" if counts else ""
+        raise RecordingError(
+            f"{path}: no {chosen if side else ''} hand is on any of its {len(stamps)} "
+            f"pictures{others}. If the video is mirrored, say so; otherwise more light, and the "
+            "whole hand in view, help".replace("  ", " ")
+        )
+    landmarks = np.full((len(stamps), NUM_LANDMARKS, 3), np.nan)
+    valid = np.zeros((len(stamps), NUM_LANDMARKS), bool)
+    for i, hands in enumerate(pictures):
+        if (frame := hands.get(chosen)) is not None:
+            landmarks[i], valid[i] = frame.landmarks, frame.valid
+    recording = HandRecording(
+        landmarks, np.array(stamps), chosen, valid, name=path.stem, meta={"source": path.name}
+    )
+    check_recording(recording, str(path))
+    return recording

@@ -83,22 +83,22 @@ def get_certificate(
     file = place / f"certificate-{key}.pem"
     try:
         _make_private(place)
-        kept = _read(file, now)
-        if kept is not None:
-            return kept
+        stored = _read(file, now)
+        if stored is not None:
+            return stored
         _write(file, _make(names, now))
     except OSError as error:
         raise SourceError(
             f"can't keep the certificate of the headset's page in {str(place)!r}: "
             f"{error.strerror or error}; set {SWITCH} to a folder of yours, or to 'off'"
         ) from error
-    made = _read(file, now)
-    if made is None:
+    created = _read(file, now)
+    if created is None:
         raise SourceError(
             f"can't keep a certificate in {str(place)!r}: others could read it; "
             f"set {SWITCH} to a folder of yours"
         )
-    return made
+    return created
 
 
 def _make_private(folder: Path) -> None:
@@ -117,16 +117,16 @@ def _read(file: Path, now: datetime.datetime) -> Certificate | None:
     try:
         text = read_own_file(file, _MOST_BYTES, secret=True)
         serialization.load_pem_private_key(text, None)
-        found = x509.load_pem_x509_certificate(text)
+        certificate = x509.load_pem_x509_certificate(text)
     except (FileNotFoundError, ValueError, TypeError):
         return None
-    if not found.not_valid_before_utc <= now < found.not_valid_after_utc - _SPARE:
+    if not certificate.not_valid_before_utc <= now < certificate.not_valid_after_utc - _SPARE:
         return None
     return Certificate(
         file,
-        found.public_bytes(serialization.Encoding.PEM),
-        found.not_valid_after_utc,
-        found.fingerprint(hashes.SHA256()).hex(":").upper(),
+        certificate.public_bytes(serialization.Encoding.PEM),
+        certificate.not_valid_after_utc,
+        certificate.fingerprint(hashes.SHA256()).hex(":").upper(),
     )
 
 
@@ -161,7 +161,7 @@ def _make(names: Sequence[str], now: datetime.datetime) -> bytes:
             "key_agreement", "key_cert_sign", "crl_sign", "encipher_only", "decipher_only",
         )
     }  # fmt: skip
-    made = (
+    built = (
         x509.CertificateBuilder()
         .subject_name(subject)
         .issuer_name(subject)
@@ -182,7 +182,7 @@ def _make(names: Sequence[str], now: datetime.datetime) -> bytes:
         serialization.PrivateFormat.PKCS8,
         serialization.NoEncryption(),
     )
-    return private + made.public_bytes(serialization.Encoding.PEM)
+    return private + built.public_bytes(serialization.Encoding.PEM)
 
 
 def _name(name: str) -> x509.GeneralName:

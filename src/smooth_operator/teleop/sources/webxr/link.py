@@ -23,15 +23,24 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import secrets
+import struct
+import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Literal, TypeAlias
 
-from smooth_operator.errors import RecordingError
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.io.documents import json_object
-from smooth_operator.teleop.sources.live import Mailbox
-from smooth_operator.teleop.sources.webxr.packet import read_packet
-from smooth_operator.teleop.sources.webxr.pairing import Pairing
+from smooth_operator.landmarks import FROM_WEBXR_25, METACARPALS_WEBXR_25
+from smooth_operator.poses import to_ours
+from smooth_operator.teleop.sources.live import LATEST_STAMP_S, Mailbox
+from smooth_operator.types import HandFrame, Side
+from smooth_operator.web.auth import same_secret
 
 if TYPE_CHECKING:
     from websockets.asyncio.server import ServerConnection
@@ -52,7 +61,7 @@ class LinkState:
     """How the link to the headset is.
 
     Attributes:
-        address: of the headset; None if none is connected.
+        address: address of the headset; None if none is connected.
         session: number of this connection, from 1 on; 0 before the first.
         tracking: whether the headset's page says that it tracks.
         frames: hand frames received since the source was started.
@@ -152,12 +161,12 @@ class Link:
         except TimeoutError:
             await connection.close(NOT_UNDERSTOOD, "no greeting came")
             return False
-        said = json_object(hello) or {}
-        code = said.get("code")
-        if said.get("type") != "hello" or not isinstance(code, str):
+        answer = json_object(hello) or {}
+        code = answer.get("code")
+        if answer.get("type") != "hello" or not isinstance(code, str):
             await connection.close(NOT_UNDERSTOOD, "expected a greeting with the pairing code")
             return False
-        if said.get("protocol") != PROTOCOL:
+        if answer.get("protocol") != PROTOCOL:
             await connection.close(NOT_UNDERSTOOD, "the page is of another version: reload it")
             return False
         verdict = self._pairing.check(code, address)
@@ -199,15 +208,15 @@ class Link:
             self._mailbox.post(frame, received=received, session=self._session)
 
     async def _talk(self, connection: ServerConnection, message: str, received: float) -> None:
-        said = json_object(message) or {}
-        at = said.get("at")
-        if said.get("type") != "ping" or not isinstance(at, int | float):
+        content = json_object(message) or {}
+        at = content.get("at")
+        if content.get("type") != "ping" or not isinstance(at, int | float):
             self._count_bad()
             return
         self._bad_in_a_row = 0
-        self._tracking = said.get("tracking") is True
-        self._round_trip = _number(said.get("round_trip"))
-        self._offset = _number(said.get("offset"))
+        self._tracking = content.get("tracking") is True
+        self._round_trip = _number(content.get("round_trip"))
+        self._offset = _number(content.get("offset"))
         answer = {"type": "pong", "at": at, "host": received, "rate": round(self._rate(), 1)}
         await connection.send(json.dumps(answer))
 
@@ -225,3 +234,147 @@ class Link:
 
 def _number(value: object) -> float:
     return float(value) if isinstance(value, int | float) else float("nan")
+
+
+MAGIC: Final = b"XRH1"
+SPACES: Final = ("local", "local-floor")
+"""Reference spaces of the page, by their number in a message."""
+JOINTS: Final = 25
+VALUES: Final = 8
+HEADER: Final = struct.Struct("<4sIdII")
+_HAND_BYTES: Final = JOINTS * VALUES * 4
+MAX_BYTES: Final = HEADER.size + 2 * _HAND_BYTES
+_SIDES: Final[tuple[tuple[int, Side], ...]] = ((1, "left"), (2, "right"))
+
+_LANDMARKS: Final = np.array(FROM_WEBXR_25)
+_METACARPALS: Final = np.array(METACARPALS_WEBXR_25)
+_WXYZ: Final = np.array([6, 3, 4, 5])
+_FAR: Final = 100.0  # [m] from where the headset started; no room is that large
+
+
+@dataclass(frozen=True, eq=False)
+class Packet:
+    """One moment.
+
+    Attributes:
+        number: number of the XR frame.
+        stamp: by the page's clock [s].
+        frames: those of the hands that the headset sees, left first.
+    """
+
+    number: int
+    stamp: float
+    frames: tuple[HandFrame, ...]
+
+
+def read_packet(message: bytes) -> Packet:
+    """A message of the page.
+
+    Raises:
+        RecordingError: it is none.
+    """
+    if len(message) < HEADER.size or message[:4] != MAGIC:
+        raise RecordingError(f"expected a message that begins with {MAGIC!r}, got {message[:4]!r}")
+    _, number, stamp, hands, space = HEADER.unpack_from(message)
+    if not abs(stamp) < LATEST_STAMP_S:
+        raise RecordingError(f"the stamp must be a finite number of seconds, not {stamp:.6g}")
+    sides = [side for bit, side in _SIDES if hands & bit]
+    if hands > 3 or len(message) != HEADER.size + len(sides) * _HAND_BYTES:
+        raise RecordingError(
+            f"expected {len(sides)} hands in {HEADER.size + len(sides) * _HAND_BYTES} bytes, "
+            f"got {len(message)}"
+        )
+    values = np.frombuffer(message, "<f4", offset=HEADER.size).astype(np.float64)
+    joints = values.reshape(len(sides), JOINTS, VALUES)
+    world = f"webxr/{SPACES[space]}" if space < len(SPACES) else "webxr"
+    frames = tuple(_frame(joints[i], stamp, side, world) for i, side in enumerate(sides))
+    return Packet(number, stamp, frames)
+
+
+def _frame(joints: Float[np.ndarray, "25 8"], stamp: float, side: Side, world: str) -> HandFrame:
+    points = joints[:, :3]
+    with np.errstate(invalid="ignore"):
+        points = np.where((np.abs(points) < _FAR).all(axis=1, keepdims=True), points, np.nan)
+        turns = joints[:, _WXYZ]
+        size = np.linalg.norm(turns, axis=1, keepdims=True)
+        turns = np.where(np.abs(size - 1.0) < 0.1, turns / np.where(size > 0, size, 1.0), np.nan)
+    return HandFrame(
+        points[_LANDMARKS],
+        stamp,
+        side,
+        metacarpals=points[_METACARPALS],
+        orientations=turns[_LANDMARKS],
+        T_world_wrist=to_ours(np.concatenate([points[0], turns[0]])),
+        world=world,
+    )
+
+
+Verdict: TypeAlias = Literal["paired", "wrong", "locked"]
+
+DIGITS: Final = 6
+WINDOW: Final = 60.0
+"""Seconds for which a wrong code is remembered."""
+PER_ADDRESS: Final = 5
+"""Wrong codes from one address within the window; more are not even looked at."""
+IN_ALL: Final = 30
+"""The same from all addresses: at this pace half of a million codes take eleven days."""
+
+
+class Pairing:
+    """Compares codes, and does so only so often.
+
+    Args:
+        code: letters and digits; a random one of six digits if left out.
+        clock: seconds that never go back.
+
+    Raises:
+        ConfigError: the code is too short, or holds other characters.
+    """
+
+    def __init__(self, code: str | None, clock: Callable[[], float] = time.monotonic) -> None:
+        self.code = draw_code() if code is None else plain(code)
+        check_code(self.code)
+        self.refused = 0
+        self._clock = clock
+        self._wrong: deque[tuple[float, str]] = deque()
+
+    @property
+    def spoken(self) -> str:
+        """The code as a person reads it out: in groups of three."""
+        return " ".join(self.code[i : i + 3] for i in range(0, len(self.code), 3))
+
+    def check(self, code: str, address: str) -> Verdict:
+        """Whether a client at this address may try."""
+        now = self._clock()
+        while self._wrong and now - self._wrong[0][0] > WINDOW:
+            self._wrong.popleft()
+        own = sum(address == other for _, other in self._wrong)
+        if own >= PER_ADDRESS or len(self._wrong) >= IN_ALL:
+            self.refused += 1
+            return "locked"
+        if same_secret(plain(code), self.code):
+            return "paired"
+        self._wrong.append((now, address))
+        self.refused += 1
+        return "wrong"
+
+
+def draw_code() -> str:
+    """A random code of six digits."""
+    return f"{secrets.randbelow(10**DIGITS):0{DIGITS}}"
+
+
+def check_code(code: str) -> None:
+    """Refuse a code that is too easy to guess, or hard to type.
+
+    Raises:
+        ConfigError: saying what a code is made of.
+    """
+    code = plain(code)
+    if not (DIGITS <= len(code) <= 64 and code.isascii() and code.isalnum()):
+        raise ConfigError(f"a pairing code is {DIGITS} to 64 letters and digits, not {code!r}")
+
+
+def plain(code: str) -> str:
+    """Without the spaces and dashes that people put in."""
+    return "".join(code.split()).replace("-", "").lower()

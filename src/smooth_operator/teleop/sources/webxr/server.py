@@ -13,8 +13,7 @@ from urllib.parse import urlsplit
 from smooth_operator.errors import MissingExtraError, SourceError
 from smooth_operator.landmarks import FINGER_COLORS
 from smooth_operator.teleop.sources.webxr.certificate import Certificate
-from smooth_operator.teleop.sources.webxr.link import Link
-from smooth_operator.teleop.sources.webxr.packet import MAX_BYTES
+from smooth_operator.teleop.sources.webxr.link import MAX_BYTES, Link
 from smooth_operator.web.files import answer_with, page_files, shielded
 from smooth_operator.web.listening import LimitedListener
 from smooth_operator.web.listening import listen as web_listen

@@ -16,8 +16,7 @@ from smooth_operator.teleop.sources.webxr.certificate import (
     certificate_folder,
     get_certificate,
 )
-from smooth_operator.teleop.sources.webxr.link import Link, LinkState
-from smooth_operator.teleop.sources.webxr.pairing import Pairing, check_code
+from smooth_operator.teleop.sources.webxr.link import Link, LinkState, Pairing, check_code
 from smooth_operator.teleop.sources.webxr.server import listen, secure_context, serve
 from smooth_operator.web.addresses import names_of, page_addresses
 from smooth_operator.web.listening import LimitedListener

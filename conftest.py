@@ -1,0 +1,196 @@
+"""Fixtures that more than one test file uses."""
+
+from __future__ import annotations
+
+import atexit
+import gc
+import os
+import shutil
+import signal
+import sys
+import tempfile
+import tomllib
+from collections import Counter
+from collections.abc import Iterator
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+# What a run of the tests sees of the machine is its own, from collection on: home, configuration,
+# caches, signals. Set when this file is imported, which is before any test module is, and before
+# JAX reads its variables. Worker processes and command lines inherit it.
+_MARK = "SMOOTH_OPERATOR_TEST_HOME"
+_HOMES = ("HOME", "USERPROFILE", "XDG_CONFIG_HOME", "XDG_CACHE_HOME", "XDG_DATA_HOME",
+          "APPDATA", "LOCALAPPDATA")  # fmt: skip
+_KEPT = (_MARK,)
+"""Variables of this program that a run passes on to its own workers."""
+
+
+def _set_up_environment() -> None:
+    if _MARK in os.environ:
+        return
+    home = tempfile.mkdtemp(prefix="smooth-operator-tests-")
+    atexit.register(shutil.rmtree, home, ignore_errors=True)
+    for name in [n for n in os.environ if n.startswith("SMOOTH_OPERATOR_") and n not in _KEPT]:
+        del os.environ[name]
+    os.environ.pop("MENAGERIE_ROOT", None)
+    for name in _HOMES:
+        if name in os.environ or name == "HOME":
+            os.environ[name] = home
+    os.environ[_MARK] = home
+    # One compile cache for the whole run: many tests build the same retargeter.
+    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
+        os.environ["JAX_COMPILATION_CACHE_DIR"] = os.path.join(home, "jax")
+        os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
+        os.environ["JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES"] = "-1"
+    # Threads of one matrix product wait for each other: on busy cores least squares took 24 s so,
+    # and 0.1 s on one thread. Workers of pytest-xdist load NumPy after this, so it holds for them.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+
+RESEARCH = Path(__file__).resolve().parent / "research"
+
+
+def _offer_commands() -> None:
+    """The entry points of research, where it is on Python's path but not installed."""
+    if not (RESEARCH / "pyproject.toml").is_file():
+        return
+    project = tomllib.loads((RESEARCH / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    try:
+        metadata.distribution(project["name"])
+        return
+    except metadata.PackageNotFoundError:
+        pass
+    home = Path(tempfile.mkdtemp(prefix="smooth-operator-research-"))
+    folder = home / f"{project['name'].replace('-', '_')}-{project['version']}.dist-info"
+    folder.mkdir()
+    name, version = project["name"], project["version"]
+    (folder / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n")
+    groups = project["entry-points"].items()
+    text = "".join(
+        f"[{group}]\n" + "".join(f"{key} = {value}\n" for key, value in points.items())
+        for group, points in groups
+    )
+    (folder / "entry_points.txt").write_text(text)
+    paths = [str(RESEARCH / "src"), str(home)]
+    sys.path += paths
+    inherited = os.environ.get("PYTHONPATH", "").split(os.pathsep)
+    os.environ["PYTHONPATH"] = os.pathsep.join([*filter(None, inherited), *paths])
+
+
+_set_up_environment()
+_offer_commands()
+if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # as `nohup pytest &` starts it
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+for name in ("SIGHUP", "SIGQUIT"):  # ignored in the same way; commands that tests end inherit that
+    if (number := getattr(signal, name, None)) and signal.getsignal(number) == signal.SIG_IGN:
+        signal.signal(number, signal.SIG_DFL)
+
+SHARED = Path(__file__).resolve().parents[1] / "shared"
+
+LONG_FILES = (
+    "test_hand_matrix.py", "test_lint.py", "test_operator_profile.py",
+    "test_retarget_folder.py", "test_smooth_terms.py", "test_slsqp_method.py",
+    "test_published_methods.py",
+    "test_rest_pose.py", "test_calibration.py",
+)  # fmt: skip
+"""Files that take long for how few tests they have, the longest first. They run first: the worker
+that took one of them last would be alone with it. The others follow by number of tests, as
+pytest-xdist has it."""
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """The order of the files is that of ``pytest_collection_modifyitems``."""
+    if hasattr(config.option, "loadscopereorder"):  # of pytest-xdist
+        config.option.loadscopereorder = False
+    # Tracing makes millions of objects: at the usual threshold a tenth of the time is collecting.
+    gc.set_threshold(100_000, 50, 100)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Long files first, then those with the most tests; tests of a file keep their order."""
+    counts = Counter(item.path.name for item in items)
+
+    def place(item: pytest.Item) -> tuple[int, int]:
+        name = item.path.name
+        rank = LONG_FILES.index(name) if name in LONG_FILES else len(LONG_FILES)
+        return rank, -counts[name]
+
+    items.sort(key=place)
+
+
+def pytest_collection_finish() -> None:
+    """What has been imported stays: the collector need not look at it."""
+    gc.collect()
+    gc.freeze()
+
+
+@pytest.fixture(scope="session")
+def shared() -> Path:
+    """The folder of real hand models and recordings beside the checkout, or a skip."""
+    if not (SHARED / "recordings").is_dir():
+        pytest.skip("the folder of real hands and recordings is not beside this checkout")
+    return SHARED
+
+
+@pytest.fixture(scope="module")
+def few_optimisations() -> Iterator[None]:
+    """Programs are compiled with few optimisations: for files where compiling is most of the time.
+
+    The files before and after it have their own programs.
+    """
+    import jax
+
+    from smooth_operator.compilation import batching
+    from smooth_operator.methods import shared
+
+    option, made = "jax_disable_most_optimizations", (shared._known, batching._programs)
+    before, programs = jax.config.read(option), [dict(each) for each in made]
+    for known in made:
+        known.clear()
+    jax.config.update(option, True)
+    yield
+    jax.config.update(option, before)
+    for known, each in zip(made, programs, strict=True):
+        known.clear()
+        known.update(each)
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Any]:
+    """A headless browser with software rendering, or a skip."""
+    sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    names = ("chromium", "chromium-browser", "google-chrome")
+    path = next((found for name in names if (found := shutil.which(name))), None)
+    if path is None:
+        pytest.skip(f"no browser: none of {', '.join(names)} is on the path")
+    flags = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader",
+             "--enable-unsafe-swiftshader", "--disable-background-networking",
+             "--disable-component-update", "--disable-sync"]  # fmt: skip
+    with sync_api.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=path, headless=True, args=flags)
+        yield browser
+        browser.close()
+
+
+@pytest.fixture(scope="module")
+def compiled_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """A compilation cache for a test file's processes, of which this one forgets in the end."""
+    import jax
+    from jax.experimental.compilation_cache import compilation_cache
+
+    settings = (
+        "jax_compilation_cache_dir",
+        "jax_persistent_cache_min_compile_time_secs",
+        "jax_persistent_cache_min_entry_size_bytes",
+    )
+    before = {name: getattr(jax.config, name) for name in settings}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("SMOOTH_OPERATOR_CACHE", str(tmp_path_factory.mktemp("cache")))
+        patch.delenv("SMOOTH_OPERATOR_DEBUG", raising=False)
+        yield
+    for name, value in before.items():
+        jax.config.update(name, value)
+    compilation_cache.reset_cache()

@@ -1,0 +1,413 @@
+"""A corpus of synthetic clips through the pipeline of data sets: memory, pace, kills, and a plan.
+
+    python research/benchmarks/corpus.py --sizes 300 1000 3000          # does cost per clip grow?
+    python research/benchmarks/corpus.py --sizes 1000 --kill worker driver
+    python research/benchmarks/corpus.py --sizes 100000 --pack          # everything but retargeting
+    python research/benchmarks/corpus.py --sizes 0 --plan 20000   # from earlier figures
+
+Clips are made when they are read (``SyntheticCorpus``). Each run is a process of its own, whose
+memory is measured at every shard; it runs ``retarget_corpus``, as a user's program does. With
+``--kill`` a further run loses a worker every now and then, or is killed itself half-way and started
+again; its files must then be those of the run that nothing happened to.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+MB = 1_000_000
+DRIVER = "--as-driver"
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What to run.
+
+    Attributes:
+        sizes: clips of the corpora, one run each; 0 for none.
+        seconds: shortest and longest clip [s].
+        rate: frames a second [Hz].
+        side: one hand only; both unless given.
+        pack: leave out retargeting: the clips are read and written as they are.
+        kill: worker: SIGKILL to one of them whenever a tenth of the clips is done; driver: SIGKILL
+            to it half-way, and a second run that goes on.
+        cluster: local, an address, or none for a pool of processes without Ray.
+        workers: as many as there are cores unless given.
+        clips_per_shard: clips of a task.
+        hand: robot hand.
+        method: retargeting method.
+        preset: of the method.
+        folder: where results are written, and stay; a temporary one unless given.
+        plan: hours of video to plan for, from the figures of this run or those in the output file.
+        nodes: nodes of the plan.
+        cores: cores of a node.
+        price: of a core and hour.
+        output: JSON file; build/benchmarks/corpus.json unless given.
+        compare: an earlier JSON file to compare this run with.
+    """
+
+    sizes: tuple[int, ...] = (300, 1000, 3000)
+    seconds: tuple[float, float] = (2.0, 20.0)
+    rate: float = 30.0
+    side: Literal["right", "left"] | None = None
+    pack: bool = False
+    kill: tuple[Literal["worker", "driver"], ...] = ()
+    cluster: str = "local"
+    workers: int | None = None
+    clips_per_shard: int = 64
+    hand: str = "leap_hand"
+    method: str = "smooth"
+    preset: str | None = None
+    folder: Path | None = None
+    plan: tuple[float, ...] = ()
+    nodes: tuple[int, ...] = (1, 4, 16)
+    cores: int = 64
+    price: float = 0.04
+    output: Path | None = None
+    compare: Path | None = None
+
+
+@dataclass
+class Run:
+    """What one driver said, shard by shard.
+
+    Attributes:
+        lines: of its progress, in the order of time.
+        wall_s: from its start to its end [s].
+        code: its exit status; negative for a signal.
+    """
+
+    lines: list[dict[str, Any]] = field(default_factory=list)
+    wall_s: float = 0.0
+    code: int = 0
+
+    def total(self, name: str) -> float:
+        return float(sum(line["report"][name] for line in self.lines))
+
+    @property
+    def shares(self) -> tuple[float, float]:
+        """Retargeting over the time of the workers: as they count it, and by the clock."""
+        work = self.total("retarget_s")
+        own = self.total("busy_s") + sum(
+            line["report"]["idle_s"] for line in self.lines if not line["report"]["start_s"]
+        )
+        workers = len({line["report"]["worker"] for line in self.lines})
+        first = self.lines[0]
+        wall = self.lines[-1]["at"] - (first["at"] - first["report"]["busy_s"])
+        return work / own, work / (wall * workers)
+
+
+def main(settings: Settings) -> None:
+    from smooth_operator_research.run_report import BenchmarkError, Report
+
+    report = Report("corpus", vars(settings))
+    sizes = [size for size in settings.sizes if size]
+    if settings.kill and not sizes:
+        raise BenchmarkError("--kill needs one of --sizes")
+    with tempfile.TemporaryDirectory(prefix="corpus-") as temporary:
+        home = settings.folder or Path(temporary)
+        rows = [measured(report, settings, home, size) for size in sizes]
+        if rows:
+            report.table(
+                f"Clips of {settings.seconds[0]:g} to {settings.seconds[1]:g} s at "
+                f"{settings.rate:g} Hz, {settings.side or 'both hands'}, "
+                + ("packed without retargeting" if settings.pack else settings.method),
+                (
+                    "clips",
+                    "wall [s]",
+                    "start-up [s]",
+                    "CPU-ms a clip",
+                    "hand frames a CPU-s",
+                    "driver [MB]",
+                    "worker [MB]",
+                    "retargeting",
+                    "by the clock",
+                    "files",
+                    "MB",
+                ),
+                rows,
+                0,
+            )
+        for what in settings.kill:
+            kills(report, settings, home, sizes[-1], what)
+    if settings.plan:
+        figures = report.figures if sizes else earlier(settings)
+        plan(report, settings, figures)
+    report.finish(settings.output, settings.compare)
+
+
+def measured(report: Any, settings: Settings, home: Path, size: int) -> list[object]:
+    """One undisturbed run: a row of the table."""
+    output = home / f"{size}-clips"
+    run = driven(settings, output, size)
+    check(run, size)
+    own, clock = run.shares
+    clips = run.total("clips")
+    files, written = contents(output)
+    first = run.lines[0]
+    found = {
+        "wall_s": run.wall_s,
+        "startup_s": first["since_start"] - first["report"]["busy_s"],
+        "cpu_ms_a_clip": run.total("cpu_s") / clips * 1e3,
+        "hand_frames_a_cpu_s": run.total("hand_frames") / max(run.total("cpu_s"), 1e-9),
+        "driver_mb": max(line["memory_mb"] for line in run.lines),
+        "worker_mb": max(line["report"]["memory_mb"] for line in run.lines),
+        "retargeting_share": own,
+        "retargeting_share_by_the_clock": clock,
+        "files": float(files),
+        "mb": written / MB,
+    }
+    report.add(f"{size}", found)
+    hours = run.total("frames") / settings.rate / 3600
+    more = {
+        "hours": hours,
+        "core_hours_an_hour": run.total("cpu_s") / 3600 / hours,
+        "busy_ms_a_clip": run.total("busy_s") / clips * 1e3,
+        "mb_an_hour": written / MB / hours,
+        "write_share": run.total("write_s") / run.total("busy_s"),
+        "driver_mb_at_a_tenth": at_share(run, 0.1),
+        "driver_mb_at_half": at_share(run, 0.5),
+        "worker_mb_at_a_tenth": worker_at_share(run, 0.1),
+        "failed": run.total("failed"),
+        "dropped": run.total("dropped"),
+    }
+    report.add(f"{size}", more)
+    return [size, *found.values()]
+
+
+def kills(report: Any, settings: Settings, home: Path, size: int, what: str) -> None:
+    """A run in which something is killed, against the one in which nothing was."""
+    from smooth_operator_research.run_report import BenchmarkError
+
+    output = home / f"{size}-clips-{what}-killed"
+    killed: list[int] = []
+    if what == "worker":
+        run = driven(settings, output, size, lambda line: kill_worker(line, size, killed))
+        runs = [run]
+    else:
+        stopped = driven(settings, output, size, lambda line: kill_driver(line, size, killed))
+        if stopped.code != -signal.SIGKILL:
+            raise BenchmarkError(f"the driver was done before it could be killed ({stopped.code})")
+        run = driven(settings, output, size)
+        runs = [stopped, run]
+    check(run, size)
+    before = size - run.total("computed") if what == "driver" else float(size)
+    repeated = run.total("repeated")
+    same = digest(output) == digest(home / f"{size}-clips")
+    found = {
+        "kills": float(len(killed)),
+        "done_at_kill": before,
+        "repeated_clips": repeated,
+        "cost_share": repeated / before,
+        "wall_s": sum(each.wall_s for each in runs),
+        "same_bytes": float(same),
+        "clips": run.total("clips"),
+        "failed": run.total("failed"),
+    }
+    report.add(f"{what} killed", found)
+    report.table(
+        f"{size} clips, {what} killed",
+        (
+            "kills",
+            "clips done at the kill",
+            "clips done twice",
+            "share",
+            "wall of all runs [s]",
+            "same files",
+            "clips in the end",
+            "failed",
+        ),
+        [[*found.values()]],
+        0,
+    )
+
+
+def kill_worker(line: dict[str, Any], size: int, killed: list[int]) -> None:
+    if line["done"] >= size * (len(killed) + 1) / 10 and line["done"] < size:
+        host, _, process = line["report"]["worker"].rpartition(":")
+        assert host == os.uname().nodename
+        killed.append(int(process))
+        os.kill(int(process), signal.SIGKILL)
+
+
+def kill_driver(line: dict[str, Any], size: int, killed: list[int]) -> None:
+    if not killed and line["done"] >= size / 2:
+        killed.append(line["process"])
+        os.kill(line["process"], signal.SIGKILL)
+
+
+def check(run: Run, size: int) -> None:
+    from smooth_operator_research.run_report import BenchmarkError
+
+    if run.code or not run.lines or run.total("clips") != size:
+        raise BenchmarkError(f"the driver ended with status {run.code} before all clips were done")
+
+
+def at_share(run: Run, share: float) -> float:
+    return float(run.lines[math.ceil(share * len(run.lines)) - 1]["memory_mb"])
+
+
+def worker_at_share(run: Run, share: float) -> float:
+    lines = run.lines[: max(1, math.ceil(share * len(run.lines)))]
+    return float(max(line["report"]["memory_mb"] for line in lines))
+
+
+def driven(
+    settings: Settings,
+    output: Path,
+    size: int,
+    watch: Callable[[dict[str, Any]], None] = lambda line: None,
+) -> Run:
+    """A driver in a process of its own."""
+    asked = {**asdict(settings), "output": output, "folder": None, "compare": None, "size": size}
+    started = time.monotonic()
+    run = Run()
+    with subprocess.Popen(
+        [sys.executable, __file__, DRIVER, json.dumps(asked, default=str)],
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as driver:
+        assert driver.stdout is not None
+        for text in driver.stdout:
+            if text.startswith("{"):
+                line = json.loads(text)
+                line["since_start"] = line["at"] - started
+                run.lines.append(line)
+                print(f"\r{line['done']} of {size} clips", end="", file=sys.stderr, flush=True)
+                watch(line)
+        run.code = driver.wait()
+    print(file=sys.stderr)
+    run.wall_s = time.monotonic() - started
+    return run
+
+
+def drive(asked: dict[str, Any]) -> None:
+    """What the driver's process does."""
+    from smooth_operator.lab.datasets.readers.synthetic import SyntheticCorpus
+    from smooth_operator.lab.datasets.sources import each_item
+    from smooth_operator.lab.ray.corpus import Progress, retarget_corpus
+    from smooth_operator.lab.ray.settings import CorpusSettings
+
+    output = Path(asked["output"])
+    output.parent.mkdir(parents=True, exist_ok=True)
+    source = output.with_name(f"{asked['size']}.synthetic.json")
+    sides = ("right", "left") if asked["side"] is None else (asked["side"],)
+    SyntheticCorpus(asked["size"], *asked["seconds"], asked["rate"], sides).write(source)
+    request = {name: asked[name] for name in ("hand", "method", "preset")}
+    settings = CorpusSettings(
+        request,
+        clips_per_shard=asked["clips_per_shard"],
+        retarget=not asked["pack"],
+        side=asked["side"],
+    )
+
+    def tell(so_far: Progress) -> None:
+        line = {
+            "at": time.monotonic(),
+            "done": so_far.done,
+            "process": os.getpid(),
+            "memory_mb": peak_mb(),
+            "report": asdict(so_far.last) if so_far.last else {},
+        }
+        print(json.dumps(line), flush=True)
+
+    retarget_corpus(
+        each_item([str(source)]),
+        output,
+        settings,
+        workers=asked["workers"],
+        cluster=None if asked["cluster"] == "none" else asked["cluster"],
+        progress=tell,
+    )
+
+
+def peak_mb() -> float:
+    """Largest resident memory of this process so far [MB]."""
+    lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
+    return next(int(line.split()[1]) / 1e3 for line in lines if line.startswith("VmHWM"))
+
+
+def contents(output: Path) -> tuple[int, int]:
+    """Files of a data set, those of the run included, and their bytes."""
+    sizes = [path.stat().st_size for path in output.rglob("*") if path.is_file()]
+    return len(sizes), sum(sizes)
+
+
+def digest(output: Path) -> str:
+    """Of the names and bytes of the data set's files."""
+    found = hashlib.sha256()
+    for path in sorted(output.rglob("*")):
+        inside = path.relative_to(output)
+        if path.is_file() and inside.parts[0] != ".corpus" and inside.name != "summary.json":
+            found.update(f"{inside.as_posix()}\0".encode() + path.read_bytes())
+    return found.hexdigest()
+
+
+def earlier(settings: Settings) -> dict[str, float]:
+    """Figures of the output file of an earlier run."""
+    from smooth_operator_research.run_report import RESULTS, BenchmarkError
+
+    path = settings.output or RESULTS / "corpus.json"
+    try:
+        found: dict[str, float] = json.loads(path.read_text(encoding="utf-8"))["figures"]
+        return found
+    except (OSError, ValueError, KeyError) as error:
+        raise BenchmarkError(f"{path}: no figures to plan with ({error}); give --sizes") from error
+
+
+def plan(report: Any, settings: Settings, figures: dict[str, float]) -> None:
+    """Nodes, hours, cost and storage for some hours of video, from the largest corpus measured."""
+    from smooth_operator_research.run_report import BenchmarkError
+
+    sizes = [int(n.split("/")[0]) for n in figures if n.endswith("/core_hours_an_hour")]
+    if not sizes:
+        raise BenchmarkError("there are no figures to plan with; give --sizes")
+    largest = max(sizes)
+    cost, size = (figures[f"{largest}/{n}"] for n in ("core_hours_an_hour", "mb_an_hour"))
+    rows: list[Sequence[object]] = []
+    for hours in settings.plan:
+        core_hours = hours * cost
+        rows += [
+            [
+                f"{hours:,.0f}",
+                nodes,
+                core_hours,
+                core_hours / (nodes * settings.cores),
+                core_hours * settings.price,
+                hours * size / 1e6,
+            ]
+            for nodes in settings.nodes
+        ]
+        report.figures[f"plan {hours:g}/core_hours"] = core_hours
+        report.figures[f"plan {hours:g}/tb"] = hours * size / 1e6
+    report.table(
+        f"Plan: {settings.cores} cores a node, {settings.price:g} a core and hour",
+        ("hours of clips", "nodes", "core-hours", "wall [h]", "cost", "output [TB]"),
+        rows,
+        1,
+    )
+    report.notes.append(
+        f"planned from {largest} clips: {cost:.4f} core-hours and {size:.1f} MB for an hour of "
+        "clips; memory, disks and the price are your cluster's"
+    )
+
+
+if __name__ == "__main__":
+    if DRIVER in sys.argv:
+        drive(json.loads(sys.argv[sys.argv.index(DRIVER) + 1]))
+    else:
+        import tyro
+
+        main(tyro.cli(Settings, description=__doc__))

@@ -1,0 +1,254 @@
+"""Ours and other retargeters in one run: latency, start and quality, in one table.
+
+    python research/benchmarks/peers.py GLOVE.npz --frames 0:500 --wuji-python PYTHON \\
+        --dex-python PYTHON --dex-urdf FOLDER --authors FOLDER
+
+Every program runs in a process of its own, in the environment that an option names; processes take
+turns. Those without an environment are left out, with a line that says so. Quality is judged by our
+metrics, on our model of the hand that the peer was made for, where our methods run as well.
+wuji_sdk: the maker's retargeter of the Wuji Hand (its telemetry is switched off). dex-retargeting:
+its settings for the LEAP hand. The authors of "sampling-based retargeting" publish no package:
+files with commands of their code for this recording (``*_frames-A-B.npz``: ``joint_positions``,
+``joint_names``) are judged, without latency.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+from batch import in_wrist_axes
+from retarget import number, read
+from timing import percentiles
+
+from smooth_operator import HandRecording, SmoothOperatorError, load_hand
+from smooth_operator.formats.frames import frame_slice
+from smooth_operator.hands.hand import Hand
+from smooth_operator.human.alignment import align_recording
+from smooth_operator.methods.presets import method_config
+from smooth_operator.metrics import Trace, evaluate
+from smooth_operator_research.run_report import BenchmarkError, Report
+
+WORKER = Path(__file__).with_name("peer_worker.py")
+QUALITY = {
+    "cosine_similarity": "cos thumb",
+    "cosine_similarity_all": "cos all",
+    "motion_preservation": "motion",
+    "flatness": "flatness [m²]",
+    "lag_ms": "lag [ms]",
+    "pinch_error_mm": "pinch [mm]",
+}
+QUIET = {
+    "WUJI_TELEMETRY_DISABLE": "1",
+    "WUJI_TELEMETRY_NO_UPLOAD": "1",
+    "WUJI_DEVICE_TELEMETRY_DISABLE": "1",
+    "OMP_NUM_THREADS": "1",
+}
+BEYOND_RAD = 1e-3
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What to run.
+
+    Attributes:
+        recording: file with a right hand.
+        frames: range A:B of its frames.
+        rate: frame rate of a file without stamps [Hz].
+        methods: METHOD or METHOD:PRESET of ours, on each hand.
+        wuji_python: interpreter of an environment with wuji-sdk and NumPy.
+        dex_python: interpreter of an environment with dex-retargeting.
+        dex_urdf: folder with leap_hand/leap_hand_right.urdf for it.
+        authors: folder with commands of the authors' code.
+        repeats: processes of each program; latencies are pooled, starts are medians.
+        output: JSON file; build/benchmarks/peers.json unless given.
+        compare: an earlier JSON file to compare this run with.
+    """
+
+    recording: Annotated[Path, tyro.conf.Positional]
+    frames: str = "0:500"
+    rate: float | None = None
+    methods: tuple[str, ...] = ("smooth", "sbr")
+    wuji_python: Path | None = None
+    dex_python: Path | None = None
+    dex_urdf: Path | None = None
+    authors: Path | None = None
+    repeats: int = 5
+    output: Path | None = None
+    compare: Path | None = None
+
+
+@dataclass
+class Program:
+    """One row of the table.
+
+    Attributes:
+        hand: which hand it moves.
+        name: what is run.
+        python: interpreter.
+        arguments: of the worker.
+        q: (T, n) commands in the order of our model of the hand [rad].
+        ms: times of frames, of all processes.
+        starts: from the start of a process to its first command [s].
+    """
+
+    hand: str
+    name: str
+    python: Path
+    arguments: tuple[str, ...]
+    q: np.ndarray = field(default_factory=lambda: np.empty(0))
+    ms: list[np.ndarray] = field(default_factory=list)
+    starts: list[float] = field(default_factory=list)
+
+
+def main(settings: Settings) -> None:
+    report = Report("peers", vars(settings))
+    whole = read(settings.recording, settings.rate)
+    recording = whole[frame_slice(settings.frames, len(whole))]
+    if recording.side != "right":
+        raise BenchmarkError("the recording has a left hand; the peers are set up for right ones")
+    programs = asked_for(settings, report)
+    with tempfile.TemporaryDirectory() as at:
+        path = Path(at) / "recording.npz"
+        stamps = recording.stamps - recording.stamps[0]
+        np.savez(path, landmarks=in_wrist_axes(recording), stamps=stamps)
+        for turn in range(settings.repeats + 1):  # the first one fills caches, and is not counted
+            for program in list(programs) if turn % 2 else list(reversed(programs)):
+                problem = run(program, path, Path(at), counted=turn > 0)
+                if problem:
+                    report.notes.append(f"left out: {program.name} on {program.hand}: {problem}")
+                    programs.remove(program)
+    rows: list[list[object]] = []
+    for program in programs:
+        times = percentiles(np.concatenate(program.ms))
+        start = {"start_s": float(np.median(program.starts)), "worst_s": max(program.starts)}
+        found = judged(load_hand(program.hand, "right"), recording, program.q)
+        report.add(f"{program.hand}/{program.name}", times | start | found)
+        speed = (times["p50_ms"], times["p95_ms"], times["p99_ms"], start["start_s"])
+        rows.append([program.hand, program.name, *speed, *found.values()])
+    for hand, name, q in authors(settings, report):
+        found = judged(hand, recording, q)
+        report.add(f"{hand.name}/{name}", found)
+        rows.append([hand.name, name, None, None, None, None, *found.values()])
+    rows.sort(key=lambda row: str(row[0]))
+    header = ("hand", "program", "p50 [ms]", "p95 [ms]", "p99 [ms]", "start [s]")
+    title = f"{len(recording)} frames; {settings.repeats} processes of each"
+    report.table(title, (*header, *QUALITY.values(), "beyond limits"), rows)
+    report.notes.append(
+        "start: from the start of the process to its first command, median, everything cached that "
+        "a program caches. beyond limits: share of frames with a joint outside our model's range"
+    )
+    report.finish(settings.output, settings.compare)
+
+
+def asked_for(settings: Settings, report: Report) -> list[Program]:
+    """The programs that there are environments for."""
+    programs: list[Program] = []
+    here = Path(sys.executable)
+
+    def ours(hand: str) -> None:
+        for method in settings.methods:
+            more = ("--hand", hand, "--method", method)
+            programs.append(Program(hand, f"`{method}`", here, ("smooth-operator", *more)))
+
+    ours("wuji_hand")
+    if settings.wuji_python is None:
+        report.notes.append("left out: wuji_sdk, for which --wuji-python names no environment")
+    else:
+        programs.append(Program("wuji_hand", "wuji_sdk", settings.wuji_python, ("wuji-sdk",)))
+    ours("leap_hand")
+    if settings.dex_python is None or settings.dex_urdf is None:
+        report.notes.append("left out: dex-retargeting, which needs --dex-python and --dex-urdf")
+    else:
+        for kind in ("vector", "dexpilot"):
+            more = ("--method", kind, "--urdf", str(settings.dex_urdf))
+            name = f"dex-retargeting {kind}"
+            programs.append(
+                Program("leap_hand", name, settings.dex_python, ("dex-retargeting", *more))
+            )
+    ours("mimic_p050")
+    if settings.authors is None:
+        report.notes.append("left out: the authors' commands, for which --authors names no folder")
+    return programs
+
+
+def run(program: Program, recording: Path, at: Path, *, counted: bool) -> str:
+    """One process; its figures are added to the program's. Returns what went wrong, if so."""
+    output = at / "commands.npz"
+    job = [program.python, WORKER, program.arguments[0], recording, output, *program.arguments[1:]]
+    environment = {**os.environ, **QUIET}
+    if program.arguments[0] != "smooth-operator":
+        environment |= {"PYTHONPATH": "", "HOME": str(at)}  # it leaves no files behind
+    started = time.time()
+    try:
+        done = subprocess.run(
+            list(map(str, job)), capture_output=True, text=True, env=environment, timeout=600
+        )
+    except (OSError, subprocess.TimeoutExpired) as error:
+        return str(error)
+    if done.returncode:
+        return (done.stderr.strip().splitlines() or ["it printed nothing"])[-1]
+    with np.load(output) as file:
+        q, names, ms = file["q"], file["names"].tolist(), file["ms"]
+    hand = load_hand(program.hand, "right")
+    if set(names) != set(hand.joint_names):
+        return f"its joints are {names}, and ours {list(hand.joint_names)}"
+    program.q = q[:, [names.index(name) for name in hand.joint_names]]
+    if counted:
+        program.ms.append(ms)
+        program.starts.append(json.loads(done.stdout.splitlines()[-1])["first"] - started)
+    return ""
+
+
+def authors(settings: Settings, report: Report) -> list[tuple[Hand, str, np.ndarray]]:
+    """Commands of the authors' code for these frames, by method."""
+    if settings.authors is None:
+        return []
+    hand = load_hand("mimic_p050", "right")
+    first, _, last = settings.frames.partition(":")
+    found = []
+    for path in sorted(settings.authors.glob(f"*_frames-{first}-{last}.npz")):
+        with np.load(path) as file:
+            q, names = file["joint_positions"].astype(float), file["joint_names"].tolist()
+        order = [names.index(name) for name in hand.joint_names]
+        found.append((hand, f"authors' {path.name.split('_subject')[0]}", q[:, order]))
+    if not found:
+        report.notes.append(f"left out: {settings.authors} has no commands for these frames")
+    return found
+
+
+def judged(hand: Hand, recording: HandRecording, q: np.ndarray) -> dict[str, float | None]:
+    """Our metrics of commands, on our model of the hand."""
+    figures = evaluate(
+        Trace(
+            human=align_recording(recording, hand, method_config("smooth", None).alignment),
+            robot_tips=hand.tips(q),
+            robot_wrist=hand.wrist,
+            fingers=hand.fingers,
+            joint_positions=q,
+            joint_limits=hand.joint_limits,
+            stamps=recording.stamps,
+            status=np.zeros(len(q), int),
+            latency_ms=np.zeros(len(q)),
+        )
+    )
+    low, high = hand.joint_limits.T
+    outside = ((q < low - BEYOND_RAD) | (q > high + BEYOND_RAD)).any(axis=1)
+    values: dict[str, float | None] = {name: number(figures[name]) for name in QUALITY}
+    return values | {"beyond_limits": float(outside.mean())}
+
+
+if __name__ == "__main__":
+    try:
+        main(tyro.cli(Settings, description=__doc__))
+    except SmoothOperatorError as error:
+        raise BenchmarkError(str(error)) from error

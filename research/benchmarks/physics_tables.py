@@ -1,0 +1,129 @@
+"""Markdown tables of ``smooth-operator bench --physics``: a row for each hand, a column a method.
+
+    python research/benchmarks/physics_tables.py FOLDER reachable tip_error_mm tip_p95_mm
+    python research/benchmarks/physics_tables.py FOLDER reachable "tip_error_mm@noise 0.5 mm"
+
+For each condition and figure one table, from ``summary.csv``: the mean and half the width of its
+95 % interval, or the share with both ends of its interval. The best of each row is bold. Figures
+with a slash between them share the cells of one table: the first has its interval, and each is of
+the first condition unless it names another.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+from tyro.conf import Positional
+
+from smooth_operator_research.run_report import markdown
+
+Part = tuple[str, str]
+"""A figure and a condition."""
+
+
+def main(
+    folder: Annotated[Path, Positional],
+    measure: Annotated[str, Positional],
+    figures: Annotated[tuple[str, ...], Positional],
+    methods: tuple[str, ...] = (),
+) -> None:
+    """Prints the tables.
+
+    Args:
+        folder: of the results.
+        measure: name of the measure.
+        figures: names of figures, or ``FIGURE[@CONDITION]/FIGURE[@CONDITION]...`` for one table.
+        methods: columns, all unless given.
+    """
+    with (folder / "summary.csv").open(encoding="utf-8") as file:
+        rows = [row for row in csv.DictReader(file) if row["measure"] == measure]
+    rows = [row for row in rows if not methods or row["method"] in methods]
+    content = json.loads((folder / "results.json").read_text(encoding="utf-8"))
+    (about,) = (one for one in content["measures"] if one["name"] == measure)
+    facts = {figure["name"]: figure for figure in about["figures"]}
+    conditions = list(dict.fromkeys(row["condition"] for row in rows))
+    asked: list[list[Part]] = [
+        [(figure, condition)] for condition in conditions for figure in figures if "/" not in figure
+    ]
+    for joined in (figure.split("/") for figure in figures if "/" in figure):
+        named = [part.partition("@") for part in joined]
+        asked.append([(name, condition or conditions[0]) for name, _, condition in named])
+    for parts in asked:
+        print_table(rows, parts, facts)
+
+
+def print_table(
+    rows: Sequence[Mapping[str, str]], parts: Sequence[Part], facts: Mapping[str, Any]
+) -> None:
+    """One table: the first part with its interval, the others behind slashes."""
+    by_cell = {
+        (row["hand"], row["method"], row["figure"], row["condition"]): row
+        for row in rows
+        if (row["figure"], row["condition"]) in parts
+    }
+    hands, methods = (list(dict.fromkeys(key[i] for key in by_cell)) for i in (0, 1))
+    print(f"\n{' / '.join(heading(part, facts[part[0]]) for part in parts)}:\n")
+    lines = []
+    for hand in hands:
+        cells = {
+            method: [by_cell.get((hand, method, *part)) for part in parts] for method in methods
+        }
+        first = {method: found[0] for method, found in cells.items() if found[0] is not None}
+        best = best_of(first, facts[parts[0][0]]["goal"])
+        texts = [
+            " / ".join([text_of(one, facts[parts[0][0]]), *map(value_of, others)])
+            for one, *others in cells.values()
+        ]
+        shown = [
+            f"**{text}**" if method == best else text
+            for method, text in zip(methods, texts, strict=True)
+        ]
+        lines.append([f"`{hand}`", *shown])
+    print(markdown(["hand", *(f"`{method}`" for method in methods)], lines))
+
+
+def heading(part: Part, figure: Mapping[str, Any]) -> str:
+    """Meaning, unit and condition of a figure."""
+    unit = f" [{figure['unit']}]" if figure["unit"] else ""
+    return f"{figure['meaning'].rstrip('.')}{unit}{f', {part[1]}' if part[1] else ''}"
+
+
+def best_of(cells: Mapping[str, Mapping[str, str]], goal: str) -> str | None:
+    """The method with the best value."""
+    known = {method: float(row["value"]) for method, row in cells.items() if row["value"]}
+    if not goal or len(set(known.values())) < 2:
+        return None
+    if goal == "up":
+        return max(known, key=known.__getitem__)
+    return min(known, key=lambda method: abs(known[method]))
+
+
+def text_of(row: Mapping[str, str] | None, figure: Mapping[str, object]) -> str:
+    """A cell."""
+    if row is None or not row["value"]:
+        return "–"
+    if not row["low"]:
+        return number(row["value"])
+    if figure["share"]:
+        return f"{number(row['value'])} [{number(row['low'])}, {number(row['high'])}]"
+    half = (float(row["high"]) - float(row["low"])) / 2
+    return f"{number(row['value'])} ± {number(half)}"
+
+
+def value_of(row: Mapping[str, str] | None) -> str:
+    """A value without its interval."""
+    return number(row["value"]) if row and row["value"] else "–"
+
+
+def number(text: object) -> str:
+    value = f"{float(str(text)):.2g}"
+    return (f"{float(value):.0f}" if "e+" in value else value).replace("-", "−")
+
+
+if __name__ == "__main__":
+    tyro.cli(main)

@@ -1,0 +1,136 @@
+"""From process start to the first command, in fresh processes.
+
+    python research/benchmarks/startup.py --repeats 5
+
+``no cache`` compiles everything; ``cache`` finds JAX's persistent compilation cache filled by an
+earlier process; ``kept`` is what the library does by itself: an earlier process has kept the
+program. Files of the packages are in the system's page cache in all of them, and byte-compiled.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import tyro
+
+from smooth_operator import SmoothOperatorError
+from smooth_operator.synthetic import SyntheticOperator
+from smooth_operator_research.run_report import BenchmarkError, Report
+
+CHILD = Path(__file__).with_name("first_command.py")
+STATES = ("no cache", "cache", "kept")
+STAGES = {
+    "interpreter_s": "interpreter",
+    "import_jax_s": "import jax",
+    "import_package_s": "import package",
+    "load_hand_s": "load hand",
+    "build_s": "build method",
+    "trace_s": "trace, lower",
+    "compile_s": "compile",
+    "cache_read_s": "read cache",
+    "first_call_rest_s": "rest of first call",
+    "total_s": "total",
+    "cpu_s": "of the processor",
+}
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What to run.
+
+    Attributes:
+        presets: which presets.
+        repeats: fresh processes for each; medians are reported.
+        hand: robot hand.
+        method: retargeting method.
+        output: JSON file; build/benchmarks/startup.json unless given.
+        compare: an earlier JSON file to compare this run with.
+    """
+
+    presets: tuple[str, ...] = ("paper", "realtime")
+    repeats: int = 5
+    hand: str = "mimic_p050"
+    method: str = "sbr"
+    output: Path | None = None
+    compare: Path | None = None
+
+
+def main(settings: Settings) -> None:
+    report = Report("startup", vars(settings))
+    landmarks = SyntheticOperator().record(0.1).landmarks[-1]
+    stages, memory = [], []
+    with tempfile.TemporaryDirectory() as folder:
+        job = {"hand": settings.hand, "method": settings.method, "landmarks": landmarks.tolist()}
+        # byte-compile, fill the page cache
+        first_command(job | {"preset": settings.presets[0]}, "no cache", Path(folder))
+        for preset in settings.presets:
+            cache = Path(folder) / preset
+            runs: dict[str, list[Mapping[str, float]]] = {state: [] for state in STATES}
+            for state in STATES:  # fill the caches
+                first_command(job | {"preset": preset}, state, cache)
+            for _ in range(settings.repeats):  # in turn, so that noise hits all alike
+                for state, results in runs.items():
+                    results.append(first_command(job | {"preset": preset}, state, cache))
+            for name, results in runs.items():
+                middle = {k: float(np.median([r[k] for r in results])) for k in results[0]}
+                worst = max(r["total_s"] for r in results)
+                report.add(f"{preset}/{name}", middle | {"worst_total_s": worst})
+                stages.append([f"{preset}, {name}", *(middle[k] for k in STAGES), worst])
+                memory.append([f"{preset}, {name}", middle.get("peak_mib"), middle["cache_hits"]])
+    report.table(
+        f"Process start to first command [s], medians of {settings.repeats}",
+        ("preset", *STAGES.values(), "worst total"),
+        stages,
+    )
+    report.table("Memory", ("preset", "peak resident [MiB]", "programs from the cache"), memory)
+    report.notes.append(
+        "trace, lower and compile add up over all programs that JAX builds on the way; 'rest of "
+        "first call' is what remains of warm-up and first frame."
+    )
+    report.finish(settings.output, settings.compare)
+
+
+def first_command(job: Mapping[str, object], state: str, cache: Path) -> dict[str, float]:
+    """Run the child once, and say how long its stages took [s]."""
+    environment = {k: v for k, v in os.environ.items() if "CACHE" not in k}
+    environment["SMOOTH_OPERATOR_CACHE"] = "off"
+    if state == "no cache":
+        environment["JAX_ENABLE_COMPILATION_CACHE"] = "false"
+    elif state == "cache":
+        environment |= {
+            "JAX_COMPILATION_CACHE_DIR": str(cache),
+            "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+            "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
+        }
+    else:
+        environment["JAX_ENABLE_COMPILATION_CACHE"] = "false"
+        environment["SMOOTH_OPERATOR_CACHE"] = str(cache / "kept")
+    start = time.time()  # wall clock: the child's own counters start with the child
+    child = subprocess.run(
+        [sys.executable, str(CHILD)],
+        input=json.dumps({**job, "start": start}),
+        capture_output=True,
+        text=True,
+        env=environment,
+        check=False,
+    )
+    if child.returncode:
+        raise BenchmarkError(f"the measured process failed:\n{child.stderr}")
+    stages: dict[str, float] = json.loads(child.stdout.splitlines()[-1])
+    return stages
+
+
+if __name__ == "__main__":
+    try:
+        main(tyro.cli(Settings, description=__doc__))
+    except SmoothOperatorError as error:
+        raise BenchmarkError(str(error)) from error

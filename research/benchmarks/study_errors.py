@@ -1,0 +1,241 @@
+"""Family-wise error of a study's analysis: how often it finds a difference where there is none.
+
+    python research/benchmarks/study_errors.py --studies 1000 --workers 2
+
+Every retargeter of a simulated study is as good as the others; a family (Dunnett's against the
+baseline, Holm's of all pairs) errs if any difference is significant at 5 %. Designs and noise are
+in ``DESIGNS``. Studies have seeds of their own, and finished ones are kept: a stopped run goes on,
+and one with more studies adds to them. The generator is not that of ``study power``.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import tyro
+
+from smooth_operator.cli.console import Progressing
+from smooth_operator.result_cache import Job, ResultLog, code_digest
+from smooth_operator.study.analysis.results import MODES, OUTCOMES, POOLED
+from smooth_operator.study.chunks import chunk_values
+from smooth_operator.study.design.plan import make_plan
+from smooth_operator.study.design.protocol import Condition, Protocol, Task
+from smooth_operator.study.power.simulated_study import Layout, Rows, Simulated, layout
+from smooth_operator.study.power.verdicts import Analyst, rate
+
+Three = tuple[float, float, float]
+"""Of success [logit], time [s] and workload [points]."""
+
+NONE: Final[Three] = (0.0, 0.0, 0.0)
+MODEST: Final[Three] = (0.3, 2.0, 5.0)
+LARGE: Final[Three] = (0.6, 3.0, 8.0)
+OPERATORS: Final[Three] = (0.6, 4.0, 10.0)
+TRIALS: Final = (7.0, 6.0, 8.0)
+"""Between trials [s], between questionnaires, and between the scales of one [points]."""
+TASKS: Final = {"A": (0.55, -5.0, -4.0), "B": (-0.1, 0.5, 0.0), "C": (-0.45, 4.5, 4.0)}
+MEANS: Final = (24.0, 42.0)
+"""Time [s] and workload."""
+CHUNK: Final = 20
+FOUR: Final = ("dexpilot", "geort", "hybrid", "sbr")
+
+
+@dataclass(frozen=True)
+class Design:
+    """Who does what, and how it varies.
+
+    Attributes:
+        operators: how many.
+        tasks: name, trials a block, and how many operators do it.
+        retargeters: how many.
+        own: standard deviation of operator by retargeter.
+        block: the same of every block by itself.
+        success: probability, on average.
+        log_normal: of times, with the same spread.
+        scope: what is analysed.
+    """
+
+    operators: int
+    tasks: tuple[tuple[str, int, int], ...]
+    retargeters: int = 4
+    own: Three = NONE
+    block: Three = NONE
+    success: float = 0.44
+    log_normal: bool = False
+    scope: str = POOLED
+
+
+PAPER: Final = (("A", 10, 12), ("B", 10, 8), ("C", 20, 6))
+THREE: Final = (("A", 10, 5), ("B", 10, 5), ("C", 10, 5))
+QUICK: Final = (("A", 10, 8), ("B", 10, 8))
+DESIGNS: Final = {
+    "paper's, operators differ": Design(18, PAPER),
+    "same, task C alone": Design(18, PAPER, scope="C"),
+    "same, log-normal times": Design(18, PAPER, log_normal=True),
+    "paper's, operator × retargeter": Design(18, PAPER, own=MODEST),
+    "paper's, the same, large": Design(18, PAPER, own=LARGE),
+    "paper's, block noise": Design(18, PAPER, block=MODEST),
+    "task A alone, operator × retargeter": Design(18, PAPER, own=MODEST, scope="A"),
+    "task C alone, operator × retargeter": Design(18, PAPER, own=MODEST, scope="C"),
+    "8 operators, 2 × 2, operator × retargeter": Design(8, QUICK, 2, own=MODEST),
+    "8 operators, 2 × 2": Design(8, QUICK, 2),
+    "5 operators, 4 × 3": Design(5, THREE),
+    "5 operators, 4 × 3, operator × retargeter": Design(5, THREE, own=MODEST),
+    "5 operators, 4 × 3, 6 % succeed": Design(5, THREE, success=0.06),
+    "6 operators, 2 × 1": Design(6, (("A", 10, 6),), 2),
+    "6 operators, 2 × 1, operator × retargeter": Design(6, (("A", 10, 6),), 2, own=MODEST),
+}
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What to run.
+
+    Attributes:
+        studies: of each design.
+        designs: parts of the names of the designs; all if left out.
+        workers: processes.
+        seed: of all studies.
+        output: folder that keeps the studies and the table.
+    """
+
+    studies: int = 1000
+    designs: tuple[str, ...] = ()
+    workers: int = 2
+    seed: int = 0
+    output: Path = Path("build/benchmarks/study_errors")
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """Some studies of one design."""
+
+    design: str
+    seed: int
+    first: int
+    count: int
+
+
+def main(settings: Settings) -> None:
+    chosen = [
+        name
+        for name in DESIGNS
+        if not settings.designs or any(part in name for part in settings.designs)
+    ]
+    settings.output.mkdir(parents=True, exist_ok=True)
+    code = code_digest("study/design", "study/power", "study/analysis")
+    chunks = [
+        Chunk(name, settings.seed, first, min(CHUNK, settings.studies - first))
+        for first in range(0, settings.studies, CHUNK)
+        for name in chosen
+    ]
+    jobs = [Job("", {"chunk": vars(c), "design": repr(DESIGNS[c.design])}, code, c) for c in chunks]
+    progress = Progressing()
+    counts: dict[str, Counter[str]] = {name: Counter() for name in chosen}
+    with progress.bar("simulating studies") as show:
+        for chunk, found in chunk_values(
+            jobs,
+            ResultLog(settings.output / "studies.jsonl", progress.note),
+            simulate,
+            field="counts",
+            count=lambda chunk: chunk.count,
+            failure=lambda chunk: f"simulating {chunk.design}",
+            workers=settings.workers,
+            report=lambda done, total: show(f"{done} of {total} studies", done / total),
+        ):
+            counts[chunk.design].update(found)
+    text = table(counts)
+    (settings.output / "table.md").write_text(text, encoding="utf-8")
+    plain = {name: dict(of) for name, of in counts.items()}
+    (settings.output / "counts.json").write_text(json.dumps(plain, indent=1), encoding="utf-8")
+    print(text)
+
+
+def simulate(chunk: Chunk) -> dict[str, int]:
+    """How often each family erred, and each analysis was refused."""
+    design = DESIGNS[chunk.design]
+    rows = _rows(chunk.design)
+    analyst = Analyst(rows, (design.scope,))
+    counts: Counter[str] = Counter(studies=chunk.count)
+    for number in range(chunk.first, chunk.first + chunk.count):
+        name = [ord(letter) for letter in chunk.design]
+        study = draw(design, rows, np.random.default_rng([chunk.seed, number, *name]))
+        for verdict in analyst.verdicts(study):
+            key = f"{verdict.outcome}/{verdict.mode}"
+            counts[f"{key}/refused"] += verdict.refused is not None
+            counts[f"{key}/dunnett"] += any(verdict.against.values())
+            counts[f"{key}/holm"] += any(verdict.pairs.values())
+    return dict(counts)
+
+
+@lru_cache(maxsize=32)
+def _rows(name: str) -> Layout:
+    design = DESIGNS[name]
+    conditions = tuple(Condition(name) for name in FOUR[: design.retargeters])
+    tasks = tuple(Task(name, trials=n, operators=who) for name, n, who in design.tasks)
+    return layout(make_plan(Protocol("null", conditions, tasks, FOUR[0], design.operators)))
+
+
+def draw(design: Design, rows: Layout, rng: np.random.Generator) -> Simulated:
+    """A study in which no retargeter is better than another."""
+    shape = (len(rows.operators), len(rows.conditions), len(rows.tasks), 3)
+    shift = (
+        np.array(OPERATORS) * rng.standard_normal((shape[0], 1, 1, 3))
+        + np.array(design.own) * rng.standard_normal((*shape[:2], 1, 3))
+        + np.array(design.block) * rng.standard_normal(shape)
+        + np.array([TASKS[name] for name in rows.tasks])
+    )
+
+    def about(table: Rows, kind: int, practice: float) -> np.ndarray:
+        moved = practice * (table.index - table.index.mean())
+        return shift[table.operator, table.condition, table.task, kind] + moved
+
+    trials, asked = rows.trials, rows.questionnaires
+    logit = np.log(design.success / (1 - design.success)) + about(trials, 0, 0.012)
+    success = rng.random(len(logit)) < 1 / (1 + np.exp(-logit))
+    mean = MEANS[0] + about(trials, 1, -0.06)
+    noise = rng.standard_normal(len(mean))
+    if design.log_normal:
+        mean = np.maximum(mean, 3.0)
+        spread = np.sqrt(np.log1p((TRIALS[0] / mean) ** 2))
+        time = mean * np.exp(spread * noise - spread**2 / 2)
+    else:
+        time = np.maximum(mean + TRIALS[0] * noise, 2.0)
+    workload = MEANS[1] + about(asked, 2, -0.4) + TRIALS[1] * rng.standard_normal(len(asked.index))
+    scales = workload[:, None] + TRIALS[2] * rng.standard_normal((len(workload), 6))
+    return Simulated(success, time, np.clip(5 * np.round(scales / 5), 0, 100).mean(axis=1))
+
+
+def table(counts: dict[str, Counter[str]]) -> str:
+    """Markdown: errors of both families in each mode with 95 % intervals (Wilson) [%]."""
+    lines = [
+        "| design | studies | outcome | " + " | ".join(
+            f"{family}, {mode}" for mode in MODES for family in ("Dunnett", "Holm")
+        ) + " | refused |",
+        "|---|---:|---|" + "---:|" * 5,
+    ]  # fmt: skip
+    for name, of in counts.items():
+        for outcome in OUTCOMES:
+            cells = [
+                _percent(of[f"{outcome}/{mode}/{family}"], of["studies"])
+                for mode in MODES
+                for family in ("dunnett", "holm")
+            ]
+            refused = 100 * of[f"{outcome}/small-sample/refused"] / of["studies"]
+            cells.append(f"{refused:.1f}")
+            lines.append(f"| {name} | {of['studies']} | {outcome} | {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+def _percent(hits: int, studies: int) -> str:
+    found: Any = rate(hits, studies)
+    return f"{100 * found.rate:.1f} [{100 * found.lower:.1f}, {100 * found.upper:.1f}]"
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Settings, description=__doc__))

@@ -1,0 +1,1 @@
+"""Experiments behind the figures of smooth-operator: the paper, ablations, physics, operators."""

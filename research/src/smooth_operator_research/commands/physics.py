@@ -1,0 +1,142 @@
+"""``smooth-operator physics``: measures what the hand achieves in physics."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+from rich.table import Table
+from rich.text import Text
+
+from smooth_operator.cli.bench import SOME_FAILED, cell_progress, comma_words
+from smooth_operator.cli.console import Progressing, output_console, plain_table
+from smooth_operator.cli.outputs import folder_for
+from smooth_operator.compilation.start import dispatch_here
+from smooth_operator.errors import require
+from smooth_operator.lab.benchmark.benchmark_folder import REPORT
+from smooth_operator.lab.benchmark.settings import only_side
+from smooth_operator.lab.offline.finished import claimed
+from smooth_operator_research.commands.options import Physics
+from smooth_operator_research.physics.files import write_files
+from smooth_operator_research.physics.measure import PhysicsSettings
+from smooth_operator_research.physics.results import Figure, Line, MeasureResults, best_of
+from smooth_operator_research.physics.suite import (
+    MeasureOutcome,
+    failed_rows,
+    plan_cases,
+    run_cases,
+)
+
+_WIDTH_OF_INTERVALS: Final = 120
+"""Of a terminal that has room for the intervals [characters]."""
+
+
+def physics(options: Physics) -> None:
+    """Runs the measures, writes, prints.
+
+    Raises:
+        SmoothOperatorError: the request is invalid; nothing was measured then.
+        SystemExit: some cases failed, with ``SOME_FAILED``.
+        KeyboardInterrupt: stopped; what is finished is kept.
+    """
+    if not options.no_report:
+        require("the report (--no-report leaves it out)", "lab", "matplotlib")
+    progress = Progressing(options.quiet)
+    dispatch_here()  # before planning, which may start JAX
+    hands = comma_words(options.hands)
+    settings = PhysicsSettings(
+        output=options.output,
+        measures=tuple(dict.fromkeys(options.measures)),
+        hands=hands,
+        methods=comma_words(options.methods),
+        side=options.side or only_side(hands) or "right",
+        recordings=options.recordings,
+        frames=options.frames,
+        rate=options.rate,
+        layout=options.layout,
+        units=options.units,
+        quick=options.quick,
+        seed=options.seed,
+        workers=options.workers,
+        cluster=options.cluster,
+    )
+    planned = plan_cases(settings)
+    with folder_for(options.output), claimed(options.output):
+        try:
+            outcomes = run_cases(
+                settings,
+                planned,
+                cell_progress(progress, "cases"),
+                lambda text: progress.note(text, matters=True),
+            )
+        except KeyboardInterrupt:
+            progress.note(
+                f"stopped; the same command goes on with what is in {options.output}", matters=True
+            )
+            raise
+        written = [path.name for path in write_files(settings, outcomes)]
+        if not options.no_report:
+            from smooth_operator_research.physics.page import write_report
+
+            with progress.waiting("drawing the report"):
+                write_report(settings, outcomes)
+            written.append(REPORT)
+    if not options.quiet:
+        print_outcomes(outcomes)
+        progress.note(f"wrote {options.output}: {', '.join(written)}")
+    failed = sum(1 for _ in failed_rows(outcomes))
+    if failed:
+        count = sum(len(outcome.results.rows) for outcome in outcomes)
+        progress.note(f"{failed} of {count} cases failed", matters=True)
+        raise SystemExit(SOME_FAILED)
+
+
+def print_outcomes(outcomes: Sequence[MeasureOutcome]) -> None:
+    """A table for each measure, hand and condition; the best of each column marked."""
+    console = output_console()
+    wide = console.width >= _WIDTH_OF_INTERVALS
+    for outcome in outcomes:
+        measure, results = outcome.measure, outcome.results
+        console.print(Text(f"{measure.title}: {measure.definition}"))
+        figures = [figure for figure in measure.figures if figure.main]
+        for panel in results.panels:
+            hand, side, condition = panel
+            title = f"{hand} {side}" + (f", {condition}" if condition else "")
+            console.print(_table(title, results.lines(panel), figures, intervals=wide))
+        console.print(_foot(results, measure.unit, intervals=wide), style="dim")
+        for reason, count in _reasons(results).items():
+            console.print(Text(f"failed ({count} cases): {reason}"), soft_wrap=True)
+
+
+def _table(
+    title: str, lines: Sequence[Line], figures: Sequence[Figure], *, intervals: bool
+) -> Table:
+    table = plain_table(Text(title))
+    table.add_column("method", no_wrap=True)
+    for figure in figures:
+        below = " ".join(filter(None, (figure.unit, figure.sign)))
+        table.add_column(f"{figure.heading}\n{below}", justify="right", no_wrap=True)
+    tops = {figure.name: best_of(lines, figure) for figure in figures}
+    for line in lines:
+        cells = []
+        for figure in figures:
+            summary = line.summaries[figure.name]
+            text = summary.text() if intervals else summary.text().partition(" ")[0]
+            best = tops[figure.name] == line.method
+            cells.append(Text(f"{text}*", "bold green") if best else Text(f"{text} "))
+        table.add_row(Text(line.method), *cells)
+    return table
+
+
+def _foot(results: MeasureResults, unit: str, *, intervals: bool) -> str:
+    count = len({row["unit"] for row in results.rows})
+    more = "" if intervals else "; 95 % intervals in the files, the report and a wider terminal"
+    return f"* best; {count} {unit}{'s' if count != 1 else ''}{more}"
+
+
+def _reasons(results: MeasureResults) -> dict[str, int]:
+    found: dict[str, int] = {}
+    for row in results.rows:
+        if row["status"] != "ok":
+            found[str(row["reason"])] = found.get(str(row["reason"]), 0) + 1
+    return found

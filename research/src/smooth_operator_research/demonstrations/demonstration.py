@@ -1,0 +1,200 @@
+"""Trajectories that are known to do the tasks: key poses found by search, shipped as JSON.
+
+They show that a hand can do a scene with its fingers alone, and hold that in the
+tests. ``research/docs/physics-measures.md`` says how they were found.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from importlib.resources import files
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator.errors import StudyError, UnknownNameError
+from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.registry import load_hand
+from smooth_operator.simulation.scenes.physics import ScenePhysics
+from smooth_operator.simulation.scenes.scene_registry import scene_for
+from smooth_operator.simulation.scenes.state import SceneState
+from smooth_operator.simulation.tasks.task_registry import TASKS, task_named
+from smooth_operator.simulation.tasks.trial import TaskRun
+from smooth_operator.synthetic.robot_landmarks import human_landmarks
+from smooth_operator.types import as_side
+from smooth_operator_research.demonstrations.trial_loop import RATE_HZ, perform
+
+DEFAULT_HAND: Final = "mimic_p050"
+"""Whose demonstrations are meant where no hand is named."""
+
+_FOLDER: Final = files("smooth_operator_research.demonstrations") / "data"
+
+PERIOD_S: Final = 1.0 / RATE_HZ
+"""Between commands [s]; a command is the pose of the end of its period."""
+
+
+@dataclass(frozen=True, eq=False)
+class Demonstration:
+    """Key poses of a hand and when it is in them.
+
+    Attributes:
+        task: what it does.
+        hand: the robot hand's name.
+        side: its side.
+        times: (k,) [s], from 0.
+        poses: (k, m) actuated joint positions [rad].
+    """
+
+    task: str
+    hand: str
+    side: str
+    times: Float[np.ndarray, " k"]
+    poses: Float[np.ndarray, "k m"]
+
+    @property
+    def robot(self) -> Hand:
+        """The robot hand, loaded."""
+        return load_hand(self.hand, as_side(self.side))
+
+    def pose(self, time: float) -> Float[np.ndarray, " m"]:
+        """(m,) actuated joint positions at a time [s]; smooth from one key pose to the next."""
+        last = len(self.times) - 2
+        k = int(np.clip(np.searchsorted(self.times, time, side="right") - 1, 0, last))
+        share = np.clip((time - self.times[k]) / (self.times[k + 1] - self.times[k]), 0.0, 1.0)
+        share = share * share * (3.0 - 2.0 * share)
+        return np.asarray(self.poses[k] + (self.poses[k + 1] - self.poses[k]) * share)
+
+
+def demonstrated_hands(task: str) -> list[str]:
+    """Names of the hands that have a demonstration of a task, the default hand first.
+
+    Raises:
+        UnknownNameError: there is no such task.
+    """
+    if task not in TASKS:
+        raise UnknownNameError("task", task, TASKS)
+    hands = [hand.name for hand in _FOLDER.iterdir() if (hand / f"{task}.json").is_file()]
+    return sorted(hands, key=lambda name: (name != DEFAULT_HAND, name))
+
+
+def load_demonstration(task: str, hand: str | None = None) -> Demonstration:
+    """The demonstration of a task.
+
+    Args:
+        task: which.
+        hand: name of the robot hand; None for the default one.
+
+    Raises:
+        UnknownNameError: there is no such task.
+        StudyError: the hand has no demonstration of it, or the file does not fit the hand.
+    """
+    names = demonstrated_hands(task)
+    name = DEFAULT_HAND if hand is None else hand
+    if name not in names:
+        raise StudyError(
+            f"hand {name!r} has no demonstration of task {task!r}; the hands with one are "
+            f"{', '.join(names)} (smooth_operator_research.demonstrations.search makes one)"
+        )
+    return read_demonstration((_FOLDER / name / f"{task}.json").read_text(encoding="utf-8"))
+
+
+def read_demonstration(text: str) -> Demonstration:
+    """A demonstration from the text of its JSON file.
+
+    Raises:
+        StudyError: it does not fit the hand.
+    """
+    content = json.loads(text)
+    task, hand = content["task"], load_hand(content["hand"], content["side"])
+    if tuple(content["joints"]) != hand.actuated_names:
+        raise StudyError(f"the demonstration of {task!r} was made for other joints of {hand.name}")
+    return Demonstration(
+        task, hand.name, hand.spec.side, np.array(content["times"]), np.array(content["poses"])
+    )
+
+
+def demonstration_text(demonstration: Demonstration) -> str:
+    """The JSON file of a demonstration; poses to 0.001 rad, a line for each."""
+    hand = demonstration.robot
+    head = {
+        "task": demonstration.task,
+        "hand": demonstration.hand,
+        "side": demonstration.side,
+        "joints": list(hand.actuated_names),
+        "times": [round(float(time), 3) for time in demonstration.times],
+    }
+    lines = [f" {json.dumps(key)}: {json.dumps(value)}," for key, value in head.items()]
+    poses = [json.dumps([round(float(q), 3) for q in pose]) for pose in demonstration.poses]
+    return "\n".join(["{", *lines, ' "poses": [', *[f"  {p}," for p in poses[:-1]],
+                      f"  {poses[-1]}", " ]", "}", ""])  # fmt: skip
+
+
+def play(
+    demonstration: Demonstration,
+    *,
+    disturb: Callable[[ScenePhysics], None] | None = None,
+    seen: Callable[[ScenePhysics, SceneState], None] | None = None,
+) -> Iterator[tuple[SceneState, TaskRun]]:
+    """Perform a demonstration in physics.
+
+    Args:
+        demonstration: what is done.
+        disturb: changes the scene before it starts, as to see how much it bears.
+        seen: called at each moment, as to draw it.
+
+    Yields:
+        the scene and the trial, a hundred times a second, until the trial is done or the
+        demonstration at its end.
+    """
+    hand = demonstration.robot
+    physics = ScenePhysics(hand, scene_for(demonstration.task, hand))
+    if disturb is not None:
+        disturb(physics)
+
+    def commands(time: float, state: SceneState, physics: ScenePhysics) -> Float[np.ndarray, " n"]:
+        return hand.full_configuration(demonstration.pose(time + PERIOD_S))
+
+    task, end = task_named(demonstration.task), float(demonstration.times[-1])
+    for moment in perform(physics, task, commands, seconds=end):
+        if seen is not None:
+            seen(physics, moment.state)
+        yield moment.state, moment.run
+
+
+_STEP_S: Final = 0.001  # between two computed frames
+
+
+class DemonstrationLandmarks:
+    """A perfect operator with the robot's geometry, who performs a demonstration without looking.
+
+    The frame of a time is that of the pose one period later, since a command is where the joints
+    are to be at the end of its period. Before the start and after the end the hand is still. A
+    ``LandmarkSource``.
+
+    Args:
+        demonstration: what is done.
+
+    Attributes:
+        seconds: when it is at its end [s].
+    """
+
+    def __init__(self, demonstration: Demonstration) -> None:
+        hand = demonstration.robot
+        self.seconds = float(demonstration.times[-1])
+        count = int(np.ceil(self.seconds / _STEP_S)) + 1
+        poses = np.stack([demonstration.pose(k * _STEP_S) for k in range(count)])
+        self._frames = human_landmarks(hand, poses)
+
+    def at(self, time: float) -> Float[np.ndarray, "21 3"]:
+        """(21, 3) landmarks of a time since 'go' [m], in the robot's palm frame."""
+        k = round((time + PERIOD_S) / _STEP_S)
+        return np.asarray(self._frames[int(np.clip(k, 0, len(self._frames) - 1))])
+
+    def landmarks(
+        self, time: float, state: SceneState, physics: ScenePhysics
+    ) -> Float[np.ndarray, "21 3"]:
+        """See ``LandmarkSource``; the scene is not looked at."""
+        return self.at(time)

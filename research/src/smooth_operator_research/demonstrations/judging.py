@@ -1,0 +1,345 @@
+"""Does candidates for a demonstration in perturbed worlds; what a search asks of a worker."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from typing import Any, Final, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.registry import load_hand
+from smooth_operator.human.alignment import palm_alignment
+from smooth_operator.human.tracker_noise import NoiseState, remove_noise
+from smooth_operator.landmarks import FINGERS, NUM_LANDMARKS, TIPS
+from smooth_operator.methods.smooth import SmoothConfig
+from smooth_operator.simulation.scenes import ScenePhysics, scene_for
+from smooth_operator.simulation.scenes.card import CardScene
+from smooth_operator.simulation.tasks.card_scorer import OVER, CardScorer, pinches
+from smooth_operator.simulation.tasks.cube_scorer import GOAL, TOLERANCE, CubeScorer
+from smooth_operator.simulation.tasks.scorer import HOLD_S
+from smooth_operator.simulation.tasks.screwdriver_scorer import ScrewdriverScorer
+from smooth_operator.simulation.tasks.task_registry import task_named
+from smooth_operator.synthetic.tracker import TrackerStream
+from smooth_operator.types import as_side
+from smooth_operator_research.demonstrations.demonstration import (
+    PERIOD_S,
+    Demonstration,
+    DemonstrationLandmarks,
+    read_demonstration,
+)
+from smooth_operator_research.demonstrations.overlap import excess
+from smooth_operator_research.demonstrations.perturbation import Perturbation, draw_perturbation
+from smooth_operator_research.demonstrations.trial_loop import Moment, perform
+
+_DAMPING: Final = 0.006  # of the inverse kinematics; joints move tips by 0.02 to 0.1 [m/rad]
+_STEP: Final = 1e-4  # of numerical derivatives [rad]
+_EVERY: Final = 5  # frames that share their derivatives
+_BLOCK: Final = 200  # frames
+
+
+def tip_errors(
+    demonstration: Demonstration, world: Perturbation, filtered: bool = False
+) -> Float[np.ndarray, "t f 3"]:
+    """How far from the demonstration's the fingertips are that the operator shows.
+
+    The operator's bones differ from the robot's, and the tracker adds noise to the palm's landmarks
+    too; so the alignment to the robot's palm, frame by frame, turns and scales the whole hand.
+
+    Args:
+        demonstration: what the operator does.
+        world: who the operator is, and the tracker; the object does not matter.
+        filtered: see ``joint_errors``.
+
+    Returns:
+        (t, f, 3) for each period of the demonstration and robot finger [m], in the palm frame.
+    """
+    hand = demonstration.robot
+    human, index = _human(demonstration)
+    shown = np.stack([world.operator(frame) for frame in human])
+    ticks = TrackerStream(world.tracker, 1.0 / PERIOD_S).next(len(shown))
+    if ticks.noise is not None:
+        shown = shown + ticks.noise[:, :NUM_LANDMARKS]
+    seen = np.asarray(palm_alignment(shown, hand).apply(shown))
+    last = np.maximum.accumulate(np.where(ticks.arrives, np.arange(len(seen)), 0))
+    found = _filtered(seen[last], tuple(index)) if filtered else seen[last][:, index]
+    return np.asarray(found - (human if filtered else human[last])[:, index])
+
+
+def joint_errors(
+    demonstration: Demonstration, world: Perturbation, filtered: bool = False
+) -> Float[np.ndarray, "t m"]:
+    """By how much each actuated joint is off if each fingertip goes where the operator's is.
+
+    Args:
+        demonstration: what the operator does.
+        world: see ``tip_errors``.
+        filtered: as ``smooth`` removes a tracker's noise, which leaves less of it and adds lag.
+
+    Returns:
+        (t, m) for each period of the demonstration [rad].
+    """
+    error = tip_errors(demonstration, world, filtered)
+    inverse = _inverse(demonstration)[np.arange(len(error)) // _EVERY]
+    return np.asarray(np.einsum("tmr,tr->tm", inverse, error.reshape(len(error), -1)))
+
+
+def _filtered(
+    seen: Float[np.ndarray, "t 21 3"], index: tuple[int, ...]
+) -> Float[np.ndarray, "t f 3"]:
+    """Some of the landmarks after the removal of noise; frames that were dropped come again."""
+    count = -(-len(seen) // _BLOCK) * _BLOCK  # of few lengths, since each is compiled
+    padded = np.concatenate([seen, np.repeat(seen[-1:], count - len(seen), axis=0)])
+    return np.asarray(_removed(padded, index))[: len(seen)]
+
+
+@partial(jax.jit, static_argnums=1)
+def _removed(seen: Array, index: tuple[int, ...]) -> Array:
+    config = SmoothConfig().tracker_noise
+
+    def frame(state: NoiseState, inputs: tuple[Array, Array]) -> tuple[NoiseState, Array]:
+        landmarks, first = inputs
+        return remove_noise(state, landmarks, index, PERIOD_S, config, first)
+
+    first = jnp.arange(len(seen)) == 0
+    return jax.lax.scan(frame, NoiseState.unseen(len(index)), (seen.astype(jnp.float32), first))[1]
+
+
+@lru_cache(maxsize=4)
+def _human(demonstration: Demonstration) -> tuple[Float[np.ndarray, "t 21 3"], list[int]]:
+    """(t, 21, 3) its landmarks [m], and which of them are the robot's fingertips."""
+    source, count = DemonstrationLandmarks(demonstration), _periods(demonstration)
+    frames = np.stack([source.at(k * PERIOD_S) for k in range(count)])
+    return frames, [TIPS[FINGERS.index(name)] for name in demonstration.robot.fingers]
+
+
+@lru_cache(maxsize=4)
+def _inverse(demonstration: Demonstration) -> Float[np.ndarray, "k m r"]:
+    """Damped inverse of the fingertips' derivatives, every few frames [rad/m]."""
+    hand, count = demonstration.robot, _periods(demonstration)
+    poses = np.stack([demonstration.pose(k * PERIOD_S) for k in range(0, count, _EVERY)])
+    slope = _slopes(hand, poses)
+    square = slope @ slope.swapaxes(1, 2) + _DAMPING**2 * np.eye(slope.shape[1])
+    return np.asarray(np.linalg.solve(square, slope).swapaxes(1, 2))
+
+
+def _slopes(hand: Hand, poses: Float[np.ndarray, "k m"]) -> Float[np.ndarray, "k r m"]:
+    moved = poses[:, None] + _STEP * np.eye(poses.shape[1])
+    tips = hand.tips(hand.full_configuration(moved)).reshape(*moved.shape[:2], -1)
+    here = hand.tips(hand.full_configuration(poses)).reshape(len(poses), 1, -1)
+    return np.asarray((tips - here).swapaxes(1, 2) / _STEP)
+
+
+def _periods(demonstration: Demonstration) -> int:
+    return int(np.ceil(demonstration.times[-1] / PERIOD_S))
+
+
+MARGIN: Final = 0.1
+"""What a success with the best margin counts more than one with none."""
+
+_LIFT: Final = 0.005  # of the card above the table that counts in full [m]
+_LOST: Final = 0.5  # what progress is worth after a drop
+
+
+def progress(task: str, moments: Sequence[Moment]) -> float:
+    """How far a trial got.
+
+    Args:
+        task: name of the task.
+        moments: the trial, moment by moment.
+
+    Returns:
+        0 for nothing to below 1; from 1 to 1.1 for success with score 1, the more the better its
+        margin.
+    """
+    last = moments[-1].run
+    part, margin = _PARTS[task](moments)
+    if last.outcome is not None and last.outcome.score == 1.0:
+        return 1.0 + MARGIN * margin
+    lost = last.outcome is not None and last.outcome.ended == "drop"
+    return 0.99 * part * (_LOST if lost else 1.0)
+
+
+def _card(moments: Sequence[Moment]) -> tuple[float, float]:
+    scorers = [_scorer(moment, CardScorer) for moment in moments]
+    scene = scorers[-1].scene
+    assert isinstance(scene, CardScene)
+    lies = np.array([moment.state.support > 0.0 for moment in moments])
+    beyond = np.array([scorer.protrusion for scorer in scorers])
+    slid = max([0.0, *(beyond[lies] + 0.004)]) / (OVER + 0.004)
+    over = np.array([scorer.over for scorer in scorers])
+    pinched = np.array([pinches(moment.state) for moment in moments]) & over
+    height = np.array([moment.state.position[2] for moment in moments]) - scene.start[0][2]
+    lifted = max([0.0, *height[pinched]]) / _LIFT
+    clear = _share(pinched & ~lies, moments)
+    below = max([0.0, *(m.state.force[0] > 0 for m, o in zip(moments, over, strict=True) if o)])
+    part = 0.3 * _capped(slid) + 0.1 * below + 0.15 * _share(pinched, moments)
+    part += 0.15 * _capped(lifted) + 0.3 * clear
+    final = moments[-1].state.force
+    return part, _capped(min(final[0], max(final[1:])) / 2.0)
+
+
+def _cube(moments: Sequence[Moment]) -> tuple[float, float]:
+    scorers = [_scorer(moment, CubeScorer) for moment in moments]
+    last = scorers[-1]
+    off = abs(abs(last.turned) - GOAL)
+    turned = _capped(1.0 - off / GOAL)
+    settled = _share(np.array([scorer.settled is not None for scorer in scorers]), moments)
+    flat = 0.0 if last.flipped or last.leaning is not None else 1.0
+    return 0.7 * turned + 0.1 * flat + 0.2 * settled, _capped(1.0 - off / TOLERANCE)
+
+
+def _screwdriver(moments: Sequence[Moment]) -> tuple[float, float]:
+    scorers = [_scorer(moment, ScrewdriverScorer) for moment in moments]
+    held = np.array([scorer.held for scorer in scorers])
+    angle = np.array([scorer.angle for scorer in scorers])
+    force = np.array([moment.state.force for moment in moments])
+    gripped = (force[:, 0] > 0.3) & ((force[:, 1:] > 0.3).sum(axis=1) >= 2)
+    freed = float(not moments[-1].state.fixed)
+    turned = max([0.0, *(1.0 - angle[held] / (np.pi / 2))])
+    ends = max(0.0, 1.0 - angle[-1] / (np.pi / 2)) if held[-1] else 0.0
+    pointing = _share(np.array([scorer.pointing is not None for scorer in scorers]), moments)
+    part = 0.1 * _capped(4.0 * float(gripped.mean())) + 0.1 * freed + 0.1 * float(held.mean())
+    part += 0.15 * turned + 0.25 * ends + 0.3 * pointing
+    return part, _capped(1.0 - angle[-1] / np.radians(10.0))
+
+
+_PARTS: Final[dict[str, Callable[[Sequence[Moment]], tuple[float, float]]]] = {
+    "card": _card,
+    "cube": _cube,
+    "screwdriver": _screwdriver,
+}
+"""Task -> (progress of a trial that did not succeed, margin of one that did), 0 to 1."""
+
+
+def _scorer(moment: Moment, kind: type[Any]) -> Any:
+    scorer = moment.run.scorer
+    assert isinstance(scorer, kind)
+    return scorer
+
+
+def _share(holds: np.ndarray, moments: Sequence[Moment]) -> float:
+    """The longest time without a break for which something holds, of that which a goal needs."""
+    most = now = 0
+    for one in holds:
+        now = now + 1 if one else 0
+        most = max(most, now)
+    period = moments[0].state.time if len(moments) < 2 else (
+        moments[-1].state.time - moments[0].state.time
+    ) / (len(moments) - 1)  # fmt: skip
+    return _capped(most * period / HOLD_S)
+
+
+def _capped(value: float) -> float:
+    return float(np.clip(value, 0.0, 1.0))
+
+
+_SUCCESS: Final = 0.4  # what a success is worth more than the most progress without one
+_OVERLAP: Final = 20.0  # merit that a metre of forbidden self-penetration costs
+
+
+class World(NamedTuple):
+    """A perturbed world of a search.
+
+    Attributes:
+        seed: of all that is drawn.
+        number: object pose, friction and mass are those of this world; 0 leaves them as they are.
+        operator: bones, tracker noise and dropped frames are those of this one; 0 has none.
+    """
+
+    seed: int
+    number: int
+    operator: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """What a worker judges.
+
+    Attributes:
+        demonstration: the key poses.
+        worlds: in which it is done.
+        centre: text of the demonstration by which the operators' errors are computed; the same for
+            all candidates of a generation, which are near it.
+        share: of those errors that counts.
+        filtered: see ``joint_errors``.
+        margin: what a success with the best margin is worth more than one with none.
+    """
+
+    demonstration: Demonstration
+    worlds: tuple[World, ...]
+    centre: str
+    share: float = 1.0
+    filtered: bool = False
+    margin: float = MARGIN
+
+
+def judge(candidate: Candidate) -> list[float]:
+    """What a candidate is worth in each of its worlds; 1 and the margin for success, else less.
+
+    The self-penetration that it commands is taken off.
+    """
+    penalty = _OVERLAP * excess(candidate.demonstration)
+    values = []
+    for world in candidate.worlds:
+        errors = None
+        if world.operator:
+            errors = candidate.share * _errors(candidate.centre, world, candidate.filtered)
+        reached = tried(candidate.demonstration, world, errors)
+        more = candidate.margin / MARGIN * (reached - 1.0)
+        values.append((1.0 + more if reached >= 1.0 else (1.0 - _SUCCESS) * reached) - penalty)
+    return values
+
+
+def tried(
+    demonstration: Demonstration, world: World, errors: Float[np.ndarray, "t m"] | None = None
+) -> float:
+    """How far a demonstration gets in a world; see ``progress``.
+
+    Args:
+        demonstration: what is done.
+        world: with which object.
+        errors: (t, m) by how much each actuated joint is off, period by period [rad]; the last
+            holds on. None: not at all.
+    """
+    hand, task = demonstration.robot, task_named(demonstration.task)
+    physics = _physics(demonstration.task, hand.name, demonstration.side, world.seed, world.number)
+    physics.restart()
+    off = np.zeros((1, len(hand.actuated))) if errors is None else errors
+    moments = list(
+        perform(
+            physics,
+            task,
+            lambda time, state, physics: hand.full_configuration(
+                demonstration.pose(time + PERIOD_S) + off[min(round(time / PERIOD_S), len(off) - 1)]
+            ),
+            seconds=float(demonstration.times[-1]),
+        )
+    )
+    return 0.0 if physics.resets else progress(task.name, moments)
+
+
+@lru_cache(maxsize=64)
+def _physics(task: str, hand_name: str, side: str, seed: int, number: int) -> ScenePhysics:
+    """A scene to use again and again: most of a short trial's time goes into making it."""
+    hand = load_hand(hand_name, as_side(side))
+    world = draw_perturbation(number, seed)
+    physics = ScenePhysics(hand, world.scene(scene_for(task, hand)))
+    world.prepare(physics)
+    return physics
+
+
+@lru_cache(maxsize=2)
+def _centre(text: str) -> Demonstration:
+    return read_demonstration(text)
+
+
+@lru_cache(maxsize=64)
+def _errors(centre: str, world: World, filtered: bool) -> Float[np.ndarray, "t m"]:
+    drawn = draw_perturbation(world.operator, world.seed)
+    return joint_errors(_centre(centre), drawn, filtered)

@@ -1,0 +1,376 @@
+"""The solvers that are set side by side on one objective: single-start, and N starts in parallel.
+
+Each starts at its own last answer, keeps within the joint limits, and knows nothing of the others.
+The descending ones stop alike: where an iteration gains less than 1e-6, or after 100 evaluations;
+SLSQP in the published form after 20 iterations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import ClassVar, Final, Protocol, TypeAlias, runtime_checkable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int, UInt32
+
+from smooth_operator.baselines.scipy_slsqp import ScipySlsqpConfig, scipy_slsqp_minimise
+from smooth_operator.baselines.slsqp import (
+    SlsqpConfig,
+    SlsqpResult,
+    ValueAndGradient,
+    slsqp_minimise,
+)
+from smooth_operator.geometry import AnyKind, array_namespace
+from smooth_operator.objective.goal import FrameGoal
+from smooth_operator.objective.loss import Objective
+from smooth_operator.solvers.newton import NewtonConfig, newton_minimise
+from smooth_operator.solvers.normals import counter_normal_matrix
+from smooth_operator.solvers.sampling import SamplingConfig, sample_minimise
+from smooth_operator_research.paper.rmsprop import RmspropConfig, rmsprop_minimise
+
+
+def scattered_starts(
+    last: Float[Array, " m"],
+    limits: Float[np.ndarray, "m 2"],
+    key: UInt32[Array, "2"],
+    count: int,
+    spread: float,
+) -> Float[Array, "m N"]:
+    """N starts: the last answer itself, and normals about it, within the bounds.
+
+    Args:
+        last: (m,) answer to the last frame [rad].
+        limits: (m, 2) bounds.
+        key: two random words, the frame's own.
+        count: N.
+        spread: standard deviation [rad].
+    """
+    normals = counter_normal_matrix(jnp.arange(count, dtype=jnp.uint32), key, len(limits))
+    moved = last[:, None] + spread * normals * (jnp.arange(count) > 0)
+    low, high = (jnp.asarray(limits[:, i, None], last.dtype) for i in (0, 1))
+    return jnp.clip(moved, low, high)
+
+
+def soft_mean(
+    outputs: Float[AnyKind, "m N"], costs: Float[AnyKind, " N"], temperature: float
+) -> Float[AnyKind, " m"]:
+    """Mean of the outputs, weighted by the softmax of -cost / temperature.
+
+    An output whose cost is not finite has no weight; where none is finite, the answer is not.
+    """
+    xp = array_namespace(costs)
+    known = xp.isfinite(costs)
+    costs = xp.where(known, costs, xp.inf)
+    weights = xp.where(known, xp.exp(-(costs - costs.min()) / temperature), 0.0)
+    outputs = xp.where(weights > 0, outputs, 0.0)
+    mean: AnyKind = (outputs * weights).sum(axis=-1) / weights.sum()
+    return mean
+
+
+SPREAD: Final = 0.2
+"""Standard deviation of parallel starts about the last answer [rad]: the sampler's own."""
+
+TEMPERATURE: Final = 0.1
+"""Of the softmax over the outputs: the sampler's own."""
+
+NEWTON_CONFIG: Final = NewtonConfig(10, (0.0, 0.1, 1.0, 10.0, 100.0, 1000.0))
+"""DexPilot's closed pinches weigh 200 and 400, and bend the loss accordingly: where it is that far
+from convex, less damping finds no descent."""
+
+_FEW: Final = 64
+"""Up to here the small program for the gradient is used, which compiles in a second; beyond, the
+unrolled one, which takes eight seconds to compile and a sixth of the time to run."""
+
+Knobs: TypeAlias = Float[Array, " k"]
+"""Settings that are tuned: arguments of the compiled program, so that all values share one."""
+
+
+@dataclass(frozen=True)
+class Starts:
+    """Where a descent begins.
+
+    Attributes:
+        count: N; 1 is the last answer alone.
+        spread: standard deviation of the others about it [rad].
+        temperature: of the softmax over their results.
+    """
+
+    count: int = 1
+    spread: float = SPREAD
+    temperature: float = TEMPERATURE
+
+    def __str__(self) -> str:
+        return "" if self.count == 1 else f" × {self.count}"
+
+
+class Solver(Protocol):
+    """A solver with its settings; frozen."""
+
+    @property
+    def family(self) -> str:
+        """Which solver: sampling, rmsprop, slsqp or newton."""
+
+    @property
+    def label(self) -> str:
+        """How it is called in tables and figures."""
+
+    @property
+    def random(self) -> bool:
+        """Does its answer depend on a seed?"""
+
+    @property
+    def effort(self) -> float:
+        """About how long a frame takes on two cores [ms]; for the time that is left."""
+
+
+@runtime_checkable
+class CompiledSolver(Solver, Protocol):
+    """One whose frame is a compiled program."""
+
+    @property
+    def knobs(self) -> tuple[float, ...]:
+        """Values of the settings that are arguments of the program."""
+
+    def __hash__(self) -> int: ...
+
+    def program_key(self) -> CompiledSolver:
+        """The same with its knobs at their defaults: those with one key share a program."""
+
+    def solve(
+        self,
+        objective: Objective,
+        goal: FrameGoal,
+        last: Float[Array, " m"],
+        key: UInt32[Array, "2"],
+        knobs: Knobs,
+    ) -> tuple[Float[Array, " m"], Int[Array, ""]]:
+        """The answer to a frame, and how many iterations or evaluations it took; traceable."""
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """Algorithm 1.
+
+    Attributes:
+        samples, elites, cycles, sigma: N, M, L and the initial standard deviation [rad].
+        most_cycles: L that the program is compiled for.
+        note: what is said of it after its name.
+    """
+
+    samples: int = 8192
+    cycles: int = 20
+    sigma: float = 0.2
+    elites: int = 128
+    most_cycles: int = 20
+    note: str = ""
+    family: ClassVar[str] = "sampling"
+    random: ClassVar[bool] = True
+
+    @property
+    def label(self) -> str:
+        """Its size."""
+        return f"sampling{self.note}"
+
+    @property
+    def effort(self) -> float:
+        """By candidates."""
+        return 3e-5 * self.samples * self.cycles + 0.05 * self.cycles
+
+    @property
+    def knobs(self) -> tuple[float, ...]:
+        """Initial deviation, and how many cycles."""
+        return (self.sigma, float(self.cycles))
+
+    def program_key(self) -> Sampling:
+        """Without them."""
+        return replace(self, sigma=0.2, cycles=self.most_cycles, note="")
+
+    def solve(
+        self,
+        objective: Objective,
+        goal: FrameGoal,
+        last: Float[Array, " m"],
+        key: UInt32[Array, "2"],
+        knobs: Knobs,
+    ) -> tuple[Float[Array, " m"], Int[Array, ""]]:
+        """See ``CompiledSolver``."""
+        config = SamplingConfig(self.samples, min(self.elites, self.samples), self.most_cycles)
+        cycles = knobs[1].astype(jnp.int32)
+        limits = objective.hand.limits
+        q = sample_minimise(
+            lambda c: objective(c, goal), last, limits, key, config, knobs[0], cycles
+        )
+        return q, cycles
+
+
+class _FromStarts:
+    """What solvers share that descend from one start or several; each has its own settings."""
+
+    name: ClassVar[str]
+    starts: Starts
+
+    @property
+    def label(self) -> str:
+        """With the number of starts."""
+        return f"{self.name}{self.starts}"
+
+    @property
+    def random(self) -> bool:
+        """Only where there are other starts than the last answer."""
+        return self.starts.count > 1
+
+
+@dataclass(frozen=True)
+class Rmsprop(_FromStarts):
+    """RMSProp, single-start or in the batched form."""
+
+    config: RmspropConfig = field(default_factory=RmspropConfig)
+    starts: Starts = field(default_factory=Starts)
+    name: ClassVar[str] = "RMSProp"
+    family: ClassVar[str] = "rmsprop"
+
+    @property
+    def effort(self) -> float:
+        """By evaluations."""
+        return self.config.max_evaluations * (0.02 + 5e-4 * self.starts.count)
+
+    @property
+    def knobs(self) -> tuple[float, ...]:
+        """Learning rates."""
+        return (self.config.step, self.config.final)
+
+    def program_key(self) -> Rmsprop:
+        """Without them."""
+        return replace(self, config=replace(self.config, step=0.01, final=0.01))
+
+    def solve(
+        self,
+        objective: Objective,
+        goal: FrameGoal,
+        last: Float[Array, " m"],
+        key: UInt32[Array, "2"],
+        knobs: Knobs,
+    ) -> tuple[Float[Array, " m"], Int[Array, ""]]:
+        """See ``CompiledSolver``."""
+        limits, starts = objective.hand.limits, self.starts
+        many = scattered_starts(last, limits, key, starts.count, starts.spread)
+        both = _few_gradients if starts.count <= _FEW else _many_gradients
+        found, costs, evaluations = rmsprop_minimise(
+            lambda q: both(objective, goal, q), many, limits, self.config, knobs[0], knobs[1]
+        )
+        return soft_mean(found, costs, starts.temperature), evaluations
+
+
+@dataclass(frozen=True)
+class Newton(_FromStarts):
+    """Projected Newton steps with the exact Hessian: ours, not the paper's.
+
+    The number of steps is fixed; those after the last that gains are cheap, and change nothing.
+    """
+
+    config: NewtonConfig = NEWTON_CONFIG
+    starts: Starts = field(default_factory=Starts)
+    name: ClassVar[str] = "Newton"
+    family: ClassVar[str] = "newton"
+    knobs: ClassVar[tuple[float, ...]] = ()
+
+    @property
+    def effort(self) -> float:
+        """By Hessians."""
+        return 0.5 * (1 + self.starts.count)
+
+    def program_key(self) -> Newton:
+        """Nothing is tuned."""
+        return self
+
+    def solve(
+        self,
+        objective: Objective,
+        goal: FrameGoal,
+        last: Float[Array, " m"],
+        key: UInt32[Array, "2"],
+        knobs: Knobs,
+    ) -> tuple[Float[Array, " m"], Int[Array, ""]]:
+        """See ``CompiledSolver``."""
+        limits, starts = objective.hand.limits, self.starts
+        many = scattered_starts(last, limits, key, starts.count, starts.spread)
+
+        def descend(q: Array) -> tuple[Array, Array]:
+            found = newton_minimise(
+                lambda few: objective.few_value_grad_hess(few, goal), q, limits, self.config
+            )
+            return found[:2]
+
+        found, costs = jax.vmap(descend, in_axes=1, out_axes=(1, 0))(many)
+        return soft_mean(found, costs, starts.temperature), jnp.int32(self.config.iterations)
+
+
+@dataclass(frozen=True)
+class Slsqp(_FromStarts):
+    """SLSQP, single-start or from N starts one after the other: it runs on the host.
+
+    NLopt's, until it gains nothing more; or SciPy's with the limit of the paper's authors.
+    """
+
+    config: SlsqpConfig | ScipySlsqpConfig = field(default_factory=SlsqpConfig)
+    starts: Starts = field(default_factory=Starts)
+    name: ClassVar[str] = "SLSQP"
+    family: ClassVar[str] = "slsqp"
+
+    @property
+    def label(self) -> str:
+        """With the limit of iterations, where there is one, and the number of starts."""
+        limited = isinstance(self.config, ScipySlsqpConfig)
+        return f"{self.name}, published limit{self.starts}" if limited else super().label
+
+    @property
+    def effort(self) -> float:
+        """By starts."""
+        return 2.5 * self.starts.count
+
+    def minimise(
+        self,
+        objective: ValueAndGradient,
+        start: Float[np.ndarray, " m"],
+        limits: Float[np.ndarray, "m 2"],
+    ) -> SlsqpResult:
+        """From one start."""
+        if isinstance(self.config, ScipySlsqpConfig):
+            return scipy_slsqp_minimise(objective, start, limits, self.config)
+        return slsqp_minimise(objective, start, limits, self.config)
+
+
+def _many_gradients(
+    objective: Objective, goal: FrameGoal, q: Float[Array, "m N"]
+) -> tuple[Float[Array, " N"], Float[Array, "m N"]]:
+    def total(rows: list[Array]) -> tuple[Array, Array]:
+        costs = objective(rows, goal)
+        return costs.sum(), costs
+
+    rows = [q[i] for i in range(q.shape[0])]
+    (_, costs), gradient = jax.value_and_grad(total, has_aux=True)(rows)
+    return costs, jnp.stack(gradient)
+
+
+def _few_gradients(
+    objective: Objective, goal: FrameGoal, q: Float[Array, "m N"]
+) -> tuple[Float[Array, " N"], Float[Array, "m N"]]:
+    def one(point: Array) -> tuple[Array, Array]:
+        cost, gradient, _ = objective.value_grad_hess(point, goal)
+        return cost, gradient
+
+    costs, gradients = jax.vmap(one, in_axes=1, out_axes=(0, 1))(q)
+    return costs, gradients
+
+
+def slsqp_objective(objective: Objective) -> Callable[[Array, FrameGoal], Array]:
+    """(m,) joint positions and a goal to the value and the gradient, as one array; traceable."""
+
+    def both(q: Array, goal: FrameGoal) -> Array:
+        cost, gradient, _ = objective.value_grad_hess(q, goal)
+        return jnp.concatenate([cost[None], gradient])
+
+    return both

@@ -1,0 +1,485 @@
+"""An experiment and its result."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Protocol, TypeAlias
+
+import numpy as np
+
+from smooth_operator.atomic_files import output_error, write_json
+from smooth_operator.baselines.slsqp_presets import DEXPILOT_PUBLISHED
+from smooth_operator.formats.environment import environment
+from smooth_operator.lab.benchmark import benchmark_folder as benchmark_store
+from smooth_operator.lab.benchmark.recordings import Source, load_sources, parse_request
+from smooth_operator.lab.offline.finished import read_configuration
+from smooth_operator.objective.loss import ObjectiveConfig
+from smooth_operator.parallel import TaskResult
+from smooth_operator.planning import PROGRAM
+from smooth_operator.result_cache import (
+    ArrayCache,
+    Job,
+    Note,
+    compute_results,
+    content_name,
+    find_results,
+    no_note,
+)
+from smooth_operator_research.code import research_digest
+from smooth_operator_research.paper.compared_solvers import Solver
+from smooth_operator_research.paper.problems import Problem, make_problems
+from smooth_operator_research.paper.runs import Run, run_solver
+from smooth_operator_research.paper.verdicts import Verdict
+
+
+@dataclass(frozen=True)
+class Size:
+    """How much is computed.
+
+    Attributes:
+        name: what it is called.
+        recordings: of the built-in operator, where none are given.
+        frames: of each recording, for the solvers.
+        seeds: of each random solver on each recording.
+        samples: N of Algorithm 1.
+        cycles: L of Algorithm 1.
+        rmsprop_starts, slsqp_starts, newton_starts: N of the batched forms.
+        steps: learning rates that RMSProp is tuned over [rad].
+        finals: shares of it that are left at the end, likewise.
+        sigmas: initial deviations that Algorithm 1 is tuned over [rad].
+        tuning_frames: frames that are tuned on, of another operator.
+        grid_samples: N of the grid N x L.
+        grid_cycles: L of the grid.
+        grid_budget: cells with a larger N x L are left out.
+        grid_frames: of each recording, for the grid.
+    """
+
+    name: str
+    recordings: tuple[str, ...]
+    frames: int
+    seeds: int
+    samples: int
+    cycles: int
+    rmsprop_starts: int
+    slsqp_starts: int
+    newton_starts: int
+    steps: tuple[float, ...]
+    finals: tuple[float, ...]
+    sigmas: tuple[float, ...]
+    tuning_frames: int
+    grid_samples: tuple[int, ...]
+    grid_cycles: tuple[int, ...]
+    grid_budget: int
+    grid_frames: int
+
+
+def trial_note(size: Size) -> str:
+    """What is said before the results of a size that is too small to judge by."""
+    return "" if size.name != "quick" else _TRIAL
+
+
+_TRIAL: Final = (
+    "A trial run, far below the published sizes: its verdicts say little, whatever they are. "
+)
+
+PUBLISHED_STARTS: Final = 32768
+"""N of the paper's batched forms."""
+
+_SHARES: Final = (0.8192, 0.6710, 0.5497)
+"""Shares that fill a cube evenly, whatever the count (Roberts's R sequence)."""
+
+
+def synthetic_operators(count: int, frames: int) -> tuple[str, ...]:
+    """Requests for some people of the built-in operator, who share neither hand nor motion.
+
+    Each has its own seed (bone proportions, timing, amplitudes), a hand of 16 to 21 cm, a
+    tempo of 0.8 to 1.3, and another part of the round of gestures.
+
+    Args:
+        count: how many.
+        frames: of each.
+    """
+    found = []
+    for seed in range(count):
+        length, tempo, part = ((share * (seed + 1)) % 1.0 for share in _SHARES)
+        first = 100 + 10 * round(part * (1900 - frames - 100) / 10)
+        found.append(
+            f"synthetic:{seed}@{16 + 5 * length:.1f}cm,{0.8 + 0.5 * tempo:.2f}x,"
+            f"{first}:{first + frames}"
+        )
+    return tuple(found)
+
+
+QUICK: Final = Size(
+    name="quick",
+    recordings=synthetic_operators(4, 100),
+    frames=25,
+    seeds=1,
+    samples=1024,
+    cycles=10,
+    rmsprop_starts=16,
+    slsqp_starts=2,
+    newton_starts=8,
+    steps=(0.003, 0.03),
+    finals=(0.01,),
+    sigmas=(0.1, 0.2),
+    tuning_frames=20,
+    grid_samples=(256, 1024, 4096),
+    grid_cycles=(5, 20, 80),
+    grid_budget=20480,
+    grid_frames=20,
+)
+"""For a test that it runs; its figures mean little."""
+
+DEFAULT: Final = Size(
+    name="default",
+    recordings=synthetic_operators(20, 300),
+    frames=150,
+    seeds=1,  # a seed's chance is in the spread among the operators
+    samples=8192,
+    cycles=20,
+    rmsprop_starts=256,
+    slsqp_starts=4,
+    newton_starts=16,
+    steps=(0.001, 0.003, 0.01, 0.03, 0.1),
+    finals=(0.01, 1.0),
+    sigmas=(0.05, 0.1, 0.2, 0.4),
+    tuning_frames=60,
+    grid_samples=(256, 512, 1024, 2048, 4096, 8192, 16384),
+    grid_cycles=(5, 10, 20, 40, 80, 160),
+    grid_budget=163_840,
+    grid_frames=25,
+)
+"""For two cores: twenty independent operators, so that a direction that is there can be shown."""
+
+PUBLISHED: Final = Size(
+    name="published",
+    recordings=synthetic_operators(20, 500),
+    frames=500,
+    seeds=1,
+    samples=PUBLISHED_STARTS,
+    cycles=20,
+    rmsprop_starts=PUBLISHED_STARTS,
+    slsqp_starts=64,  # NLopt runs one start after the other, whatever the machine
+    newton_starts=PUBLISHED_STARTS // 32,
+    steps=DEFAULT.steps,
+    finals=DEFAULT.finals,
+    sigmas=DEFAULT.sigmas,
+    tuning_frames=100,
+    grid_samples=(256, 512, 1024, 2048, 4096, 8192, 16384, 32768),
+    grid_cycles=(5, 10, 20, 40, 80, 160, 320),
+    grid_budget=655_360,
+    grid_frames=500,
+)
+"""N as published for sampling and RMSProp, less for SLSQP and Newton; for an accelerator."""
+
+
+COMMAND: Final = "ablate"
+CELLS: Final = "cells"
+CONFIG: Final = "config.json"
+RESULTS: Final = "results.json"
+
+
+def check_folder(folder: Path) -> None:
+    """Looks whether experiments may be written into a folder; writes nothing.
+
+    Raises:
+        OutputError: a file stands there, or the folder holds something other than experiments.
+    """
+    benchmark_store.check_folder(folder, COMMAND, "earlier experiments")
+
+
+class ExperimentFolder:
+    """The folder of some experiments.
+
+    Args:
+        folder: made if need be.
+        settings: what was asked for, as JSON has it.
+        note: called with cells that can't be used.
+
+    Attributes:
+        cells: what was computed.
+        environment: versions and machine.
+
+    Raises:
+        OutputError: the folder can't be written to, or holds something else.
+    """
+
+    def __init__(self, folder: Path, settings: Mapping[str, Any], note: Note = no_note) -> None:
+        self.folder = folder
+        self.environment = environment()
+        check_folder(folder)
+        before = read_configuration(folder / CONFIG)
+        if before is not None and "code" not in before:
+            note(f"{folder} is of an earlier version: its cells are computed again")
+        self.cells = ArrayCache(folder / CELLS, note)
+        config = {"program": PROGRAM, "command": COMMAND, "settings": dict(settings)}
+        write_json(
+            folder / CONFIG, config | self.environment | {"code": experiment_code()}, indent=2
+        )
+
+    @property
+    def machine(self) -> dict[str, Any]:
+        """What times depend on: processor, cores and device."""
+        return {key: self.environment[key] for key in ("cpu", "cpu_cores", "device")}
+
+    def experiment_folder(self, name: str) -> Path:
+        """Where an experiment's results stand; made if need be.
+
+        Raises:
+            OutputError: it can't be.
+        """
+        path = self.folder / name
+        try:
+            path.mkdir(exist_ok=True)
+        except OSError as error:
+            raise output_error(path, error) from error
+        return path
+
+
+def experiment_code() -> str:
+    """Digest of the code and the models that a cell depends on."""
+    return research_digest(
+        "hands", "objective", "solvers", "baselines/slsqp.py", "baselines/scipy_slsqp.py",
+        "paper/compared_solvers.py", "paper/solver_grid.py", "paper/rmsprop.py", "paper/runs.py",
+    )  # fmt: skip
+
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True, eq=False)
+class Drawing:
+    """A figure.
+
+    Attributes:
+        name: of its files, ``NAME.png`` and ``NAME.svg``.
+        caption: what is seen.
+        figure: matplotlib's.
+    """
+
+    name: str
+    caption: str
+    figure: Figure
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of text; its first column names the rows.
+
+    Attributes:
+        title: above it.
+        headers: of the columns.
+        rows: cells.
+        note: below it.
+    """
+
+    title: str
+    headers: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    note: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """The outcome of an experiment.
+
+    Attributes:
+        setup: one paragraph: what was done, on what, at which size.
+        verdicts: claim by claim.
+        tables: what was measured.
+        drawings: the same, drawn.
+        figures: all numbers, as JSON has them.
+    """
+
+    setup: str
+    verdicts: Sequence[Verdict]
+    tables: Sequence[Table]
+    drawings: Sequence[Drawing]
+    figures: Mapping[str, Any] = field(default_factory=dict)
+
+
+class Experiment(Protocol):
+    """One of the paper's experiments.
+
+    A class without arguments, named in ``EXPERIMENTS``.
+    """
+
+    title: str
+    """Heading of its section."""
+
+    claim: str
+    """The paper's claim, one line."""
+
+    def run(self, context: ExperimentContext) -> Outcome:
+        """Computes what is missing, and returns the outcome.
+
+        Raises:
+            SmoothOperatorError: it can't be done on these recordings.
+            KeyboardInterrupt: stopped; finished cells are kept.
+        """
+
+
+TUNING_OPERATOR: Final = 1001
+"""Seed of the built-in operator whose frames are tuned on, and never judged."""
+
+Advance: TypeAlias = Callable[[str, float], None]
+"""Called with what is being done and how much of the work was done since the last call."""
+
+Track: TypeAlias = Callable[[str, float], AbstractContextManager[Advance]]
+"""Opens the display of a phase: its name, and how much work it is [ms, about]."""
+
+
+def counted(count: int, noun: str) -> str:
+    """A number with its noun."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
+def recordings_of(units: Sequence[str]) -> str:
+    """How many recordings there are, and how many of them are independent."""
+    alone = len(set(units))
+    own = counted(len(units), "recording")
+    return own if alone == len(units) else f"{own} ({alone} independent)"
+
+
+@contextmanager
+def silent(name: str, work: float) -> Iterator[Advance]:
+    """A display that shows nothing."""
+    yield lambda label, done: None
+
+
+Compute: TypeAlias = Callable[[Callable[[float], None]], dict[str, np.ndarray]]
+"""Makes the arrays of a cell; is given what it calls with the share that was done."""
+
+
+def cell_job(
+    label: str, key: Mapping[str, Any], effort: float, compute: Compute, code: str = ""
+) -> Job[Compute]:
+    """A cell to be computed, unless it is there already.
+
+    Args:
+        label: for a person.
+        key: what its content depends on, but for code; its ``kind`` begins the name of the file.
+        effort: about how long it takes [ms]; only the proportions matter.
+        compute: makes it.
+        code: digest of code that it depends on beyond ``experiment_code``.
+    """
+    name = content_name(key["kind"], key)
+    return Job(name, key, f"{experiment_code()} {code}".strip(), compute, label, effort)
+
+
+@dataclass(frozen=True, eq=False)
+class ExperimentContext:
+    """The recordings, the size, the store and the display.
+
+    Attributes:
+        sources: the recordings that are judged.
+        hand: name of the robot hand.
+        size: how much is computed.
+        store: the folder.
+        track: shows the progress.
+    """
+
+    sources: Sequence[Source]
+    hand: str
+    size: Size
+    store: ExperimentFolder
+    track: Track = silent
+
+    @property
+    def recordings(self) -> str:
+        """How many recordings are judged, and how many of them are independent."""
+        return recordings_of([source.request.unit for source in self.sources])
+
+    @property
+    def unit_of(self) -> dict[str, str]:
+        """Name of a recording -> the independent unit that it belongs to."""
+        return {source.name: source.request.unit for source in self.sources}
+
+    def finish(self, phase: str, jobs: Sequence[Job[Compute]]) -> list[dict[str, np.ndarray]]:
+        """Computes the cells that are missing, and keeps each as soon as it is whole.
+
+        Raises:
+            OutputError: a cell can't be written.
+        """
+        cache = self.store.cells
+        once = {job.name: job for job in jobs}  # the same cell may be asked for twice
+        found, missing = find_results(list(once.values()), cache)
+        if missing:
+            with self.track(phase, sum(job.effort for job in missing)) as advance:
+                found += compute_results(missing, cache, lambda _: _computed(missing, advance))
+        arrays: dict[str, Any] = {result.job.name: result.value for result in found}
+        return [arrays[job.name] for job in jobs]
+
+    def problems(self, config: ObjectiveConfig, frames: int) -> list[Problem]:
+        """The recordings as problems.
+
+        Raises:
+            RecordingError: a recording has too few usable frames.
+        """
+        return make_problems(self.sources, self.hand, config, frames)
+
+    @cached_property
+    def judged(self) -> list[Problem]:
+        """DexPilot's loss on the recordings, for the experiments that change the solver."""
+        return self.problems(DEXPILOT_PUBLISHED.objective, self.size.frames)
+
+    @cached_property
+    def tuning(self) -> Problem:
+        """DexPilot's loss on frames that are not judged."""
+        taken = {source.digest for source in self.sources}
+        side = self.sources[0].side
+        for seed in range(TUNING_OPERATOR, TUNING_OPERATOR + 1 + len(taken)):
+            # from the middle of the round: pinches, and open fingers
+            frames = f"600:{600 + self.size.tuning_frames}"
+            (source,) = load_sources([parse_request(f"synthetic:{seed}@{frames}", side=side)])
+            if source.digest not in taken:
+                break
+        (problem,) = make_problems(
+            [source], self.hand, DEXPILOT_PUBLISHED.objective, self.size.tuning_frames
+        )
+        return problem
+
+    def run_job(
+        self, problem: Problem, solver: Solver, velocity_weight: float, seed: int = 0
+    ) -> Job[Compute]:
+        """A solver on a problem, as a cell."""
+        seed = seed if solver.random else 0
+
+        def compute(advance: Callable[[float], None]) -> dict[str, np.ndarray]:
+            return run_solver(problem, solver, velocity_weight, seed, advance).arrays()
+
+        term = f", w_v {velocity_weight:g}" if velocity_weight else ""
+        more = f", seed {seed}" if solver.random else ""
+        return cell_job(
+            f"{solver.label} on {problem.name}{term}{more}",
+            {
+                "kind": f"run-{solver.family}",
+                "problem": problem.digest,
+                "solver": [type(solver).__name__, solver],
+                "velocity_weight": velocity_weight,
+                "seed": seed,
+            },
+            solver.effort * len(problem) + 2000.0,
+            compute,
+        )
+
+    def run_all(self, phase: str, jobs: Sequence[Job[Compute]]) -> list[Run]:
+        """Those cells as runs."""
+        return [Run.of(cell) for cell in self.finish(phase, jobs)]
+
+
+def _computed(
+    jobs: Sequence[Job[Compute]], advance: Advance
+) -> Iterator[TaskResult[dict[str, np.ndarray]]]:
+    """The cells one after the other, in this process; what a job raises is not caught."""
+    for index, job in enumerate(jobs):
+        label = f"{index + 1} of {len(jobs)}: {job.label}"
+        advance(label, 0.0)
+        arrays = job.task(lambda share, job=job, label=label: advance(label, share * job.effort))  # type: ignore[misc]
+        yield TaskResult(index, arrays, None, 0.0, 1)

@@ -1,0 +1,579 @@
+"""Figures of the solver experiments: loss, jitter and time, solver by solver."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator.methods.registry import COLORS
+from smooth_operator.reporting.drawing import GRID, INK, MARKERS
+from smooth_operator_research.paper.compared_solvers import Newton, Rmsprop, Slsqp
+from smooth_operator_research.paper.comparison import Comparison
+from smooth_operator_research.paper.fk_libraries import LIBRARIES
+from smooth_operator_research.paper.intervals import Estimate
+from smooth_operator_research.paper.solver_grid import TUNED, Point
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+FAMILY_COLORS: Final = {
+    "sampling": "#0072b2",
+    "slsqp": "#d55e00",
+    "rmsprop": "#009e73",
+    "newton": "#cc79a7",
+}
+"""Of Okabe and Ito's palette, which colour-blind readers can distinguish."""
+
+FAMILY_MARKERS: Final = {"sampling": "o", "slsqp": "s", "rmsprop": "^", "newton": "D"}
+"""Shapes, so that nothing depends on colour alone."""
+
+_PANELS: Final = (
+    ("loss", 1.0, "tracking loss [–]"),
+    ("jitter", 1e3, "joint jitter [mrad]"),
+    ("frame_ms", 1.0, "time a frame [ms]"),
+)
+
+
+def comparison_figure(several: Sequence[Comparison]) -> Figure:
+    """Dots with intervals: a row for each solver, a panel for each figure; logarithmic.
+
+    Args:
+        several: one, or the one without and the one with a velocity term.
+    """
+    from matplotlib.figure import Figure
+
+    labels = list(dict.fromkeys(label for found in several for label in found.runs))
+    height = 1.25 + 0.36 * len(labels)
+    figure = Figure(figsize=(9.6, height))
+    axes = figure.subplots(1, len(_PANELS), sharey=True)
+    figure.subplots_adjust(
+        left=0.145, right=0.985, top=1 - 0.2 / height, bottom=0.85 / height, wspace=0.09
+    )
+    for ax, (metric, factor, title) in zip(axes, _PANELS, strict=True):
+        for k, found in enumerate(several):
+            offset = 0.0 if len(several) == 1 else (-0.17, 0.17)[k]
+            for row, label in enumerate(labels):
+                if label not in found.runs:
+                    continue
+                _dot(ax, found, label, metric, factor, row + offset, k == len(several) - 1)
+        ax.set_xscale("log")
+        plain_log(ax.xaxis)
+        ax.set_xlabel(title)
+        ax.set_ylim(len(labels) - 0.5, -0.5)
+        ax.set_yticks(range(len(labels)), labels)
+        ax.tick_params(axis="y", length=0)
+        ax.grid(visible=False, axis="y")
+        for row in range(1, len(labels), 2):
+            ax.axhspan(row - 0.5, row + 0.5, color=INK, alpha=0.045, linewidth=0)
+    if len(several) > 1:
+        from matplotlib.lines import Line2D
+
+        empty: dict[str, Any] = {"color": INK, "linestyle": "", "marker": "o"}
+        entries = [("without velocity term", "white"),
+                (f"with w_v = {several[-1].velocity_weight:g}", INK)]  # fmt: skip
+        figure.legend(
+            handles=[
+                Line2D([], [], markerfacecolor=face, label=text, **empty)
+                for text, face in entries
+            ],
+            loc="lower left", bbox_to_anchor=(0.01, 0.0), ncols=1, fontsize=8,
+        )  # fmt: skip
+    return figure
+
+
+def _dot(
+    ax: Axes, found: Comparison, label: str, metric: str, factor: float, y: float, filled: bool
+) -> None:
+    family = found.solver_grid.solvers[label].family
+    color = FAMILY_COLORS[family]
+    mean = found.mean(label, metric)
+    each = factor * found.samples(label, metric).means
+    ax.plot(each, [y] * len(each), "|", color=color, markersize=6, alpha=0.55, zorder=2)
+    if mean.low is not None and mean.high is not None and metric != "frame_ms":
+        ax.plot(
+            [factor * mean.low, factor * mean.high], [y, y], color=color, linewidth=1.4, zorder=3
+        )
+    ax.plot(
+        factor * mean.value, y, FAMILY_MARKERS[family], color=color, markersize=6.5, zorder=4,
+        markerfacecolor=color if filled else "white", markeredgewidth=1.3,
+    )  # fmt: skip
+
+
+def plain_log(axis: object) -> None:
+    """Numbers, not powers, on a logarithmic axis, and not too many."""
+    from matplotlib.axis import Axis
+    from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+
+    assert isinstance(axis, Axis)
+    low, high = sorted(axis.get_view_interval())
+    axis.set_major_locator(
+        LogLocator(subs=(1.0,) if high / low > 30 else (1.0, 2.0, 5.0), numticks=9)
+        if high / low > 4
+        else MaxNLocator(4)
+    )
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_FLOOR: Final = 0.003
+"""Less above the best cell than this is drawn as this [%]: differences there are chance."""
+
+
+def compute_figure(
+    means: Mapping[Point, Estimate], lines: Sequence[Sequence[Point]], reference: float
+) -> Figure:
+    """The loss over the grid, and along contours of equal compute.
+
+    Args:
+        means: loss of each cell.
+        lines: contours, by budget.
+        reference: DexPilot's loss.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(10.2, 4.4))
+    left, right = figure.subplots(1, 2, width_ratios=(1.25, 1.0))
+    figure.subplots_adjust(left=0.07, right=0.985, top=0.92, bottom=0.13, wspace=0.28)
+    _heat(figure, left, means, lines, reference)
+    _lines(right, means, lines)
+    best = min(mean.value for mean in means.values())
+    left.set_title(
+        f"best cell: loss {best:.4f}; DexPilot, by the same loss: {reference:.4f}",
+        fontsize=9,
+        loc="left",
+    )
+    return figure
+
+
+def _heat(
+    figure: Figure,
+    ax: Axes,
+    means: Mapping[Point, Estimate],
+    lines: Sequence[Sequence[Point]],
+    reference: float,
+) -> None:
+    from matplotlib.colors import LogNorm
+    from matplotlib.patches import Rectangle
+
+    samples = sorted({point.samples for point in means})
+    cycles = sorted({point.cycles for point in means})
+    best = min(mean.value for mean in means.values())
+    table = np.full((len(cycles), len(samples)), np.nan)
+    for point, mean in means.items():
+        excess = max(_excess(mean, best), _FLOOR)
+        table[cycles.index(point.cycles), samples.index(point.samples)] = excess
+    norm = LogNorm(_FLOOR, max(float(np.nanmax(table)), 10 * _FLOOR))
+    image = ax.imshow(table, origin="lower", aspect="auto", cmap="viridis_r", norm=norm)
+    for point, mean in means.items():
+        x, y = samples.index(point.samples), cycles.index(point.cycles)
+        shown = f"{_excess(mean, best):.2g}" if mean.value > best else "best"
+        ax.text(
+            x, y, shown, ha="center", va="center", fontsize=7.5, zorder=3,
+            color="white" if norm(_excess(mean, best)) > 0.5 else "black",
+        )  # fmt: skip
+        if mean.value < reference:
+            ax.add_patch(
+                Rectangle((x - 0.46, y - 0.46), 0.92, 0.92, fill=False, edgecolor="black",
+                          linewidth=1.8)
+            )  # fmt: skip
+    for line in lines:
+        xs = [samples.index(point.samples) for point in line]
+        ys = [cycles.index(point.cycles) for point in line]
+        ax.plot(xs, ys, linestyle=(0, (4, 3)), color=GRID, linewidth=1.0, zorder=1.5)
+    ax.grid(visible=False)
+    ax.set_xticks(range(len(samples)), [f"{n:,}" for n in samples])
+    ax.set_yticks(range(len(cycles)), [str(c) for c in cycles])
+    ax.set_xlabel("samples N")
+    ax.set_ylabel("cycles L")
+    bar = figure.colorbar(image, ax=ax, pad=0.02)
+    bar.set_label("loss above the best cell [%]")
+    plain_log(bar.ax.yaxis)
+
+
+def _lines(ax: Axes, means: Mapping[Point, Estimate], lines: Sequence[Sequence[Point]]) -> None:
+    import matplotlib as mpl
+
+    best = min(mean.value for mean in means.values())
+    shades = mpl.colormaps["cividis"](np.linspace(0.0, 0.85, max(len(lines), 1)))
+    for i, line in enumerate(lines):
+        xs = [point.cycles for point in line]
+        values = [max(_excess(means[point], best), _FLOOR) for point in line]
+        ax.plot(
+            xs, values, color=shades[i], marker=MARKERS[i % len(MARKERS)], markersize=5,
+            linewidth=1.4, label=f"N × L = {line[0].budget:,}",
+        )  # fmt: skip
+    ax.set_xscale("log")
+    ax.set_yscale("log")
+    ax.set_ylim(bottom=0.7 * _FLOOR)
+    plain_log(ax.xaxis)
+    plain_log(ax.yaxis)
+    ax.set_xlabel("cycles L (few and wide ← → many and narrow)")
+    ax.set_ylabel("loss above the best cell [%]")
+    if lines:
+        ax.legend(fontsize=8, loc="best")
+
+
+def _excess(mean: Estimate, best: float) -> float:
+    """How much a loss is above the best cell's [%]."""
+    return 100 * (mean.value / best - 1)
+
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def hessian_figure(
+    several: Sequence[Comparison],
+    ranked: Sequence[dict[str, list[list[Float[np.ndarray, " m"]]]]],
+    spectra: Sequence[Float[np.ndarray, "T m"]],
+) -> Figure:
+    """Jitter by rank, without and with the velocity term, and the spectrum.
+
+    Args:
+        several: the solvers without and with the term.
+        ranked: for each, label -> recording -> seed -> (m,) jitter along each rank [rad].
+        spectra: (T, m) eigenvalues of each recording, ascending.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(10.2, 4.0))
+    axes = figure.subplots(1, 3, width_ratios=(1.15, 1.15, 0.9))
+    figure.subplots_adjust(left=0.065, right=0.985, top=0.92, bottom=0.3, wspace=0.3)
+    axes[1].sharey(axes[0])
+    for ax, found, by_rank in zip(axes, several, ranked, strict=False):
+        for label, recordings in by_rank.items():
+            if label == TUNED:
+                continue  # its settings are near the published ones; it is in the tables
+            one = found.solver_grid.solvers[label]
+            many = isinstance(one, (Slsqp, Rmsprop, Newton)) and one.starts.count > 1
+            mean = np.mean([np.mean(seeds, axis=0) for seeds in recordings], axis=0)
+            ranks = np.arange(1, len(mean) + 1)
+            ax.plot(
+                ranks, 1e3 * mean, color=FAMILY_COLORS[one.family], label=label, linewidth=1.3,
+                marker=FAMILY_MARKERS[one.family], markersize=4.2, linestyle="--" if many else "-",
+                markerfacecolor="white" if many else FAMILY_COLORS[one.family],
+            )  # fmt: skip
+        ax.set_yscale("log")
+        ax.set_xlabel("eigenvector rank, 1 = flattest")
+        weight = found.velocity_weight
+        ax.set_title(f"with w_v = {weight:g}" if weight else "without velocity term")
+        ax.set_xticks(ranks[::3])
+    axes[0].set_ylabel("jitter along the eigenvector [mrad]")
+    plain_log(axes[0].yaxis)
+    values = np.concatenate([np.asarray(own) for own in spectra])
+    low, middle, high = np.percentile(values, [10, 50, 90], axis=0)
+    ax = axes[2]
+    ranks = np.arange(1, values.shape[1] + 1)
+    floor = max(float(np.min(middle[middle > 0], initial=1.0)) / 30, 1e-12)
+    ax.fill_between(ranks, np.maximum(low, floor), np.maximum(high, floor), color=INK, alpha=0.15,
+                    linewidth=0, label="central 80 %")  # fmt: skip
+    ax.plot(ranks, np.maximum(middle, floor), color=INK, linewidth=1.4, label="median")
+    ax.set_yscale("log")
+    plain_log(ax.yaxis)
+    ax.set_xlabel("eigenvector rank, 1 = flattest")
+    ax.set_ylabel("eigenvalue of the Hessian [1/rad²]")
+    ax.set_title("how stiff the directions are")
+    ax.set_xticks(ranks[::3])
+    ax.legend(fontsize=8, loc="upper left")
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(
+        handles, labels, loc="lower left", bbox_to_anchor=(0.05, 0.0), ncols=4, fontsize=8
+    )
+    return figure
+
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_LIBRARY_COLORS: Final = ("#0072b2", "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#7f8790")
+_SPARE: Final = ("#7a68c7", "#6b9c2f", "#7f8790")
+
+
+@dataclass(frozen=True)
+class Look:
+    """How a method is drawn: presets of one method share a colour and differ by line and fill."""
+
+    color: str
+    marker: str
+    plain: bool
+
+    @property
+    def line(self) -> dict[str, Any]:
+        """For matplotlib."""
+        return {
+            "color": self.color,
+            "marker": self.marker,
+            "markersize": 4.8,
+            "markeredgewidth": 1.1,
+            "markerfacecolor": self.color if self.plain else "white",
+            "linestyle": "-" if self.plain else (0, (4, 1.6)),
+            "linewidth": 1.3,
+        }
+
+
+def looks_of(labels: Sequence[str]) -> dict[str, Look]:
+    """A look for each method."""
+    families = list(dict.fromkeys([*COLORS, *(label.partition(":")[0] for label in labels)]))
+    known = len(COLORS)
+    looks = {}
+    for label in labels:
+        family, _, preset = label.partition(":")
+        at = families.index(family)
+        color = COLORS.get(family, _SPARE[(at - known) % len(_SPARE)])
+        looks[label] = Look(color, MARKERS[at % len(MARKERS)], not preset)
+    return looks
+
+
+def fk_figure(
+    batches: Sequence[int],
+    mean: Callable[[str, int], Estimate],
+    names: Sequence[str],
+    gaps: Mapping[str, str],
+) -> Figure:
+    """Time a pose over the size of the batch, a line for each library; gaps are named."""
+    from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+
+    figure = Figure(figsize=(7.6, 4.3))
+    ax = figure.add_axes((0.105, 0.2, 0.525, 0.775))
+    handles = []
+    for name in [*names, *gaps]:
+        i = LIBRARIES.index(name)  # a library looks alike whichever others are missing
+        look = Look(
+            _LIBRARY_COLORS[i % len(_LIBRARY_COLORS)] if name not in gaps else GRID,
+            MARKERS[i], "," not in name,
+        )  # fmt: skip
+        if name in gaps:
+            why = gaps[name] if len(gaps[name]) < 30 else "can't be used, see below"
+            handles.append(Line2D([], [], linestyle="", label=f"{name}: {why}"))
+            continue
+        found = [mean(name, batch) for batch in batches]
+        _line(ax, list(batches), found, 1e-3, look)
+        handles.append(Line2D([], [], label=name, **look.line))
+    ax.set_xscale("log", base=2)
+    ax.set_yscale("log")
+    ax.set_xticks(list(batches), [f"{batch:,}" for batch in batches], rotation=35, ha="right")
+    ax.set_xticks([], minor=True)
+    ax.set_xlabel("poses in a batch")
+    ax.set_ylabel("time a pose [µs]")
+    plain_log(ax.yaxis)
+    figure.legend(handles=handles, loc="upper left", bbox_to_anchor=(0.64, 0.985), fontsize=8)
+    return figure
+
+
+@dataclass(frozen=True)
+class Row:
+    """A row of panels.
+
+    Attributes:
+        metric: which figure.
+        factor: to the unit of the axis.
+        title: of the axis.
+        log: is it logarithmic?
+        human: name -> figure of the human that is drawn with the methods.
+    """
+
+    metric: str
+    factor: float
+    title: str
+    log: bool = False
+    human: Mapping[str, str] | None = None
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of panels.
+
+    Attributes:
+        title: of the axis.
+        places: where each condition stands on it.
+        conditions: as the sweep knows them.
+        log: is it logarithmic?
+        marks: what stands at each place; its number where there are none.
+    """
+
+    title: str
+    places: Sequence[float]
+    conditions: Sequence[Any]
+    log: bool = False
+    marks: Sequence[str] = ()
+
+
+Mean = Callable[[str, Any, str], "Estimate | None"]
+
+
+def sweep_figure(
+    mean: Mean,
+    human: Callable[[Any, str], Estimate | None],
+    labels: Sequence[str],
+    rows: Sequence[Row],
+    columns: Sequence[Column],
+) -> Figure:
+    """Lines with intervals, one for each method, over conditions."""
+    from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+
+    looks, folded = looks_of(labels), len(columns) == 1
+    # one column alone is folded into two, each panel with its own axis
+    across, down = (2, -(-len(rows) // 2)) if folded else (len(columns), len(rows))
+    gap = 0.85 if folded else 0.2
+    width, height = 2.65 + 3.2 * across + gap, 0.75 + 2.05 * down
+    figure = Figure(figsize=(width, height))
+    axes = figure.subplots(
+        down, across, sharex="col", sharey=False if folded else "row", squeeze=False
+    )
+    panel = (width - 2.55 - gap * (across - 1)) / across
+    figure.subplots_adjust(
+        left=0.95 / width, right=1 - 1.6 / width, top=1 - 0.12 / height, bottom=0.5 / height,
+        wspace=gap / panel, hspace=0.1,
+    )  # fmt: skip
+    placed = [
+        (row, columns[0 if folded else j], axes.flat[i] if folded else axes[i, j])
+        for i, row in enumerate(rows)
+        for j in range(1 if folded else across)
+    ]
+    reference = {"color": INK, "linewidth": 3.0, "alpha": 0.3}
+    dotted = {**reference, "linewidth": 1.6, "linestyle": ":", "alpha": 0.8}
+    handles = [Line2D([], [], label=label, **looks[label].line) for label in labels]
+    styles: dict[str, dict[str, Any]] = {}
+    for row, column, ax in placed:
+        spread = _spread(column, len(labels))
+        for i, label in enumerate(labels):
+            found = [mean(label, condition, row.metric) for condition in column.conditions]
+            _line(ax, [spread(x, i) for x in column.places], found, row.factor, looks[label])
+        for name, metric in (row.human or {}).items():
+            styles.setdefault(name, dotted if styles else reference)
+            own = [human(condition, metric) for condition in column.conditions]
+            known = [(x, e) for x, e in zip(column.places, own, strict=True) if e is not None]
+            ax.plot(
+                [x for x, _ in known], [row.factor * e.value for _, e in known], zorder=1,
+                **styles[name],
+            )  # fmt: skip
+        _axes(ax, row, column, folded or ax in axes[:, 0], ax in axes[-1])
+    for row, _, ax in placed:
+        if row.log:  # at last: a second panel that becomes logarithmic undoes it
+            plain_log(ax.yaxis)
+    handles += [Line2D([], [], label=name, **style) for name, style in styles.items()]
+    figure.legend(
+        handles=handles, loc="upper left", fontsize=8, borderpad=0.0,
+        bbox_to_anchor=(1 - 1.55 / width, 1 - 0.1 / height),
+    )  # fmt: skip
+    return figure
+
+
+def _spread(column: Column, count: int) -> Callable[[float, int], float]:
+    """Moves the methods a little apart, so that intervals don't hide each other."""
+    if column.log:
+        return lambda x, i: float(x * 1.012 ** (i - (count - 1) / 2))
+    step = (max(column.places) - min(column.places)) / 300
+    return lambda x, i: x + step * (i - (count - 1) / 2)
+
+
+def _axes(ax: Axes, row: Row, column: Column, first: bool, last: bool) -> None:
+    if row.log:
+        ax.set_yscale("log")
+    if column.log:
+        ax.set_xscale("log")
+    marks = column.marks or [f"{x:g}" for x in column.places]
+    ax.set_xticks(list(column.places), list(marks))
+    ax.set_xticks([], minor=True)
+    if first:
+        ax.set_ylabel(row.title)
+    if last:
+        ax.set_xlabel(column.title)
+
+
+def _line(
+    ax: Axes, places: Sequence[float], found: Sequence[Estimate | None], factor: float, look: Look
+) -> None:
+    known = [(x, e) for x, e in zip(places, found, strict=True) if e is not None]
+    for x, e in known:
+        if e.low is not None and e.high is not None:
+            ends = [factor * e.low, factor * e.high]
+            ax.plot([x, x], ends, color=look.color, linewidth=1.0, alpha=0.5, zorder=2)
+    ax.plot([x for x, _ in known], [factor * e.value for _, e in known], zorder=3, **look.line)
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One metric of the benchmark's table.
+
+    Attributes:
+        title: of the axis.
+        log: is it logarithmic?
+        factor: to the unit of the axis.
+        means: method -> our figure.
+        each: method -> those of the recordings.
+        paper: method -> the paper's.
+        goal: where the best is, or None.
+    """
+
+    title: str
+    log: bool
+    factor: float
+    means: Mapping[str, Estimate | None]
+    each: Mapping[str, Sequence[float]]
+    paper: Mapping[str, float]
+    goal: float | None = None
+
+
+def table_figure(panels: Sequence[Panel], labels: Sequence[str]) -> Figure:
+    """Dots with intervals, a row for each method and a panel for each metric; diamonds are the
+    paper's own figures."""
+    from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+
+    looks, columns = looks_of(labels), 3
+    rows = -(-len(panels) // columns)
+    height = 0.45 + rows * (0.75 + 0.245 * len(labels))
+    figure = Figure(figsize=(9.6, height))
+    axes = figure.subplots(rows, columns, sharey=True, squeeze=False)
+    figure.subplots_adjust(
+        left=0.13, right=0.985, top=1 - 0.36 / height, bottom=0.52 / height, wspace=0.08,
+        hspace=0.62 / (0.245 * len(labels)),
+    )  # fmt: skip
+    for ax, panel in zip(axes.flat, panels, strict=False):
+        for y, label in enumerate(labels):
+            mean, look = panel.means[label], looks[label]
+            if label in panel.paper:
+                ax.plot(panel.factor * panel.paper[label], y, "D", color=INK, markersize=8,
+                        markerfacecolor="none", markeredgewidth=1.0, zorder=2)  # fmt: skip
+            if mean is None:
+                continue
+            own = [panel.factor * value for value in panel.each[label]]
+            ax.plot(own, [y] * len(own), "|", color=look.color, markersize=6, alpha=0.55)
+            if mean.low is not None and mean.high is not None:
+                ends = [panel.factor * mean.low, panel.factor * mean.high]
+                ax.plot(ends, [y, y], color=look.color, linewidth=1.4, zorder=3)
+            dot = {**look.line, "linestyle": "", "markersize": 6.0}
+            ax.plot(panel.factor * mean.value, y, zorder=4, **dot)
+        if panel.log:
+            ax.set_xscale("log")
+            plain_log(ax.xaxis)
+        if panel.goal is not None:
+            ax.axvline(panel.goal, color=GRID, linewidth=1.0, linestyle=(0, (4, 3)))
+        ax.set_xlabel(panel.title)
+        ax.set_ylim(len(labels) - 0.4, -0.6)
+        ax.set_yticks(range(len(labels)), labels)
+        ax.tick_params(axis="y", length=0)
+        ax.grid(visible=False, axis="y")
+        for y in range(1, len(labels), 2):
+            ax.axhspan(y - 0.5, y + 0.5, color=INK, alpha=0.045, linewidth=0)
+    keys = [
+        Line2D([], [], color=INK, linestyle="", marker="o", label="here, mean of recordings"),
+        Line2D([], [], color=INK, linestyle="", marker="|", label="here, each recording"),
+        Line2D([], [], color=INK, linestyle="", marker="D", markerfacecolor="none",
+               label="in the paper, on other data"),
+    ]  # fmt: skip
+    figure.legend(handles=keys, loc="upper left", bbox_to_anchor=(0.12, 1.0), ncols=3, fontsize=8)
+    return figure

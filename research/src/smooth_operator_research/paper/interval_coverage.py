@@ -1,0 +1,117 @@
+"""How often the intervals of the paper's experiments hold the truth, by simulation.
+
+Log ratios of independent recordings are drawn about no effect at all, from several distributions,
+and given to the project's own `contrast` and judge. An interval of 95 % ought to hold the truth in
+95 % of the draws; a direction that is shown is then an error.
+
+    python -m smooth_operator_research.paper.interval_coverage
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import tyro
+
+from smooth_operator_research.paper.experiment import Table
+from smooth_operator_research.paper.experiment_report import markdown
+from smooth_operator_research.paper.intervals import Samples, contrast
+from smooth_operator_research.paper.verdicts import Direction, judge
+
+COUNTS: Final = (4, 20)
+"""Independent recordings."""
+
+Draw = Callable[[np.random.Generator, int], np.ndarray]
+"""Log ratios of so many independent recordings, with mean 0."""
+
+DRAWS: Final[dict[str, Draw]] = {
+    "normal": lambda rng, n: rng.normal(0.0, 0.3, n),
+    "skewed (exponential)": lambda rng, n: 0.3 * (rng.exponential(1.0, n) - 1.0),
+    "heavy tails (t, 3 degrees)": lambda rng, n: 0.17 * rng.standard_t(3, n),
+    "one in ten tenfold as far": lambda rng, n: (
+        rng.normal(0.0, 0.1, n) * np.where(rng.random(n) < 0.1, 10.0, 1.0)
+    ),
+}
+"""How recordings may differ; the spreads are about those of the experiments."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How often intervals hold the truth, by simulation."""
+
+    draws: int = 10_000
+    """Of each cell of the table."""
+
+    counts: tuple[int, ...] = COUNTS
+    """Independent recordings, a column for each."""
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """What came of the draws.
+
+    Attributes:
+        covered: share of intervals that hold the truth.
+        shown: share of draws in which one direction or the other is shown.
+    """
+
+    covered: float
+    shown: float
+
+
+def coverage(draw: Draw, count: int, draws: int, windows: int = 1, alone: bool = False) -> Coverage:
+    """Judges draws without any effect.
+
+    Args:
+        draw: of the log ratios.
+        count: independent recordings.
+        draws: how many.
+        windows: parts that each recording is cut into, which share its log ratio.
+        alone: count the parts as independent recordings, which they are not.
+    """
+    rng = np.random.default_rng(0)
+    total = count * windows
+    units = [str(k if alone else k // windows) for k in range(total)]
+    covered = shown = 0
+    for _ in range(draws):
+        ratios = np.exp(np.repeat(draw(rng, count), windows) + rng.normal(0.0, 0.02, total))
+        base = 10.0 ** rng.uniform(-2, 0, total)  # recordings differ a hundredfold
+        a, b = (Samples([[x] for x in values], units) for values in (ratios * base, base))
+        found = contrast(a, b, "ratio")
+        assert found.low is not None
+        assert found.high is not None
+        covered += found.low <= 1.0 <= found.high
+        shown += judge(Direction(1.0, upwards=False), [found]) != "not shown"
+    return Coverage(covered / draws, shown / draws)
+
+
+def coverage_table(settings: Settings) -> Table:
+    """Distributions by numbers of recordings."""
+
+    def cells(draw: Draw, windows: int = 1, alone: bool = False) -> list[str]:
+        found = [coverage(draw, n, settings.draws, windows, alone) for n in settings.counts]
+        return [f"{100 * one.covered:.1f} %" for one in found]
+
+    rows = [[name, *cells(draw)] for name, draw in DRAWS.items()]
+    normal = DRAWS["normal"]
+    rows.append(["normal, two windows of each recording", *cells(normal, 2)])
+    rows.append(["... counted as independent, which is wrong", *cells(normal, 2, alone=True)])
+    return Table(
+        "Coverage",
+        ["log ratios of recordings", *(f"n = {n}" for n in settings.counts)],
+        rows,
+        f"{settings.draws:,} draws for each cell: how often the interval of 95 % holds the truth. "
+        "In the other draws a direction is shown where there is none.",
+    )
+
+
+def main(settings: Settings) -> None:
+    """Prints the table."""
+    print(markdown(coverage_table(settings)))
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Settings, description=__doc__))

@@ -1,0 +1,171 @@
+"""Experiment ``solver``: DexPilot's loss with different solvers."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator.metrics.consistency import JOINTS_STILL
+from smooth_operator_research.paper.comparison import (
+    Comparison,
+    compare_as_printed,
+    compare_solvers,
+    setup_of,
+)
+from smooth_operator_research.paper.experiment import Drawing, ExperimentContext, Outcome, Table
+from smooth_operator_research.paper.figures import comparison_figure
+from smooth_operator_research.paper.intervals import Estimate, contrast
+from smooth_operator_research.paper.solver_grid import NEWTON, SAMPLING, TUNED
+from smooth_operator_research.paper.verdicts import Effect, Equality, Verdict, judge
+
+PAPER_REDUCTION: Final = -0.364
+"""Change of jitter from SLSQP to sampling (supplement, figure of the base optimisation)."""
+
+LOSS_MARGIN: Final = 0.05
+"""Mean losses within this share of each other count as equal."""
+
+
+class SolverSwap:
+    """Sampling, RMSProp, SLSQP and Newton on one loss."""
+
+    title = "The solver swapped, the loss unchanged"
+    claim = "at equal loss, sampling has 36.4 % less joint jitter than SLSQP"
+
+    def run(self, context: ExperimentContext) -> Outcome:
+        """See ``Experiment``."""
+        found, printed = compare_solvers(context, 0.0), compare_as_printed(context)
+        return Outcome(
+            setup_of(found, context.size),
+            [_loss_verdict(found), _jitter_verdict(found), _printed_verdict(printed)],
+            [
+                found.table("Solvers on DexPilot's loss"),
+                against_sampling(found),
+                printed.table("With the squared norm that the supplement prints"),
+                tuning_table(found),
+            ],
+            [
+                Drawing(
+                    "solvers",
+                    "Tracking loss, joint jitter and time a frame of each solver on DexPilot's "
+                    "loss. Bars: 95 % intervals over independent recordings; ticks: recordings.",
+                    comparison_figure([found]),
+                )
+            ],
+            found.figures() | {"as_printed": printed.figures()},
+        )
+
+
+def change(found: Comparison, label: str, other: str, metric: str) -> Estimate:
+    """Relative change of a figure from another solver to this one."""
+    return contrast(found.samples(label, metric), found.samples(other, metric), "change")
+
+
+def changes_of(found: Comparison, metric: str) -> dict[str, Estimate]:
+    """Relative change of a figure from every form of SLSQP to sampling."""
+    return {
+        other: change(found, SAMPLING, other, metric) for other in found.solver_grid.of("slsqp")
+    }
+
+
+def against(changes: dict[str, Estimate]) -> str:
+    """Relative changes as text, each with what it is against."""
+    return "; ".join(f"{percent(one)} against {label}" for label, one in changes.items())
+
+
+def percent(change: Estimate) -> str:
+    """A relative change as text."""
+    return change.shown(3, 100.0, " %")
+
+
+def _loss_verdict(found: Comparison) -> Verdict:
+    changes = changes_of(found, "loss")
+    held = judge(Equality(-LOSS_MARGIN, LOSS_MARGIN), list(changes.values()))
+    return Verdict(
+        "all solvers reach about the same tracking loss",
+        "“remarkably similar”, no figure",
+        f"sampling {against(changes)}",
+        held,
+        "The paper: the final tracking losses of sampling and of the gradient-based solvers are "
+        "remarkably similar, so that what differs is smoothness alone. Here the loss of sampling "
+        f"differs by {against(changes)}; equal means within {100 * LOSS_MARGIN:.0f} %. Newton's "
+        "differs by "
+        f"{percent(change(found, NEWTON, found.solver_grid.slsqp, 'loss'))} from SLSQP's. "
+        f"Verdict: {held}.",
+    )
+
+
+def _jitter_verdict(found: Comparison) -> Verdict:
+    changes = changes_of(found, "jitter")
+    held = judge(Effect(0.0, PAPER_REDUCTION), list(changes.values()))
+    newton = change(found, NEWTON, SAMPLING, "jitter")
+    more = " The published deviation of sampling is the best of those that it was tuned over."
+    if TUNED in found.runs:
+        tuned = percent(change(found, TUNED, SAMPLING, "jitter"))
+        more = f" Sampling with a tuned deviation: {tuned} against the published one."
+    return Verdict(
+        "sampling has less joint jitter than SLSQP",
+        "−36.4 %",
+        against(changes),
+        held,
+        "The paper: swapping SLSQP for sampling on DexPilot's loss lowers joint jitter by 36.4 %. "
+        f"Here the jitter of sampling differs by {against(changes)}. Ours, a warm-started Newton "
+        "descent "
+        f"without any sampling, differs by {percent(newton)} from sampling.{more} Verdict: {held}.",
+    )
+
+
+def _printed_verdict(found: Comparison) -> Verdict:
+    changes = changes_of(found, "jitter")
+    held = judge(Effect(0.0, PAPER_REDUCTION), list(changes.values()))
+    still, stops = (
+        np.mean([[frozen(run.q) for run in seeds] for seeds in found.runs[label]])
+        for label in (SAMPLING, found.solver_grid.slsqp)
+    )
+    loss = change(found, SAMPLING, found.solver_grid.slsqp, "loss")
+    return Verdict(
+        "the same, with the squared norm that the supplement prints",
+        "−36.4 %",
+        against(changes),
+        held,
+        "The supplement prints the loss with a squared norm; the released code and the paper's "
+        "figures have smooth-L1. Squared metres are smaller against SLSQP's tolerance of 1e-6 and "
+        "the sampler's temperature of 0.1. Here the jitter of sampling differs by "
+        f"{against(changes)}; its tracking loss by {percent(loss)} from SLSQP's, which stands "
+        "still on "
+        f"{100 * stops:.0f} % of frames (sampling on {100 * still:.0f} %). Verdict: {held}.",
+    )
+
+
+def frozen(q: Float[np.ndarray, "T m"]) -> float:
+    """Share of frames in which no joint moves."""
+    return float((np.abs(np.diff(q, axis=0)).max(axis=1) <= JOINTS_STILL).mean())
+
+
+def against_sampling(found: Comparison) -> Table:
+    """Every solver's loss and jitter relative to sampling as published."""
+    rows = [
+        (label, percent(change(found, label, SAMPLING, "loss")),
+         percent(change(found, label, SAMPLING, "jitter")))
+        for label in found.runs if label != SAMPLING
+    ]  # fmt: skip
+    return Table(
+        "Relative to sampling as published",
+        ("solver", "tracking loss", "jitter"),
+        rows,
+        "Recording by recording: geometric means of ratios, with 95 % intervals.",
+    )
+
+
+def tuning_table(found: Comparison) -> Table:
+    """What was tuned, and over what."""
+    rows = []
+    for tuned in found.solver_grid.tuning:
+        for values, cost in tuned.tried:
+            chosen = "chosen" if values == tuned.chosen else ""
+            said = ", ".join(f"{name} {value:g}" for name, value in values.items())
+            rows.append((tuned.solver, said, f"{cost:.4g}", chosen))
+    return Table(
+        "Tuning, on frames that are not judged", ("solver", "setting", "mean objective", ""), rows
+    )

@@ -1,0 +1,230 @@
+"""Measure 2: the study's tasks in physics, from demonstrations, in perturbed worlds."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator.hands.hand import Hand
+from smooth_operator.human.alignment import align_recording
+from smooth_operator.simulation.scenes import Scene, ScenePart, ScenePhysics, scene_for
+from smooth_operator.simulation.tasks.scorer import rotation
+from smooth_operator.simulation.tasks.task_registry import TASKS
+from smooth_operator.simulation.tasks.trial import Outcome
+from smooth_operator.types import HandRecording, Side
+from smooth_operator_research.demonstrations.demonstration import (
+    PERIOD_S,
+    Demonstration,
+    DemonstrationLandmarks,
+    load_demonstration,
+)
+from smooth_operator_research.demonstrations.perturbation import (
+    Perturbation,
+    PerturbedLandmarks,
+    draw_perturbation,
+)
+from smooth_operator_research.demonstrations.trial_loop import TrialTrace, perform, run_trial
+from smooth_operator_research.physics.measure import (
+    Case,
+    Clip,
+    Drawing,
+    Measured,
+    PhysicsSettings,
+    Unit,
+)
+from smooth_operator_research.physics.page import interval_drawings
+from smooth_operator_research.physics.results import Figure, MeasureResults, Row
+
+WORLDS: Final = 100
+"""Perturbed worlds of each task."""
+
+QUICK_WORLDS: Final = 5
+STAYS_S: Final = 2.0
+"""The operator stays in the last pose for so long [s]: a goal must be met for half a second, and
+what hangs between two fingertips swings for a while before."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Task:
+    """What all worlds of a task and hand share."""
+
+    demonstration: Demonstration
+    scene: Scene
+    landmarks: DemonstrationLandmarks
+
+    @property
+    def seconds(self) -> float:
+        return self.landmarks.seconds + STAYS_S
+
+
+class Demonstrations:
+    """The measure; ``research/docs/physics-measures.md`` defines it."""
+
+    name: Final = "demonstrations"
+    title: Final = "Demonstrations"
+    definition: Final = (
+        "An operator who does not look performs a demonstration of a task, the retargeter drives "
+        "the hand in physics: in how many perturbed worlds is the task done?"
+    )
+    page: Final = "docs/physics-measures.md#demonstrations"
+    unit: Final = "world"
+    figures: Final = (
+        Figure("unperturbed", "", "up", "Score in the unperturbed world: 0, 0.5 or 1.",
+               short="unperturbed"),
+        Figure("success", "", "up", "Share of perturbed worlds with score 1.", share=True),
+        Figure("success_half", "", "up", "Share of perturbed worlds with a score of 0.5 or more.",
+               short="0.5 or more", share=True),
+        Figure("success_s", "s", "down", "Time from 'go' to the end of the trials with score 1.",
+               short="time"),
+        Figure("ceiling", "", "", "Share of perturbed worlds in which the demonstration's own "
+               "joint positions, as commands, score 1: what no operator or tracker disturbs.",
+               share=True),
+        Figure("tip_error_mm", "mm", "down", "Distance of the commanded fingertips from the "
+               "demonstration's, mean; in perturbed worlds the operator's other bones and the "
+               "noise are in it.", short="tip error", main=False),
+    )  # fmt: skip
+
+    def conditions(self, settings: PhysicsSettings) -> Sequence[str]:
+        """The tasks."""
+        return tuple(TASKS)
+
+    def units(self, settings: PhysicsSettings) -> Sequence[Unit]:
+        """World 0, which is unperturbed, and as many perturbed ones as are asked for."""
+        count = settings.count(WORLDS, QUICK_WORLDS)
+        return [
+            Unit(f"world {number}", key=[settings.seed, number], data=(number, settings.seed))
+            for number in range(count + 1)
+        ]
+
+    def run(self, case: Case) -> Measured:
+        """One trial."""
+        task = _task(case.condition, case.hand_name, case.side)
+        world = draw_perturbation(*case.unit.data)
+        result = run_trial(
+            case.retargeter(),
+            world.scene(task.scene),
+            TASKS[case.condition],
+            PerturbedLandmarks(task.landmarks, world),
+            seconds=task.seconds,
+            seed=case.seed,
+            prepare=world.prepare,
+            trace=True,
+        )
+        assert result.trace is not None
+        perturbed = world.number > 0
+        own = _own_score(case.condition, case.hand_name, case.side, *case.unit.data)
+        row: Row = {
+            "unperturbed": None if perturbed else result.score,
+            "success": float(result.score == 1.0) if perturbed else None,
+            "success_half": float(result.score >= 0.5) if perturbed else None,
+            "success_s": result.seconds if result.score == 1.0 else None,
+            "ceiling": float(own == 1.0) if perturbed else None,
+            "tip_error_mm": _tip_error_mm(case.hand, task.demonstration, result.trace),
+            "score": result.score,
+            "line": result.line,
+            "outcome": result.reason,
+            "ended": result.ended,
+            "seconds": result.seconds,
+            "frames": result.frames,
+            "dropped_frames": result.dropped,
+            "diverged": result.diverged,
+            **_quantities(world),
+        }
+        if not case.clip:
+            return Measured(row)
+        return Measured(row, _clip(case, world.scene(task.scene), result.trace))
+
+    def draw(self, results: MeasureResults, colors: Mapping[str, str]) -> Sequence[Drawing]:
+        """Success, 0.5 or more, and time of each method."""
+        return interval_drawings(self.name, results, self.figures[1:4], colors)
+
+
+@lru_cache(maxsize=8)
+def _task(name: str, hand_name: str, side: Side) -> _Task:
+    demonstration = replace(load_demonstration(name, hand_name), side=side)
+    hand = demonstration.robot
+    return _Task(demonstration, scene_for(name, hand), DemonstrationLandmarks(demonstration))
+
+
+@lru_cache(maxsize=512)
+def _own_score(name: str, hand_name: str, side: Side, number: int, seed: int) -> float:
+    """Score of the demonstration's own joint positions in a world; the same for all methods."""
+    task, world = _task(name, hand_name, side), draw_perturbation(number, seed)
+    hand = task.demonstration.robot
+    physics = ScenePhysics(hand, world.scene(task.scene))
+    world.prepare(physics)
+    outcome: Outcome | None = None
+    score = 0.0
+    for moment in perform(
+        physics,
+        TASKS[name],
+        lambda time, state, physics: hand.full_configuration(
+            task.demonstration.pose(time + PERIOD_S)
+        ),
+        seconds=task.seconds,
+    ):
+        outcome = moment.run.outcome
+        score = moment.run.standing.score if outcome is None else outcome.score
+    return score
+
+
+def _tip_error_mm(hand: Hand, demonstration: Demonstration, trace: TrialTrace) -> float:
+    """Mean over fingers and frames since the first command."""
+    poses = np.stack([demonstration.pose(time + PERIOD_S) for time in trace.times])
+    apart = hand.tips(trace.commands) - hand.tips(hand.full_configuration(poses))
+    return 1e3 * float(np.nanmean(np.linalg.norm(apart, axis=-1)))
+
+
+def _quantities(world: Perturbation) -> Row:
+    """What is perturbed, for those who look for what makes trials fail."""
+    return {
+        "shift_x_mm": 1e3 * float(world.shift[0]),
+        "shift_y_mm": 1e3 * float(world.shift[1]),
+        "turn_deg": float(np.degrees(world.turn)),
+        "friction": world.friction,
+        "mass": world.mass,
+        "palm": world.palm,
+        **{f"bones_{k}": float(factor) for k, factor in enumerate(world.bones)},
+        "noise_mm": 1e3 * world.tracker.noise,
+        "noise_time_s": world.tracker.noise_time,
+        "frame_loss": world.tracker.frame_loss,
+        "frame_loss_burst_s": world.tracker.frame_loss_burst,
+    }
+
+
+def _clip(case: Case, scene: Scene, trace: TrialTrace) -> Clip:
+    """What is seen: the human, the hand where physics has it, and the outlines of things."""
+    parts = ScenePhysics(case.hand, scene).parts()
+    at, turn = scene.mount.palm
+    corners: list[Float[np.ndarray, "t 8 3"]] = []
+    edges: list[tuple[int, int]] = []
+    for part in parts:
+        box = _box(part)
+        edges += [(len(corners) * 8 + a, len(corners) * 8 + b) for a, b in _EDGES]
+        world = [
+            state.position + box @ rotation(state.quaternion).T if part.moves else box
+            for state in trace.states
+        ]
+        corners.append((np.array(world) - at) @ turn)
+    human = HandRecording(trace.landmarks, trace.times, case.side)
+    aligned = align_recording(human, case.hand, case.config.alignment)
+    return Clip(trace.times, aligned, trace.positions, np.concatenate(corners, axis=1), edges)
+
+
+_CORNERS: Final = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
+_EDGES: Final = [(a, b) for a in range(8) for b in range(a + 1, 8) if (a ^ b).bit_count() == 1]
+
+
+def _box(part: ScenePart) -> Float[np.ndarray, "8 3"]:
+    """(8, 3) corners of a shape's bounding box, in the frame that the shape is placed in [m]."""
+    if part.kind == "box":
+        half = np.array(part.size)
+    else:
+        radius, length = part.size
+        half = np.array([radius, radius, length + (radius if part.kind == "capsule" else 0.0)])
+    return np.asarray(part.position + (_CORNERS * half) @ rotation(part.quaternion).T)

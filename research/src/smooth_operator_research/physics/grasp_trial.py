@@ -1,0 +1,343 @@
+"""A grasp of a robot hand tried on an object in physics: held, pushed, let go."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final, Generic, TypeVar
+
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator.lab.benchmark.recordings import SYNTHETIC, load_sources, parse_request
+from smooth_operator.types import HandRecording, Side
+from smooth_operator_research.physics.grasp_physics import (
+    GraspObject,
+    GraspPhysics,
+    PinchPhysics,
+    PowerGraspPhysics,
+)
+from smooth_operator_research.physics.human_pinches import HumanGrasp
+from smooth_operator_research.physics.measure import PhysicsSettings, Unit
+from smooth_operator_research.physics.results import Figure, Row
+
+HOLD_S: Final = 1.0
+"""How long the object must be held [s]."""
+GRACE_S: Final = 0.2
+"""The hand must have the object so long after the human's tightest moment [s]."""
+REST_S: Final = HOLD_S + GRACE_S + 0.05
+"""How long the human rests at the tightest moment [s]."""
+PUSH_N: Final = 0.3
+"""[N]"""
+OPEN_S: Final = 0.15
+"""The object must be free so long after the human has opened [s]."""
+HYSTERESIS: Final = 0.003
+"""The human has opened where the skins are farther apart than the object's width by this [m]."""
+
+_GRIP_N: Final = 0.2  # thumb and finger press so hard [N]...
+_GRIP_S: Final = 0.05  # ... for so long before the object is let go [s]
+_LOST_S: Final = 0.03  # not pressed from both sides for so long is lost [s]
+_ALONE_S: Final = 0.25  # of the hold, without a push [s]
+_LIMIT: Final = 0.99  # of a motor's torque
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RobotGrasp:
+    """What the robot is commanded in a grasp, and when the human does what.
+
+    Attributes:
+        stamps: (T,) of the commands [s].
+        commands: (T, n) positions of all joints [rad].
+        tight: when the human's hand is closed most, and rests [s].
+        shut: until when the human holds the object [s]; None: until the end of the recording.
+        opened: when the human has opened, by ``HYSTERESIS`` more in a pinch [s]; None: never.
+    """
+
+    stamps: Float[np.ndarray, " T"]
+    commands: Float[np.ndarray, "T n"]
+    tight: float
+    shut: float | None
+    opened: float | None
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RobotPinch(RobotGrasp):
+    """The same of a pinch.
+
+    Attributes:
+        finger: which finger pinches, as an index of ``Hand.fingers``.
+        closing: when the commanded pads are wider apart than the object for the last time before
+            the human's tightest moment [s]; None: they never are.
+    """
+
+    finger: int
+    closing: float | None
+
+
+@dataclass(frozen=True)
+class GraspResult:
+    """How a grasp fared with an object; its two sides are thumb and finger in a pinch, and fingers
+    against palm and thumb in a grasp with the whole hand.
+
+    Attributes:
+        touched: the pads came as near as the object is wide; always in a grasp with the whole hand.
+        held: both sides pressed on it for a second under gravity and pushes, gaps of up to 30 ms
+            aside.
+        dropped: both sides had it, and lost it while the human still held.
+        let_go: it was free in time after the human opened; None where it was not held until then,
+            or the recording ends before.
+        delay: from the human's opening until it was free [s]; None likewise, or if it never was.
+        gap: how much wider than the object the pads stayed [m]; 0 where they touched.
+        force: with which both sides pressed while it was held, mean of the weaker one [N]; None
+            where there was no hold.
+        at_limit: share of the hold in which a motor was at its torque limit; None likewise.
+    """
+
+    touched: bool
+    held: bool = False
+    dropped: bool = False
+    let_go: bool | None = None
+    delay: float | None = None
+    gap: float = 0.0
+    force: float | None = None
+    at_limit: float | None = None
+
+
+def try_pinch(physics: PinchPhysics, pinch: RobotPinch) -> GraspResult:
+    """Do a pinch with an object.
+
+    The object appears between the pads when they are as far apart as it is wide, on the last way
+    to closing. Somebody holds it loosely until both pads press on it, or until ``GRACE_S`` after
+    the human's tightest moment. Then it must stay for ``HOLD_S``, in which it is pushed in six
+    directions one after the other, and be free ``OPEN_S`` after the human has opened.
+    """
+    physics.begin(pinch.finger, pinch.commands[0])
+    run = _Run(physics, pinch)
+    gap = _close(run, pinch.closing)
+    return GraspResult(False, gap=gap) if gap > 0.0 else run.result()
+
+
+def try_power_grasp(physics: PowerGraspPhysics, grasp: RobotGrasp) -> GraspResult:
+    """Grasp an object with the whole hand.
+
+    It lies in the open palm from the beginning. Somebody holds it loosely until ``GRACE_S`` after
+    the human's tightest moment; all else is as in ``try_pinch``.
+    """
+    physics.begin(grasp.commands[0])
+    physics.appear()
+    return _Run(physics, grasp, waits=True).result()
+
+
+def _close(run: _Run[PinchPhysics], closing: float | None) -> float:
+    """Until the pads are as near as the object is wide; how much wider they stay [m]."""
+    width = run.physics.thing.width
+    before, least = -1.0, np.inf
+    if closing is None:
+        # Pads that never were as far apart as the object could not take it.
+        return 1e-6
+    for _ in run.until(run.grasp.tight + GRACE_S):
+        gap = run.physics.gap().distance
+        least = min(least, gap - width)
+        if before > width >= gap and run.time >= closing:
+            run.physics.appear()
+            return 0.0
+        before = gap
+    return max(float(least), 1e-6)
+
+
+_Physics = TypeVar("_Physics", bound=GraspPhysics)
+
+
+class _Run(Generic[_Physics]):
+    """One trial, stage after stage.
+
+    Args:
+        physics: the hand and the object.
+        grasp: what is commanded.
+        waits: the object is handed over when the time is up, not when both sides press on it.
+    """
+
+    def __init__(self, physics: _Physics, grasp: RobotGrasp, waits: bool = False) -> None:
+        self.physics, self.grasp, self._waits = physics, grasp, waits
+        self._start = float(grasp.stamps[0])
+        self._frame = 0
+        self._grips: list[float] = []
+        self._efforts: list[float] = []
+        self._gripped = False
+        self._lost = 0.0
+        self._zero = physics.time
+
+    @property
+    def time(self) -> float:
+        """By the grasp's clock [s]."""
+        return self._start + self.physics.time - self._zero
+
+    def result(self) -> GraspResult:
+        """All that follows once the object is there."""
+        if not self.hand_over():
+            return GraspResult(True, dropped=self._gripped)
+        held = self.hold()
+        force = float(np.mean(self._grips)) if self._grips else None
+        limit = float(np.mean(np.array(self._efforts) > _LIMIT)) if self._efforts else None
+        if not held:
+            return GraspResult(True, dropped=self._gripped, force=force, at_limit=limit)
+        grasp, end = self.grasp, float(self.grasp.stamps[-1])
+        opened = grasp.opened if grasp.opened is not None and grasp.opened + OPEN_S <= end else None
+        free = self.release(end if opened is None else opened + OPEN_S)
+        if free is not None and free < (end if grasp.shut is None else grasp.shut):
+            return GraspResult(True, True, True, force=force, at_limit=limit)
+        if opened is None:
+            return GraspResult(True, True, force=force, at_limit=limit)
+        delay = None if free is None else free - opened
+        return GraspResult(True, True, False, free is not None, delay, 0.0, force, limit)
+
+    def hand_over(self) -> bool:
+        """Until both sides press on the object; False if it is lost before the hold begins."""
+        pressed = 0.0
+        for step in self.until(self.grasp.tight + GRACE_S):
+            pressed = pressed + step if self.physics.grip > _GRIP_N else 0.0
+            if pressed >= _GRIP_S:
+                self._gripped = True
+                if not self._waits:
+                    break
+        self.physics.let_go()
+        return all(self._has(step) for step in self.until(self.grasp.tight))
+
+    def hold(self) -> bool:
+        """Gravity, then pushes; whether the object stays."""
+        physics = self.physics
+        axes, begin = physics.axes, self.time
+        pushes = [sign * PUSH_N * axes[:, k] for k in range(3) for sign in (1.0, -1.0)]
+        each = (HOLD_S - _ALONE_S) / len(pushes)
+        stays, lost = True, 0.0
+        for step in self.until(begin + HOLD_S):
+            number = int((self.time - begin - _ALONE_S) / each)
+            if self.time - begin > _ALONE_S:
+                physics.push(pushes[min(number, len(pushes) - 1)])
+            grip = physics.grip
+            self._grips.append(grip)
+            self._efforts.append(physics.effort)
+            lost = 0.0 if grip > 0.0 else lost + step
+            stays = lost < _LOST_S
+            if not stays:
+                break
+        physics.push(np.zeros(3))
+        return stays
+
+    def release(self, deadline: float) -> float | None:
+        """Until the object is free; when that was [s]; None if not by the deadline."""
+        lost = 0.0
+        for step in self.until(deadline + _LOST_S):
+            lost = 0.0 if self.physics.grip > 0.0 else lost + step
+            if lost >= _LOST_S:
+                return self.time - lost
+        return None
+
+    def _has(self, step: float) -> bool:
+        """Whether both sides press, brief gaps aside."""
+        self._lost = 0.0 if self.physics.grip > 0.0 else self._lost + step
+        return self._lost < _LOST_S
+
+    def until(self, end: float) -> Iterator[float]:
+        """Let time pass in steps of the physics, with the commands that are due."""
+        physics, grasp = self.physics, self.grasp
+        while self.time < end - 1e-9:
+            while self._frame < len(grasp.stamps) and grasp.stamps[self._frame] <= self.time + 1e-9:
+                physics.command(grasp.commands[self._frame])
+                self._frame += 1
+            physics.advance(physics.timestep)
+            yield physics.timestep
+
+
+LET_GO: Final = Figure(
+    "let_go", "", "up", "Of the objects that were held until the human opened, the share that was "
+    "free within 150 ms.", short="let go",
+)  # fmt: skip
+AT_LIMIT: Final = Figure(
+    "at_limit", "", "", "Share of the hold in which a motor is at its torque limit.",
+    short="at the limit",
+)  # fmt: skip
+"""Figures of both measures."""
+
+_UNITS, _QUICK_UNITS = 5, 1
+_GRASP_S: Final = 10.0  # about as much work as so much of a recording [s]
+
+
+def named_recordings(settings: PhysicsSettings) -> list[str]:
+    """The recordings asked for; built-in operators where none is named."""
+    if settings.recordings:
+        return list(settings.recordings)
+    count = settings.count(_UNITS, _QUICK_UNITS)
+    return [f"{SYNTHETIC}:{settings.seed + k}" for k in range(count)]
+
+
+def recording_units(
+    settings: PhysicsSettings, find: Callable[[HandRecording], Sequence[HumanGrasp]]
+) -> list[Unit]:
+    """The recordings in which there are such grasps.
+
+    Raises:
+        RecordingError: no recording can be read.
+    """
+    requests = [
+        parse_request(name, frames=settings.frames, rate=settings.rate, layout=settings.layout)
+        for name in named_recordings(settings)
+    ]
+    units = []
+    for source in load_sources(requests):
+        if source.recording is not None and (found := find(source.recording)):
+            effort = source.recording.duration + _GRASP_S * len(found)
+            units.append(Unit(source.name, source.digest, source.recording, effort))
+    return units
+
+
+def object_figures(things: Sequence[GraspObject]) -> Iterator[Figure]:
+    """The share held of each object."""
+    for thing in things:
+        yield Figure(
+            _column(thing.name), "", "up",
+            f"The share held, {thing.kind} of {1e3 * thing.width:g} mm.",
+            short=thing.name, main=False,
+        )  # fmt: skip
+
+
+def of_side(recording: HandRecording, side: Side) -> HandRecording:
+    """The recording, or its mirror image as the other hand."""
+    if recording.side == side:
+        return recording
+    landmarks = recording.landmarks * np.array([-1.0, 1.0, 1.0])
+    return HandRecording(landmarks, recording.stamps, side, recording.valid, name=recording.name)
+
+
+def grasp_row(tried: Mapping[str, Sequence[GraspResult]]) -> Row:
+    """Figures of all trials; those of an object by its name."""
+    every = [result for results in tried.values() for result in results]
+    judged = [result.let_go for result in every if result.let_go is not None]
+    held = [result for result in every if result.held]
+    apart = [1e3 * result.gap for result in every if not result.touched]
+    delays = [1e3 * result.delay for result in every if result.delay is not None]
+    return {
+        "held": _mean([result.held for result in every]),
+        "let_go": _mean(judged),
+        "dropped": _mean([result.dropped for result in every]),
+        "force_n": _mean([result.force for result in held]),
+        "at_limit": _mean([result.at_limit for result in held]),
+        **{
+            _column(name): _mean([result.held for result in results])
+            for name, results in tried.items()
+        },
+        "tried": len(every),
+        "touched": sum(result.touched for result in every),
+        "judged": len(judged),
+        "apart_mm": _mean(apart),
+        "delay_ms": _mean(delays),
+    }
+
+
+def _column(name: str) -> str:
+    return f"held_{name.replace(' ', '_')}"
+
+
+def _mean(values: Sequence[float | bool | None]) -> float | None:
+    known = [float(value) for value in values if value is not None]
+    return float(np.mean(known)) if known else None

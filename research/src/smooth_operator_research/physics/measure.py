@@ -1,0 +1,334 @@
+"""What a measure of ``bench --physics`` has to offer, and the cases that it is run on.
+
+A measure is a class without arguments, named in ``physics.suite``. The framework makes the
+cases (each hand, method, condition and independent unit), runs them in workers, keeps what came of
+each, and makes tables, files and the report.
+"""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Protocol
+
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator.errors import ConfigError
+from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.registry import load_hand
+from smooth_operator.human.alignment import reference_landmarks
+from smooth_operator.lab.benchmark.built import built_for
+from smooth_operator.lab.benchmark.settings import ALL, method_label, select_hands, select_methods
+from smooth_operator.lab.offline import execute
+from smooth_operator.methods.method import MethodConfig
+from smooth_operator.methods.retargeter import Retargeter
+from smooth_operator.planning import Plan
+from smooth_operator.types import CommandTrajectory, HandRecording, Side
+from smooth_operator_research.physics.results import Figure, MeasureResults, Row
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhysicsSettings:
+    """What to measure, and where to write it.
+
+    Attributes:
+        output: folder of the results.
+        measures: names of measures; see ``physics.suite``.
+        hands: names of robot hands.
+        methods: names as ``lab.benchmark.settings.select_methods`` takes them.
+        side: which hand, of measures that need no recording.
+        recordings: of measures that need some: files, folders, or ``synthetic``; empty for what a
+            measure takes by itself.
+        frames: ``A:B``, of each recording that brings no range of its own.
+        rate: frames a second of recordings without stamps [Hz].
+        layout: order of the landmarks in plain arrays; None for the project's own.
+        units: how many independent units (seeds, worlds, operators) each measure takes; None for
+            as many as it takes by itself.
+        quick: take fewer and shorter cases, to try things out.
+        seed: of the units and of the methods' random numbers.
+        workers: processes; None for one per core, 0 for none.
+        cluster: address of a Ray cluster instead of processes on this machine.
+
+    Raises:
+        ConfigError: a number is out of its range, or there is nothing to measure.
+        UnknownNameError: there is no such hand, method or preset.
+    """
+
+    output: Path
+    measures: tuple[str, ...] = ()
+    hands: tuple[str, ...] = ("mimic_p050",)
+    methods: tuple[str, ...] = (ALL,)
+    side: Side = "right"
+    recordings: tuple[str, ...] = ()
+    frames: str | None = None
+    rate: float | None = None
+    layout: str | None = None
+    units: int | None = None
+    quick: bool = False
+    seed: int = 0
+    workers: int | None = None
+    cluster: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.units is not None and self.units < 1:
+            raise ConfigError(f"a measure takes one independent unit or more, not {self.units}")
+        if self.seed < 0:
+            raise ConfigError(f"the seed must be 0 or more, not {self.seed}")
+        object.__setattr__(self, "hands", select_hands(self.hands))
+        select_methods(self.methods)
+
+    def count(self, default: int, quick: int) -> int:
+        """How many units a measure takes.
+
+        Args:
+            default: where nothing is said.
+            quick: where a quick run is asked for.
+        """
+        if self.units is not None:
+            return self.units
+        return quick if self.quick else default
+
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as Plot
+
+
+@dataclass(frozen=True, eq=False)
+class Unit:
+    """An independent repetition: a seed, a recording, a world, an operator.
+
+    Attributes:
+        name: what it is called in the rows.
+        key: what it depends on, with a JSON form; in the key of a kept result. The name if empty.
+        data: what a case needs of it; it can be pickled.
+        effort: about how long it takes; only the proportions matter.
+    """
+
+    name: str
+    key: Any = None
+    data: Any = None
+    effort: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """One thing to run: a unit in a condition, a hand, a method.
+
+    Attributes:
+        measure: name of the measure.
+        hand_name: name of the robot hand.
+        side: side of both hands.
+        method: name of the method.
+        preset: name of its preset.
+        config: its configuration.
+        condition: of ``Measure.conditions``.
+        unit: the independent unit.
+        seed: of the method's random numbers.
+        quick: a shorter case is asked for.
+        clip: a clip is wanted.
+    """
+
+    measure: str
+    hand_name: str
+    side: Side
+    method: str
+    preset: str
+    config: MethodConfig
+    condition: str
+    unit: Unit
+    seed: int = 0
+    quick: bool = False
+    clip: bool = False
+
+    @property
+    def key(self) -> tuple[str, ...]:
+        """What names it among all cases."""
+        return (
+            self.measure, self.hand_name, self.side, self.method, self.preset, self.condition,
+            self.unit.name,
+        )  # fmt: skip
+
+    @property
+    def method_label(self) -> str:
+        """What the method is called in tables."""
+        return method_label(self.method, self.preset)
+
+    @property
+    def label(self) -> str:
+        """For a person."""
+        condition = f", {self.condition}" if self.condition else ""
+        where = f"{self.hand_name} {self.side}, {self.method_label}{condition}"
+        return f"{where}, {self.unit.name}"
+
+    @cached_property
+    def hand(self) -> Hand:
+        """The robot hand, loaded."""
+        return load_hand(self.hand_name, self.side)
+
+    def commands(self, recording: HandRecording) -> CommandTrajectory:
+        """The commands of the method for a recording, from a fresh state.
+
+        The compiled program is kept in the process for the next case of this hand and method.
+        """
+        todo = self._plan(recording)
+        return execute(todo, built_for(todo)).commands
+
+    def retargeter(self) -> Retargeter:
+        """The method, compiled, for a loop that steps it; kept in the process as well.
+
+        Raises:
+            ConfigError: the preset needs the whole recording.
+        """
+        if self.config.trajectory is not None:
+            return Retargeter(self.hand, config=self.config, seed=self.seed)  # says why not
+        nothing = HandRecording(reference_landmarks(self.hand)[None], np.zeros(1), self.side)
+        runner, _ = built_for(self._plan(nothing))  # which does not look at it
+        assert isinstance(runner, Retargeter)
+        return runner
+
+    def _plan(self, recording: HandRecording) -> Plan:
+        return Plan(recording, self.hand, self.method, self.preset, self.config, self.seed)
+
+
+@dataclass(frozen=True, eq=False)
+class Clip:
+    """What a player shows of a case; positions in the palm frame [m].
+
+    Attributes:
+        stamps: (T,) [s].
+        human: (T, 21, 3) the human's landmarks, aligned.
+        joints: (T, n) positions of all joints of the robot [rad].
+        objects: (T, p, 3) points of objects; None for none.
+        edges: pairs of those points that a line joins.
+    """
+
+    stamps: Float[np.ndarray, " T"]
+    human: Float[np.ndarray, "T 21 3"]
+    joints: Float[np.ndarray, "T n"]
+    objects: Float[np.ndarray, "T p 3"] | None = None
+    edges: Sequence[tuple[int, int]] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """What came of a case.
+
+    Attributes:
+        row: numbers and short texts.
+        clip: what was seen; None where none was wanted.
+    """
+
+    row: Row
+    clip: Clip | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Drawing:
+    """A plot of a measure.
+
+    Attributes:
+        name: of its files, ``NAME.png`` and ``NAME.svg``.
+        caption: what is seen.
+        plot: matplotlib's figure.
+    """
+
+    name: str
+    caption: str
+    plot: Plot = field(repr=False)
+
+
+class Measure(Protocol):
+    """A measure of what a hand achieves.
+
+    Attributes:
+        name: what it is called on the command line.
+        title: heading of its section.
+        definition: what it measures, in one sentence.
+        page: its page of the documentation, with the anchor of its section.
+        unit: what an independent unit is: "seed", "recording", "world", "operator".
+        figures: its columns that are figures, the most telling first.
+    """
+
+    name: str
+    title: str
+    definition: str
+    page: str
+    unit: str
+    figures: tuple[Figure, ...]
+
+    def conditions(self, settings: PhysicsSettings) -> Sequence[str]:
+        """What is varied on purpose, as tracker noise or a task; a table for each. ("",) for
+        nothing."""
+
+    def units(self, settings: PhysicsSettings) -> Sequence[Unit]:
+        """The independent units; all hands, methods and conditions take the same ones.
+
+        Raises:
+            SmoothOperatorError: a recording can't be read.
+        """
+
+    def run(self, case: Case) -> Measured:
+        """Runs one case. Deterministic: the same case gives the same row.
+
+        Raises:
+            SmoothOperatorError: it can't be measured; the row then has the reason.
+        """
+
+    def draw(self, results: MeasureResults, colors: Mapping[str, str]) -> Sequence[Drawing]:
+        """The plots of the report.
+
+        Args:
+            results: all rows and their summaries.
+            colors: name of a method in tables -> its colour.
+        """
+
+
+RATE_HZ: Final = 30.0
+_SCALES: Final = {"human": 1e-4, "joints": 1e-4, "objects": 1e-4}  # [m] or [rad]
+_ABSENT: Final = -(2**31)
+
+
+def clip_record(clip: Clip) -> dict[str, Any]:
+    """A clip with a JSON form, at 30 frames a second."""
+    stamps = clip.stamps
+    count = min(len(stamps), max(2, int((stamps[-1] - stamps[0]) * RATE_HZ) + 1))
+    wanted = np.linspace(stamps[0], stamps[-1], count)
+    chosen = np.unique(np.searchsorted(stamps, wanted).clip(0, len(stamps) - 1))
+    arrays = {name: getattr(clip, name) for name in _SCALES}
+    return {
+        "stamps": [round(float(t), 4) for t in stamps[chosen]],
+        "edges": [list(edge) for edge in clip.edges],
+        **{
+            name: None if array is None else _packed(array[chosen], _SCALES[name])
+            for name, array in arrays.items()
+        },
+    }
+
+
+def clip_of_record(record: dict[str, Any]) -> Clip:
+    """The clip of ``clip_record``, thinned."""
+    arrays = {
+        name: None if record[name] is None else _unpacked(record[name], scale)
+        for name, scale in _SCALES.items()
+    }
+    human, joints = arrays["human"], arrays["joints"]
+    assert human is not None
+    assert joints is not None
+    edges = [(int(a), int(b)) for a, b in record["edges"]]
+    return Clip(np.asarray(record["stamps"], float), human, joints, arrays["objects"], edges)
+
+
+def _packed(array: np.ndarray, scale: float) -> dict[str, Any]:
+    finite = np.isfinite(array)
+    whole = np.where(finite, np.rint(np.where(finite, array, 0.0) / scale), _ABSENT)
+    text = base64.b64encode(whole.astype("<i4").tobytes()).decode()
+    return {"shape": list(array.shape), "values": text}
+
+
+def _unpacked(record: dict[str, Any], scale: float) -> np.ndarray:
+    whole = np.frombuffer(base64.b64decode(record["values"]), "<i4").reshape(record["shape"])
+    return np.where(whole == _ABSENT, np.nan, whole * scale)

@@ -1,0 +1,253 @@
+"""``report.html`` of ``bench --physics``: definition, tables, plots and clips of each measure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from importlib.resources import files
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from smooth_operator.formats.environment import environment
+from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.registry import load_hand
+from smooth_operator.lab.benchmark.benchmark_folder import PLOTS, REPORT
+from smooth_operator.lab.benchmark.clips import make_clip
+from smooth_operator.lab.benchmark.page.player import player
+from smooth_operator.lab.benchmark.page.tables import facts_table, header
+from smooth_operator.lab.benchmark.panels import Panel, Run, robot_landmarks
+from smooth_operator.methods.default import DEFAULT_METHOD
+from smooth_operator.reporting.drawing import colors_of, styled
+from smooth_operator.reporting.html import (
+    Html,
+    details,
+    element,
+    escape,
+    failed_cell,
+    join,
+    name_cell,
+    paragraph,
+    table,
+    text_table,
+)
+from smooth_operator.reporting.report_page import SORTING, Plots, write_report_page
+from smooth_operator.types import as_side
+from smooth_operator_research.physics.measure import Clip, Drawing, PhysicsSettings
+from smooth_operator_research.physics.results import Figure, Line, MeasureResults, Summary, best_of
+from smooth_operator_research.physics.suite import COMMAND, MeasureOutcome, failed_rows
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_ROW: Final = 0.24  # of a method [inch]
+
+
+def interval_drawings(
+    name: str, results: MeasureResults, figures: Sequence[Figure], colors: Mapping[str, str]
+) -> list[Drawing]:
+    """A plot for each condition: a panel for each figure, a row for each hand and method.
+
+    Args:
+        name: of the measure; the files begin with it.
+        results: all rows.
+        figures: which figures.
+        colors: method -> colour.
+    """
+    conditions = list(dict.fromkeys(condition for _, _, condition in results.panels))
+    drawings = []
+    for condition in conditions:
+        panels = [panel for panel in results.panels if panel[2] == condition]
+        words = f" ({condition})" if condition else ""
+        caption = (
+            f"{', '.join(figure.heading for figure in figures)}{words}: dots are means or shares, "
+            "bars their 95 % intervals, small dots the independent units."
+        )
+        stem = "-".join(filter(None, (name, condition.replace(" ", "-"))))
+        drawings.append(Drawing(stem, caption, _plot(panels, results, figures, colors)))
+    return drawings
+
+
+def _plot(
+    panels: Sequence[tuple[str, str, str]],
+    results: MeasureResults,
+    figures: Sequence[Figure],
+    colors: Mapping[str, str],
+) -> Any:
+    from matplotlib.figure import Figure as Plot
+
+    rows = sum(len(results.lines(panel)) + 1 for panel in panels)
+    size = (2.6 * len(figures) + 1.6, _ROW * rows + 1.0)
+    plot = Plot(figsize=size, layout="constrained")
+    axes = plot.subplots(1, len(figures), sharey=True, squeeze=False)[0]
+    names: list[tuple[float, str]] = []
+    at = 0.0
+    for panel in panels:
+        hand, side, _ = panel
+        names.append((at, f"{hand} {side}"))
+        at += 1
+        for line in results.lines(panel):
+            names.append((at, line.method))
+            for ax, figure in zip(axes, figures, strict=True):
+                _mark(ax, at, line.summaries[figure.name], colors[line.method])
+                if not figure.share:
+                    own = [r[figure.name] for r in results.of(panel, line.method)
+                           if r.get(figure.name) is not None]  # fmt: skip
+                    ax.plot(own, [at] * len(own), ".", color=colors[line.method], alpha=0.35,
+                            markersize=3)  # fmt: skip
+            at += 1
+    for ax, figure in zip(axes, figures, strict=True):
+        ax.set_title(" ".join(filter(None, (figure.heading, figure.sign))))
+        ax.set_xlabel(figure.unit or ("share" if figure.share else ""))
+        ax.set_xlim(left=min(0.0, ax.get_xlim()[0]))
+    axes[0].set_yticks([y for y, _ in names], [text for _, text in names])
+    axes[0].set_ylim(at - 0.5, -0.7)
+    return plot
+
+
+def _mark(ax: Axes, at: float, summary: Any, color: str) -> None:
+    if summary.value is None:
+        return
+    if summary.low is not None and summary.high is not None:
+        ax.plot([summary.low, summary.high], [at, at], color=color, linewidth=2, alpha=0.6)
+    ax.plot(summary.value, at, "o", color=color, markersize=5)
+
+
+def write_report(settings: PhysicsSettings, outcomes: Sequence[MeasureOutcome]) -> Path:
+    """Writes the page and its plots into the folder of the results.
+
+    Returns:
+        The page. It needs no other file, and nothing from the network.
+
+    Raises:
+        OutputError: a file can't be written.
+    """
+    plots = Plots(settings.output / PLOTS)
+    colors = colors_of(method for outcome in outcomes for method in outcome.results.methods)
+    hands = sum(len(shown) + 1 for outcome in outcomes for shown in outcome.clips.values())
+    sections = [
+        (o.measure.title, o.measure.name, _section(o, plots, colors, hands)) for o in outcomes
+    ]
+    failed = list(failed_rows(outcomes))
+    if failed:
+        columns = ("measure", "hand", "method", "condition", "unit", "reason")
+        body = text_table(columns, [[row[name] or "" for name in columns] for row in failed])
+        sections.append(("Failures", "failures", body))
+    asked = {
+        "measures": ", ".join(outcome.measure.name for outcome in outcomes),
+        "hands": ", ".join(settings.hands),
+        "methods": ", ".join(settings.methods),
+        "seed": settings.seed,
+        "quick": settings.quick,
+    }
+    environs = join([facts_table(asked), facts_table(environment())])
+    sections.append(("Environment", "environment", environs))
+    count = sum(len(outcome.results.rows) for outcome in outcomes)
+    said = f"{count} cases" + (f", {len(failed)} of them failed" if failed else "")
+    here = files("smooth_operator.lab.benchmark.page")
+    return write_report_page(
+        settings.output / REPORT,
+        "What the hand achieves",
+        join([element("h1", "What the hand achieves"), paragraph(said, "soft")]),
+        sections,
+        f"Made by smooth-operator {COMMAND}. Figures: results.json, summary.csv and a CSV for each "
+        "measure; plots as files: plots/.",
+        styles=(here / "player.css",),
+        scripts=(here / "player.js", SORTING),
+        without_scripts=".player { display: none; }",
+    )
+
+
+def _section(outcome: MeasureOutcome, plots: Plots, colors: Mapping[str, str], hands: int) -> Html:
+    measure, results = outcome.measure, outcome.results
+    count = len({row["unit"] for row in results.rows})
+    said = (
+        f"Figures are means or shares over {count} independent {measure.unit}"
+        f"{'s' if count != 1 else ''}, with 95 % intervals: Student's t for means, Wilson's for "
+        f"shares. The definition in full: research/{measure.page}."
+    )
+    parts = [paragraph(measure.definition), paragraph(said, "soft")]
+    for panel in results.panels:
+        hand, side, condition = panel
+        title = f"{hand} {side}" + (f", {condition}" if condition else "")
+        lines = results.lines(panel)
+        inside = [_table(outcome, lines, colors, main=True)]
+        if not all(figure.main for figure in measure.figures):
+            inside.append(details("All figures", _table(outcome, lines, colors, main=False)))
+        if len(lines) > 1:
+            inside.append(_differences(outcome, panel, colors))
+        clips = outcome.clips.get(panel, {})
+        if clips:
+            inside.append(player(make_clip(_panel(panel, clips), colors, hands)))
+        parts.append(Html(f"<h3>{escape(title)}</h3>{join(inside)}"))
+    with styled():
+        drawings = measure.draw(results, colors)
+    parts += [plots.element(d.plot, d.name, d.caption) for d in drawings]
+    return join(parts)
+
+
+def _table(
+    outcome: MeasureOutcome, lines: Sequence[Line], colors: Mapping[str, str], *, main: bool
+) -> Html:
+    """A line for each method; the best of each column marked."""
+    figures = [f for f in outcome.measure.figures if f.main or not main]
+    tops = {figure.name: best_of(lines, figure) for figure in figures}
+    body = []
+    for line in lines:
+        name = name_cell(line.method, colors[line.method])
+        if len(line.failed) and all(s.value is None for s in line.summaries.values()):
+            body.append([name, failed_cell("; ".join(line.failed), len(figures))])
+            continue
+        cells = [name]
+        for figure in figures:
+            text = escape(line.summaries[figure.name].text())
+            best = tops[figure.name] == line.method
+            cells.append(element("td", element("b", text)) if best else text)
+        body.append(cells)
+    heads = [Html("method"), *(header(figure) for figure in figures)]
+    return table(heads, body, "sortable")
+
+
+def _differences(
+    outcome: MeasureOutcome, panel: tuple[str, str, str], colors: Mapping[str, str]
+) -> Html:
+    """By how much the other methods exceed the default one, or the first."""
+    results, figures = outcome.results, [f for f in outcome.measure.figures if f.main]
+    methods = [line.method for line in results.lines(panel)]
+    against = DEFAULT_METHOD if DEFAULT_METHOD in methods else methods[0]
+    body = [
+        [name_cell(method, colors[method]), *(_difference(own[f.name]) for f in figures)]
+        for method, own in results.differences(panel, against).items()
+        if method in methods
+    ]
+    words = (
+        f"Figure of the method less that of {against}, unit by unit, with Student's t interval "
+        "(95 %). Bold: the interval excludes 0."
+    )
+    heads = [Html("method"), *(header(figure) for figure in figures)]
+    inside = join([table(heads, body), paragraph(words, "soft")])
+    return details(f"Difference from {against}", inside)
+
+
+def _difference(summary: Summary) -> Html:
+    text = escape(summary.text())
+    if summary.low is None or summary.high is None or summary.low <= 0 <= summary.high:
+        return text
+    return element("b", text)
+
+
+def _panel(key: tuple[str, str, str], clips: Mapping[str, Clip]) -> Panel:
+    """Clips of several methods on one clock: one that ends earlier stays at its last frame."""
+    name, side, condition = key
+    hand = load_hand(name, as_side(side))
+    stamps = max((clip.stamps for clip in clips.values()), key=lambda own: float(own[-1]))
+    runs = tuple(_run(method, clip, hand, stamps) for method, clip in clips.items())
+    edges = next((tuple(clip.edges) for clip in clips.values() if clip.edges), ())
+    return Panel((condition, name, side), hand, stamps - stamps[0], runs, edges)
+
+
+def _run(method: str, clip: Clip, hand: Hand, stamps: np.ndarray) -> Run:
+    at = np.searchsorted(clip.stamps, stamps).clip(0, len(clip.stamps) - 1)
+    joints = clip.joints[at]
+    objects = None if clip.objects is None else clip.objects[at]
+    return Run(method, clip.human[at], robot_landmarks(hand, joints), joints, objects)

@@ -1,0 +1,447 @@
+"""Measure 1: motions that the robot hand itself makes play the human, so every target is exact."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator.hands.collision import penetration_depths
+from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.registry import load_hand
+from smooth_operator.human.alignment import align_recording
+from smooth_operator.landmarks import FINGERS, TIPS
+from smooth_operator.synthetic.robot_landmarks import human_landmarks
+from smooth_operator.types import HandRecording, Side, Status
+from smooth_operator_research.physics.measure import (
+    Case,
+    Clip,
+    Drawing,
+    Measured,
+    PhysicsSettings,
+    Unit,
+)
+from smooth_operator_research.physics.page import interval_drawings
+from smooth_operator_research.physics.results import Figure, MeasureResults
+
+KNOT_S: Final = 0.4
+"""Time between two knots of the spline [s]; half of its inverse, 1.25 Hz, bounds the band."""
+PINCH_SHARE: Final = 1 / 3
+"""Share of the key poses in which the thumb meets a finger."""
+PINCH_GAP: Final = 0.02
+"""Tips closer than this are a pinch [m]."""
+TOUCH: Final = 1e-3
+"""Deepest overlap of a pose that a real hand could take [m]."""
+
+_DRAWS: Final = 30  # key poses that are tried in turn where the way to one collides
+_NARROWING: Final = 15  # of them, the last, come nearer and nearer to the pose before
+_MOST_FINGERS: Final = 12  # a multiple of 2, 3 and 4: no finger is drawn more often
+_STARTS: Final = 12  # random poses from which a pinch is searched
+_STEPS: Final = 60
+_NEAR: Final = 3e-3  # most that a step of the search closes a pinch [m]
+_TURN: Final = 0.15  # most that a joint turns in a step of the search [rad]
+_DAMPING: Final = 1e-6  # of the search [m^2]
+_PROBE: Final = 1e-5  # of finite differences [rad]
+_HALVINGS: Final = 8
+
+# Uniform cubic B-spline: position in a segment -> weights of its four control points.
+_BASIS: Final = (
+    np.array([[1.0, 4.0, 1.0, 0.0], [-3.0, 0.0, 3.0, 0.0], [3.0, -6.0, 3.0, 0.0], [-1, 3, -3, 1]])
+    / 6.0
+)
+
+
+@dataclass(frozen=True, eq=False)
+class JointMotion:
+    """A motion of a hand's actuated joints.
+
+    Attributes:
+        stamps: (T,) from 0 [s].
+        joints: (T, m) positions of the actuated joints [rad].
+        pinches: how many key poses are pinches.
+        deepest: deepest self-penetration [m]; None where the model has no shapes that collide.
+    """
+
+    stamps: Float[np.ndarray, " T"]
+    joints: Float[np.ndarray, "T m"]
+    pinches: int
+    deepest: float | None
+
+    @property
+    def peak_speed(self) -> float:
+        """Highest speed of a joint [rad/s]."""
+        return float(np.abs(np.gradient(self.joints, self.stamps, axis=0)).max())
+
+
+def joint_motion(
+    hand: Hand, seed: int, *, duration: float = 8.0, rate_hz: float = 100.0
+) -> JointMotion:
+    """A random motion from the neutral pose, within the limits and free of self-collision.
+
+    A uniform cubic B-spline with a knot each 0.4 s: twice continuously differentiable, within the
+    limits since its control points are, and faster than 1.25 Hz in nothing. A third of the key
+    poses are pinches of the thumb with each finger in turn, which the motion reaches exactly and
+    holds for up to 0.4 s; the others are uniform within the limits. A key pose is drawn again
+    where it or the way to it has parts of the hand more than a millimetre inside each other, as
+    far as the model has shapes that collide.
+
+    Args:
+        hand: the robot hand.
+        seed: of the random numbers.
+        duration: length [s].
+        rate_hz: frames a second [Hz].
+    """
+    rng = np.random.default_rng(seed)
+    per_knot = round(KNOT_S * rate_hz)
+    count = round(duration * rate_hz)
+    segments = -(-count // per_knot)
+    poses = _KeyPoses(hand, rng)
+    control = [hand.neutral] * 4  # still for one segment
+    pinches, deepest = 0, 0.0
+    while len(control) < segments + 3:
+        pinch = rng.random() < PINCH_SHARE and poses.can_pinch
+        turn = int(rng.integers(_MOST_FINGERS))
+        for draw in range(_DRAWS):
+            key = poses.pinch(turn + draw) if pinch else poses.free()[0]
+            # The last draws stay near the pose before, from where the way is free.
+            share = min(1.0, (_DRAWS - 1 - draw) / _NARROWING)
+            pinch = pinch and share == 1.0
+            group = [control[-1] + share * (key - control[-1])]
+            group *= int(rng.integers(3, 5) if pinch else rng.integers(1, 3))
+            # And two more: that the motion can always rest where it is, so the last draw is free.
+            depth = depth_of(hand, spline([*control[-3:], *group, group[-1], group[-1]], per_knot))
+            if depth <= TOUCH:
+                break
+        control += group
+        pinches += pinch
+        deepest = max(deepest, depth)
+    joints = spline(control, per_knot)[:count]
+    seen = penetration_depths(hand, hand.full_configuration(joints[:1])) is not None
+    return JointMotion(np.arange(count) / rate_hz, joints, pinches, deepest if seen else None)
+
+
+def spline(control: list[np.ndarray], per_knot: int) -> Float[np.ndarray, "T m"]:
+    """A uniform cubic B-spline.
+
+    Args:
+        control: control points, four at least; a segment for each four neighbours.
+        per_knot: frames of each segment.
+
+    Returns:
+        (segments * per_knot, m) without the end of the last segment.
+    """
+    points = np.asarray(control)
+    u = np.arange(per_knot) / per_knot
+    weights = np.stack([np.ones_like(u), u, u**2, u**3], axis=1) @ _BASIS
+    return np.concatenate([weights @ points[i : i + 4] for i in range(len(points) - 3)])
+
+
+def depth_of(hand: Hand, joints: Float[np.ndarray, "T m"]) -> float:
+    """Deepest self-penetration of some poses [m]; 0 where the model has no shapes that collide."""
+    depths = penetration_depths(hand, hand.full_configuration(joints))
+    return 0.0 if depths is None else float(depths.max())
+
+
+class _KeyPoses:
+    """Random poses of a hand that do not collide, and such in which the thumb meets a finger."""
+
+    def __init__(self, hand: Hand, rng: np.random.Generator) -> None:
+        self.hand, self._rng = hand, rng
+        self._low, self._high = hand.limits.T
+        found = [self._pinches(finger) for finger in range(1, len(hand.fingers))]
+        self._found = [poses for poses in found if len(poses)]
+
+    @property
+    def can_pinch(self) -> bool:
+        """Whether the thumb reaches a finger."""
+        return bool(self._found)
+
+    def free(self, count: int = 1) -> Float[np.ndarray, "k m"]:
+        """Poses that do not collide, or the least bad of some."""
+        poses = self._rng.uniform(self._low, self._high, (_DRAWS // 3 * count, len(self._low)))
+        depths = penetration_depths(self.hand, self.hand.full_configuration(poses))
+        worse = np.zeros(len(poses)) if depths is None else np.maximum(depths, TOUCH)
+        chosen: np.ndarray = poses[np.argsort(worse, kind="stable")[:count]]
+        return chosen
+
+    def pinch(self, turn: int) -> Float[np.ndarray, " m"]:
+        """A pose in which the thumb touches a finger, or comes as near as the hand lets it.
+
+        Args:
+            turn: which finger: those that the thumb reaches take turns.
+        """
+        poses = self._found[turn % len(self._found)]
+        pose: np.ndarray = poses[self._rng.integers(len(poses))]
+        return pose
+
+    def _pinches(self, finger: int) -> Float[np.ndarray, "k m"]:
+        """Poses in which the thumb pinches a finger; none where it stays 20 mm away.
+
+        From random poses, damped Gauss-Newton steps bring the two tips together. The pose just
+        before the first collision is taken: where it is that of the two pads, they touch. Kept is
+        the half with the smallest gaps.
+
+        Args:
+            finger: index into ``hand.fingers``.
+        """
+        pose = self.free(_STARTS)
+        path = [pose]
+        for _ in range(_STEPS):
+            apart, jacobian = self._gap(pose, finger)
+            gap = np.linalg.norm(apart, axis=1, keepdims=True)
+            wanted = -apart * np.minimum(1.0, _NEAR / np.maximum(gap, 1e-9))
+            square = jacobian @ jacobian.transpose(0, 2, 1) + _DAMPING * np.eye(3)
+            solved = np.linalg.solve(square, wanted[..., None])
+            step = (jacobian.transpose(0, 2, 1) @ solved)[..., 0]
+            step *= np.minimum(1.0, _TURN / np.maximum(np.abs(step).max(1, keepdims=True), 1e-9))
+            pose = np.clip(pose + step, self._low, self._high)
+            path.append(pose)
+        found = self._touching(np.stack(path, axis=1))
+        gaps = np.linalg.norm(self._gap(found, finger)[0], axis=1)
+        order = np.argsort(gaps, kind="stable")[: _STARTS // 2]
+        chosen: np.ndarray = found[order[gaps[order] < PINCH_GAP]]
+        return chosen
+
+    def _gap(self, pose: np.ndarray, finger: int) -> tuple[np.ndarray, np.ndarray]:
+        """From the thumb's tip to the finger's, (b, 3) [m], and how joints move it, (b, 3, m)."""
+        size = pose.shape[1]
+        probes = np.concatenate([np.zeros((1, size)), _PROBE * np.eye(size)])
+        tips = self.hand.tips(self.hand.full_configuration(pose[:, None] + probes))
+        apart = tips[..., finger, :] - tips[..., 0, :]
+        jacobian = (apart[:, 1:] - apart[:, :1]).transpose(0, 2, 1) / _PROBE
+        return apart[:, 0], jacobian
+
+    def _touching(self, paths: Float[np.ndarray, "k s m"]) -> Float[np.ndarray, "k m"]:
+        """The last pose of each path before it collides; a path begins free of collision."""
+        every = self.hand.full_configuration(paths.reshape(-1, paths.shape[-1]))
+        depths = penetration_depths(self.hand, every)
+        if depths is None:
+            last: np.ndarray = paths[:, -1]
+            return last
+        collides = depths.reshape(paths.shape[:2]) > TOUCH
+        first = np.where(collides.any(axis=1), collides.argmax(axis=1), paths.shape[1] - 1)
+        row = np.arange(len(paths))
+        free, inside = paths[row, np.maximum(first - 1, 0)], paths[row, first]
+        for _ in range(_HALVINGS):
+            middle = (free + inside) / 2
+            depth = penetration_depths(self.hand, self.hand.full_configuration(middle))
+            assert depth is not None  # it was not
+            good = (depth <= TOUCH)[:, None]
+            free, inside = np.where(good, middle, free), np.where(good, inside, middle)
+        touching: np.ndarray = free
+        return touching
+
+
+SECONDS: Final = 8.0
+QUICK_SECONDS: Final = 3.0
+RATE_HZ: Final = 100.0
+WARM_UP_S: Final = 0.5
+"""What is left out at the beginning [s]: the hand starts at its neutral pose, and so do methods."""
+NOISE: Final = {"clean": 0.0, "noise 0.5 mm": 0.5e-3}
+"""Condition -> standard deviation of each coordinate of each landmark [m]."""
+EXACT: Final = 0.5e-3
+"""A frame is exact where no fingertip is further off than this [m]."""
+
+_UNITS, _QUICK_UNITS = 5, 2
+_MOST_LAG = 30  # frames
+
+
+@dataclass(frozen=True, eq=False)
+class AskedMotion:
+    """A motion that a robot hand can make exactly, as a recording of a human hand.
+
+    Attributes:
+        recording: the robot's own landmarks in the palm frame as a human's, with tracker noise
+            where it was asked for; the alignment leaves landmarks without noise where they are.
+        joints: (T, n) positions of all joints that made it [rad].
+        tips: (T, F, 3) the fingertips of those, without noise [m], thumb first.
+        motion: how it was made.
+    """
+
+    recording: HandRecording
+    joints: Float[np.ndarray, "T n"]
+    tips: Float[np.ndarray, "T F 3"]
+    motion: JointMotion
+
+
+def reachable_motion(
+    hand: Hand,
+    seed: int,
+    *,
+    noise: float = 0.0,
+    duration: float = SECONDS,
+    rate_hz: float = RATE_HZ,
+) -> AskedMotion:
+    """A random smooth, collision-free motion of a hand, with pinches; see ``joint_motion``.
+
+    Args:
+        hand: the robot hand.
+        seed: of the random numbers.
+        noise: of the tracker: standard deviation of each coordinate of each landmark in each
+            frame, independent (white) [m]. It moves the landmarks of the palm, too.
+        duration: length [s].
+        rate_hz: frames a second [Hz].
+    """
+    return _asked(hand, joint_motion(hand, seed, duration=duration, rate_hz=rate_hz), seed, noise)
+
+
+def _asked(hand: Hand, motion: JointMotion, seed: int, noise: float) -> AskedMotion:
+    landmarks = human_landmarks(hand, motion.joints)
+    if noise:
+        rng = np.random.default_rng([seed, 1])
+        landmarks = landmarks + rng.normal(0.0, noise, landmarks.shape)
+    name = f"reachable motion {seed}"
+    recording = HandRecording(landmarks, motion.stamps, hand.spec.side, name=name)
+    joints = hand.full_configuration(motion.joints)
+    return AskedMotion(recording, joints, hand.tips(joints), motion)
+
+
+@lru_cache(maxsize=8)
+def _motion(hand_name: str, side: Side, seed: int, duration: float) -> JointMotion:
+    """The same for all methods, which come one after the other."""
+    return joint_motion(load_hand(hand_name, side), seed, duration=duration, rate_hz=RATE_HZ)
+
+
+class ReachableMotion:
+    """The measure; ``research/docs/physics-measures.md`` defines it."""
+
+    name: Final = "reachable"
+    title: Final = "Reachable motion"
+    definition: Final = (
+        "A robot hand's own landmarks in a random smooth, collision-free motion with pinches play "
+        "the human's: how far off are its fingertips when it is asked for what it can do exactly?"
+    )
+    page: Final = "docs/physics-measures.md#reachable-motion"
+    unit: Final = "seed"
+    figures: Final = (
+        Figure("tip_error_mm", "mm", "down", "Fingertip error, mean over fingers and frames.",
+               short="tip error"),
+        Figure("tip_p95_mm", "mm", "down", "Its 95th percentile over fingers and frames.",
+               short="tip p95"),
+        Figure("pinch_gap_error_mm", "mm", "down", "Difference between the robot's and the asked "
+               "distance of thumb and finger, where that is below 20 mm.", short="pinch gap error"),
+        Figure("lag_ms", "ms", "down", "Shift in time by which the robot's fingertips fit the "
+               "asked ones best.", short="lag"),
+        Figure("exact", "", "up", "Share of the frames in which no fingertip is further off than "
+               "0.5 mm.", short="exact frames"),
+        Figure("common_shift_mm", "mm", "down", "Length of the error that all fingertips have in "
+               "common: by how much the hand is moved as a whole.", short="common shift",
+               main=False),
+        Figure("input_error_mm", "mm", "", "How far off the aligned landmarks of the tips are that "
+               "the method is given: what a method that follows them exactly would be off by.",
+               short="input error", main=False),
+        *(
+            Figure(f"tip_error_{finger}_mm", "mm", "down", f"Error of the {finger}'s tip, mean.",
+                   short=finger, main=False)
+            for finger in FINGERS
+        ),
+    )  # fmt: skip
+
+    def conditions(self, settings: PhysicsSettings) -> Sequence[str]:
+        """Without and with tracker noise."""
+        return tuple(NOISE)
+
+    def units(self, settings: PhysicsSettings) -> Sequence[Unit]:
+        """Seeds of motions."""
+        count = settings.count(_UNITS, _QUICK_UNITS)
+        seeds = range(settings.seed, settings.seed + count)
+        return [Unit(f"seed {seed}", data=seed) for seed in seeds]
+
+    def run(self, case: Case) -> Measured:
+        """Retargets one motion."""
+        duration = QUICK_SECONDS if case.quick else SECONDS
+        motion = _motion(case.hand_name, case.side, case.unit.data, duration)
+        asked = _asked(case.hand, motion, case.unit.data, NOISE[case.condition])
+        commands = case.commands(asked.recording)
+        row = motion_figures(case.hand, asked, commands.joint_positions)
+        row["held_frames"] = int((commands.status != Status.OK).sum())
+        human = align_recording(asked.recording, case.hand, case.config.alignment)
+        own = [TIPS[FINGERS.index(finger)] for finger in case.hand.fingers]
+        off = np.linalg.norm(human[:, own] - asked.tips, axis=-1)
+        row["input_error_mm"] = 1e3 * float(off[_warm(asked) :].mean())
+        if not case.clip:
+            return Measured(row)
+        return Measured(row, Clip(asked.recording.stamps, human, commands.joint_positions))
+
+    def draw(self, results: MeasureResults, colors: Mapping[str, str]) -> Sequence[Drawing]:
+        """Fingertip error, pinch gap error and lag of each method."""
+        return interval_drawings(self.name, results, self.figures[:4], colors)
+
+
+def motion_figures(
+    hand: Hand, asked: AskedMotion, joints: Float[np.ndarray, "T n"]
+) -> dict[str, float | int | str | None]:
+    """The figures of one motion; the first half second is left out.
+
+    Args:
+        hand: the robot hand.
+        asked: what it was asked for.
+        joints: (T, n) what it was commanded [rad].
+    """
+    warm = _warm(asked)
+    tips = hand.tips(joints)
+    off = (tips - asked.tips)[warm:]
+    error = np.linalg.norm(off, axis=-1)
+    gaps, wanted = (_thumb_gaps(points)[warm:] for points in (tips, asked.tips))
+    pinched = wanted < PINCH_GAP
+    apart = np.abs(gaps - wanted)[pinched]
+    period = float(np.median(np.diff(asked.recording.stamps)))
+    return {
+        "tip_error_mm": 1e3 * float(error.mean()),
+        "tip_p95_mm": 1e3 * float(np.percentile(error, 95)),
+        "pinch_gap_error_mm": 1e3 * float(apart.mean()) if apart.size else None,
+        "lag_ms": 1e3 * period * lag_frames(asked.tips[warm:], tips[warm:]),
+        "exact": float((error.max(axis=1) <= EXACT).mean()),
+        "common_shift_mm": 1e3 * float(np.linalg.norm(off.mean(axis=1), axis=-1).mean()),
+        **{
+            f"tip_error_{finger}_mm": 1e3 * float(error[:, i].mean())
+            for i, finger in enumerate(hand.fingers)
+        },
+        "pinched_frames": int(pinched.any(axis=1).sum()),
+        "frames": len(error),
+        "asked_peak_speed_rad_s": asked.motion.peak_speed,
+        "asked_overlap_mm": None if asked.motion.deepest is None else 1e3 * asked.motion.deepest,
+    }
+
+
+def _warm(asked: AskedMotion) -> int:
+    """How many frames are left out."""
+    stamps = asked.recording.stamps
+    return int(np.searchsorted(stamps, stamps[0] + WARM_UP_S))
+
+
+def _thumb_gaps(tips: Float[np.ndarray, "T F 3"]) -> Float[np.ndarray, "T f"]:
+    """Distance of each finger's tip from the thumb's [m]."""
+    gaps: np.ndarray = np.linalg.norm(tips[:, 1:] - tips[:, :1], axis=-1)
+    return gaps
+
+
+def lag_frames(asked: Float[np.ndarray, "T F 3"], given: Float[np.ndarray, "T F 3"]) -> float:
+    """By how many frames one motion trails another.
+
+    The whole number of frames with the smallest mean squared distance, and the fraction that the
+    remaining distance makes along the asked velocity, by least squares. What is exact has lag 0.
+
+    Args:
+        asked: (T, F, 3) points [m].
+        given: (T, F, 3) the points that follow.
+
+    Returns:
+        frames, down to -1; 0 where nothing moves or the motion is too short to tell.
+    """
+    most = min(_MOST_LAG, len(asked) // 4)
+    if most < 1:
+        return 0.0
+    own = given[most:]
+    ahead = [asked[most - k : len(asked) - k] for k in range(most + 1)]
+    shift = int(np.argmin([np.mean((own - part) ** 2) for part in ahead]))
+    velocity = np.gradient(asked, axis=0)[most - shift : len(asked) - shift]
+    square = float((velocity**2).sum())
+    if square == 0.0:
+        return 0.0
+    rest = -float(((own - ahead[shift]) * velocity).sum()) / square
+    return shift + float(np.clip(rest, -1.0, 1.0))

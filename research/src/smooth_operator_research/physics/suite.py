@@ -1,0 +1,244 @@
+"""Running the cases of measures in workers, each result kept as soon as it is there."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, Final
+
+from smooth_operator.atomic_files import write_json
+from smooth_operator.errors import UnknownNameError
+from smooth_operator.formats.environment import environment
+from smooth_operator.lab.benchmark.benchmark_folder import CONFIG, check_folder
+from smooth_operator.lab.benchmark.cells import (
+    benchmark_code,
+    files_of,
+    hand_identity,
+    outside_code,
+)
+from smooth_operator.lab.benchmark.settings import select_methods
+from smooth_operator.lab.benchmark.suite import Track, silent
+from smooth_operator.lab.offline.finished import digest
+from smooth_operator.parallel import TaskResult, run_tasks
+from smooth_operator.planning import PROGRAM
+from smooth_operator.result_cache import (
+    Job,
+    JobResult,
+    Note,
+    ResultLog,
+    compute_results,
+    find_results,
+    no_note,
+)
+from smooth_operator_research.code import research_digest
+from smooth_operator_research.physics.measure import (
+    Case,
+    Clip,
+    Measure,
+    Measured,
+    PhysicsSettings,
+    clip_of_record,
+    clip_record,
+)
+from smooth_operator_research.physics.results import MeasureResults, Row
+
+MEASURES: Final[dict[str, tuple[str, str]]] = {
+    "reachable": ("reachable_motion", "ReachableMotion"),
+    "demonstrations": ("demonstrations", "Demonstrations"),
+    "pinch": ("pinch_hold", "PinchHold"),
+    "grasp": ("power_grasp", "PowerGrasp"),
+    "operators": ("virtual_operators", "VirtualOperators"),
+}
+"""Name -> module of this package and class in it, in the order of the report. A new measure is a
+file and a line here."""
+
+
+def measure_names() -> tuple[str, ...]:
+    """The measures whose module is there."""
+    home = "smooth_operator_research.physics"
+    return tuple(n for n, (module, _) in MEASURES.items() if find_spec(f"{home}.{module}"))
+
+
+def find_measure(name: str) -> Measure:
+    """A measure by its name.
+
+    Raises:
+        UnknownNameError: there is none of that name.
+    """
+    if name not in measure_names():
+        raise UnknownNameError("measure", name, measure_names())
+    module, kind = MEASURES[name]
+    made: Measure = getattr(import_module(f"smooth_operator_research.physics.{module}"), kind)()
+    return made
+
+
+COMMAND: Final = "bench --physics"
+CASES: Final = "cases.jsonl"
+"""File of the kept results, a line for each case."""
+
+
+_CODE: Final = ("physics", "demonstrations", "virtual_operator", "simulation", "synthetic")
+"""Folders that a row depends on besides the methods, here or in ``smooth_operator``."""
+
+
+@dataclass(frozen=True, eq=False)
+class MeasureOutcome:
+    """What a measure came to.
+
+    Attributes:
+        measure: the measure.
+        results: its rows.
+        clips: hand, side and condition -> method as in tables -> what was seen of one unit.
+    """
+
+    measure: Measure
+    results: MeasureResults
+    clips: Mapping[tuple[str, str, str], Mapping[str, Clip]]
+
+
+def check_output(folder: Path) -> None:
+    """Looks whether results may be written into a folder; writes nothing.
+
+    Raises:
+        OutputError: it holds something other than results of this command.
+    """
+    check_folder(folder, COMMAND, f"an earlier {COMMAND}")
+
+
+def plan_cases(settings: PhysicsSettings) -> dict[str, list[Case]]:
+    """All that is to be run, measure by measure; reads recordings, writes nothing.
+
+    Raises:
+        UnknownNameError: there is no such measure.
+        OutputError: the folder holds something else.
+        RecordingError: a recording can't be read.
+    """
+    check_output(settings.output)
+    planned: dict[str, list[Case]] = {}
+    for name in settings.measures or measure_names():
+        measure = find_measure(name)
+        units, conditions = measure.units(settings), measure.conditions(settings)
+        planned[name] = [
+            Case(
+                name, hand, settings.side, choice.method, choice.preset, choice.config, condition,
+                unit, settings.seed, settings.quick, clip=unit is units[0],
+            )
+            for hand in settings.hands
+            for choice in select_methods(settings.methods)
+            for condition in conditions
+            for unit in units
+        ]  # fmt: skip
+    return planned
+
+
+def run_cases(
+    settings: PhysicsSettings,
+    planned: Mapping[str, Sequence[Case]],
+    track: Track = silent,
+    note: Note = no_note,
+) -> list[MeasureOutcome]:
+    """Runs all cases but those that an earlier run in the folder has finished.
+
+    A case that fails has a reason in place of figures, and the rest goes on. A run that is stopped
+    loses only the cases that it was at.
+
+    Args:
+        settings: what was asked for.
+        planned: of ``plan_cases``.
+        track: shows the progress.
+        note: called with kept results that can't be used.
+
+    Returns:
+        What each measure came to, its rows in the order of the cases.
+
+    Raises:
+        OutputError: a result can't be written.
+        ConfigError: the workers can't be.
+    """
+    config = {"program": PROGRAM, "command": COMMAND, "settings": settings, **environment()}
+    write_json(settings.output / CONFIG, config, indent=2)
+    log = ResultLog(settings.output / CASES, note)
+    return [_run_measure(name, cases, settings, log, track) for name, cases in planned.items()]
+
+
+def _run_measure(
+    name: str, cases: Sequence[Case], settings: PhysicsSettings, log: ResultLog, track: Track
+) -> MeasureOutcome:
+    measure = find_measure(name)
+    found, missing = find_results([_job(measure, case) for case in cases], log)
+    done: dict[tuple[str, ...], JobResult[Case]] = {r.job.task.key: r for r in found}
+
+    def execute(tasks: Sequence[Case]) -> Iterable[TaskResult[Measured]]:
+        return run_tasks(run_case, tasks, workers=settings.workers, cluster=settings.cluster)
+
+    with track(name, len(cases), len(found)) as advance:
+        for result in compute_results(missing, log, execute, _to_keep):
+            done[result.job.task.key] = result
+            advance(result.job.label, result.error)
+    rows: list[Row] = []
+    clips: dict[tuple[str, str, str], dict[str, Clip]] = {}
+    for case in cases:
+        result = done[case.key]
+        rows.append(_row(case, result))
+        if result.value is not None and result.value["clip"] is not None:
+            shown = clips.setdefault((case.hand_name, case.side, case.condition), {})
+            shown[case.method_label] = clip_of_record(result.value["clip"])
+    return MeasureOutcome(measure, MeasureResults(measure.figures, rows), clips)
+
+
+def run_case(case: Case) -> Measured:
+    """What a worker does.
+
+    Raises:
+        SmoothOperatorError: the case can't be measured.
+    """
+    return find_measure(case.measure).run(case)
+
+
+def _job(measure: Measure, case: Case) -> Job[Case]:
+    unit = case.unit
+    key = {
+        "case": case.key,
+        "hand": hand_identity(case.hand_name, case.side, ()),
+        "config": case.config,
+        "unit": unit.name if unit.key is None else unit.key,
+        "seed": case.seed,
+        "quick": case.quick,
+        "clip": case.clip,
+        "files": [digest(path) for path in files_of(case.config)],
+        "outside": outside_code(case.config, measure),
+    }
+    code = benchmark_code() + research_digest(*_CODE)
+    return Job("-".join(case.key), key, code, case, case.label, unit.effort)
+
+
+def _to_keep(job: Job[Case], result: TaskResult[Measured]) -> dict[str, Any] | None:
+    if result.value is None:
+        return None
+    clip = None if result.value.clip is None else clip_record(result.value.clip)
+    return {"row": result.value.row, "clip": clip, "seconds": round(result.seconds, 3)}
+
+
+def _row(case: Case, result: JobResult[Case]) -> Row:
+    value = result.value
+    row: Row = {
+        "measure": case.measure,
+        "hand": case.hand_name,
+        "side": case.side,
+        "method": case.method,
+        "preset": case.preset,
+        "condition": case.condition,
+        "unit": case.unit.name,
+        "status": "error" if value is None else "ok",
+        "reason": (result.error or "it returned nothing") if value is None else None,
+    }
+    return row if value is None else row | value["row"]
+
+
+def failed_rows(outcomes: Iterable[MeasureOutcome]) -> Iterator[Row]:
+    """The rows that have a reason in place of figures."""
+    for outcome in outcomes:
+        yield from (row for row in outcome.results.rows if row["status"] != "ok")

@@ -1,0 +1,83 @@
+"""Measure 4: virtual operators, who look and correct, do the tasks of the study."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+from smooth_operator.simulation.tasks.task_registry import TASKS, task_named
+from smooth_operator_research.physics.measure import Case, Drawing, Measured, PhysicsSettings, Unit
+from smooth_operator_research.physics.page import interval_drawings
+from smooth_operator_research.physics.results import Figure, MeasureResults
+from smooth_operator_research.virtual_operator import draw_person, make_familiar, simulate_trial
+
+RATE_HZ: Final = 30.0
+"""Frames and commands a second, as in the paper's study [Hz]."""
+TRIALS: Final = 3
+QUICK_SECONDS: Final = 10.0
+
+_UNITS, _QUICK_UNITS = 6, 2
+
+
+class VirtualOperators:
+    """The measure; ``research/docs/physics-measures.md`` defines it."""
+
+    name: Final = "operators"
+    title: Final = "Virtual operators"
+    definition: Final = (
+        "A model of a person, who replaces no person, sees hand and object with a delay, corrects "
+        "and tries again: in how many trials is the task done, and how fast?"
+    )
+    page: Final = "docs/physics-measures.md#virtual-operators"
+    unit: Final = "operator"
+    figures: Final = (
+        Figure("success", "", "up", "Share of the trials with a score of 0.5 or 1.", share=True,
+               trials="trials"),
+        Figure("score", "", "up", "Mean score of the trials."),
+        Figure("time_s", "s", "down", "Mean time of the successful trials.", short="time"),
+        Figure("attempts", "", "down", "How often a person began in a trial, mean.", main=False),
+    )  # fmt: skip
+
+    def conditions(self, settings: PhysicsSettings) -> Sequence[str]:
+        """The tasks."""
+        return tuple(TASKS)
+
+    def units(self, settings: PhysicsSettings) -> Sequence[Unit]:
+        """Persons."""
+        count = settings.count(_UNITS, _QUICK_UNITS)
+        return [
+            Unit(f"operator {k + 1}", key=[settings.seed, k], data=(k, settings.seed))
+            for k in range(count)
+        ]
+
+    def run(self, case: Case) -> Measured:
+        """Some trials of one person, after free movement with the method."""
+        number, seed = case.unit.data
+        familiar = make_familiar(draw_person(number, seed), case.retargeter(), seed=seed)
+        done = [
+            simulate_trial(
+                familiar,
+                task_named(case.condition),
+                rate_hz=RATE_HZ,
+                practised=trial,
+                practised_here=trial,
+                seconds=QUICK_SECONDS if case.quick else None,
+                seed=1000 * case.seed + trial,
+            )
+            for trial in range(1 if case.quick else TRIALS)
+        ]
+        outcomes = [trial.outcome for trial in done]
+        times = [outcome.seconds for outcome in outcomes if outcome.score >= 0.5]
+        return Measured(
+            {
+                "success": len(times),
+                "score": sum(outcome.score for outcome in outcomes) / len(done),
+                "time_s": sum(times) / len(times) if times else None,
+                "attempts": sum(trial.attempts for trial in done) / len(done),
+                "trials": len(done),
+            }
+        )
+
+    def draw(self, results: MeasureResults, colors: Mapping[str, str]) -> Sequence[Drawing]:
+        """Success and time of each method and task."""
+        return interval_drawings(self.name, results, self.figures[:3], colors)

@@ -1,0 +1,440 @@
+"""How people do the tasks: steps for the fingertips that depend on what is seen of the object.
+
+A strategy is a generator. It yields the next step and receives what the person sees when the step
+is over, so that strokes are repeated until the goal is seen, and what slipped is taken again.
+Strategies follow the instructions of the tasks: the card is pressed, drawn over the edge and
+pinched from below; the cube is gripped, turned as far as the fingers reach, let go and gripped
+again; the screwdriver is taken between thumb and fingers, and the grip loosened until it hangs.
+Where on the object a hand can do that follows from its kinematics, so that any hand has strategies.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator
+from dataclasses import dataclass, replace
+from typing import Any, Final, TypeAlias
+
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator.simulation.scenes.card import CARD, CardScene
+from smooth_operator.simulation.scenes.cube import EDGE, CubeScene
+from smooth_operator.simulation.scenes.screwdriver import HANDLE, ScrewdriverScene
+from smooth_operator.simulation.scenes.state import SceneState
+from smooth_operator.simulation.tasks.card_scorer import CardScorer
+from smooth_operator.simulation.tasks.cube_scorer import GOAL
+from smooth_operator.simulation.tasks.scorer import rotation
+from smooth_operator.simulation.tasks.screwdriver_scorer import (
+    CLOSE,
+    DOWN,
+    ScrewdriverScorer,
+)
+from smooth_operator_research.virtual_operator.hand_model import GripReach
+
+THUMB: Final = 0
+PAD_M: Final = 0.004
+"""From a fingertip's landmark to the surface of its pad [m]."""
+
+PRESS_M: Final = 0.002
+"""How far beyond the object's surface a person presses in the first attempt [m]; ours."""
+
+OPEN_M: Final = 0.010
+"""Width by which open fingers are away from a surface [m]; people open 10 to 20 mm wider than the
+object when they reach for it (Jeannerod 1984)."""
+
+CLOSING_S: Final = 1.0
+"""Duration of a grip's closing [s]: slow, so that little is overshot within the visual delay."""
+
+_SEEK_M: Final = 0.006  # so far beyond the place where contact is expected fingers look for it [m]
+
+STROKE_S: Final = 1.0
+"""Least duration of a movement with the object [s]; ours."""
+
+Aims: TypeAlias = dict[int, Float[np.ndarray, "3"]]
+"""Finger -> where its tip is to go, in the world [m]; fingers that are left out relax."""
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """What a person sees at one moment.
+
+    Attributes:
+        state: the object.
+        scorer: how far the task is.
+        tips: (f, 3) the robot's fingertips in the world [m], thumb first.
+        sent: (f, 3) where the person had sent them.
+    """
+
+    state: SceneState
+    scorer: Any
+    tips: Float[np.ndarray, "f 3"]
+    sent: Float[np.ndarray, "f 3"]
+
+    def touches(self, *fingers: int) -> bool:
+        """Whether all of these fingers touch the object."""
+        return bool((self.state.force[list(fingers)] > 0.0).all())
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """What a person does next.
+
+    Attributes:
+        aims: share of the movement from 0 to 1, and what is seen -> where fingertips go.
+        until: the step is over as soon as this is seen; None: when the fingertips are in place.
+        presses: fingers that press on the object; their place is not corrected.
+        longest_s: a wait for ``until`` or for fingertips that do not arrive ends after this [s].
+        seconds: least duration of the movement [s].
+        via: only passed on the way: the person does not wait and does not correct.
+        path: whether the aims go from start to end with the share; otherwise the person goes
+            straight to them.
+        attempt: whether another attempt begins with it.
+        reset: ask for the object to be put back, as the step begins.
+    """
+
+    aims: Callable[[float, Seen], Aims]
+    until: Callable[[Seen], bool] | None = None
+    presses: tuple[int, ...] = ()
+    longest_s: float = 2.0
+    seconds: float = 0.0
+    via: bool = False
+    path: bool = False
+    attempt: bool = False
+    reset: bool = False
+
+
+Strategy: TypeAlias = Generator[Step, Seen, None]
+"""Steps of a person; it ends when the person gives up."""
+
+
+def still(aims: Aims) -> Callable[[float, Seen], Aims]:
+    """Aims that do not change."""
+    return lambda share, seen: aims
+
+
+class Closing:
+    """Fingers close on an object; each stops where it is seen to touch, and presses from there.
+
+    Args:
+        wide: where fingers begin.
+        inward: finger -> direction in which it closes.
+        press: how far fingers press beyond the place of the contact [m].
+        opened: how far fingers are from the surface at first [m].
+    """
+
+    def __init__(self, wide: Aims, inward: Aims, press: float, opened: float = OPEN_M) -> None:
+        self._opened = opened
+        self._wide, self._inward, self._press = wide, inward, press
+        self.contact: Aims = {}
+
+    def __call__(self, share: float, seen: Seen) -> Aims:
+        """Aims of the step; remembers what is seen to touch."""
+        for finger in self._wide:
+            if finger not in self.contact and seen.touches(finger):
+                self.contact[finger] = seen.tips[finger].copy()
+        found = self.pressed(self._press)
+        return found | {
+            finger: place + share * (self._opened + _SEEK_M) * self._inward[finger]
+            for finger, place in self._wide.items()
+            if finger not in self.contact
+        }
+
+    @property
+    def complete(self) -> bool:
+        """Whether all fingers have touched."""
+        return len(self.contact) == len(self._wide)
+
+    def pressed(self, press: float) -> Aims:
+        """Where fingers go to press so far beyond the contact [m], seen or expected."""
+        expected = {f: p + self._opened * self._inward[f] for f, p in self._wide.items()}
+        return {f: p + press * self._inward[f] for f, p in (expected | self.contact).items()}
+
+    def step(self) -> Step:
+        """The step: slow, until all fingers have been seen to touch."""
+        return Step(
+            self, lambda seen: self.complete, presses=tuple(self._wide), longest_s=0.5,
+            seconds=CLOSING_S, path=True,
+        )  # fmt: skip
+
+
+def along(start: Aims, end: Aims) -> Callable[[float, Seen], Aims]:
+    """A straight way of fingertips; for steps with ``path``."""
+    return lambda share, seen: {f: place + share * (end[f] - place) for f, place in start.items()}
+
+
+def turned(aims: Aims, centre: Float[np.ndarray, "3"], angle: float) -> Aims:
+    """Fingertips turned about the vertical through a place."""
+    cosine, sine = np.cos(angle), np.sin(angle)
+    turn = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+    return {finger: centre + turn @ (place - centre) for finger, place in aims.items()}
+
+
+def moved(aims: Aims, by: Float[np.ndarray, "3"]) -> Aims:
+    """The aims, moved [m]."""
+    return {finger: place + by for finger, place in aims.items()}
+
+
+def again(seen: Seen, reset: bool = False) -> Generator[Step, Seen, Seen]:
+    """Open the hand after an attempt, and ask for a reset if the object can't be worked on."""
+    reset = reset or bool(seen.scorer.standing.stuck)
+    return (yield Step(lambda share, s: {}, longest_s=0.5, attempt=True, reset=reset))
+
+
+_Place: TypeAlias = Float[np.ndarray, "3"]
+
+_PULL: Final = np.array([-0.027, 0.0, 0.006])  # way of the pinched card off the table [m],
+_LIFT: Final = np.array([0.0, 0.0, 0.024])  # and up
+_PINCH_M: Final = 0.010
+_SQUEEZE_M: Final = 0.003  # a pinch that is to hold is closed so much further [m]
+_BESIDE_M: Final = 0.015  # the card is pressed on so far to the side of the pinch [m]
+_STICKS_OUT: Final = 0.025  # of the card over the edge, before it is pinched [m]
+
+
+def card_strategy(scene: CardScene, reach: GripReach, seen: Seen) -> Strategy:
+    """Press on the card, draw it over the edge, pinch it, pull it off.
+
+    Args:
+        scene: where.
+        reach: of the hand.
+        seen: at the start.
+    """
+    edge, top = scene.edge, scene.top
+    above = top + CARD[2] + PAD_M
+    finger, y = reach.edge_pinch(
+        edge - _PINCH_M, float(seen.state.position[1]), top, CARD[2] + 2 * PAD_M
+    )
+    press = PRESS_M
+    both = (THUMB, finger)
+    lift, down = np.array([0.0, 0.0, OPEN_M]), np.array([0.0, 0.0, -1.0])
+    x = edge - _PINCH_M
+    below = np.array([edge - 0.016, y, top - 0.022])
+    while True:
+        far = min(scene.reach - 0.012, float(seen.state.position[0]) + CARD[0] / 2 - 0.012)
+        aside = float(np.clip(seen.state.position[1] - y, -_BESIDE_M, _BESIDE_M))
+        over = np.array([far, y + aside, above]) + lift
+        seen = yield Step(still({THUMB: below, finger: over}))
+        for _ in range(4):
+            if _protrudes(seen) >= _STICKS_OUT:
+                break
+            touch = Closing({finger: over}, {finger: down}, press)
+            seen = yield _with_thumb(touch.step(), below)
+            start = touch.pressed(press).get(finger, over - lift)
+            end = np.array([edge + 0.001, y, start[2]])
+
+            def drawn(
+                share: float, s: Seen, a: _Place = start, b: _Place = end, p: float = press
+            ) -> Aims:
+                place = a + share * (b - a)
+                if s.touches(finger):  # the pad rolls: press as far beyond where it is seen
+                    place = np.array([place[0], place[1], s.tips[finger][2] - p])
+                return {THUMB: below, finger: place}
+
+            seen = yield Step(
+                drawn,
+                lambda s: _protrudes(s) >= _STICKS_OUT, presses=(finger,),
+                longest_s=0.4, path=True,
+            )  # fmt: skip
+            seen = yield Step(still({THUMB: below, finger: seen.tips[finger] + lift}), via=True)
+            if _protrudes(seen) < _STICKS_OUT:  # another stroke
+                seen = yield Step(still({THUMB: below, finger: over}))
+        # The finger goes over the part that sticks out, the thumb below it, and both close.
+        wide = {
+            THUMB: np.array([x, y, top - PAD_M]) - lift, finger: np.array([x, y, above]) + lift
+        }  # fmt: skip
+        seen = yield Step(still(wide))
+        pinch = Closing(wide, {THUMB: -down, finger: down}, press)
+        seen = yield pinch.step()
+        if pinch.complete:
+            firm = pinch.pressed(press + _SQUEEZE_M)
+            closed, off = pinch.pressed(press), moved(firm, _PULL)
+            seen = yield Step(
+                along(closed, off), presses=both, longest_s=0.2, seconds=STROKE_S,
+                path=True,
+            )  # fmt: skip
+            seen = yield Step(
+                along(off, moved(off, _LIFT)),
+                lambda s: _clear(s, 0.2) or not s.touches(*both), presses=both,
+                longest_s=1.0, seconds=STROKE_S, path=True,
+            )  # fmt: skip
+            held = {f: seen.sent[f] for f in both}
+            while seen.touches(*both) and _clear(seen, 0.0):
+                seen = yield Step(still(held), presses=both, longest_s=0.5)
+            if seen.touches(*both):  # it does not come off: put it back
+                seen = yield Step(
+                    along(held, closed), presses=both, longest_s=0.2,
+                    seconds=STROKE_S, path=True,
+                )  # fmt: skip
+        seen = yield from again(seen)
+        press = min(press * 1.5, 3 * PRESS_M)
+
+
+def _with_thumb(step: Step, place: Float[np.ndarray, "3"]) -> Step:
+    """The step, with the thumb at a place meanwhile."""
+    aims = step.aims
+    return replace(step, aims=lambda share, seen: {THUMB: place, **aims(share, seen)})
+
+
+def _clear(seen: Seen, seconds: float) -> bool:
+    """Whether the card has been in the pinch alone for so long."""
+    since = seen.scorer.pinched
+    return since is not None and seen.state.time - since >= seconds
+
+
+def _protrudes(seen: Seen) -> float:
+    scorer: CardScorer = seen.scorer
+    return scorer.protrusion
+
+
+_PRESS_M: Final = 0.003  # in the first stroke [m]; ours
+_OPEN_M: Final = 0.015  # fingers are wider open, since a cube's corners stand out [m]
+_HIGH_M: Final = 0.010  # of the grip above the cube's centre: fingers come from above [m]
+_ABOVE: Final = np.array([0.0, 0.0, 0.045])  # where fingers go over the cube [m]
+_NEARLY: Final = np.radians(10.0)  # a cube that is so near its goal is let be [rad]
+_STOPS: Final = np.radians(3.0)  # a stroke ends so long before the goal [rad]
+
+
+def cube_strategy(scene: CubeScene, reach: GripReach, seen: Seen) -> Strategy:
+    """Grip the cube, turn it as far as the fingers reach, let go, and again until it is turned.
+
+    Args:
+        scene: where.
+        reach: of the hand.
+        seen: at the start.
+    """
+    sign, press, above = 0.0, _PRESS_M, True
+    near = EDGE / 2 + PAD_M
+    out = near + _OPEN_M
+    while True:
+        missing = GOAL - sign * seen.scorer.turned
+        if sign and abs(missing) < _NEARLY:  # let it be, and look
+            seen = yield Step(lambda share, s: {}, lambda s: False, longest_s=0.5)
+            above = True
+            continue
+        centre = seen.state.position + np.array([0.0, 0.0, _HIGH_M])
+        way = sign * float(np.sign(missing))
+        stroke = reach.turn(centre, _normals(seen), way, abs(missing), near, out)
+        if stroke is None:  # it stands where the fingers can't turn it
+            starts = seen.state.starts
+            seen = yield from again(seen, reset=True)
+            if seen.state.starts == starts:
+                return
+            sign, above = 0.0, True
+            continue
+        finger, start, end = stroke
+        sign = sign or float(np.sign(end - start))
+        n = np.array([np.cos(start), np.sin(start), 0.0])
+        wide = {THUMB: centre - out * n, finger: centre + out * n}
+        if above:
+            seen = yield Step(still(moved(wide, _ABOVE)), via=True)
+        seen = yield Step(still(wide))
+        touch = Closing(wide, {THUMB: n, finger: -n}, press, _OPEN_M)
+        seen = yield touch.step()
+        before = seen.scorer.turned
+        if touch.complete:
+            closed = touch.pressed(press)
+            seen = yield Step(still(closed), presses=(THUMB, finger), longest_s=0.3)
+            seen = yield Step(
+                _around(closed, centre, end - start), _has_turned(seen, abs(missing) - _STOPS),
+                presses=(THUMB, finger), longest_s=0.4, path=True, seconds=STROKE_S,
+            )  # fmt: skip
+        at = _angle(seen, centre, finger)
+        m = np.array([np.cos(at), np.sin(at), 0.0])
+        back = {THUMB: centre - out * m, finger: centre + out * m}
+        seen = yield Step(still(back), via=True)
+        if seen.scorer.standing.stuck:
+            seen = yield from again(seen)
+            sign, above = 0.0, True
+            continue
+        if abs(seen.scorer.turned - before) < np.radians(5.0):
+            press = min(press * 1.5, 3 * _PRESS_M)
+        above = False
+
+
+def _around(
+    aims: Aims, centre: Float[np.ndarray, "3"], angle: float
+) -> Callable[[float, Seen], Aims]:
+    return lambda share, seen: turned(aims, centre, share * angle)
+
+
+def _has_turned(before: Seen, angle: float) -> Callable[[Seen], bool]:
+    return lambda seen: abs(seen.scorer.turned - before.scorer.turned) >= angle
+
+
+def _angle(seen: Seen, centre: Float[np.ndarray, "3"], finger: int) -> float:
+    """Direction from the thumb to a finger about the vertical [rad]."""
+    x, y, _ = seen.tips[finger] - seen.tips[THUMB]
+    return float(np.arctan2(y, x))
+
+
+def _normals(seen: Seen) -> Float[np.ndarray, "4"]:
+    """(4,) directions of the cube's vertical faces about the vertical [rad]."""
+    turn = rotation(seen.state.quaternion)
+    axes = [turn[:, k] for k in range(3) if abs(turn[2, k]) < 0.7]
+    heading = float(np.arctan2(axes[0][1], axes[0][0]))
+    return heading + np.pi / 2 * np.arange(4)
+
+
+_LIGHT: Final = 0.3  # share of the first grip's press that is the least for a handle that hangs
+_LOOSENS_M: Final = 0.0002  # by so much the grip is loosened between two looks [m]
+
+
+def screwdriver_strategy(scene: ScrewdriverScene, reach: GripReach, seen: Seen) -> Strategy:
+    """Take the handle between thumb and fingers, loosen until the blade hangs, and hold.
+
+    Args:
+        scene: where.
+        reach: of the hand.
+        seen: at the start.
+    """
+    press = PRESS_M
+    across = reach.across(seen.state.position, rotation(scene.start[1])[:, 2])
+    along = -rotation(scene.start[1])[:, 2]  # towards the handle's end
+    out = HANDLE[0] + PAD_M
+    pivot, second, apart = reach.handle_fingers(seen.state.position, across, along, out)
+
+    def grip(width: float, centre: Float[np.ndarray, "3"], other: float | None) -> Aims:
+        aims = {THUMB: centre + width * across, pivot: centre - width * across}
+        if other is not None:
+            aims[second] = centre + apart * along - other * across
+        return aims
+
+    while True:
+        centre = seen.state.position.copy()
+        wide = grip(out + OPEN_M, centre, out + OPEN_M)
+        seen = yield Step(still(wide))
+        inward = {f: (-1.0 if f == THUMB else 1.0) * across for f in wide}
+        touch = Closing(wide, inward, press)
+        seen = yield touch.step()
+        seen = yield Step(
+            still(touch.pressed(press)), lambda s: not s.state.fixed, presses=tuple(wide),
+            longest_s=1.5,
+        )  # fmt: skip
+        if seen.state.fixed:
+            press = min(press * 1.5, 3 * PRESS_M)
+            continue
+
+        def held(press: float, t: Closing = touch, w: Aims = wide) -> Step:
+            aims = t.pressed(press) | {second: w[second]}
+            return Step(still(aims), presses=(THUMB, pivot), longest_s=0.1)
+
+        seen = yield held(press)
+        squeeze, high = press, float(seen.state.position[2])
+        while True:
+            scorer: ScrewdriverScorer = seen.scorer
+            if scorer.angle <= DOWN or high - seen.state.position[2] > 0.004:
+                squeeze = press
+            elif np.linalg.norm(seen.state.spin) < 0.5:
+                if scorer.angle <= CLOSE and squeeze <= _LIGHT * press:  # looser would drop it
+                    return
+                squeeze = max(squeeze - _LOOSENS_M, -PRESS_M)
+            seen = yield held(squeeze)
+            if seen.state.fixed:  # it was put back
+                break
+
+
+STRATEGIES: Final[dict[str, Callable[[Any, GripReach, Seen], Strategy]]] = {
+    "card": card_strategy,
+    "cube": cube_strategy,
+    "screwdriver": screwdriver_strategy,
+}
+"""Task -> how people do it."""

@@ -1,0 +1,203 @@
+"""Demonstrations for other hands: first guesses, the search, and the files that come of it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from smooth_operator.errors import StudyError, UnknownNameError
+from smooth_operator.hands.registry import load_hand
+from smooth_operator.simulation.scenes import SCENES, scene_for
+from smooth_operator_research.demonstrations import search, tolerance
+from smooth_operator_research.demonstrations.demonstration import (
+    demonstrated_hands,
+    demonstration_text,
+    load_demonstration,
+    play,
+    read_demonstration,
+)
+from smooth_operator_research.demonstrations.evolution import Evolution
+from smooth_operator_research.demonstrations.judging import (
+    Candidate,
+    World,
+    joint_errors,
+    judge,
+    tip_errors,
+    tried,
+)
+from smooth_operator_research.demonstrations.overlap import excess
+from smooth_operator_research.demonstrations.perturbation import draw_perturbation
+from smooth_operator_research.demonstrations.seed import transferred
+
+pytestmark = pytest.mark.weekly
+
+
+@pytest.fixture(autouse=True)
+def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """MuJoCo writes its warnings into the working folder."""
+    monkeypatch.chdir(tmp_path)
+
+
+OTHERS = [(task, name) for task in SCENES for name in demonstrated_hands(task)[1:]]
+
+
+@pytest.mark.parametrize(("task", "name"), OTHERS)
+def test_another_hand_can_do_it(task: str, name: str) -> None:
+    *_, (_, run) = play(load_demonstration(task, name))
+    assert run.outcome is not None
+    assert (run.outcome.score, run.outcome.line) == (1.0, "done")
+
+
+@pytest.mark.parametrize("task", list(SCENES))
+def test_a_file_is_read_as_it_was_written(task: str) -> None:
+    assert demonstrated_hands(task)[0] == "mimic_p050"
+    for name in demonstrated_hands(task):
+        demonstration = load_demonstration(task, name)
+        again = read_demonstration(demonstration_text(demonstration))
+        assert (again.task, again.hand, again.side) == (task, name, "right")
+        np.testing.assert_allclose(again.poses, demonstration.poses, atol=5e-4)
+        np.testing.assert_array_equal(again.times, demonstration.times)
+
+
+def test_what_is_not_there_is_said() -> None:
+    with pytest.raises(StudyError, match=r"schunk_svh.*mimic_p050"):
+        load_demonstration("card", "schunk_svh")
+    with pytest.raises(UnknownNameError, match="card"):
+        load_demonstration("cart")
+    text = demonstration_text(load_demonstration("card"))
+    with pytest.raises(StudyError, match="other joints"):
+        read_demonstration(text.replace("index_base2mcp", "index_base"))
+
+
+def test_a_first_guess_has_its_fingertips_where_the_first_hand_has_them() -> None:
+    demonstration, hand = load_demonstration("cube"), load_hand("allegro_hand")
+    first = load_hand(demonstration.hand)
+    guess = transferred(demonstration, hand)
+    np.testing.assert_array_equal(guess.poses[0], hand.neutral)
+    assert ((guess.poses >= hand.limits[:, 0]) & (guess.poses <= hand.limits[:, 1])).all()
+    off = []
+    for one, poses in ((first, demonstration.poses), (hand, guess.poses)):
+        scene = scene_for("cube", one)
+        at, turn = scene.mount.palm
+        tips = one.tips(one.full_configuration(poses[1:]))[:, :2]
+        off.append(at + tips @ turn.T - scene.start[0])
+    assert np.median(np.linalg.norm(off[1] - off[0], axis=-1)) < 0.001
+
+
+def test_the_evolution_finds_an_optimum() -> None:
+    """An ellipsoid with axes of 1 to 100 about a point that is 1 away in each of 20 numbers."""
+    scale = np.geomspace(1.0, 100.0, 20)
+    state = Evolution.begin(np.zeros(20), 0.5, 0, 12)
+    for _ in range(300):
+        points = state.candidates()
+        state = state.judged(points, -(((points - 1.0) ** 2) * scale).sum(axis=1))
+    np.testing.assert_allclose(state.mean, 1.0, atol=0.01)
+    back = Evolution.from_json(state.to_json())
+    np.testing.assert_array_equal(back.candidates(), state.candidates())
+
+
+@pytest.mark.parametrize("task", list(SCENES))
+def test_progress_is_more_the_further_a_trial_gets(task: str) -> None:
+    """Of a hand that does nothing, of one that stops halfway, and of the demonstration."""
+    whole = load_demonstration(task)
+    half = np.searchsorted(whole.times, whole.times[-1] / 2)
+    poses = whole.poses.copy()
+    poses[half:] = poses[half - 1]
+    idle = replace(whole, poses=np.broadcast_to(whole.poses[0], whole.poses.shape))
+    none, part, all_ = (
+        tried(one, World(0, 0)) for one in (idle, replace(whole, poses=poses), whole)
+    )
+    assert none < 0.35
+    assert none < part < 1.0 <= all_ <= 1.1
+
+
+def test_joint_errors_move_the_fingertips_to_where_the_operator_shows_them() -> None:
+    """Up to what the damping leaves; none for the operator whose hand the robot's is."""
+    demonstration, hand = load_demonstration("cube"), load_hand("mimic_p050")
+    world = draw_perturbation(3, 1000)
+    tips, joints = tip_errors(demonstration, world), joint_errors(demonstration, world)
+    poses = np.stack([demonstration.pose(k / 100.0) for k in range(len(joints))])
+    moved = hand.tips(hand.full_configuration(poses + joints)) - hand.tips(
+        hand.full_configuration(poses)
+    )
+    assert np.linalg.norm(tips, axis=-1).mean() > 0.001
+    left = np.linalg.norm(moved - tips, axis=-1).mean() / np.linalg.norm(tips, axis=-1).mean()
+    assert left < 0.3
+    np.testing.assert_allclose(joint_errors(demonstration, draw_perturbation(0)), 0.0, atol=1e-9)
+
+
+def test_filtered_errors_have_less_noise_and_what_the_operators_bones_do() -> None:
+    demonstration = load_demonstration("cube")
+    still = replace(demonstration, poses=np.repeat(demonstration.poses[:1], 10, axis=0))
+    world = draw_perturbation(2, 5)
+    rough, filtered = joint_errors(still, world), joint_errors(still, world, filtered=True)
+    bones = joint_errors(still, replace(world, tracker=replace(world.tracker, noise=0.0)))
+    assert np.ptp(bones, axis=0).max() < 1e-9
+    late = slice(200, None)  # the filter has learned how much noise there is
+    noise = [np.std((errors - bones)[late]) for errors in (rough, filtered)]
+    assert noise[1] < 0.5 * noise[0]
+    changes = [np.std(np.diff(errors[late], axis=0)) for errors in (rough, filtered)]
+    assert changes[1] < 0.1 * changes[0]
+    assert abs((filtered - bones)[late].mean()) < 0.5 * noise[0]
+
+
+def test_self_penetration_counts_beyond_what_a_pinch_needs() -> None:
+    """A thumb in the index finger: deeper costs more, and merit goes down by it."""
+    hand, demonstration = load_hand("mimic_p050"), load_demonstration("card")
+    open_ = replace(demonstration, poses=np.broadcast_to(hand.neutral, demonstration.poses.shape))
+    names = hand.actuated_names
+    inward = {"thumb_base2cmc": 0.47, "thumb_cmc2mcp": -0.53, "thumb_mcp2pp": 1.71,
+              "thumb_pp2dp_actuated": 1.45, "index_base2mcp": 0.49, "index_mcp2pp": 1.5,
+              "index_pp2mp": 1.33}  # fmt: skip
+    deep = np.array(open_.poses)
+    deep[4, [names.index(name) for name in inward]] = list(inward.values())
+    deeper = deep.copy()
+    deeper[4, names.index("index_mcp2pp")] += 0.2
+    amounts = [excess(replace(open_, poses=poses)) for poses in (open_.poses, deep, deeper)]
+    assert amounts[0] == 0.0 < amounts[1] < amounts[2]
+    judged = [
+        judge(Candidate(replace(open_, poses=poses), (World(0, 0),), ""))[0]
+        for poses in (open_.poses, deeper)
+    ]
+    assert judged[1] < judged[0]
+
+
+def test_a_search_goes_on_where_it_stopped(tmp_path: Path) -> None:
+    state, output = tmp_path / "state.json", tmp_path / "cube.json"
+    common = ["mimic_p050", "cube", "--output", str(output), "--state", str(state)]
+    common += ["--candidates", "2", "--worlds", "1", "--workers", "0", "--sigma", "0.001"]
+    search.main([*common, "--generations", "1"])
+    first = state.read_text()
+    found = read_demonstration(output.read_text())
+    *_, (_, run) = play(found)
+    assert run.outcome is not None
+    assert run.outcome.score == 1.0
+    search.main([*common, "--generations", "1"])
+    assert state.read_text() == first
+
+
+def test_noise_on_joints_has_the_size_and_time_that_were_asked_for() -> None:
+    whole = tolerance.staying(load_demonstration("cube"), 60.0)
+    white, slow = (
+        tolerance.noise(tolerance.Trial(whole, 0.004, time, 1, 0)) for time in (0.0, 0.2)
+    )
+    for values in (white, slow):
+        assert values.std() == pytest.approx(0.004, rel=0.1)
+    assert np.diff(white, axis=0).std() == pytest.approx(0.004 * np.sqrt(2), rel=0.05)
+    assert np.diff(slow, axis=0).std() == pytest.approx(0.004 * np.sqrt(2 * 0.05), rel=0.1)
+    np.testing.assert_array_equal(whole.pose(40.0), load_demonstration("cube").poses[-1])
+
+
+def test_the_table_of_tolerance() -> None:
+    """A screwdriver is held through slow noise and not through a shaking hand."""
+    shown = tolerance.table(load_demonstration("screwdriver"), 2, 0, 0, (0.008,), (0.0, 1.0))
+    assert shown.splitlines()[0].count("|") == 5
+    cells = shown.splitlines()[2].strip("|").split("|")
+    size, millimetres, shaking, slow = (cell.strip() for cell in cells)
+    assert size == "0.008"
+    assert 0.3 < float(millimetres) < 1.0
+    assert float(shaking) == 0.0
+    assert float(slow) >= 0.5

@@ -1,0 +1,104 @@
+"""Measure 2 of bench --physics: demonstrations in perturbed worlds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from smooth_operator.errors import StudyError
+from smooth_operator.hands.registry import load_hand
+from smooth_operator.methods.presets import method_config
+from smooth_operator.simulation.scenes import SCENES
+from smooth_operator_research.physics.demonstrations import Demonstrations
+from smooth_operator_research.physics.measure import Case, Measured, PhysicsSettings
+from smooth_operator_research.physics.results import MeasureResults, Row
+
+pytestmark = pytest.mark.weekly
+
+MEASURE = Demonstrations()
+SETTINGS = PhysicsSettings(output=Path("results"), units=2, methods=("ako",))
+
+
+@pytest.fixture(autouse=True)
+def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """MuJoCo writes its warnings into the working folder."""
+    monkeypatch.chdir(tmp_path)
+
+
+def measured(task: str, number: int, hand: str = "mimic_p050", clip: bool = False) -> Measured:
+    unit = MEASURE.units(SETTINGS)[number]
+    config = method_config("ako")
+    return MEASURE.run(
+        Case("demonstrations", hand, "right", "ako", "default", config, task, unit, clip=clip)
+    )
+
+
+def test_worlds_are_the_unperturbed_one_and_those_asked_for() -> None:
+    assert [unit.name for unit in MEASURE.units(SETTINGS)] == ["world 0", "world 1", "world 2"]
+    assert len(MEASURE.units(PhysicsSettings(output=Path("results")))) == 101
+    assert MEASURE.conditions(SETTINGS) == tuple(SCENES)
+
+
+def test_a_method_without_bias_does_a_task_unperturbed_and_the_row_says_so() -> None:
+    """And the clip shows it: the cube starts where it is and ends turned by a right angle."""
+    result = measured("cube", 0, clip=True)
+    row, clip = result.row, result.clip
+    assert (row["unperturbed"], row["line"], row["ended"]) == (1.0, "done", "success")
+    assert row["success"] is None
+    assert row["ceiling"] is None
+    assert isinstance(row["tip_error_mm"], float)
+    assert row["tip_error_mm"] < 0.5
+    assert row["success_s"] == row["seconds"]
+    assert {figure.name for figure in MEASURE.figures} <= row.keys()
+    assert clip is not None
+    assert clip.objects is not None
+    hand = load_hand("mimic_p050")
+    assert clip.joints.shape == (len(clip.stamps), len(hand.joint_names))
+    assert clip.human.shape == (len(clip.stamps), 21, 3)
+    assert max(max(edge) for edge in clip.edges) == clip.objects.shape[1] - 1
+    first, last = clip.objects[0], clip.objects[-1]
+    lengths = [
+        [np.linalg.norm(points[a] - points[b]) for a, b in clip.edges] for points in (first, last)
+    ]
+    np.testing.assert_allclose(*lengths, atol=1e-9)
+    moved = np.linalg.norm(last - first, axis=-1) > 1e-4
+    assert moved.sum() == 6 * 8  # the cube's corners and its coloured faces', not the pedestal's
+    edges = [points[moved][4] - points[moved][0] for points in (first, last)]
+    assert np.linalg.norm(edges[0]) == pytest.approx(0.04, abs=1e-6)
+    assert abs(edges[0] @ edges[1]) < np.sin(np.radians(15.0)) * 0.04**2
+
+
+def test_a_perturbed_world_is_the_same_every_time_and_says_what_differs() -> None:
+    row, again = (measured("cube", 1).row for _ in range(2))
+    assert row == again
+    assert row["unperturbed"] is None
+    assert row["success"] in (0.0, 1.0)
+    assert row["ceiling"] == 1.0
+    assert row["frame_loss"] != 0
+    frames, dropped, share = (row[name] for name in ("frames", "dropped_frames", "frame_loss"))
+    assert isinstance(frames, int)
+    assert isinstance(dropped, int)
+    assert isinstance(share, float)
+    assert dropped == pytest.approx(share * (frames + dropped), abs=15)
+
+
+def test_a_hand_without_a_demonstration_says_so() -> None:
+    with pytest.raises(StudyError, match="no demonstration of task 'cube'"):
+        measured("cube", 0, "schunk_svh")
+
+
+def test_the_plots_show_every_task() -> None:
+    rows: list[Row] = [
+        {
+            "measure": "demonstrations", "hand": "mimic_p050", "side": "right", "method": "ako",
+            "preset": "default", "condition": task, "unit": f"world {k}", "status": "ok",
+            "reason": "", "unperturbed": None, "success": float(k % 2), "success_half": 1.0,
+            "success_s": 4.0 if k % 2 else None, "ceiling": 1.0, "tip_error_mm": 0.3,
+        }
+        for task in SCENES
+        for k in range(1, 4)
+    ]  # fmt: skip
+    drawings = MEASURE.draw(MeasureResults(MEASURE.figures, rows), {"ako": "#000000"})
+    assert [drawing.name for drawing in drawings] == [f"demonstrations-{task}" for task in SCENES]

@@ -1,0 +1,152 @@
+"""Perturbed worlds: drawn by number, physical where they say so, and of the operator's bones."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from smooth_operator.baselines.joint_angles import joint_angles
+from smooth_operator.errors import ConfigError
+from smooth_operator.hands.registry import load_hand
+from smooth_operator.human.anatomical_axes import palm_axes
+from smooth_operator.landmarks import BASES, BONES, LANDMARKS
+from smooth_operator.simulation.scenes import SCENES, ScenePhysics, scene_for
+from smooth_operator.simulation.scenes.scene import OBJECT
+from smooth_operator.simulation.tasks import TASKS
+from smooth_operator_research.demonstrations.demonstration import (
+    DemonstrationLandmarks,
+    load_demonstration,
+)
+from smooth_operator_research.demonstrations.perturbation import (
+    RANGES,
+    PerturbationRanges,
+    PerturbedLandmarks,
+    draw_perturbation,
+)
+
+pytestmark = pytest.mark.weekly
+
+HAND = load_hand("mimic_p050")
+
+
+@pytest.fixture(autouse=True)
+def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """MuJoCo writes its warnings into the working folder."""
+    monkeypatch.chdir(tmp_path)
+
+
+def test_a_world_depends_on_its_seed_and_number_alone() -> None:
+    first, again, other = (draw_perturbation(3, seed) for seed in (0, 0, 1))
+    assert repr(first) == repr(again)
+    assert first.mass != other.mass != draw_perturbation(4).mass
+    fewer = draw_perturbation(3, 0, replace(RANGES, friction=0.0, noise=0.0))
+    assert (fewer.friction, fewer.tracker.noise) == (1.0, 0.0)
+    assert (fewer.mass, fewer.tracker.seed) == (first.mass, first.tracker.seed)
+    with pytest.raises(ConfigError, match="friction"):
+        PerturbationRanges(friction=-0.1)
+
+
+def test_worlds_fill_their_ranges_and_world_0_is_unperturbed() -> None:
+    worlds = [draw_perturbation(k) for k in range(1, 201)]
+    bones = np.array([world.bones for world in worlds])
+    assert 0.9 <= bones.min() < 0.92
+    assert 1.08 < bones.max() <= 1.1
+    assert max(abs(world.shift).max() for world in worlds) == pytest.approx(0.002, rel=0.05)
+    noise = [world.tracker.noise for world in worlds]
+    assert 0.0 <= min(noise) < 0.0001 < 0.0009 < max(noise) <= 0.001
+    none, points = draw_perturbation(0), np.random.default_rng(0).normal(size=(21, 3))
+    scene = scene_for("card", HAND)
+    np.testing.assert_array_equal(none.scene(scene).start[0], scene.start[0])
+    np.testing.assert_array_equal(none.scene(scene).start[1], scene.start[1])
+    np.testing.assert_allclose(none.operator(points), points, atol=1e-12)
+    source = DemonstrationLandmarks(load_demonstration("card"))
+    physics = ScenePhysics(HAND, scene)
+    seen = PerturbedLandmarks(source, none).landmarks(1.0, physics.observe(), physics)
+    assert seen is not None
+    np.testing.assert_allclose(seen, source.at(1.0), atol=1e-12)
+
+
+@pytest.mark.parametrize("task", list(SCENES))
+def test_the_object_is_where_and_as_heavy_as_the_world_says(task: str) -> None:
+    world = replace(draw_perturbation(1), mass=1.2, friction=0.9)
+    plain = ScenePhysics(HAND, scene_for(task, HAND))
+    scene = world.scene(scene_for(task, HAND))
+    physics = ScenePhysics(HAND, scene)
+    world.prepare(physics)
+    np.testing.assert_allclose(
+        physics.observe().position - plain.observe().position, [*world.shift, 0.0], atol=1e-9
+    )
+    body = physics.model.body(OBJECT).id
+    assert physics.model.body_mass[body] == pytest.approx(1.2 * plain.model.body_mass[body])
+    assert physics.model.body_subtreemass[body] == pytest.approx(
+        1.2 * plain.model.body_subtreemass[body]
+    )
+    moved = physics.model.geom_bodyid == body
+    np.testing.assert_allclose(
+        physics.model.geom_friction[moved, 0], 0.9 * plain.model.geom_friction[moved, 0]
+    )
+    np.testing.assert_array_equal(
+        physics.model.geom_friction[~moved], plain.model.geom_friction[~moved]
+    )
+    # It starts at rest as a trial sees it: not turned yet, not lost.
+    assert physics.advance(0.05)
+    run = TASKS[task].scorer(scene).observe(physics.observe())
+    assert run.standing.score == 0.0
+    assert not run.standing.dropped
+
+
+def test_an_object_that_waits_for_the_hand_is_solid_afterwards() -> None:
+    """The thumb of this hand starts in the cube's place."""
+    hand = load_hand("orca_v2")
+    physics = ScenePhysics(hand, scene_for("cube", hand))
+    assert not physics.observe().placed
+    replace(draw_perturbation(0), mass=1.1).prepare(physics)
+    physics.command(hand.full_configuration(hand.limits[:, 0]))
+    physics.advance(1.0)
+    state = physics.observe()
+    assert state.placed
+    weight = 9.81 * float(physics.model.body_mass[physics.model.body(OBJECT).id])
+    assert state.support == pytest.approx(weight, rel=0.05)
+
+
+def test_another_operator_shows_the_same_angles_with_other_bones() -> None:
+    world = draw_perturbation(5)
+    points = DemonstrationLandmarks(load_demonstration("cube")).at(1.0)
+    longer = world.operator(points)
+    angles = [joint_angles(p, palm_axes(p, "right")) for p in (points, longer)]
+    np.testing.assert_allclose(angles[0], angles[1], atol=1e-6)
+    for parent, child in BONES:
+        finger = next(k for k, base in enumerate(BASES) if base <= child < base + 4)
+        factor = world.palm if child in BASES else world.bones[finger]
+        ratio = np.linalg.norm(longer[child] - longer[parent]) / np.linalg.norm(
+            points[child] - points[parent]
+        )
+        assert ratio == pytest.approx(factor), LANDMARKS[child]
+
+
+def test_frames_are_noisy_and_dropped_as_the_world_says() -> None:
+    base = draw_perturbation(2)
+    world = replace(base, tracker=replace(
+        base.tracker, noise=0.001, frame_loss=0.1, frame_loss_burst=0.04))  # fmt: skip
+    source = DemonstrationLandmarks(load_demonstration("card"))
+    physics = ScenePhysics(HAND, scene_for("card", HAND))
+    state = physics.observe()
+
+    def frames(count: int) -> list[np.ndarray | None]:
+        tracked = PerturbedLandmarks(source, world)
+        return [tracked.landmarks(-1.0 + 0 * k, state, physics) for k in range(count)]
+
+    first, again = frames(3000), frames(50)
+    lost = np.array([points is None for points in first])
+    assert 0.07 < lost.mean() < 0.13
+    bursts = lost.sum() / (np.diff(lost.astype(int)) == 1).sum()
+    assert 3.0 < bursts < 5.0
+    kept = np.array([points for points in first if points is not None])
+    assert (kept - world.operator(source.at(-1.0))).std() == pytest.approx(0.001, rel=0.05)
+    for one, two in zip(first, again, strict=False):
+        assert (one is None) == (two is None)
+        if one is not None and two is not None:
+            np.testing.assert_array_equal(one, two)

@@ -1,0 +1,41 @@
+"""The distribution: every module loads, and its commands are those that the package names."""
+
+from __future__ import annotations
+
+import importlib
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from smooth_operator.cli import main
+from smooth_operator.cli.options import COMMANDS
+from smooth_operator.cli.options import RESEARCH as NAMES
+
+RESEARCH = Path(__file__).resolve().parents[1]
+SOURCE = RESEARCH / "src"
+MODULES = sorted(
+    ".".join(path.relative_to(SOURCE).with_suffix("").parts).removesuffix(".__init__")
+    for path in SOURCE.rglob("*.py")
+)
+WORDS = ["paper", "ablate", "physics", "study simulate", "bench --physics"]
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_a_module_loads(name: str) -> None:
+    importlib.import_module(name)
+
+
+def test_the_commands_are_those_that_the_package_expects() -> None:
+    project = tomllib.loads((RESEARCH / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert set(project["entry-points"]["smooth_operator.commands"]) == set(NAMES)
+    assert all(name in COMMANDS.plugins for name in NAMES)
+
+
+@pytest.mark.parametrize(
+    "words", ["paper", "ablate", "physics", "study simulate", "bench --physics"]
+)
+def test_a_command_has_help(words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([*words.split(), "--help"]) == 0
+    usage = words.replace("bench --physics", "physics")
+    assert f"usage: smooth-operator {usage}" in capsys.readouterr().out

@@ -1,0 +1,69 @@
+"""A finger that was straight follows the human's when that bends."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from smooth_operator import HandRecording, Retargeter, load_hand, method_config
+from smooth_operator.human.alignment import align_recording
+from smooth_operator.landmarks import TIPS
+from smooth_operator.objective.straight_fingers import StraightFingers
+from smooth_operator_research.demonstrations.demonstration import (
+    DemonstrationLandmarks,
+    load_demonstration,
+)
+from smooth_operator_research.demonstrations.perturbation import draw_perturbation
+
+pytestmark = pytest.mark.weekly
+
+
+def test_fingers_are_found_where_a_joint_bends_them_past_straight() -> None:
+    hand = load_hand("mimic_p050")
+    fingers = StraightFingers(hand)
+    assert [hand.fingers[f] for f, *_ in fingers.found] == ["index", "middle", "ring", "pinky"]
+    assert [hand.actuated_names[joint] for _, joint, *_ in fingers.found] == [
+        f"{name}_pp2mp" for name in ("index", "middle", "ring", "pinky")
+    ]
+    for (f, joint, longest, length), centre in zip(fingers.found, fingers.centres, strict=True):
+        for lengths, position in ((length, 0.0), (None, longest)):
+            q = np.array(hand.neutral)
+            q[joint] = position
+            at = np.linalg.norm(hand.tips(hand.full_configuration(q))[f] - hand.wrist - centre)
+            assert at == pytest.approx(length, abs=1e-6) if lengths else at > length + 1e-3
+    for name in ("inspire_hand", "shadow_hand", "allegro_hand"):  # longest at the limit
+        hand = load_hand(name)
+        tips = hand.tips(hand.full_configuration(hand.neutral)) - hand.wrist
+        assert StraightFingers(hand).limits(hand.limits, tips) is hand.limits
+
+
+def test_only_a_fingertip_nearer_than_the_finger_at_its_limit_moves_the_limit() -> None:
+    hand = load_hand("mimic_p050")
+    fingers = StraightFingers(hand)
+    tips = hand.tips(hand.full_configuration(hand.neutral)) - hand.wrist
+    f, joint, longest, length = fingers.found[1]
+    for away, low in ((length + 5e-4, 0.0), (length - 5e-4, 0.0), (length - 2e-3, longest)):
+        tips[f] = fingers.centres[1] + [0.0, 0.0, away]
+        found = np.asarray(fingers.limits(hand.limits, tips))
+        assert found[joint, 0] == pytest.approx(low)
+        others = np.arange(len(found)) != joint
+        assert (found[others, 1] == hand.limits[others, 1].astype(np.float32)).all()
+
+
+def test_a_finger_stretched_too_far_is_not_left_straight() -> None:
+    """An operator whose bones stretch the middle finger, which then bends."""
+    demonstration = load_demonstration("screwdriver", "mimic_p050")
+    hand, source = demonstration.robot, DemonstrationLandmarks(demonstration)
+    operator = draw_perturbation(6).operator
+    retargeter = Retargeter(hand, config=replace(method_config("smooth"), settle_rounds=2))
+    stamps = np.arange(0.0, 0.8, 0.02)
+    shown = np.stack([operator(source.at(stamp)) for stamp in stamps])
+    recording = HandRecording(shown, stamps, hand.spec.side)
+    state, tips = retargeter.init(seed=0), []
+    for frame in recording:
+        state, result = retargeter.step(state, frame)
+        tips.append(hand.tips(result.command.positions) - hand.wrist)
+    aligned = align_recording(recording, hand)
+    asked = aligned[:, list(TIPS)] - aligned[:, :1]
+    errors = np.linalg.norm(np.array(tips) - asked, axis=-1)
+    assert errors[-10:].max() < 2e-3

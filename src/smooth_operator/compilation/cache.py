@@ -1,0 +1,265 @@
+"""Programs in a folder of this user: the second process neither traces nor compiles.
+
+``ProgramCache`` holds traced programs; JAX's persistent compilation cache, in a folder of its own,
+holds the machine code. Both are read only where no other user can have written them
+(``own_files``). Any number of processes may use the folders.
+Figures: docs/reference/benchmarks.md, *Start*.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import hashlib
+import logging
+import os
+import platform
+import stat
+import tempfile
+import threading
+import warnings
+from collections.abc import Iterator
+from importlib.metadata import version
+from multiprocessing import parent_process
+from pathlib import Path
+from typing import Any, Final
+
+import jax
+from jax.experimental.compilation_cache import compilation_cache
+
+from smooth_operator.atomic_files import atomic_write
+from smooth_operator.errors import DocumentError, OutputError
+from smooth_operator.result_cache.own_files import (
+    file_problem,
+    folder_problem,
+    make_private,
+    read_own_file,
+)
+from smooth_operator.result_cache.user_cache import OFF, SWITCH, user_cache
+
+LOGGER: Final = logging.getLogger("smooth_operator.programs")
+
+_DIGEST: Final = 32
+MOST_BYTES: Final = 512 << 20
+"""Most bytes in a folder; programs that were used last stay. One has 0.2 to 2 MB."""
+MOST_BYTES_OF_ONE: Final = 256 << 20
+
+_SETTINGS: Final = {
+    "jax_persistent_cache_min_compile_time_secs": 0.0,
+    "jax_persistent_cache_min_entry_size_bytes": -1,
+}
+_DAMAGED: Final = "Error reading persistent compilation cache"
+_lock: Final = threading.Lock()
+_redirection: Final = contextlib.ExitStack()
+_blocks = 0
+
+
+class ProgramCache:
+    """Named pieces of bytes in a folder, whole or not there.
+
+    Args:
+        folder: where; it must exist.
+        most_bytes: of all files together.
+    """
+
+    def __init__(self, folder: Path, most_bytes: int = MOST_BYTES) -> None:
+        self.folder, self.most_bytes = folder, most_bytes
+
+    def read(self, name: str) -> bytes | None:
+        """The bytes that were written under a name; None if there are none, or they changed."""
+        file = self.folder / name
+        try:
+            content = read_own_file(file, MOST_BYTES_OF_ONE)
+        except FileNotFoundError:
+            return None
+        except (OSError, DocumentError) as error:
+            self.drop(name, error)
+            return None
+        digest, data = content[:_DIGEST], content[_DIGEST:]
+        if _digest(data) != digest:
+            self.drop(name, "it is damaged")
+            return None
+        with contextlib.suppress(OSError):
+            file.touch()  # used now
+        return data
+
+    def write(self, name: str, data: bytes) -> None:
+        """Writes an entry, and removes those unused the longest; a full disk costs time only."""
+        with contextlib.suppress(OutputError, OSError):
+            with atomic_write(self.folder / name) as stream:
+                os.chmod(stream.name, 0o600)
+                stream.write(_digest(data) + data)
+            make_room(self.folder, self.most_bytes)
+
+    def drop(self, name: str, reason: object) -> None:
+        """Removes an entry that can't be used; the log has the reason."""
+        LOGGER.warning("the program %s is compiled again: %s", self.folder / name, reason)
+        with contextlib.suppress(OSError):
+            (self.folder / name).unlink()
+
+    def size(self) -> tuple[int, int]:
+        """Number of entries, and their bytes."""
+        sizes = [status.st_size for _, status in _files(self.folder)]
+        return len(sizes), sum(sizes)
+
+
+def _files(folder: Path) -> Iterator[tuple[Path, os.stat_result]]:
+    for each in folder.iterdir():
+        status = each.lstat()
+        if stat.S_ISREG(status.st_mode):
+            yield each, status
+
+
+def make_room(folder: Path, most_bytes: int = MOST_BYTES) -> None:
+    """Removes the files of a folder that were not used the longest, down to a number of bytes."""
+    for each, status in sorted(_files(folder), key=lambda pair: -pair[1].st_mtime):
+        most_bytes -= status.st_size
+        if most_bytes < 0:
+            each.unlink(missing_ok=True)
+
+
+def _digest(data: bytes) -> bytes:
+    """A flipped bit may leave a program that can be read, and computes something else."""
+    return hashlib.sha256(data).digest()
+
+
+def program_cache() -> ProgramCache | None:
+    """The cache of this user; None if it is switched off (``SWITCH``), or see ``own_folder``."""
+    folder = None if is_off() else _opened(user_cache() / "programs")
+    return None if folder is None else ProgramCache(folder)
+
+
+def is_off() -> bool:
+    """``SWITCH`` says that nothing is kept."""
+    return os.environ.get(SWITCH, "").strip().lower() in OFF
+
+
+@contextlib.contextmanager
+def jax_cache() -> Iterator[None]:
+    """JAX keeps what it compiles in this user's folder while the block runs.
+
+    Afterwards JAX's settings are as they were. Nothing changes where ``SWITCH`` is off, the folder
+    can't be written or is open to other users (``own_folder``), or JAX has a folder already. A
+    damaged entry is removed, where JAX would warn of it for ever. Blocks may be nested, and run on
+    several threads.
+    """
+    global _blocks
+    with _lock:
+        if _blocks == 0:
+            _redirection.enter_context(_redirected())
+        _blocks += 1
+    try:
+        yield
+    finally:
+        with _lock:
+            _blocks -= 1
+            if _blocks == 0:
+                _redirection.close()
+
+
+@contextlib.contextmanager
+def _redirected() -> Iterator[None]:
+    config: Any = jax.config  # its attributes are made at run time
+    unused = not config.jax_enable_compilation_cache or config.jax_compilation_cache_dir
+    folder = None if unused or is_off() else _jax_folder(user_cache() / machine())
+    if folder is None:
+        yield
+        return
+    settings = {"jax_compilation_cache_dir": str(folder), **_SETTINGS}
+    before = {name: getattr(config, name) for name in settings}
+    for name, value in settings.items():
+        config.update(name, value)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("default")
+        yield
+    for name, value in before.items():
+        config.update(name, value)
+    compilation_cache.reset_cache()  # or JAX would go on to use the folder
+    damaged = [each for each in caught if str(each.message).startswith(_DAMAGED)]
+    with contextlib.suppress(OSError):
+        for entry in folder.glob("*-cache"):
+            if damaged:
+                entry.unlink()
+            else:
+                entry.chmod(0o600)  # JAX goes by the umask of the process
+        make_room(folder)
+    for each in caught:
+        if each not in damaged:
+            warnings.warn_explicit(each.message, each.category, each.filename, each.lineno)
+
+
+@functools.cache
+def _opened(folder: Path) -> Path | None:
+    return own_folder(folder)
+
+
+@functools.cache
+def _jax_folder(folder: Path) -> Path | None:
+    own = own_folder(folder)
+    if own is not None and parent_process() is None:  # a worker's entries may be on their way
+        try:
+            remove_foreign(own)  # JAX opens them by their names, and waits for a pipe
+        except OSError:
+            return None
+    return own
+
+
+@functools.cache
+def machine() -> str:
+    """Digest of the processor's features and of jaxlib: compiled code fits no other.
+
+    A home on a network disk serves several machines.
+    """
+    features = [platform.system(), platform.machine(), version("jaxlib")]
+    try:
+        with Path("/proc/cpuinfo").open(encoding="utf-8") as lines:
+            features += [next(each for each in lines if each.startswith(("flags", "Features")))]
+    except (OSError, StopIteration):
+        features += [platform.processor(), platform.node()]
+    return hashlib.sha256("\n".join(features).encode()).hexdigest()[:16]
+
+
+def own_folder(folder: Path) -> Path | None:
+    """A folder for machine code, its links resolved; it is made if there is none.
+
+    Returns:
+        None if it can't be written, or if another user can write it, which is logged.
+    """
+    try:
+        make_private(folder)
+        problem = folder_problem(folder)
+        if not problem:
+            with tempfile.TemporaryFile(dir=folder):
+                return folder.resolve()
+    except OSError:
+        return None
+    _warn(problem)
+    return None
+
+
+@functools.cache  # the programs of frames and JAX's own may be under the same folder
+def _warn(problem: str) -> None:
+    if parent_process() is None:  # or each worker would say it again
+        LOGGER.warning(
+            "compiled programs are not kept, so each start compiles: %s; %s may name another "
+            "folder that only you can write",
+            problem,
+            SWITCH,
+        )
+
+
+def remove_foreign(folder: Path) -> None:
+    """Removes files of a folder for machine code that another user can have written.
+
+    For a reader that opens them by itself: no other user can exchange them in a closed folder.
+
+    Raises:
+        OSError: one can't be removed.
+    """
+    for entry in folder.iterdir():
+        status = entry.lstat()
+        if not stat.S_ISDIR(status.st_mode) and (
+            problem := file_problem(status, MOST_BYTES_OF_ONE)
+        ):
+            LOGGER.info("%s was removed: %s", entry, problem)
+            entry.unlink(missing_ok=True)

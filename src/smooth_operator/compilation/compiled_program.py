@@ -1,0 +1,274 @@
+"""A function that is traced and compiled once: a second process reads the program.
+
+A traced program is kept with ``jax.export``, its machine code in JAX's compilation cache. A process
+that traces a program runs the exported form too, so results are equal, bit for bit, whether it was
+traced or read.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import enum
+import functools
+import hashlib
+import json
+import os
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from importlib import import_module
+from importlib.metadata import version
+from typing import Any, Final, TypeAlias
+
+import jax
+import numpy as np
+
+from smooth_operator.compilation.cache import LOGGER, ProgramCache, jax_cache, program_cache
+from smooth_operator.formats.jsonable import to_json
+from smooth_operator.hands.hand import Hand
+from smooth_operator.methods.method import MethodConfig
+from smooth_operator.methods.shared import fingerprint
+from smooth_operator.result_cache.code import HOME, code_digest
+
+_CODE: Final = (
+    "compilation", "methods", "baselines", "objective", "solvers", "human", "hands",
+    "hand_files/stand_ins.py", "geometry.py", "poses.py", "landmarks.py", "types.py",
+)  # fmt: skip
+"""Code that programs are traced from."""
+
+_SETTINGS: Final = (
+    "jax_enable_x64", "jax_default_matmul_precision", "jax_default_prng_impl",
+    "jax_numpy_dtype_promotion", "jax_numpy_rank_promotion", "jax_threefry_partitionable",
+)  # fmt: skip
+"""Settings of JAX that a traced program depends on."""
+
+_NARROW: Final = {"xla_cpu_use_fusion_emitters": False, "xla_cpu_experimental_ynn_fusion_type": ""}
+_WIDE: Final = {**_NARROW, "xla_cpu_prefer_vector_width": 512}
+
+_Signature: TypeAlias = tuple[Any, tuple[tuple[tuple[int, ...], str], ...], str]
+"""Structure, shapes and kinds of the arguments, and the platform that they are on."""
+
+
+def compiled(function: Callable[..., Any], *, wide: bool = False) -> Callable[..., Any]:
+    """``jax.jit`` with the options that suit programs of one frame.
+
+    Args:
+        function: traceable.
+        wide: most of its time goes to long loops over many numbers, which a processor with vectors
+            of 512 bits is to run in such vectors; XLA prefers 256.
+    """
+    return jax.jit(function, compiler_options=_compiler_options(wide))
+
+
+@functools.cache
+def _compiler_options(wide: bool) -> dict[str, Any] | None:
+    """Options that XLA knows here; None if it knows none."""
+    for options in _options(wide):
+        try:
+            jax.jit(lambda x: x, compiler_options=options)(np.float32(0))
+        except Exception:  # what XLA raises for an unknown option has changed between versions
+            continue
+        return options
+    return None
+
+
+def _options(wide: bool) -> list[dict[str, Any]]:
+    """Options for a CPU, with which a program starts sooner and its loops suit the processor.
+
+    XLA's newer emitter of fused loops takes 1.6 s longer over this program, and the program is no
+    faster for it. The options are XLA's own and may go: where one is unknown, the next are tried.
+    """
+    if jax.default_backend() != "cpu":
+        return []
+    return [dict(each) for each in ((_WIDE, _NARROW) if wide else (_NARROW,))]
+
+
+def program_key(
+    hand: Hand, config: MethodConfig, *more: object, constants: Any = None
+) -> str | None:
+    """A digest of all that a program of a hand and a configuration depends on, but its arguments.
+
+    Args:
+        hand: the robot hand that the method was built for.
+        config: the method's settings.
+        more: anything else, as JSON.
+        constants: ``Method.constants``.
+
+    Returns:
+        the digest; None if it can't be known, as the configuration has code or a file of the
+        user's.
+    """
+    known = config.shareable or constants is not None
+    if not known or not _is_data(config, paths=constants is not None):
+        return None
+    parts = [fingerprint(hand), type(config).__qualname__, config, *more]
+    digest = hashlib.sha256("\n".join(to_json(part) for part in parts).encode())
+    for array in jax.tree.leaves(constants):
+        digest.update(str(np.shape(array)).encode() + np.asarray(array).tobytes())
+    digest.update(code_digest(*_CODE).encode())
+    return digest.hexdigest()
+
+
+class CompiledProgram:
+    """A function of trees of arrays, compiled when it is first called, once for each shape.
+
+    Args:
+        function: traceable; returns a tree of tuples, lists, dictionaries and named tuples.
+        hand: the robot hand that the method was built for.
+        config: the method's settings.
+        more: what else the function depends on, as JSON.
+        constants: ``Method.constants``.
+        cached: it is read from the user's cache, and written there.
+    """
+
+    def __init__(
+        self,
+        function: Callable[..., Any],
+        hand: Hand,
+        config: MethodConfig,
+        *more: object,
+        constants: Any = None,
+        cached: bool = True,
+    ) -> None:
+        self._function, self._cached, self._wide = function, cached, not config.one_thread
+        self._key = functools.partial(program_key, hand, config, *more, constants=constants)
+        self._run: Callable[..., Any] | None = None
+        self._programs: dict[_Signature, Callable[..., Any]] = {}
+        self._lock = threading.Lock()
+
+    def __call__(self, *arguments: Any) -> Any:
+        """The function's value."""
+        if self._run is not None:
+            try:
+                return self._run(*arguments)
+            except (TypeError, ValueError, NotImplementedError):
+                self._run = None  # a program takes no other shapes, and no tracers
+        signature = _signature(arguments)
+        if signature is None:
+            return compiled(self._function, wide=self._wide)(*arguments)
+        with self._lock:
+            run = self._programs.get(signature)
+            if run is None:
+                run, value = self._compiled(signature, arguments)
+                self._programs[signature] = run
+                self._run = run if len(self._programs) == 1 else None
+                return value
+        return run(*arguments)
+
+    def _compiled(
+        self, signature: _Signature, arguments: tuple[Any, ...]
+    ) -> tuple[Callable[..., Any], Any]:
+        """The program for arguments like these, and its value for them."""
+        config: Any = jax.config  # its attributes are made at run time
+        cache = None if config.jax_disable_jit or not self._cached else program_cache()
+        key = None if cache is None else self._key()
+        function = self._function
+        if cache is not None and key is not None:
+            try:
+                function = _exported(cache, _file_name(key, signature), function, arguments).call
+            except Exception as error:  # a program that can't be exported is still a program
+                LOGGER.info("a program can't be kept: %s", error)
+        with jax_cache() if function is not self._function else contextlib.nullcontext():
+            for options in _options(self._wide):
+                run = jax.jit(function, compiler_options=options)
+                with contextlib.suppress(Exception):  # as in ``_compiler_options``
+                    return run, run(*arguments)
+            run = jax.jit(function)
+            return run, run(*arguments)
+
+
+def _signature(arguments: tuple[Any, ...]) -> _Signature | None:
+    """What a program is compiled for; None for tracers and arguments on several devices."""
+    leaves, tree = jax.tree.flatten(arguments)
+    devices = set()
+    for leaf in leaves:
+        if isinstance(leaf, jax.core.Tracer):
+            return None
+        devices |= leaf.devices() if isinstance(leaf, jax.Array) else set()
+    if len(devices) > 1:
+        return None
+    shapes = tuple((np.shape(leaf), str(jax.dtypes.result_type(leaf))) for leaf in leaves)
+    return tree, shapes, str(devices.pop() if devices else jax.devices()[0])
+
+
+def _file_name(key: str, signature: _Signature) -> str:
+    settings = [repr(getattr(jax.config, name, None)) for name in _SETTINGS]
+    tree, *rest = signature
+    parts = [key, str(tree), *rest, version("jax"), version("jaxlib"), settings]
+    return f"{hashlib.sha256(repr(parts).encode()).hexdigest()[:32]}.program"
+
+
+def _exported(
+    cache: ProgramCache, name: str, function: Callable[..., Any], arguments: tuple[Any, ...]
+) -> Any:
+    """The program as it was kept, or traced and kept now."""
+    data = cache.read(name)
+    if data is not None:
+        try:
+            head, _, body = data.partition(b"\n")
+            for kind in json.loads(head):
+                _register(_own_class(kind))
+            return jax.export.deserialize(bytearray(body))
+        except Exception as error:  # JAX's are of many kinds
+            cache.drop(name, f"{type(error).__name__}: {error}")
+    exported = jax.export.export(jax.jit(function))(*arguments)
+    kinds = {*_named_tuples(exported.in_tree), *_named_tuples(exported.out_tree)}
+    for each in kinds:
+        _register(each)
+    head = json.dumps(sorted(map(_class_name, kinds))).encode()
+    cache.write(name, head + b"\n" + exported.serialize())
+    return exported
+
+
+def _named_tuples(tree: Any) -> Iterator[type]:
+    """The classes of the named tuples in a tree's structure."""
+    node = tree.node_data()
+    if node is None:
+        return
+    if issubclass(node[0], tuple) and node[0] is not tuple:
+        yield node[0]
+    for child in tree.children():
+        yield from _named_tuples(child)
+
+
+@functools.cache
+def _register(kind: type) -> None:
+    """Lets ``jax.export`` write and read a named tuple."""
+    register: Any = jax.export.register_namedtuple_serialization
+    register(kind, serialized_name=_class_name(kind))
+
+
+def _class_name(kind: type) -> str:
+    return f"{kind.__module__}:{kind.__qualname__}"
+
+
+def _own_class(name: str) -> type:
+    """A class of this package by its name.
+
+    Raises:
+        ValueError: it is another package's.
+    """
+    module, _, path = name.partition(":")
+    if module.partition(".")[0] != HOME.name:
+        raise ValueError(f"{module} is not of this package")
+    kind: Any = import_module(module)
+    for part in path.split("."):
+        kind = getattr(kind, part)
+    return kind  # type: ignore[no-any-return]
+
+
+def _is_data(value: object, paths: bool = False) -> bool:
+    """Numbers, texts and this package's own dataclasses, all the way down."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        own = type(value).__module__.partition(".")[0] == HOME.name
+        fields = dataclasses.fields(value)
+        return own and all(_is_data(getattr(value, field.name), paths) for field in fields)
+    if isinstance(value, Mapping):
+        return all(_is_data(each, paths) for pair in value.items() for each in pair)
+    if isinstance(value, (tuple, list, set, frozenset)):
+        return all(_is_data(each, paths) for each in value)
+    if isinstance(value, str):
+        return ":" not in value  # package.module:attribute
+    if isinstance(value, os.PathLike):
+        return paths
+    return value is None or isinstance(value, (int, float, enum.Enum, np.ndarray, np.generic))

@@ -1,0 +1,486 @@
+"""Further readings of a study: what reviewers ask for, next to the models that are reported.
+
+Success as the full score only; equivalence by two one-sided tests (Schuirmann 1987); does a
+difference depend on the task; time with failures; agreement of raters; preference. Each has its
+figures or the reason why it has none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+from jaxtyping import Float
+from scipy.special import fdtrc, ndtr, stdtr
+
+from smooth_operator.errors import StudyError
+from smooth_operator.study.analysis.agreement import Agreement, Preference, agreement, preference
+from smooth_operator.study.analysis.contrasts import (
+    Freedom,
+    MarginalMeans,
+    cohen_h,
+    compare,
+    linear_means,
+    response_means,
+)
+from smooth_operator.study.analysis.dunnett import holm, quantile
+from smooth_operator.study.analysis.frame import (
+    Frame,
+    check_frame,
+    dependent_columns,
+    success_frame,
+    time_frame,
+    tlx_frame,
+    within,
+)
+from smooth_operator.study.analysis.gee import fit_gee, separating
+from smooth_operator.study.analysis.mixed import fit_mixed
+from smooth_operator.study.analysis.outcomes import observed
+from smooth_operator.study.analysis.results import (
+    OUTCOMES,
+    POOLED,
+    Outcome,
+    Pair,
+    Refused,
+    ScopeResult,
+    figures_or_refused,
+    plain,
+)
+from smooth_operator.study.analysis.separated import split
+from smooth_operator.study.analysis.time_to_success import TimeToSuccess, time_to_success
+from smooth_operator.study.data.rows import StudyData, Trials
+
+ALPHA: Final = 0.05
+
+
+@dataclass(frozen=True)
+class WaldTest:
+    """A joint test of several coefficients: F with its degrees of freedom."""
+
+    f: float
+    df1: float
+    df2: float
+    p: float
+
+
+def clustered_wald(
+    values: Float[np.ndarray, " q"], covariance: Float[np.ndarray, "q q"], operators: int
+) -> WaldTest:
+    """Are all values zero? Hotelling's F, for a covariance that is estimated from operators.
+
+    Raises:
+        StudyError: not more operators than values.
+    """
+    count = len(values)
+    if operators <= count:
+        raise StudyError(
+            f"{operators} operators are too few for a joint test of {count} differences"
+        )
+    statistic = _quadratic(values, covariance)
+    free = operators - count
+    f = statistic * free / ((operators - 1) * count)
+    return WaldTest(f, float(count), float(free), float(fdtrc(count, free, f)))
+
+
+def model_wald(
+    values: Float[np.ndarray, " q"],
+    covariance: Float[np.ndarray, "q q"],
+    contrasts: Float[np.ndarray, "q p"],
+    freedom: Freedom,
+) -> WaldTest:
+    """Are all values zero? F with denominators from Satterthwaite (Fai and Cornelius 1996).
+
+    Args:
+        values: combinations of the coefficients.
+        covariance: theirs.
+        contrasts: the combinations.
+        freedom: degrees of freedom of one combination.
+
+    Raises:
+        StudyError: the covariance is singular, or there are next to no degrees of freedom.
+    """
+    count = len(values)
+    statistic = _quadratic(values, covariance)
+    _, axes = np.linalg.eigh(covariance)
+    each = np.array([freedom(axis @ contrasts) for axis in axes.T])
+    if np.min(each) <= 2:
+        raise StudyError("too few operators: a difference has no more than 2 degrees of freedom")
+    if np.isinf(each).all():
+        free = np.inf
+    else:
+        total = float(np.sum(1 / (1 - 2 / each)))
+        free = 2 * total / (total - count)
+    f = statistic / count
+    return WaldTest(f, float(count), float(free), float(fdtrc(count, min(free, 1e9), f)))
+
+
+def _quadratic(values: np.ndarray, covariance: np.ndarray) -> float:
+    scale = np.sqrt(np.maximum(np.diag(covariance), 0))
+    if not np.all(scale > 0) or np.linalg.cond(covariance / np.outer(scale, scale)) > 1e10:
+        raise StudyError("the differences have no joint test: their covariance is singular")
+    return float(values @ np.linalg.solve(covariance, values))
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """Coefficients of a fit, their covariance and degrees of freedom.
+
+    Attributes:
+        outcome: which one.
+        beta: coefficients; of success on the logit (p,).
+        covariance: theirs (p, p).
+        freedom: degrees of freedom of a combination of them.
+        operators: clusters.
+        means: of the retargeters where the further columns are zero.
+    """
+
+    outcome: Outcome
+    beta: Float[np.ndarray, " p"]
+    covariance: Float[np.ndarray, "p p"]
+    freedom: Freedom
+    operators: int
+    means: MarginalMeans
+
+    def joint(self, columns: slice) -> WaldTest:
+        """Are these coefficients all zero?
+
+        Raises:
+            StudyError: there are too few operators for it.
+        """
+        chosen = np.eye(len(self.beta))[columns]
+        values = chosen @ self.beta
+        covariance = chosen @ self.covariance @ chosen.T
+        if self.outcome == "success":
+            return clustered_wald(values, covariance, self.operators)
+        return model_wald(values, covariance, chosen, self.freedom)
+
+
+def fit_with(outcome: Outcome, frame: Frame, more: Float[np.ndarray, "n q"] | None = None) -> Fit:
+    """Fits retargeter, task, the index and further columns by the method of mode small-sample.
+
+    Args:
+        outcome: decides on the model.
+        frame: the rows.
+        more: further columns, centred so that means are at their mean.
+
+    Raises:
+        StudyError: the rows do not carry the model.
+    """
+    check_frame(frame)
+    design = frame.design()[0]
+    if more is not None and more.shape[1]:
+        design = np.column_stack([design, more])
+    if dependent_columns(design):
+        raise StudyError("the further terms are not independent of retargeter, task and trial")
+    if len(frame) <= design.shape[1]:
+        raise StudyError(f"{len(frame)} rows are too few for {design.shape[1]} coefficients")
+    operators = len(frame.operators)
+    if outcome == "success":
+        if separating(design, frame.outcome) is not None:
+            raise StudyError("separation: with these terms the odds are infinite")
+        gee = fit_gee(design, frame.outcome, frame.group)
+        gee.check_correlation()
+        if gee.mancl_derouen is None:
+            raise StudyError(f"{operators} operators are too few for {design.shape[1]} terms")
+        means = response_means(frame, gee.beta)
+        return Fit(
+            outcome, gee.beta, gee.mancl_derouen, lambda _: operators - 1.0, operators, means
+        )
+    nested = fit_mixed(design, frame.outcome, frame.levels)
+    means = linear_means(frame, nested.beta)
+    return Fit(outcome, nested.beta, nested.covariance, nested.satterthwaite, operators, means)
+
+
+def full_success(trials: Trials, scope: str, baseline: str) -> ScopeResult:
+    """Success as a score of 1, by the model of success in mode small-sample."""
+    frame = success_frame(trials, scope, baseline)
+    frame = replace(frame, outcome=(trials.score[within(trials, scope)] >= 1).astype(float))
+    blank = ScopeResult(n=len(frame), operators=len(frame.operators), observed=observed(frame))
+    try:
+        rest, separated = split(frame)
+        blank = replace(blank, separated=separated)
+        if rest is None:
+            raise StudyError("no retargeter has both full successes and other trials")
+        fit = fit_with("success", rest)
+        compared = compare(fit.means, fit.covariance, fit.freedom, cohen_h, baseline)
+    except StudyError as error:
+        return replace(blank, refused=str(error))
+    return replace(
+        blank,
+        emm=compared.emm,
+        dunnett=compared.dunnett,
+        pairs=compared.pairs,
+        n=len(rest),
+        operators=fit.operators,
+        warnings=compared.warnings,
+    )
+
+
+@dataclass(frozen=True)
+class Interaction:
+    """Joint test of retargeter x task in the model of all tasks."""
+
+    test: WaldTest
+    n: int
+    operators: int
+
+    @property
+    def found(self) -> bool:
+        """Whether p is under 0.05."""
+        return self.test.p < ALPHA
+
+
+def interaction(outcome: Outcome, frame: Frame) -> Interaction | Refused:
+    """Tests retargeter x task.
+
+    Args:
+        outcome: decides on the model.
+        frame: rows of all tasks.
+    """
+    return figures_or_refused(lambda: _interaction(outcome, frame))
+
+
+def _interaction(outcome: Outcome, frame: Frame) -> Interaction:
+    check_frame(frame)
+    if len(frame.tasks) < 2:
+        raise StudyError("the study has one task")
+    columns = []
+    for j, name in enumerate(frame.retargeters):
+        for k, task in enumerate(frame.tasks):
+            cell = (frame.retargeter == j) & (frame.task == k)
+            if not cell.any():
+                raise StudyError(f"no rows of {name} in task {task}")
+            if j and k:
+                columns.append(cell.astype(float))
+    fit = fit_with(outcome, frame, np.column_stack(columns))
+    return Interaction(fit.joint(slice(-len(columns), None)), len(frame), len(frame.operators))
+
+
+@dataclass(frozen=True)
+class Equivalence:
+    """One pair, ``a`` minus ``b``.
+
+    Attributes:
+        difference: in the outcome's unit (success: a share).
+        lower: of the 90 % interval, the one that goes with two tests at 5 %.
+        upper: of the 90 % interval.
+        margin: of the plan; None without one.
+        p: larger of both one-sided p-values; None without a margin.
+        p_holm: corrected over the other retargeters against the baseline; None in other pairs.
+        equivalent: whether p is under 0.05; None without a margin.
+        smallest_margin: with which p would be 0.05. It is chosen after seeing the data, so it shows
+            nothing.
+    """
+
+    a: str
+    b: str
+    difference: float
+    se: float
+    df: float
+    lower: float
+    upper: float
+    margin: float | None
+    p: float | None
+    p_holm: float | None
+    equivalent: bool | None
+    smallest_margin: float
+
+
+def equivalences(
+    result: ScopeResult, baseline: str, margin: float | None
+) -> Mapping[str, Equivalence]:
+    """Every pair of a scope, by ``a-b``; the other retargeters against the baseline come first.
+
+    Args:
+        result: in mode small-sample; none of it where that is refused.
+        baseline: the retargeter that others are compared with.
+        margin: of the plan, in the outcome's unit; None without one.
+    """
+    against = [pair for pair in result.pairs.values() if baseline in (pair.a, pair.b)]
+    others = [pair for pair in result.pairs.values() if baseline not in (pair.a, pair.b)]
+    turned = [_turned(pair) if pair.a == baseline else pair for pair in against]
+    tests = [_test(pair, margin) for pair in (*turned, *others)]
+    if margin is not None and turned:
+        adjusted = holm([one.p for one in tests[: len(turned)] if one.p is not None])
+        for i, p in enumerate(adjusted):
+            tests[i] = _with(tests[i], p)
+    return {f"{one.a}-{one.b}": one for one in tests}
+
+
+def _turned(pair: Pair) -> Pair:
+    return Pair(
+        pair.b, pair.a, -pair.difference, pair.se, pair.df, -pair.statistic, pair.p_raw,
+        pair.p_holm, -pair.effect, pair.effect_words,
+    )  # fmt: skip
+
+
+def _test(pair: Pair, margin: float | None) -> Equivalence:
+    reach = pair.se * quantile(pair.df, ALPHA)
+    low, high = pair.difference - reach, pair.difference + reach
+    p = None
+    if margin is not None:
+        nearest = (abs(pair.difference) - margin) / pair.se
+        p = float(stdtr(pair.df, nearest) if np.isfinite(pair.df) else ndtr(nearest))
+    return Equivalence(
+        pair.a, pair.b, pair.difference, pair.se, pair.df, low, high, margin, p, None,
+        None if p is None else p < ALPHA, max(abs(low), abs(high)),
+    )  # fmt: skip
+
+
+def _with(test: Equivalence, p_holm: float) -> Equivalence:
+    return Equivalence(**{**vars(test), "p_holm": float(p_holm)})
+
+
+@dataclass(frozen=True, eq=False)
+class Readings:
+    """What else the data say. All but ``equivalence`` are sensitivity or secondary readings.
+
+    Attributes:
+        full_success: by scope, success as a score of 1.
+        time_to_success: by scope, with failures.
+        equivalence: by outcome, scope and pair.
+        interaction: by outcome, retargeter x task.
+        second_rater: None without second ratings.
+        preference: None without rankings.
+    """
+
+    full_success: Mapping[str, ScopeResult]
+    time_to_success: Mapping[str, TimeToSuccess | Refused]
+    equivalence: Mapping[Outcome, Mapping[str, Mapping[str, Equivalence]]]
+    interaction: Mapping[Outcome, Interaction | Refused]
+    second_rater: Agreement | Refused | None = None
+    preference: Preference | Refused | None = None
+
+
+Results = Mapping[Outcome, Mapping[str, ScopeResult]]
+"""Outcome and scope -> result in mode small-sample."""
+
+
+def read_further(
+    data: StudyData,
+    retargeters: tuple[str, ...],
+    scopes: tuple[str, ...],
+    results: Results,
+    depending: Mapping[Outcome, Interaction | Refused],
+    *,
+    seed: int = 11,
+) -> Readings:
+    """Computes all readings.
+
+    Args:
+        data: the study.
+        retargeters: the baseline first.
+        scopes: ``pooled`` and the tasks.
+        results: those of mode small-sample.
+        depending: retargeter x task, of ``interactions``.
+        seed: of bootstraps and permutations.
+    """
+    trials, baseline, tasks = data.trials, retargeters[0], scopes[1:]
+    limits = {task.name: task.time_limit_s for task in data.plan.tasks} if data.plan else {}
+    margins = data.plan.margins if data.plan else {}
+    rankings = {who: tuple(order) for who, order in data.ranking.items()}
+    return Readings(
+        full_success={scope: full_success(trials, scope, baseline) for scope in scopes},
+        time_to_success={
+            scope: time_to_success(
+                trials, tasks if scope == POOLED else (scope,), retargeters,
+                limits=limits, seed=seed,
+            )
+            for scope in scopes
+        },
+        equivalence={
+            outcome: {
+                scope: equivalences(results[outcome][scope], baseline, margins.get(outcome))
+                for scope in scopes
+            }
+            for outcome in OUTCOMES
+        },
+        interaction=depending,
+        second_rater=_second_rater(data, seed),
+        preference=preference(rankings, retargeters, seed=seed) if rankings else None,
+    )  # fmt: skip
+
+
+def interactions(data: StudyData, baseline: str) -> dict[Outcome, Interaction | Refused]:
+    """Retargeter x task of every outcome.
+
+    Args:
+        data: the study.
+        baseline: the retargeter that others are compared with.
+    """
+    frames = _frames(data, baseline)
+    return {outcome: interaction(outcome, frame) for outcome, frame in frames.items()}
+
+
+def _frames(data: StudyData, baseline: str) -> dict[Outcome, Frame]:
+    success = success_frame(data.trials, POOLED, baseline)
+    frames: dict[Outcome, Frame] = {
+        "success": split(success)[0] or success,  # without those that never or always succeed
+        "time": time_frame(data.trials, POOLED, baseline),
+    }
+    if data.questionnaires is not None:
+        frames["tlx"] = tlx_frame(data.questionnaires, POOLED, baseline)
+    return frames
+
+
+def _second_rater(data: StudyData, seed: int) -> Agreement | Refused | None:
+    second = data.second_ratings
+    if second is None:
+        return None
+    by_trial = {
+        (str(who), str(task), int(block), int(trial)): float(score)
+        for who, task, block, trial, score in zip(
+            second.operator, second.task, second.block, second.trial_in_block, second.score,
+            strict=True,
+        )
+    }  # fmt: skip
+    trials = data.trials
+    scores = [
+        by_trial.get((str(who), str(task), int(block), int(trial)), np.nan)
+        for who, task, block, trial in zip(
+            trials.operator, trials.task, trials.block, trials.trial_in_block, strict=True
+        )
+    ]
+    return agreement(trials.score, np.array(scores), trials.operator, seed=seed)
+
+
+Row = dict[str, Any]
+
+
+def reading_rows(readings: Readings) -> list[Row]:
+    """One row for each table entry: ``reading``, ``where`` it belongs, ``term``, and its figures.
+
+    ``where`` is the outcome, scope or field, joined by slashes; ``refused`` has the reason in rows
+    without figures.
+    """
+    return [row for name, content in vars(readings).items() for row in _rows(name, content)]
+
+
+def _rows(reading: str, content: Any) -> Iterator[Row]:
+    if content is None:
+        return
+    yield from _descend(reading, (), plain(content))
+
+
+def _descend(reading: str, path: tuple[str, ...], content: Any) -> Iterator[Row]:
+    """Mappings whose values are numbers are rows; others are walked."""
+    if not isinstance(content, Mapping):
+        return
+    numbers = {
+        key: value for key, value in content.items() if not isinstance(value, (Mapping, list))
+    }
+    if numbers:
+        yield {
+            "reading": reading,
+            "where": "/".join(path[:-1]),
+            "term": "".join(path[-1:]),
+        } | numbers
+    for key, value in content.items():
+        if key not in _NOT_IN_ROWS:
+            yield from _descend(reading, (*path, str(key)), value)
+
+
+_NOT_IN_ROWS = frozenset({"model", "diagnostics", "observed", "coefficients"})
+"""Parts of a model's result that other tables describe."""

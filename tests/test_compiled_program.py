@@ -1,0 +1,252 @@
+"""Programs that are traced once: the second process reads them, with the same results."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.experimental.compilation_cache import compilation_cache
+
+from smooth_operator import Retargeter, SyntheticOperator, load_hand, method_config
+from smooth_operator.compilation import batching, cache, compiled_program
+from smooth_operator.compilation.cache import ProgramCache
+from smooth_operator.compilation.compiled_program import CompiledProgram, program_key
+from smooth_operator.methods import shared
+from smooth_operator.methods.sbr import SbrConfig
+from smooth_operator.solvers.sampling import SamplingConfig
+
+pytestmark = pytest.mark.usefixtures("few_optimisations")
+
+TINY = SbrConfig(sampling=SamplingConfig(samples=64, elites=8, cycles=2, draws="quasi"))
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """The programs of this test alone; JAX's own cache, which all tests share, is not used."""
+    before = jax.config.jax_enable_compilation_cache
+    jax.config.update("jax_enable_compilation_cache", False)
+    compilation_cache.reset_cache()
+    monkeypatch.setenv("SMOOTH_OPERATOR_CACHE", str(tmp_path))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(shared, "_known", type(shared._known)())
+        patch.setattr(batching, "_programs", type(batching._programs)())
+        yield tmp_path / "programs"
+    jax.config.update("jax_enable_compilation_cache", before)
+    compilation_cache.reset_cache()
+
+
+def forget() -> None:
+    """As a new process would begin."""
+    shared._known.clear()
+    batching._programs.clear()
+
+
+def program(traced: list[int], **settings: Any) -> CompiledProgram:
+    def function(state: Any, x: Any) -> Any:
+        traced.append(1)
+        return {"sum": state["sum"] + x.sum()}, (2 * x, state["sum"])
+
+    config = replace(TINY, **settings)
+    return CompiledProgram(function, load_hand("mimic_p050"), config, "test")
+
+
+def call(run: CompiledProgram, size: int = 3) -> tuple[float, list[float], float]:
+    state, (twice, before) = run({"sum": jnp.float32(1.5)}, np.arange(size, dtype=np.float32))
+    return float(state["sum"]), np.asarray(twice).tolist(), float(before)
+
+
+def test_it_is_traced_once_and_read_by_the_next(folder: Path) -> None:
+    traced: list[int] = []
+    first = program(traced)
+    assert call(first) == call(first) == (4.5, [0.0, 2.0, 4.0], 1.5)
+    assert len(list(folder.iterdir())) == len(traced) == 1
+    assert call(program(traced)) == (4.5, [0.0, 2.0, 4.0], 1.5)
+    assert len(traced) == 1
+    # other shapes and other settings are other programs
+    assert call(first, size=2)[0] == 2.5
+    assert call(first) == (4.5, [0.0, 2.0, 4.0], 1.5)
+    call(program(traced, sampling=replace(TINY.sampling, cycles=3)))
+    assert len(traced) == 3
+    assert len(list(folder.iterdir())) == 3
+
+
+def test_a_damaged_file_is_said_once_and_made_again(
+    folder: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    traced: list[int] = []
+    call(program(traced))
+    (file,) = folder.iterdir()
+    whole = file.read_bytes()
+    flipped = bytearray(whole)
+    flipped[len(whole) // 2] ^= 1
+    other = b"null\n" + whole[32:]  # whole, and of something else
+    for damaged in (b"", whole[: len(whole) // 2], bytes(flipped), sha256(other).digest() + other):
+        caplog.clear()
+        file.write_bytes(damaged)
+        for _ in range(2):
+            assert call(program(traced)) == (4.5, [0.0, 2.0, 4.0], 1.5)
+        assert [str(file) in record.message for record in caplog.records] == [True]
+        assert len(file.read_bytes()) == len(whole)
+    assert len(traced) == 5
+
+
+def test_what_can_not_be_kept_costs_time_only(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    (tmp_path / "file").touch()
+    traced: list[int] = []
+    for value in ("off", str(tmp_path / "file" / "cache")):
+        monkeypatch.setenv("SMOOTH_OPERATOR_CACHE", value)
+        assert call(program(traced))[0] == call(program(traced))[0] == 4.5
+    assert len(traced) == 4
+    assert not folder.exists()
+    monkeypatch.setenv("SMOOTH_OPERATOR_CACHE", str(tmp_path))
+    monkeypatch.setattr(compiled_program, "_register", lambda _: 1 / 0)
+    assert call(program(traced))[0] == 4.5
+    assert not list(folder.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("setting", "other"),
+    [("jax_numpy_rank_promotion", "warn"), ("jax_default_matmul_precision", "float32")],
+)
+def test_other_settings_of_jax_are_other_programs(folder: Path, setting: str, other: Any) -> None:
+    traced: list[int] = []
+    call(program(traced))
+    before = jax.config.values[setting]
+    assert before != other
+    jax.config.update(setting, other)
+    try:
+        call(program(traced))
+    finally:
+        jax.config.update(setting, before)
+    assert len(traced) == len(list(folder.iterdir())) == 2
+    call(program(traced))
+    assert len(traced) == 2
+
+
+def test_only_the_newest_are_kept(tmp_path: Path) -> None:
+    programs = ProgramCache(tmp_path, most_bytes=200)
+    for number, name in enumerate("abcd"):
+        programs.write(name, bytes(50))  # with its digest 82
+        os.utime(tmp_path / name, (number, number))
+        programs.read("a")  # used, and so newer
+    assert {file.name for file in tmp_path.iterdir()} == {"a", "d"}
+    assert programs.size() == (2, 164)
+
+
+def test_what_a_program_depends_on_is_in_its_key() -> None:
+    hand = load_hand("mimic_p050")
+    key = program_key(hand, TINY, "frame")
+    assert key == program_key(load_hand("mimic_p050"), replace(TINY), "frame")
+    others = [
+        program_key(load_hand("mimic_p050", "left"), TINY, "frame"),
+        program_key(load_hand("leap_hand"), TINY, "frame"),
+        program_key(hand, replace(TINY, sampling=replace(TINY.sampling, elites=9)), "frame"),
+        program_key(hand, TINY, "lanes", 8),
+        program_key(hand, method_config("smooth"), "frame"),
+    ]
+    assert None not in others
+    assert len({key, *others}) == 6
+    # a file, and code of the user's: what they hold when they are read again is not known
+    geort = method_config("geort")
+    assert program_key(hand, geort) is None
+    weights = [program_key(hand, geort, constants=np.full(3, x, np.float32)) for x in (1, 2)]
+    assert None not in weights
+    assert weights[0] != weights[1]
+
+    @dataclass(frozen=True)
+    class Mine(SbrConfig):
+        pass
+
+    assert program_key(hand, Mine()) is None
+
+
+def test_results_are_those_of_the_traced_program_to_the_last_bit(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recording = SyntheticOperator(rate_hz=20).record(1.5)
+
+    def results() -> list[bytes]:
+        forget()
+        retargeter = Retargeter(config=TINY, seed=1)
+        runs = [retargeter.run(recording), *retargeter.batch([recording])]
+        return [
+            each.tobytes() for commands, loss in runs for each in (commands.joint_positions, loss)
+        ]
+
+    made, read = results(), results()
+    assert len(list(folder.iterdir())) == 2
+    monkeypatch.setenv("SMOOTH_OPERATOR_CACHE", "off")
+    assert made == read == results()
+
+
+@pytest.mark.parametrize("method", ["keyvector", "geort"])
+def test_other_methods_too(folder: Path, method: str) -> None:
+    recording = SyntheticOperator(rate_hz=20).record(0.5)
+
+    def result(cache: bool) -> bytes:
+        forget()
+        retargeter = Retargeter(method=method, cache=cache)
+        assert (retargeter.shared.method.host is not None) == (method == "keyvector")
+        return retargeter.run(recording)[0].joint_positions.tobytes()
+
+    without = result(cache=False)
+    assert not folder.exists() or not list(folder.iterdir())
+    made = result(cache=True)
+    files = {file: file.stat().st_size for file in folder.iterdir()}
+    assert len(files) == (2 if method == "keyvector" else 1)
+    assert without == made == result(cache=True)
+    assert files == {file: file.stat().st_size for file in folder.iterdir()}
+
+
+@pytest.fixture
+def no_folder(folder: Path) -> Iterator[Path]:
+    """JAX has no folder of its own."""
+    before = jax.config.jax_compilation_cache_dir
+    jax.config.update("jax_enable_compilation_cache", True)
+    jax.config.update("jax_compilation_cache_dir", None)
+    yield folder.parent
+    jax.config.update("jax_compilation_cache_dir", before)
+
+
+def test_jax_keeps_nothing_where_it_can_not_be(
+    no_folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (no_folder / "file").touch()
+    for value in ("off", "0", str(no_folder / "file" / "cache")):
+        monkeypatch.setenv("SMOOTH_OPERATOR_CACHE", value)
+        with cache.jax_cache():
+            assert jax.config.jax_compilation_cache_dir is None
+
+
+def test_a_damaged_cache_is_emptied_and_other_warnings_pass(no_folder: Path) -> None:
+    with cache.jax_cache():
+        used = Path(jax.config.jax_compilation_cache_dir)
+    (used / "jit-cache").touch()
+    with pytest.warns(UserWarning, match="heed me"), cache.jax_cache(), cache.jax_cache():
+        warnings.warn("heed me", stacklevel=1)
+    assert (used / "jit-cache").exists()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with cache.jax_cache():
+            warnings.warn("Error reading persistent compilation cache entry", stacklevel=1)
+    assert not (used / "jit-cache").exists()
+
+
+def test_machine_code_is_kept_by_jax_in_a_folder_of_its_own(no_folder: Path) -> None:
+    call(program([]))
+    assert jax.config.jax_compilation_cache_dir is None
+    written = {file: file.stat().st_mtime_ns for file in no_folder.rglob("*-cache")}
+    assert {file.parent.name for file in written} == {cache.machine()}
+    assert call(program([])) == (4.5, [0.0, 2.0, 4.0], 1.5)
+    assert written == {f: f.stat().st_mtime_ns for f in no_folder.rglob("*-cache")}
