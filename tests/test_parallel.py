@@ -133,7 +133,7 @@ def test_what_goes_wrong_with_one_touches_no_other(workers: int) -> None:
             assert result.value is None
             assert (result.error or "").startswith(reason)
             assert "\n" not in (result.error or "")
-        assert result.attempts == 2 if task == "die" else result.attempts <= 2
+        assert result.attempts == (2 if task == "die" else 1)
 
 
 def test_a_task_that_can_not_be_sent() -> None:
@@ -147,8 +147,7 @@ def test_a_task_that_can_not_be_sent() -> None:
 def test_a_death_costs_an_attempt_and_nothing_else(tmp_path: Path) -> None:
     tasks = [tmp_path / name for name in "abcde"]
     results = by_index(run_tasks(die_at_first, tasks, workers=2))
-    assert [(r.value, r.error) for r in results] == [("alive", None)] * 5
-    assert all(2 <= r.attempts <= 3 for r in results)  # what was in hand is started again too
+    assert [(r.value, r.error, r.attempts) for r in results] == [("alive", None, 2)] * 5
 
 
 @needs_signals
@@ -161,7 +160,7 @@ def test_a_kill_from_outside_is_survived() -> None:
     results += running
     assert sorted(result.index for result in results) == list(range(6))
     assert all(result.error is None for result in results)
-    assert 7 <= sum(result.attempts for result in results) <= 8
+    assert sum(result.attempts for result in results) == 7
 
 
 def test_closing_stops_the_workers(tmp_path: Path) -> None:
@@ -343,7 +342,7 @@ def test_workers_that_do_not_start_say_why(
     assert reason in message
     assert len(message) < 500
     assert (GUARD in message) == (code == UNGUARDED)
-    assert done.stderr.count(written) >= 2  # of each that died
+    assert done.stderr.count(written) >= 4  # of each that died
 
 
 def test_without_ray_the_message_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:

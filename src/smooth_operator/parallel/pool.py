@@ -1,7 +1,7 @@
 """One function over many tasks: in this process, in processes of this machine, or on Ray.
 
-The processes are those of ``concurrent.futures``. When one of them dies, its pool is lost; the
-tasks that were in hand are then run again one by one, so that a death is known to be of that task.
+Each worker is an executor of ``concurrent.futures`` with one process: when a process dies, the
+executor that breaks says whose task it was, and no other task is touched.
 """
 
 from __future__ import annotations
@@ -15,13 +15,19 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    Future,
+    ProcessPoolExecutor,
+    ThreadPoolExecutor,
+    wait,
+)
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import connection, parent_process
 from multiprocessing.context import SpawnContext, SpawnProcess
 from multiprocessing.reduction import ForkingPickler
-from types import FrameType, TracebackType
-from typing import IO, Any, Final, Generic, TypeVar
+from types import FrameType
+from typing import Any, Final, Generic, TypeVar
 
 from smooth_operator.errors import ConfigError, WorkerError
 from smooth_operator.parallel.tasks import (
@@ -38,10 +44,11 @@ from smooth_operator.signals import ENDING, leave_to_parent
 T = TypeVar("T")
 R = TypeVar("R")
 
-_GRACE_S: Final = 3.0
+_GRACE_S: Final = 5
 """Time that a worker has to clean up before it is killed; compiling can't be interrupted [s]."""
 
-_AGAIN_S: Final = 0.1
+_AGAIN_S: Final = 1.0
+_START_S: Final = 60.0
 _TAIL: Final = 4096
 """Bytes of a dead worker's standard error that are read."""
 
@@ -57,10 +64,10 @@ def run_tasks(
     """Calls a function with each task, several in parallel; results come as they finish.
 
     Tasks are started in their order. An exception of the function is the result of its task and is
-    not tried again; a worker that dies (killed, out of memory) is replaced, and the tasks that were
-    in hand are tried again. Nothing that goes wrong with one task touches the result of another.
-    Each worker computes on one thread, which for small programs is faster than several. Where the
-    caller stops, by an exception, Ctrl-C or closing the iterator, the workers are stopped too.
+    not tried again; a worker that dies (killed, out of memory) is replaced and its task tried
+    again. Nothing that goes wrong with one task touches another. Each worker computes on one
+    thread, which for small programs is faster than several. Where the caller stops, by an
+    exception, Ctrl-C or closing the iterator, the workers are stopped too.
 
     Args:
         function: importable by its module and name. Workers import it, so a script that calls this
@@ -156,7 +163,8 @@ class PersistentPool(Generic[T, R]):
         _check(workers, retries)
         self._function, self._retries = function, retries
         self._workers = usable_cores() if workers is None else workers
-        self._pool: _Workers | None = None
+        self._idle: list[_Worker] = []
+        self._starts = self._false_starts = 0
         self._raw = b""
         if self._workers:
             try:
@@ -175,11 +183,10 @@ class PersistentPool(Generic[T, R]):
             return
         attempts = [0] * len(tasks)
         waiting = deque(range(len(tasks)))
-        running: dict[Future[bytes], int] = {}
+        running: dict[Future[bytes], tuple[int, _Worker, float]] = {}
         finished: list[TaskResult[R]] = []
         try:
             while waiting or running:
-                # No more than there are workers: what a death may have touched stays small.
                 while waiting and len(running) < self._workers:
                     index = waiting.popleft()
                     try:
@@ -188,94 +195,92 @@ class PersistentPool(Generic[T, R]):
                         reason = f"the task can't be sent: {describe(error)}"
                         finished.append(TaskResult(index, None, reason, 0.0, 1))
                         continue
-                    if self._pool is None:
-                        self._pool = _Workers(self._raw, self._workers)
-                    try:
-                        running[self._pool.submit(raw)] = index
-                    except BrokenProcessPool:  # a worker died without a task
-                        waiting.appendleft(index)
-                        if not running:
-                            self.close()
-                        break
                     attempts[index] += 1
+                    future, worker = self._submit(raw)
+                    running[future] = index, worker, time.perf_counter()
                 yield from finished  # the workers have their next tasks meanwhile
                 finished.clear()
-                if not running:
-                    continue
-                done, _ = wait(running, return_when=FIRST_COMPLETED)
-                if any(future.exception() is not None for future in done):  # a worker died
-                    pool, lost = self._pool, sorted(running.values())
-                    running.clear()
-                    self.close()
-                    if len(lost) == 1 and attempts[lost[0]] > self._retries:
-                        cause = death(attempts[lost[0]], "" if pool is None else pool.exit())
-                        yield TaskResult(lost[0], None, cause, 0.0, attempts[lost[0]])
+                for future in wait(running, return_when=FIRST_COMPLETED).done:
+                    index, worker, since = running.pop(future)
+                    if future.exception() is None:
+                        self._false_starts = 0
+                        self._idle.append(worker)
+                        finished.append(TaskResult(index, *_answer(future), attempts[index]))
+                    elif self._bury(worker) and attempts[index] > self._retries:
+                        seconds = time.perf_counter() - since
+                        error = death(attempts[index], worker.exit())
+                        finished.append(TaskResult(index, None, error, seconds, attempts[index]))
                     else:
-                        for index in lost:
-                            yield self._alone(index, tasks[index], attempts[index])
-                for future in done & running.keys():
-                    index = running.pop(future)
-                    finished.append(TaskResult(index, *_answer(future), attempts[index]))
+                        attempts[index] -= not worker.started()
+                        waiting.appendleft(index)
             yield from finished
         finally:
+            self._idle += [worker for _, worker, _ in running.values()]
             if running:
                 self.close()
 
-    def _alone(self, index: int, task: T, attempts: int) -> TaskResult[R]:
-        """The result of a task whose pool was lost, from workers that have no other.
+    def _submit(self, raw: bytes) -> tuple[Future[bytes], _Worker]:
+        """Gives a pickled task to an idle worker, or to one that starts."""
+        while True:
+            if self._idle:
+                worker = self._idle.pop()
+            else:
+                self._starts += 1
+                worker = _Worker(self._raw, self._starts)
+            try:
+                return worker.submit(raw), worker
+            except BrokenProcessPool:  # it died while it had no task
+                self._bury(worker)
+
+    def _bury(self, worker: _Worker) -> bool:
+        """Clears up after a death; False if the worker had not come to its first task.
 
         Raises:
-            WorkerError: no worker starts.
+            WorkerError: workers die at their start again and again.
         """
-        raw = bytes(ForkingPickler.dumps(task))
-        since = time.perf_counter()
+        _end([worker])
+        if worker.started():
+            return True
+        self._false_starts += 1
+        if self._false_starts > max(2, self._retries):
+            raise WorkerError(
+                f"{self._false_starts} workers in a row ended before their first task "
+                f"({worker.exit()}); {self._start_problem()}"
+            )
+        return False
+
+    def _start_problem(self) -> str:
+        """Why workers die at their start, by what one more of them writes to standard error."""
         with tempfile.TemporaryFile() as errors:
-            while True:
-                attempts += 1
-                pool = _Workers(self._raw, 1, errors)
-                try:
-                    future = pool.submit(raw)
-                    wait([future])
-                finally:
-                    pool.end()
-                if future.exception() is None:
-                    return TaskResult(index, *_answer(future), attempts)
-                if attempts > self._retries:
-                    break
+            before = os.dup(2)
+            os.dup2(errors.fileno(), 2)
+            try:
+                worker = _Worker(self._raw, 0)
+            finally:
+                os.dup2(before, 2)
+                os.close(before)
+            wait([worker.ready], _START_S)
+            _end([worker])
             errors.seek(max(0, errors.seek(0, os.SEEK_END) - _TAIL))
             text = errors.read().decode(errors="replace")
         print(text, end="", file=sys.stderr)
-        lines = [line.strip() for line in text.split("\n") if line.strip()]
-        last = lines[-1][-300:] if lines else ""
-        if pool.started():
-            how = pool.exit() + (f"; its last line: {last}" if last else "")
-            seconds = time.perf_counter() - since
-            return TaskResult(index, None, death(attempts, how), seconds, attempts)
         if "bootstrapping phase" in text:  # multiprocessing's own words
-            last = (
+            return (
                 "a script that starts workers needs 'if __name__ == \"__main__\":' around what it "
                 "does"
             )
-        last = last or "each worker needs memory for its own libraries: use fewer workers"
-        raise WorkerError(
-            f"{attempts} workers in a row ended before their first task ({pool.exit()}); {last}"
-        )
+        last = ["", *(line.strip() for line in text.split("\n") if line.strip())][-1]
+        return last[-300:] or "each worker needs memory for its own libraries: use fewer workers"
 
     def close(self) -> None:
         """Ends the workers; those at a task may clean up first."""
-        if self._pool is not None:
-            self._pool.end()
-        self._pool = None
+        _end(self._idle)
+        self._idle.clear()
 
     def __enter__(self) -> PersistentPool[T, R]:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
 
@@ -300,93 +305,66 @@ def _answer(future: Future[bytes]) -> tuple[Any, str | None, float]:
 
 
 class _Context(SpawnContext):
-    """Processes by spawning (fork is unsafe with JAX's threads); keeps a list of them."""
+    """Starts a process by spawning, since fork is unsafe with JAX's threads, and remembers it."""
 
-    def __init__(self) -> None:
-        super().__init__()
-        self._processes: list[SpawnProcess] = []
-
-    @property
-    def processes(self) -> list[SpawnProcess]:
-        """Processes that were started."""
-        return [process for process in self._processes if process.pid is not None]
+    process: SpawnProcess
 
     def Process(self, *args: Any, **options: Any) -> SpawnProcess:  # type: ignore[override]
         """A process that an executor is about to start."""
-        process = SpawnProcess(*args, **options)
-        self._processes.append(process)
-        return process
+        self.process = SpawnProcess(*args, **options)
+        return self.process
 
 
-class _Workers:
-    """A pool of processes until one of them dies.
+class _Worker:
+    """An executor with one process.
 
     Args:
         function: pickled.
-        count: most processes.
-        errors: file for their standard error; None for that of this process.
+        slot: number of the worker.
+
+    Attributes:
+        ready: done when the worker has the function.
+        process: the process.
     """
 
-    def __init__(self, function: bytes, count: int, errors: IO[bytes] | None = None) -> None:
-        self._context = _Context()
-        self._errors = errors
-        with _no_interrupt():  # may start the process that watches over semaphores
-            self._started = self._context.Event()
-            self._pool = ProcessPoolExecutor(
-                count, self._context, _begin, (function, self._started)
-            )
+    def __init__(self, function: bytes, slot: int) -> None:
+        context = _Context()
+        with _no_interrupt():
+            self._executor = ProcessPoolExecutor(1, context, _begin, (function, slot))
+            self.ready: Future[int] = self._executor.submit(os.getpid)
+        self.process = context.process
+        self._task: Future[bytes] | None = None
 
     def submit(self, raw: bytes) -> Future[bytes]:
-        """Gives a pickled task to a worker; may start one."""
-        with _standard_error(self._errors), _no_interrupt():
-            return self._pool.submit(_work, raw)
+        """Gives a pickled task to the worker."""
+        self._task = self._executor.submit(_work, raw)
+        return self._task
 
     def started(self) -> bool:
-        """Whether a worker came as far as its first task."""
-        return self._started.is_set()
+        """Whether the worker came as far as its first task."""
+        return self.ready.done() and self.ready.exception() is None
 
     def exit(self) -> str:
-        """The end of the worker that died, for a message."""
-        deadline = time.monotonic() + 1.0  # the executor's thread may be about to read a status
-        while None in (codes := [process.exitcode for process in self._context.processes]):
-            if time.monotonic() > deadline:
-                break
-            time.sleep(0.01)
-        ended = (0, None, -signal.SIGTERM)  # by us
-        code = next((code for code in codes if code not in ended), codes[-1])
+        """The end of the process, for a message."""
+        code = self.process.exitcode
         if code is not None and code < 0:
             with contextlib.suppress(ValueError):
                 return f"signal {signal.Signals(-code).name}"
         return f"exit status {code}"
 
     def end(self) -> None:
-        """Ends the workers."""
-        for process in self._context.processes:
-            process.terminate()
-        deadline = time.monotonic() + _GRACE_S
-        for process in self._context.processes:
-            process.join(max(0.0, deadline - time.monotonic()))
-            if process.is_alive():
-                process.kill()
-                process.join()
-        # Without waiting: the thread of a pool whose worker was killed in the middle of a message
-        # may wait for the rest of it.
-        self._pool.shutdown(wait=False, cancel_futures=True)
+        """Ends the process; a task may clean up first."""
+        killer = threading.Timer(_GRACE_S, self.process.kill)
+        killer.start()
+        if not (self.started() if self._task is None else self._task.done()):
+            self.process.terminate()
+        self._executor.shutdown(cancel_futures=True)
+        killer.cancel()
 
 
-@contextlib.contextmanager
-def _standard_error(target: IO[bytes] | None) -> Iterator[None]:
-    """Processes that start in this block write their standard error to a file."""
-    if target is None:
-        yield
-        return
-    before = os.dup(2)
-    os.dup2(target.fileno(), 2)
-    try:
-        yield
-    finally:
-        os.dup2(before, 2)
-        os.close(before)
+def _end(workers: Sequence[_Worker]) -> None:
+    with ThreadPoolExecutor(max(1, len(workers))) as threads:
+        list(threads.map(_Worker.end, workers))
 
 
 @contextlib.contextmanager
@@ -409,57 +387,48 @@ def _no_interrupt() -> Iterator[None]:
 
 
 class _Stopped(BaseException):
-    """The parent ends this worker; not an Exception, so that no function swallows it."""
+    """The parent ends this task; not an Exception, so that no function swallows it."""
 
 
 _function: Callable[[Any], Any]
 _busy = False
 
 
-def _begin(function: bytes, started: Any) -> None:
+def _begin(function: bytes, slot: int) -> None:
     """Prepares a worker: signals, one thread, the function."""
     global _function
     leave_to_parent()
+    threading.Thread(target=_die_with_parent, daemon=True).start()
+    with one_thread(slot) as start_threads:
+        _function = ForkingPickler.loads(function)
+        start_threads()
+    sys.unraisablehook = _unraisable
     signal.signal(signal.SIGTERM, _stop)
     if hasattr(signal, "SIGALRM"):
         signal.signal(signal.SIGALRM, _stop)
-    threading.Thread(target=_die_with_parent, daemon=True).start()
-    with one_thread(os.getpid()) as start_threads:
-        _function = ForkingPickler.loads(function)
-        start_threads()
-    started.set()
 
 
 def _work(raw: bytes) -> bytes:
     """Pickled value, error and seconds of a pickled task."""
     global _busy
-    _busy = True
     try:
+        _busy = True
         return packed_answer(_function, raw)
-    except _Stopped:
-        _leave()
-        raise
     finally:
         _busy = False
 
 
-def _stop(_signal: int, frame: FrameType | None) -> None:
-    if _busy:
-        raise _Stopped
-    while frame is not None:
-        if frame.f_code.co_name == "_sendback_result":  # half a message would hold up the parent
+def _stop(_signal: int, _frame: FrameType | None) -> None:
+    if _busy:  # without a task the executor ends the process
+        if hasattr(signal, "setitimer"):
+            # Once more in a while: raised in a callback of the garbage collector, it would be lost.
             signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)
-            return
-        frame = frame.f_back
-    _leave()
+        raise _Stopped
 
 
-def _leave() -> None:
-    # The executor's own loop would take the next task.
-    for stream in (sys.stdout, sys.stderr):
-        with contextlib.suppress(Exception):
-            stream.flush()
-    os._exit(0)
+def _unraisable(lost: sys.UnraisableHookArgs) -> None:
+    if lost.exc_type is not _Stopped:
+        sys.__unraisablehook__(lost)
 
 
 def _die_with_parent() -> None:
