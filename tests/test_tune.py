@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -311,6 +312,33 @@ def test_a_search_goes_on_where_it_was_stopped(tuned: tuple[Path, Tuned], tmp_pa
     (tmp_path / "stopped" / "trials.jsonl").write_text("no trial\n")
     with pytest.raises(OutputError, match="other than trials"):
         tune(todo)
+
+
+def test_a_search_finds_a_minimum_and_repeats_itself(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    goal = np.log([0.02, 0.5])  # one of them at its bound
+    trials: list[tuple[float, ...]] = []
+
+    def run_trial(task: Any) -> list[dict[str, Any]]:
+        trials.append(tuple(task.values.values()))
+        if len(trials) % 4 == 0:
+            raise ConfigError("this one can't be")
+        distance = (np.log(trials[-1]) - goal) / np.log([40.0, 25.0])  # shares of the box
+        return [START | {"flatness": 1e-6 * float(distance @ distance)}]
+
+    monkeypatch.setitem(PRESETS["sbr"], "tiny", TINY)
+    module = sys.modules[tune.__module__]
+    monkeypatch.setattr(module, "run_trial", run_trial)
+    monkeypatch.setattr(module, "save_pareto", lambda *_: None)
+    found = tune(plan_tuning(settings(tmp_path / "one", trials=100)))
+    assert found.trials == found.fresh == len(trials) == 100
+    best = np.log(list(found.values.values())) - goal
+    assert np.abs(best / np.log([40.0, 25.0])).max() < 0.05
+    assert (np.array(trials) >= [0.005, 0.02]).all()
+    assert (np.array(trials) <= [0.2, 0.5]).all()
+    tune(plan_tuning(settings(tmp_path / "two", trials=100)))
+    assert trials[:100] == trials[100:]
 
 
 def test_values_as_arguments_give_what_values_as_constants_do(tuned: Any):

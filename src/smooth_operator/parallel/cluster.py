@@ -176,23 +176,16 @@ class Worker:
 @contextlib.contextmanager
 def _data_context(ray: Any) -> Iterator[None]:
     """Ray Data without bars and notes of its own."""
-    context = ray.data.DataContext.get_current()
-    settings = {
-        "enable_progress_bars": False,
-        "print_on_execution_start": False,
-    }
-    before = {name: getattr(context, name) for name in settings if hasattr(context, name)}
-    logger = logging.getLogger("ray.data")
+    context, logger = ray.data.DataContext.get_current(), logging.getLogger("ray.data")
+    before = context.enable_progress_bars, context.print_on_execution_start
     level = logger.level
-    for name in before:
-        setattr(context, name, settings[name])
+    context.enable_progress_bars = context.print_on_execution_start = False
     logger.setLevel(logging.CRITICAL)
     try:
         yield
     finally:
+        context.enable_progress_bars, context.print_on_execution_start = before
         logger.setLevel(level)
-        for name, value in before.items():
-            setattr(context, name, value)
 
 
 @contextlib.contextmanager
