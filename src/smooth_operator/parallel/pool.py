@@ -19,7 +19,6 @@ from concurrent.futures import (
     FIRST_COMPLETED,
     Future,
     ProcessPoolExecutor,
-    ThreadPoolExecutor,
     wait,
 )
 from concurrent.futures.process import BrokenProcessPool
@@ -44,7 +43,7 @@ from smooth_operator.signals import ENDING, leave_to_parent
 T = TypeVar("T")
 R = TypeVar("R")
 
-_GRACE_S: Final = 5
+_GRACE_S: Final = 5.0
 """Time that a worker has to clean up before it is killed; compiling can't be interrupted [s]."""
 
 _AGAIN_S: Final = 1.0
@@ -346,25 +345,34 @@ class _Worker:
 
     def exit(self) -> str:
         """The end of the process, for a message."""
-        code = self.process.exitcode
+        deadline = time.monotonic() + 1.0  # the executor's thread may be about to read it
+        while (code := self.process.exitcode) is None and time.monotonic() < deadline:
+            time.sleep(0.01)
         if code is not None and code < 0:
             with contextlib.suppress(ValueError):
                 return f"signal {signal.Signals(-code).name}"
         return f"exit status {code}"
 
-    def end(self) -> None:
-        """Ends the process; a task may clean up first."""
-        killer = threading.Timer(_GRACE_S, self.process.kill)
-        killer.start()
+    def stop(self) -> None:
+        """Asks the process to end; a task may clean up first."""
         if not (self.started() if self._task is None else self._task.done()):
             self.process.terminate()
-        self._executor.shutdown(cancel_futures=True)
-        killer.cancel()
+        self._executor.shutdown(wait=False, cancel_futures=True)
+
+    def join(self, deadline: float) -> None:
+        """Waits for the end of the process, and kills it at a time of ``time.monotonic``."""
+        self.process.join(max(0.0, deadline - time.monotonic()))
+        if self.process.is_alive():
+            self.process.kill()
+            self.process.join()
 
 
 def _end(workers: Sequence[_Worker]) -> None:
-    with ThreadPoolExecutor(max(1, len(workers))) as threads:
-        list(threads.map(_Worker.end, workers))
+    for worker in workers:
+        worker.stop()
+    deadline = time.monotonic() + _GRACE_S
+    for worker in workers:
+        worker.join(deadline)
 
 
 @contextlib.contextmanager
