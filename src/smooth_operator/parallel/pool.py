@@ -162,6 +162,7 @@ class PersistentPool(Generic[T, R]):
         _check(workers, retries)
         self._function, self._retries = function, retries
         self._workers = usable_cores() if workers is None else workers
+        self._all: list[_Worker] = []
         self._idle: list[_Worker] = []
         self._starts = self._false_starts = 0
         self._raw = b""
@@ -214,7 +215,6 @@ class PersistentPool(Generic[T, R]):
                         waiting.appendleft(index)
             yield from finished
         finally:
-            self._idle += [worker for _, worker, _ in running.values()]
             if running:
                 self.close()
 
@@ -225,7 +225,9 @@ class PersistentPool(Generic[T, R]):
                 worker = self._idle.pop()
             else:
                 self._starts += 1
-                worker = _Worker(self._raw, self._starts)
+                with _no_interrupt():
+                    worker = _Worker(self._raw, self._starts)
+                    self._all.append(worker)
             try:
                 return worker.submit(raw), worker
             except BrokenProcessPool:  # it died while it had no task
@@ -238,6 +240,7 @@ class PersistentPool(Generic[T, R]):
             WorkerError: workers die at their start again and again.
         """
         _end([worker])
+        self._all.remove(worker)
         if worker.started():
             return True
         self._false_starts += 1
@@ -254,7 +257,8 @@ class PersistentPool(Generic[T, R]):
             before = os.dup(2)
             os.dup2(errors.fileno(), 2)
             try:
-                worker = _Worker(self._raw, 0)
+                with _no_interrupt():
+                    worker = _Worker(self._raw, 0)
             finally:
                 os.dup2(before, 2)
                 os.close(before)
@@ -273,7 +277,8 @@ class PersistentPool(Generic[T, R]):
 
     def close(self) -> None:
         """Ends the workers; those at a task may clean up first."""
-        _end(self._idle)
+        _end(self._all)
+        self._all.clear()
         self._idle.clear()
 
     def __enter__(self) -> PersistentPool[T, R]:
@@ -328,9 +333,8 @@ class _Worker:
 
     def __init__(self, function: bytes, slot: int) -> None:
         context = _Context()
-        with _no_interrupt():
-            self._executor = ProcessPoolExecutor(1, context, _begin, (function, slot))
-            self.ready: Future[int] = self._executor.submit(os.getpid)
+        self._executor = ProcessPoolExecutor(1, context, _begin, (function, slot))
+        self.ready: Future[int] = self._executor.submit(os.getpid)
         self.process = context.process
         self._task: Future[bytes] | None = None
 
