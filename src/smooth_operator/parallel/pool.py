@@ -19,6 +19,7 @@ from concurrent.futures import (
     FIRST_COMPLETED,
     Future,
     ProcessPoolExecutor,
+    ThreadPoolExecutor,
     wait,
 )
 from concurrent.futures.process import BrokenProcessPool
@@ -349,34 +350,30 @@ class _Worker:
 
     def exit(self) -> str:
         """The end of the process, for a message."""
-        deadline = time.monotonic() + 1.0  # the executor's thread may be about to read it
-        while (code := self.process.exitcode) is None and time.monotonic() < deadline:
-            time.sleep(0.01)
+        code = self.process.exitcode
         if code is not None and code < 0:
             with contextlib.suppress(ValueError):
                 return f"signal {signal.Signals(-code).name}"
         return f"exit status {code}"
 
-    def stop(self) -> None:
-        """Asks the process to end; a task may clean up first."""
+    def end(self) -> None:
+        """Ends the process; a task may clean up first."""
+        killer = threading.Timer(_GRACE_S, self.process.kill)
+        killer.start()
         if not (self.started() if self._task is None else self._task.done()):
             self.process.terminate()
-        self._executor.shutdown(wait=False, cancel_futures=True)
-
-    def join(self, deadline: float) -> None:
-        """Waits for the end of the process, and kills it at a time of ``time.monotonic``."""
-        self.process.join(max(0.0, deadline - time.monotonic()))
-        if self.process.is_alive():
-            self.process.kill()
-            self.process.join()
+        self._executor.shutdown(cancel_futures=True)
+        killer.cancel()
+        killer.join()
 
 
 def _end(workers: Sequence[_Worker]) -> None:
-    for worker in workers:
-        worker.stop()
-    deadline = time.monotonic() + _GRACE_S
-    for worker in workers:
-        worker.join(deadline)
+    # While the interpreter ends, no thread starts; concurrent.futures has ended the workers then.
+    with (
+        contextlib.suppress(RuntimeError),
+        ThreadPoolExecutor(max(1, len(workers))) as threads,
+    ):
+        list(threads.map(_Worker.end, workers))
 
 
 @contextlib.contextmanager
