@@ -209,8 +209,8 @@ class PersistentPool(Generic[T, R]):
                         finished.append(TaskResult(index, *_answer(future), attempts[index]))
                     elif self._bury(worker) and attempts[index] > self._retries:
                         seconds = time.perf_counter() - since
-                        error = death(attempts[index], worker.exit())
-                        finished.append(TaskResult(index, None, error, seconds, attempts[index]))
+                        cause = death(attempts[index], worker.exit())
+                        finished.append(TaskResult(index, None, cause, seconds, attempts[index]))
                     else:
                         attempts[index] -= not worker.started()
                         waiting.appendleft(index)
