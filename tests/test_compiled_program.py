@@ -110,7 +110,7 @@ def test_what_can_not_be_kept_costs_time_only(
     assert len(traced) == 4
     assert not folder.exists()
     monkeypatch.setenv("SMOOTH_OPERATOR_CACHE", str(tmp_path))
-    monkeypatch.setattr(compiled_program, "_register", lambda _: 1 / 0)
+    monkeypatch.setattr(compiled_program, "_named_tuples", lambda _: 1 / 0)
     assert call(program(traced))[0] == 4.5
     assert not list(folder.iterdir())
 

@@ -44,7 +44,7 @@ _CLOSE: Final = 1e-7
 """Difference between them from which on SciPy's points are used instead."""
 _POINTS: Final = 100_000
 """SciPy's points for one box."""
-_POINTS_ERROR: Final = 1e-5
+_POINTS_ERROR: Final = 1e-4
 """Error of a probability by SciPy's points."""
 _CHI_NODES: Final = 240
 _DIVISOR: Final = float(np.sqrt(2 * np.pi))
