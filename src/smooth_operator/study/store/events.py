@@ -301,14 +301,9 @@ class Amended(_OfTrial):
         return f"{where} amended to {now}: {self.reason}" + (f" ({self.who})" if self.who else "")
 
     def _change(self, state: OperatorState, record: Record) -> None:
-        state.amend_trial(
-            (self.task, self.block, self.trial),
-            (self.line, self.score, self.time_s),
-            record.number,
-            record.at,
-            self.reason,
-            self.who,
-        )
+        place = self.task, self.block, self.trial
+        after = self.line, self.score, self.time_s
+        state.amend_trial(place, after, record.number, record.at, self.reason, self.who)
 
 
 @dataclass(frozen=True)
