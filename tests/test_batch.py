@@ -193,7 +193,7 @@ def test_lanes_without_a_hand_need_no_turns_of_a_loop() -> None:
     method = Counting(Retargeter(config=config).hand, turns)
     initial = RetargetState(method.init(0), np.asarray(method.hand.neutral, np.float32))
     recording = hand(30, 0)
-    program = LaneProgram(method, config, lanes=4, kept=False)
+    program = LaneProgram(method, config, lanes=4, cached=False)
     (answers,) = program.run(initial, [Track.of(recording, recording.landmarks.astype(np.float32))])
     jax.effects_barrier()
     # 20 turns of all lanes in the first frame; lanes without a recording add none

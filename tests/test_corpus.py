@@ -22,7 +22,7 @@ from smooth_operator.lab.ray.manifest import shard_items, write_manifest
 from smooth_operator.lab.ray.settings import CorpusSettings
 from smooth_operator.lab.ray.shards import Journal
 
-NEEDS_ARROW = "needs pyarrow: pip install 'smooth-retargeting[cluster]'"
+NEEDS_ARROW = "needs pyarrow: in the clone, pip install '.[cluster]'"
 OPTIONS = ReadingOptions()
 SMALL = SyntheticCorpus(clips=10, shortest=0.3, longest=1.0, people=1, lost=0.5)
 
@@ -258,7 +258,7 @@ FATAL = Fatal()
 
 
 def test_on_ray_a_killed_worker_loses_nothing(tmp_path: Path, source: Path) -> None:
-    pytest.importorskip("ray.data", reason="needs ray: pip install 'smooth-retargeting[cluster]'")
+    pytest.importorskip("ray.data", reason="needs ray: in the clone, pip install '.[cluster]'")
     from smooth_operator.lab.ray.corpus import retarget_corpus
 
     def fatal() -> Iterator[Item]:

@@ -2,8 +2,8 @@
 
 A change of the program's structure must not change its results. Record before and after:
 
-    python research/benchmarks/behaviour.py record before --shared ../shared
-    python research/benchmarks/behaviour.py record after --shared ../shared
+    python research/benchmarks/behaviour.py record before --shared FOLDER
+    python research/benchmarks/behaviour.py record after --shared FOLDER
     python research/benchmarks/behaviour.py compare before after
 
 A record holds the commands of all methods and presets on five recordings and two hands, the metrics
