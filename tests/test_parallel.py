@@ -54,6 +54,23 @@ def die_at_first(marker: Path) -> str:
     return "alive"
 
 
+def die_between_two_parts(size: int) -> bytes:
+    """A result whose worker is killed when the first part of a message of two is sent."""
+    from multiprocessing.connection import Connection
+
+    whole = Connection._send_bytes  # type: ignore[attr-defined]
+
+    def die(connection: Connection, message: bytes) -> None:
+        if len(message) <= 4096:  # a pipe takes it as one
+            whole(connection, message)
+        else:
+            os.write(connection.fileno(), len(message).to_bytes(4, "big"))
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    Connection._send_bytes = die  # type: ignore[attr-defined]
+    return bytes(size)
+
+
 def wait_and_clean_up(marker: Path) -> None:
     marker.touch()
     try:
@@ -161,6 +178,13 @@ def test_a_kill_from_outside_is_survived() -> None:
     assert sorted(result.index for result in results) == list(range(6))
     assert all(result.error is None for result in results)
     assert sum(result.attempts for result in results) == 7
+
+
+@needs_signals
+def test_a_kill_while_a_result_is_sent_is_survived() -> None:
+    sizes = [10, 2000, 4096, 16_384, 100_000]
+    results = by_index(run_tasks(die_between_two_parts, sizes, workers=2, retries=0))
+    assert [len(r.value or b"") if r.error is None else r.error[:10] for r in results] == sizes
 
 
 def test_closing_stops_the_workers(tmp_path: Path) -> None:

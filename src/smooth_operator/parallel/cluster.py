@@ -25,6 +25,7 @@ from smooth_operator.parallel.tasks import (
     death,
     describe,
     one_thread,
+    pack,
     packed_answer,
 )
 
@@ -159,8 +160,7 @@ class Worker:
             started = ray.get(self._starts.count.remote(index))
             if started > self._retries + 1:
                 started = self._retries + 1
-                failure = (None, death(started, "on the cluster"), 0.0)
-                answers.append(bytes(ForkingPickler.dumps(failure)))
+                answers.append(pack(None, death(started, "on the cluster")))
             else:
                 answers.append(packed_answer(self._function, raw))
             attempts.append(started)

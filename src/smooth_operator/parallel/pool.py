@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import shutil
 import signal
 import sys
 import tempfile
@@ -26,6 +27,7 @@ from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import connection, parent_process
 from multiprocessing.context import SpawnContext, SpawnProcess
 from multiprocessing.reduction import ForkingPickler
+from pathlib import Path
 from types import FrameType
 from typing import Any, Final, Generic, TypeVar
 
@@ -36,6 +38,7 @@ from smooth_operator.parallel.tasks import (
     death,
     describe,
     one_thread,
+    pack,
     packed_answer,
     timed,
 )
@@ -49,6 +52,9 @@ _GRACE_S: Final = 5.0
 
 _AGAIN_S: Final = 1.0
 _START_S: Final = 60.0
+_MESSAGE: Final = 2048
+"""Largest result that is sent through a pipe [bytes]; a pipe takes 4,096 as one."""
+
 _TAIL: Final = 4096
 """Bytes of a dead worker's standard error that are read."""
 
@@ -64,10 +70,10 @@ def run_tasks(
     """Calls a function with each task, several in parallel; results come as they finish.
 
     Tasks are started in their order. An exception of the function is the result of its task and is
-    not tried again; a worker that dies (killed, out of memory) is replaced and its task tried
-    again. Nothing that goes wrong with one task touches another. Each worker computes on one
-    thread, which for small programs is faster than several. Where the caller stops, by an
-    exception, Ctrl-C or closing the iterator, the workers are stopped too.
+    not tried again; a worker that dies (killed, out of memory), also while it sends a result, is
+    replaced and its task tried again. Nothing that goes wrong with one task touches another. Each
+    worker computes on one thread, which for small programs is faster than several. Where the caller
+    stops, by an exception, Ctrl-C or closing the iterator, the workers are stopped too.
 
     Args:
         function: importable by its module and name. Workers import it, so a script that calls this
@@ -166,6 +172,7 @@ class PersistentPool(Generic[T, R]):
         self._all: list[_Worker] = []
         self._idle: list[_Worker] = []
         self._starts = self._false_starts = 0
+        self._folder = ""
         self._raw = b""
         if self._workers:
             try:
@@ -184,7 +191,7 @@ class PersistentPool(Generic[T, R]):
             return
         attempts = [0] * len(tasks)
         waiting = deque(range(len(tasks)))
-        running: dict[Future[bytes], tuple[int, _Worker, float]] = {}
+        running: dict[Future[bytes | str], tuple[int, _Worker, float]] = {}
         finished: list[TaskResult[R]] = []
         try:
             while waiting or running:
@@ -219,15 +226,16 @@ class PersistentPool(Generic[T, R]):
             if running:
                 self.close()
 
-    def _submit(self, raw: bytes) -> tuple[Future[bytes], _Worker]:
+    def _submit(self, raw: bytes) -> tuple[Future[bytes | str], _Worker]:
         """Gives a pickled task to an idle worker, or to one that starts."""
         while True:
             if self._idle:
                 worker = self._idle.pop()
             else:
                 self._starts += 1
+                self._folder = self._folder or tempfile.mkdtemp(prefix="results-")
                 with _no_interrupt():
-                    worker = _Worker(self._raw, self._starts)
+                    worker = _Worker(self._raw, self._starts, self._folder)
                     self._all.append(worker)
             try:
                 return worker.submit(raw), worker
@@ -259,7 +267,7 @@ class PersistentPool(Generic[T, R]):
             os.dup2(errors.fileno(), 2)
             try:
                 with _no_interrupt():
-                    worker = _Worker(self._raw, 0)
+                    worker = _Worker(self._raw, 0, self._folder)
             finally:
                 os.dup2(before, 2)
                 os.close(before)
@@ -281,6 +289,9 @@ class PersistentPool(Generic[T, R]):
         _end(self._all)
         self._all.clear()
         self._idle.clear()
+        if self._folder:
+            shutil.rmtree(self._folder, ignore_errors=True)
+            self._folder = ""
 
     def __enter__(self) -> PersistentPool[T, R]:
         return self
@@ -300,10 +311,15 @@ def _in_pool(pool: PersistentPool[T, R], tasks: Sequence[T]) -> Generator[TaskRe
         yield from pool.run(tasks)
 
 
-def _answer(future: Future[bytes]) -> tuple[Any, str | None, float]:
+def _answer(future: Future[bytes | str]) -> tuple[Any, str | None, float]:
     """Value, error and seconds."""
     try:
-        value, error, seconds = ForkingPickler.loads(future.result())
+        raw = future.result()
+        if isinstance(raw, str):
+            file = Path(raw)
+            raw = file.read_bytes()
+            file.unlink()
+        value, error, seconds = ForkingPickler.loads(raw)
     except Exception as failure:
         return None, f"the result can't be read: {describe(failure)}", 0.0
     return value, error, seconds
@@ -326,26 +342,27 @@ class _Worker:
     Args:
         function: pickled.
         slot: number of the worker.
+        folder: for large results.
 
     Attributes:
         ready: done when the worker has the function.
         process: the process.
     """
 
-    def __init__(self, function: bytes, slot: int) -> None:
+    def __init__(self, function: bytes, slot: int, folder: str) -> None:
         context = _Context()
-        self._executor = ProcessPoolExecutor(1, context, _begin, (function, slot))
+        self._executor = ProcessPoolExecutor(1, context, _begin, (function, slot, folder))
         self.ready: Future[int] = self._executor.submit(os.getpid)
         self.process = context.process
-        self._task: Future[bytes] | None = None
+        self._task: Future[bytes | str] | None = None
 
-    def submit(self, raw: bytes) -> Future[bytes]:
+    def submit(self, raw: bytes) -> Future[bytes | str]:
         """Gives a pickled task to the worker."""
         self._task = self._executor.submit(_work, raw)
         return self._task
 
     def started(self) -> bool:
-        """Whether the worker came as far as its first task."""
+        """True if the worker came as far as its first task."""
         return self.ready.done() and self.ready.exception() is None
 
     def exit(self) -> str:
@@ -400,12 +417,14 @@ class _Stopped(BaseException):
 
 
 _function: Callable[[Any], Any]
+_folder: str
 _busy = False
 
 
-def _begin(function: bytes, slot: int) -> None:
+def _begin(function: bytes, slot: int, folder: str) -> None:
     """Prepares a worker: signals, one thread, the function."""
-    global _function
+    global _function, _folder
+    _folder = folder
     leave_to_parent()
     threading.Thread(target=_die_with_parent, daemon=True).start()
     with one_thread(slot) as start_threads:
@@ -417,12 +436,23 @@ def _begin(function: bytes, slot: int) -> None:
         signal.signal(signal.SIGALRM, _stop)
 
 
-def _work(raw: bytes) -> bytes:
-    """Pickled value, error and seconds of a pickled task."""
+def _work(raw: bytes) -> bytes | str:
+    """Pickled value, error and seconds of a pickled task, or a file that holds them.
+
+    An executor waits for ever for the rest of a message whose sender is killed, so that messages
+    must be small: those are written whole or not at all.
+    """
     global _busy
     try:
         _busy = True
-        return packed_answer(_function, raw)
+        answer = packed_answer(_function, raw)
+        if len(answer) <= _MESSAGE:
+            return answer
+        with tempfile.NamedTemporaryFile(dir=_folder, delete=False) as file:
+            file.write(answer)
+        return file.name
+    except OSError as error:
+        return pack(None, f"the result can't be sent back: {describe(error)}")
     finally:
         _busy = False
 

@@ -57,10 +57,14 @@ def packed_answer(function: Callable[[Any], Any], raw: bytes) -> bytes:
     """Pickled value, error and seconds of a pickled task, in a worker."""
     answer = timed(lambda _: function(ForkingPickler.loads(raw)), None)
     try:
-        return bytes(ForkingPickler.dumps(answer))
+        return pack(*answer)
     except Exception as error:
-        reason = f"the result can't be sent back: {describe(error)}"
-        return bytes(ForkingPickler.dumps((None, reason, answer[2])))
+        return pack(None, f"the result can't be sent back: {describe(error)}", answer[2])
+
+
+def pack(value: Any, error: str | None, seconds: float = 0.0) -> bytes:
+    """Pickles the answer to a task."""
+    return bytes(ForkingPickler.dumps((value, error, seconds)))
 
 
 def describe(error: BaseException) -> str:
