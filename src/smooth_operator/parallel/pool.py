@@ -475,4 +475,5 @@ def _die_with_parent() -> None:
     parent = parent_process()
     if parent is not None:
         connection.wait([parent.sentinel])
+        shutil.rmtree(_folder, ignore_errors=True)
         os._exit(1)
