@@ -107,9 +107,9 @@ def make_dataset(request: DatasetRequest, progress: Progress | None = None) -> S
     progress = Progress() if progress is None else progress
     checked(request.recipe.request)
     check_output(request)
-    found = find_items(request.sources, layout=request.layout, leave_out=request.output)
-    if not found.items and not found.refused:
-        kinds = ", ".join(f"{count} {suffix}" for suffix, count in found.passed_over.items())
+    items_found = find_items(request.sources, layout=request.layout, leave_out=request.output)
+    if not items_found.items and not items_found.refused:
+        kinds = ", ".join(f"{count} {suffix}" for suffix, count in items_found.passed_over.items())
         raise RecordingError(
             f"nothing to retarget in {', '.join(request.sources)}"
             + (f": no layout knows its files ({kinds})" if kinds else ": it is empty")
@@ -119,11 +119,11 @@ def make_dataset(request: DatasetRequest, progress: Progress | None = None) -> S
     own.mkdir(parents=True, exist_ok=True)
     with claimed(own):
         clear_unfinished(own)
-        items = [item for item in found.items if in_shard(item, request.shard)]
-        kept = _finished(Store(work), items)
-        progress.looked(found, len(items), len(kept))
-        left = [item for item in items if item.name not in kept]
-        reasons: dict[str, str] = {refused.name: refused.reason for refused in found.refused}
+        items = [item for item in items_found.items if in_shard(item, request.shard)]
+        finished = _finished(Store(work), items)
+        progress.looked(items_found, len(items), len(finished))
+        left = [item for item in items if item.name not in finished]
+        reasons: dict[str, str] = {refused.name: refused.reason for refused in items_found.refused}
         if request.merge:
             missing = "no run has finished it yet; leave out --merge to retarget it now"
             reasons |= {item.name: missing for item in left}
@@ -133,19 +133,21 @@ def make_dataset(request: DatasetRequest, progress: Progress | None = None) -> S
                     if entry.kept is None:
                         reasons[entry.item] = entry.reason or "no clip is in it"
                     else:
-                        kept[entry.item] = entry.kept
+                        finished[entry.item] = entry.kept
         if request.shard is not None:
-            return Summary.of_shard(request.output, request.shard, kept, reasons)
-        names = [item.name for item in items if item.name in kept]
+            return Summary.of_shard(request.output, request.shard, finished, reasons)
+        names = [item.name for item in items if item.name in finished]
         order = Order(
             request.output,
-            [(name, kept[name]) for name in names],
+            [(name, finished[name]) for name in names],
             request.recipe,
             request.limits,
             request.format,
             request.writing,
         )
-        return write_episodes(order, Store(work), reasons, found.passed_over, progress.written)
+        return write_episodes(
+            order, Store(work), reasons, items_found.passed_over, progress.written
+        )
 
 
 def check_output(request: DatasetRequest) -> None:

@@ -89,37 +89,37 @@ class Store:
 
     def find(self, accept: Accept) -> dict[str, Kept]:
         """Name of item -> where it is; a damaged pack is removed, and its clips are made again."""
-        found: dict[str, Kept] = {}
+        packs: dict[str, Kept] = {}
         for path in sorted(self.folder.rglob(f"{_PREFIX}*.zip")):
             try:
                 with _Pack(path) as pack:
                     for position, item in enumerate(pack.index["items"]):
                         files = tuple(SourceFile(**file) for file in item["files"])
                         if accept(item["item"], item["asked"], files) and _shown(item["clips"]):
-                            found[item["item"]] = _kept(path, position, item["clips"])
+                            packs[item["item"]] = _kept(path, position, item["clips"])
             except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile):
                 with contextlib.suppress(OSError):
                     path.unlink()
-        return found
+        return packs
 
-    def read(self, kept: Kept) -> list[RobotClip]:
+    def read(self, stored: Kept) -> list[RobotClip]:
         """The clips of an item.
 
         Raises:
             RecordingError: the pack is damaged; it is removed.
         """
         try:
-            pack = self._open.get(kept.pack)
+            pack = self._open.get(stored.pack)
             if pack is None:
                 self.close()  # items are asked for in the order of the packs
-                pack = self._open[kept.pack] = _Pack(kept.pack)
-            return pack.clips(kept.position)
+                pack = self._open[stored.pack] = _Pack(stored.pack)
+            return pack.clips(stored.position)
         except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
             self.close()
             with contextlib.suppress(OSError):
-                kept.pack.unlink()
+                stored.pack.unlink()
             raise RecordingError(
-                f"{kept.pack} was damaged ({error}) and is removed; run the same command again to "
+                f"{stored.pack} was damaged ({error}) and is removed; run the same command again to "
                 "make its clips again"
             ) from error
 

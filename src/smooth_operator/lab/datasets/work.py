@@ -92,8 +92,8 @@ def do_job(job: Job) -> list[Entry]:
         except Exception as error:  # of a damaged file, or a plugin: anything; the others go on
             reasons[item.name] = describe(error)
     finished = _retargeted(read, job, reasons)
-    kept = write_pack(job.folder, finished) if finished else {}
-    return [Entry(i.name, kept.get(i.name), reasons.get(i.name)) for i in job.items]
+    packs = write_pack(job.folder, finished) if finished else {}
+    return [Entry(i.name, packs.get(i.name), reasons.get(i.name)) for i in job.items]
 
 
 def unchanged(item: Item, files: Sequence[SourceFile]) -> bool:
@@ -156,13 +156,13 @@ def read_item(item: Item, recipe: Recipe) -> Iterator[ReadClip]:
         return
     with ExitStack() as stack:
         path = stack.enter_context(fetched(item.address))
-        found = find_reader(path, item.layout)
-        if found is None:
+        recognised = find_reader(path, item.layout)
+        if recognised is None:
             raise RecordingError(
                 f"{item.address}: no reader knows it; layouts of several files have to be copied "
                 "to a folder first"
             )
-        layout, reader = found
+        layout, reader = recognised
         refs = sorted(replace(ref, layout=ref.layout or layout) for ref in reader.clips(path))
         for ref in refs[:_MOST_CLIPS]:
             stem = item.name.rsplit(".", 1)[0]

@@ -66,14 +66,14 @@ def check_folders(folder: Path, output: Path) -> None:
 
 
 def survey(
-    folder: Path, output: Path, asked: RetargetRequest, *, overwrite: bool = False
+    folder: Path, output: Path, request: RetargetRequest, *, overwrite: bool = False
 ) -> Survey:
     """Looks what there is and what is left to do; deletes what a killed run left unfinished.
 
     Args:
         folder: of the recordings.
         output: of the results; see ``claimed``.
-        asked: what is to be done.
+        request: what is to be done.
         overwrite: do again what is done.
 
     Raises:
@@ -81,17 +81,17 @@ def survey(
         OutputError: results would stand among the recordings.
     """
     check_folders(folder, output)
-    found, commands = find_recordings(folder, leave_out=output)
-    refused = clashes(found)
-    leftovers = remove_leftovers({output} | {(output / item.output).parent for item in found})
-    as_json = json.loads(to_json(asked))
+    recordings, commands = find_recordings(folder, leave_out=output)
+    refused = clashes(recordings)
+    leftovers = remove_leftovers({output} | {(output / item.output).parent for item in recordings})
+    as_json = json.loads(to_json(request))
 
     def earlier(item: Found) -> dict[str, Any] | None:
         return None if overwrite else finished(output / item.output, item.path, as_json)
 
     jobs, settled, remade = [], [], 0
     with ThreadPoolExecutor() as threads:  # digests are computed outside Python's lock
-        for item, config in zip(found, threads.map(earlier, found), strict=True):
+        for item, config in zip(recordings, threads.map(earlier, recordings), strict=True):
             path = output / item.output
             reason = refused.get(item.name) or _refusal(path, output)
             if reason is not None:
@@ -100,7 +100,7 @@ def survey(
             elif config is not None:
                 settled.append(_kept(item, config))
             else:
-                jobs.append(Job(item, path, asked))
+                jobs.append(Job(item, path, request))
                 remade += path.exists()
     return Survey(jobs, settled, commands, remade, leftovers)
 
@@ -158,12 +158,12 @@ def grouped(jobs: Sequence[Job], workers: int | None, cluster: str | None) -> li
 
 
 def _lost(job: Job, result: TaskResult[tuple[Entry, ...]]) -> Entry:
-    found = job.found
+    recording = job.found
     return Entry(
-        found.name,
-        found.output,
+        recording.name,
+        recording.output,
         "failed",
-        found.frames,
+        recording.frames,
         reason=result.error,
         seconds=result.seconds,
         attempts=result.attempts,

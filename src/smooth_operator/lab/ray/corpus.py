@@ -52,8 +52,8 @@ class Progress:
     @property
     def left_s(self) -> float | None:
         """Time until the end at the pace so far [s]; None while there is none."""
-        made = self.done - self.kept
-        return self.elapsed_s / made * (self.clips - self.done) if made else None
+        since_start = self.done - self.kept
+        return self.elapsed_s / since_start * (self.clips - self.done) if since_start else None
 
 
 def retarget_corpus(
@@ -137,16 +137,16 @@ def _begin(items: Iterable[Item], output: Path, settings: CorpusSettings) -> tup
         -(-clips // settings.clips_per_shard),
     )
     mark = state / "run.json"
-    asked = json.loads(to_json({**document, "clips": clips, "list": listed}))
+    expected = json.loads(to_json({**document, "clips": clips, "list": listed}))
     try:
         stood = read_json(mark)
     except FileNotFoundError:
-        write_json(mark, asked)
+        write_json(mark, expected)
         return run, clips
     except (OSError, DocumentError) as error:
         raise OutputError(f"{mark}: can't be read ({error}); write to a new folder") from error
-    for name in asked:
-        if not isinstance(stood, dict) or stood.get(name) != asked[name]:
+    for name in expected:
+        if not isinstance(stood, dict) or stood.get(name) != expected[name]:
             what = "another list of clips" if name == "list" else f"another {name}"
             raise OutputError(
                 f"can't write into {str(output)!r}: it was begun with {what}; go on with the same, "

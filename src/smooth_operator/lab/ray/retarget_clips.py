@@ -93,7 +93,7 @@ class RetargetClips:
         Returns:
             an Arrow table.
         """
-        found: list[tuple[int, str, RobotClip | str]] = []
+        results: list[tuple[int, str, RobotClip | str]] = []
         read: list[tuple[int, str, ReadClip]] = []
         for row in range(batch.num_rows):
             name = str(row)
@@ -101,16 +101,16 @@ class RetargetClips:
                 name, clips = self._read(batch, row)
                 read += [(row, name, each) for each in clips]
             except Exception as error:  # of one row: a damaged file, a foreign reader
-                found.append((row, name, describe(error)))
+                results.append((row, name, describe(error)))
         answers = self._work.retarget([each for _, _, each in read]) if read else []
         for (row, name, _), answer in zip(read, answers, strict=True):
             if isinstance(answer, RobotClip):
                 whole = as_stored(answer)  # so that figures are those of the pipeline
-                found += [(row, name, _judged(each)) for each in self._work.select(whole)]
+                results += [(row, name, _judged(each)) for each in self._work.select(whole)]
             else:
-                found.append((row, name, describe(answer)))
-        found.sort(key=lambda each: each[0])
-        return _table([name for _, name, _ in found], [each for _, _, each in found])
+                results.append((row, name, describe(answer)))
+        results.sort(key=lambda each: each[0])
+        return _table([name for _, name, _ in results], [each for _, _, each in results])
 
     def _read(self, batch: Any, row: int) -> tuple[str, list[ReadClip]]:
         columns = batch.column_names
@@ -144,17 +144,17 @@ def _judged(episode: RobotClip | Dropped) -> RobotClip | str:
     """An episode, or why it is not kept."""
     if isinstance(episode, RobotClip):
         return episode
-    return "; ".join(f"{limit}: {found}" for limit, found in episode.reasons.items())
+    return "; ".join(f"{limit}: {value}" for limit, value in episode.reasons.items())
 
 
 def _content(clip: Clip) -> str:
     """Digest of the hands of a clip that has no file."""
-    found = hashlib.sha256(clip.stamps.tobytes())
+    content = hashlib.sha256(clip.stamps.tobytes())
     for side, hand in sorted(clip.hands.items()):
-        found.update(side.encode() + hand.landmarks.tobytes())
+        content.update(side.encode() + hand.landmarks.tobytes())
         if hand.T_world_wrist is not None:
-            found.update(hand.T_world_wrist.tobytes())
-    return found.hexdigest()
+            content.update(hand.T_world_wrist.tobytes())
+    return content.hexdigest()
 
 
 def _table(names: list[str], rows: list[RobotClip | str]) -> Any:

@@ -89,12 +89,12 @@ MARKS: Final = (("*", 150, "#c2455f"), ("s", 45, "#0072b2"))
 def front(points: Float[np.ndarray, "N 2"]) -> Bool[np.ndarray, " N"]:
     """Which points no other beats in one coordinate without losing in the other; less is better."""
     order = np.lexsort((points[:, 1], points[:, 0]))
-    kept = np.zeros(len(points), bool)
+    chosen = np.zeros(len(points), bool)
     lowest = np.inf
     for i in order:
         if points[i, 1] < lowest:
-            kept[i], lowest = True, points[i, 1]
-    return kept
+            chosen[i], lowest = True, points[i, 1]
+    return chosen
 
 
 def save_pareto(
@@ -165,11 +165,11 @@ def save_trade_offs(path: Path, rows: Sequence[Sequence[TradeOff]]) -> None:
         drawing.set_layout_engine("none")
         for ax, panel in panels:
             places = {name: _place(metrics, panel) for name, metrics in panel.others.items()}
-            seen = [_place(m, panel) for m in (*panel.tried, *panel.marked.values())]
+            points = [_place(m, panel) for m in (*panel.tried, *panel.marked.values())]
             name_points(
                 ax,
                 {name: at for name, at in places.items() if np.isfinite(at).all()},
-                [at for at in seen if np.isfinite(at).all()],
+                [at for at in points if np.isfinite(at).all()],
                 size=7.5,
             )
         with atomic_write(path) as file:
