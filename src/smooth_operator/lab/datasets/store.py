@@ -119,8 +119,8 @@ class Store:
             with contextlib.suppress(OSError):
                 stored.pack.unlink()
             raise RecordingError(
-                f"{stored.pack} was damaged ({error}) and is removed; run the same command again to "
-                "make its clips again"
+                f"{stored.pack} was damaged ({error}) and is removed; run the same command again "
+                "to make its clips again"
             ) from error
 
     def close(self) -> None:
