@@ -75,7 +75,6 @@ KNOWN_UPWARD = {
         "teleop.recording",
         "teleop.recording.log_reader",
     },
-    "hands/capsules.py": {"hands.stand_ins"},
     "methods/registry.py": {
         "baselines",
         "baselines.geort",

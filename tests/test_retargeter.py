@@ -277,7 +277,7 @@ def test_before_the_first_good_frame_the_hand_is_neutral(
         result.command.positions, hand.full_configuration(hand.neutral), atol=1e-6
     )
     # the first good frame is still the first: nothing but the time is remembered
-    assert leaves_equal(state._replace(stamp=None), usual.init())
+    assert leaves_equal(replace(state, stamp=None), usual.init())
 
 
 def test_landmarks_that_are_not_needed_may_be_missing(
