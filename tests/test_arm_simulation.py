@@ -122,7 +122,7 @@ def test_one_command_moves_two_arms_with_their_hands() -> None:
         assert moved.any(), f"the {side} arm moves"
         known = [k for k in np.flatnonzero(moved) if arms[k].measured is not None]
         apart = [np.abs(arms[k].measured - q[k]).max() for k in known]
-        assert np.median(apart) < 0.2  # not the last: the machine may have stalled before it
+        assert np.median(apart) < 0.3  # not the last: the machine may have stalled before it
 
 
 def test_settings_of_an_arm_are_read_and_checked() -> None:

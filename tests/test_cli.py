@@ -425,7 +425,7 @@ def test_a_command_of_research_says_what_to_install(
 def test_a_plugin_adds_a_command_to_a_group(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    entry = Entry("smooth_operator.cli.sample_options:Sample", "from elsewhere", "elsewhere")
+    entry = Entry("smooth_operator.cli.sample:Sample", "from elsewhere", "elsewhere")
     monkeypatch.setattr("smooth_operator.plugins._installed", lambda group: {"study.draw": entry})
     assert main(["study", "draw", "--help"]) == 0
     assert "usage: smooth-operator study draw" in capsys.readouterr().out

@@ -110,7 +110,7 @@ def test_what_can_not_be_kept_costs_time_only(
     assert len(traced) == 4
     assert not folder.exists()
     monkeypatch.setenv("SMOOTH_OPERATOR_CACHE", str(tmp_path))
-    monkeypatch.setattr(compiled_program, "_register", lambda _: 1 / 0)
+    monkeypatch.setattr(compiled_program, "_named_tuples", lambda _: 1 / 0)
     assert call(program(traced))[0] == 4.5
     assert not list(folder.iterdir())
 
@@ -250,3 +250,18 @@ def test_machine_code_is_kept_by_jax_in_a_folder_of_its_own(no_folder: Path) -> 
     assert {file.parent.name for file in written} == {cache.machine()}
     assert call(program([])) == (4.5, [0.0, 2.0, 4.0], 1.5)
     assert written == {f: f.stat().st_mtime_ns for f in no_folder.rglob("*-cache")}
+
+
+def test_a_state_that_comes_back_compiles_nothing(
+    folder: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The first frame's state is of NumPy, the next one's of JAX."""
+    retargeter = Retargeter("mimic_p050", method="joint_angle")
+    retargeter.warm_up()
+    frames = list(SyntheticOperator(seed=1).record(0.03))
+    state = retargeter.init()
+    with jax.log_compiles():
+        for frame in frames:
+            state, _ = retargeter.step(state, frame)
+    assert len(frames) > 2
+    assert "Compiling" not in caplog.text

@@ -22,7 +22,7 @@ from smooth_operator.lab.ray.manifest import Manifest, write_manifest
 from smooth_operator.lab.ray.settings import CorpusSettings
 from smooth_operator.lab.ray.spool import Spool
 
-NEEDS_ARROW = "needs pyarrow: pip install 'smooth-retargeting[cluster]'"
+NEEDS_ARROW = "needs pyarrow: in the clone, pip install '.[cluster]'"
 OPTIONS = ReadingOptions()
 SMALL = SyntheticCorpus(clips=10, shortest=0.3, longest=1.0, people=1, lost=0.5)
 
@@ -306,7 +306,7 @@ FATAL = Fatal()
 
 
 def test_on_ray_a_killed_worker_loses_nothing(tmp_path: Path, source: Path) -> None:
-    pytest.importorskip("ray.data", reason="needs ray: pip install 'smooth-retargeting[cluster]'")
+    pytest.importorskip("ray.data", reason="needs ray: in the clone, pip install '.[cluster]'")
     from smooth_operator.lab.ray.corpus import retarget_corpus
 
     def fatal() -> Iterator[Item]:

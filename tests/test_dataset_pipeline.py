@@ -35,7 +35,7 @@ from smooth_operator.methods.sbr import SbrConfig
 from smooth_operator.planning import RetargetRequest
 from smooth_operator.solvers.sampling import SamplingConfig
 
-pytest.importorskip("pyarrow", reason="needs pyarrow: pip install 'smooth-retargeting[datasets]'")
+pytest.importorskip("pyarrow", reason="needs pyarrow: in the clone, pip install '.[datasets]'")
 
 TINY = SbrConfig(sampling=SamplingConfig(samples=256, elites=8, cycles=2, draws="quasi"))
 RECIPE = Recipe(RetargetRequest("mimic_p050", "sbr", "tiny", TINY, seed=3))

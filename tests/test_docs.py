@@ -98,21 +98,25 @@ def test_links_into_the_project_exist(page: Path) -> None:
 
 
 def test_landmark_table_is_the_code() -> None:
-    """Index, name and indices in each tracker, as in ``docs/reference/conventions.md``."""
+    """Names and indices in each tracker, as in ``docs/reference/conventions.md``."""
     text = (PROJECT / "docs" / "reference" / "conventions.md").read_text(encoding="utf-8")
-    rows = re.findall(r"^\| (\d+) \| `(\w+)` \| (\d+) \| (\d+) \| (\d+) \|", text, re.MULTILINE)
-    maps = (landmarks.FROM_MANUS_25, landmarks.FROM_WEBXR_25, landmarks.FROM_OPENXR_26)
-    expected = zip(range(landmarks.NUM_LANDMARKS), landmarks.LANDMARKS, *maps, strict=True)
-    assert rows == [tuple(str(value) for value in row) for row in expected]
-
-    bases = re.findall(r"^\| – \| (\w+) metacarpal base \| (\d+) \| (\d+) \| (\d+) \|", text, re.M)
-    maps = (
-        landmarks.METACARPALS_MANUS_25,
-        landmarks.METACARPALS_WEBXR_25,
-        landmarks.METACARPALS_OPENXR_26,
-    )
-    expected = zip(landmarks.FINGERS[1:], *maps, strict=True)
-    assert bases == [tuple(str(value) for value in row) for row in expected]
+    pattern = r"^\| (?:–|\w+) \| (`[^|]+`) \| (\d+)(?:–(\d+))? \| (\d+)(?:–(\d+))? \|$"
+    names: list[str] = []
+    nodes: list[int] = []
+    for cell, first, last, first_node, last_node in re.findall(pattern, text, re.MULTILINE):
+        assert int(first) == len(names)
+        names += re.findall(r"`(\w+)`", cell)
+        nodes += range(int(first_node), int(last_node or first_node) + 1)
+        assert int(last or first) == len(names) - 1
+    assert tuple(names) == landmarks.LANDMARKS
+    bases = [int(node) for node in re.findall(r"nodes (\d+), (\d+), (\d+) and (\d+)", text)[0]]
+    for tracker, carpals, shift in (
+        (landmarks.FROM_MANUS_25, landmarks.METACARPALS_MANUS_25, 0),
+        (landmarks.FROM_WEBXR_25, landmarks.METACARPALS_WEBXR_25, 0),
+        (landmarks.FROM_OPENXR_26, landmarks.METACARPALS_OPENXR_26, 1),
+    ):
+        assert list(tracker) == [node + shift for node in nodes]
+        assert list(carpals) == [node + shift for node in bases]
 
 
 def test_status_table_is_the_code() -> None:

@@ -352,7 +352,7 @@ def test_without_ray_the_message_says_how_to_get_it(monkeypatch: pytest.MonkeyPa
 
 
 def test_ray_is_the_pool(tmp_path: Path) -> None:
-    pytest.importorskip("ray", reason="needs ray: pip install 'smooth-retargeting[cluster]'")
+    pytest.importorskip("ray", reason="needs ray: in the clone, pip install '.[cluster]'")
     marker = tmp_path / "marker"
     tasks: list[Any] = ["a", "raise", marker, "own error", "b"]
     before = print, sys.excepthook, signal.getsignal(signal.SIGTERM)
@@ -394,6 +394,6 @@ def on_ray(task: Any) -> Any:
 
 
 def test_a_cluster_that_is_not_there() -> None:
-    pytest.importorskip("ray", reason="needs ray: pip install 'smooth-retargeting[cluster]'")
+    pytest.importorskip("ray", reason="needs ray: in the clone, pip install '.[cluster]'")
     with pytest.raises(WorkerError, match="can't reach the Ray cluster 'nobody:1'"):
         next(run_tasks(square, [1.0], cluster="nobody:1"))

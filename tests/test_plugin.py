@@ -105,7 +105,7 @@ clip = DATASETS.load(layout).read(ref, ReadingOptions(rate={RATE}))
 print(layout, DATASETS[layout].summary, len(clip), *clip.hands)
 
 import numpy as np
-from smooth_operator import CommandTrajectory
+from smooth_operator.types import CommandTrajectory
 from smooth_operator.lab.datasets.robot_clip import RobotClip
 from smooth_operator.lab.datasets.writers.registry import WRITERS, WritingOptions
 joints = np.arange(20.0).reshape(10, 2)

@@ -230,7 +230,7 @@ def test_a_killed_run_is_resumed(folder: Path, expected: Bytes, tmp_path: Path) 
 
 
 def test_ray_makes_the_same_bytes(folder: Path, expected: Bytes, tmp_path: Path) -> None:
-    pytest.importorskip("ray", reason="needs ray: pip install 'smooth-retargeting[cluster]'")
+    pytest.importorskip("ray", reason="needs ray: in the clone, pip install '.[cluster]'")
     todo = survey(folder, tmp_path / "out", ASKED)
     entries = list(retarget_all(todo.jobs, workers=1, cluster="local"))
     assert [entry.reason for entry in entries] == [None] * len(FRAMES)

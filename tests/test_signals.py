@@ -99,7 +99,10 @@ def powered(bank: ServoBank) -> int:
     return sum(servo.torque for servo in bank.servos.values())
 
 
-TELEOP = ("-m", "smooth_operator", "teleop", "--hand", "leap_hand", "--method", "joint_angle")
+TELEOP = (
+    *("-m", "smooth_operator", "teleop", "--hand", "leap_hand"),
+    *("--method", "joint_angle", "--methods", "joint_angle"),  # compiled before the loop starts
+)
 
 
 @posix

@@ -454,7 +454,7 @@ def nothing_slow(monkeypatch: pytest.MonkeyPatch) -> None:
         raise AssertionError("it opens the page though something is wrong")
         yield
 
-    monkeypatch.setattr(run_module, "build_retargeter", compiled)
+    monkeypatch.setattr(run_module, "_compile", compiled)
     monkeypatch.setattr(run_module, "begun_page", opened)
 
 

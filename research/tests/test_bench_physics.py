@@ -250,9 +250,9 @@ def test_the_best_is_nearest_to_zero_where_less_is_better() -> None:
     [
         (["bench", "--physics", "reach", "--output", "x"], "reachable"),
         (["physics", "--measures", "reach", "--output", "x"], "reachable"),
-        (["bench", "--units", "3", "--output", "x"], "unknown option '--units'"),
+        (["bench", "--units", "3", "--output", "x"], "--units"),
         (["bench", "--physics", "--units", "0", "--output", "x"], "one independent unit or more"),
-        (["bench", "--physics", "--compare", "a", "--output", "x"], "unknown option '--compare'"),
+        (["bench", "--physics", "--compare", "a", "--output", "x"], "--compare"),
         (["bench", "--physics", "--hands", "nope", "--output", "x"], "nope"),
     ],
 )

@@ -157,7 +157,11 @@ class CompiledProgram:
     def _compiled(
         self, signature: _Signature, arguments: tuple[Any, ...]
     ) -> tuple[Callable[..., Any], Any]:
-        """The program for arguments like these, and its value for them."""
+        """The program for arguments like these, and its value for them.
+
+        It is compiled ahead of time: ``jax.jit`` compiles a second time when an argument of the
+        first call, a NumPy array, is an array of JAX in the next one, such as the state.
+        """
         config: Any = jax.config  # its attributes are made at run time
         cache = None if config.jax_disable_jit or not self._cached else program_cache()
         key = None if cache is None else self._key()
@@ -169,10 +173,10 @@ class CompiledProgram:
                 LOGGER.info("a program can't be kept: %s", error)
         with jax_cache() if function is not self._function else contextlib.nullcontext():
             for options in _options(self._wide):
-                run = jax.jit(function, compiler_options=options)
                 with contextlib.suppress(Exception):  # as in ``_compiler_options``
+                    run = jax.jit(function, compiler_options=options).lower(*arguments).compile()
                     return run, run(*arguments)
-            run = jax.jit(function)
+            run = jax.jit(function).lower(*arguments).compile()
             return run, run(*arguments)
 
 

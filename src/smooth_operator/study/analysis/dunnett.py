@@ -46,6 +46,8 @@ _POINTS: Final = 100_000
 """SciPy's points for one box."""
 _POINTS_ERROR: Final = 1e-5
 """Error of a probability by SciPy's points."""
+_SINGULAR_ERROR: Final = 1e-4
+"""The same of variables that determine each other."""
 _CHI_NODES: Final = 240
 _DIVISOR: Final = float(np.sqrt(2 * np.pi))
 
@@ -203,7 +205,8 @@ def _boxes(correlation: bytes, count: int) -> tuple[Chebyshev, float]:
     """P(|Z_j| <= size for all j) of normal variables as a function of the size, and its error."""
     matrix = np.frombuffer(correlation).reshape(count, count)
     domain = [0.0, _LARGEST]
-    if count in _NODES and np.linalg.eigvalsh(matrix)[0] > 1e-9:
+    singular = np.linalg.eigvalsh(matrix)[0] <= 1e-9
+    if count in _NODES and not singular:
         factor = np.linalg.cholesky(_ordered(matrix))
         few, many = (_nested(_CHECKED, factor, nodes) for nodes in _NODES[count])
         error = float(np.max(np.abs(few - many)))
@@ -221,7 +224,9 @@ def _boxes(correlation: bytes, count: int) -> tuple[Chebyshev, float]:
             [normal.cdf(np.full(count, s), lower_limit=np.full(count, -s)) for s in sizes]
         )
 
-    return Chebyshev.interpolate(by_points, _DEGREE, domain), _POINTS_ERROR
+    return Chebyshev.interpolate(
+        by_points, _DEGREE, domain
+    ), _SINGULAR_ERROR if singular else _POINTS_ERROR
 
 
 def _ordered(correlation: Float[np.ndarray, "m m"]) -> Float[np.ndarray, "m m"]:

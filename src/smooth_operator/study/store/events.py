@@ -301,7 +301,9 @@ class Amended(_OfTrial):
         return f"{where} amended to {now}: {self.reason}" + (f" ({self.who})" if self.who else "")
 
     def _change(self, state: OperatorState, record: Record) -> None:
-        state.amend_trial(record.number, record.at, self)
+        place = self.task, self.block, self.trial
+        after = self.line, self.score, self.time_s
+        state.amend_trial(place, after, record.number, record.at, self.reason, self.who)
 
 
 @dataclass(frozen=True)
@@ -370,7 +372,7 @@ class Withdrawn(Event):
         return f"Withdrew, {data}" + _why(self.reason)
 
     def _change(self, state: OperatorState, record: Record) -> None:
-        state.withdraw(record.at, self)
+        state.withdraw(record.at, self.keep, self.reason)
 
 
 @dataclass(frozen=True)

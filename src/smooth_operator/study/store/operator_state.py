@@ -371,16 +371,23 @@ class OperatorState:
         """A questionnaire of the block that is on was filled in."""
         self.questionnaires.append(Questionnaire(self._on(), point, at, dict(ratings), who))
 
-    def amend_trial(self, number: int, at: datetime, event: Amended) -> None:
-        """A scored trial gets another line, score and time."""
-        trial = self.scored_trial(event.task, event.block, event.trial)
+    def amend_trial(
+        self,
+        place: tuple[str, int, int],
+        after: tuple[str, float, float],
+        number: int,
+        at: datetime,
+        reason: str,
+        who: str,
+    ) -> None:
+        """A scored trial, given by task, block and number, gets another line, score and time."""
+        trial = self.scored_trial(*place)
         assert trial.line is not None
         assert trial.score is not None
         assert trial.time_s is not None
         before = (trial.line, trial.score, trial.time_s)
-        after = (event.line, event.score, event.time_s)
         self.amendments.append(
-            Amendment(number, at, trial.block, event.trial, before, after, event.reason, event.who)
+            Amendment(number, at, trial.block, place[2], before, after, reason, who)
         )
         trial.line, trial.score, trial.time_s = after
         trial.amended = True
@@ -396,14 +403,14 @@ class OperatorState:
         """The break that is on is over."""
         self.breaks[-1] = (self.breaks[-1][0], at)
 
-    def withdraw(self, at: datetime, event: Withdrawn) -> None:
+    def withdraw(self, at: datetime, keep: bool, reason: str) -> None:
         """The operator leaves; whatever was on ends with it."""
         if self.running is not None:
             self.void_trial(LEFT, at)
         if self.breaks and self.breaks[-1][1] is None:
             self.end_break(at)
         self.moving = None
-        self.withdrawn = Withdrawal(at, event.keep, event.reason)
+        self.withdrawn = Withdrawal(at, keep, reason)
 
     def _on(self) -> Block:
         block = self._block()

@@ -84,6 +84,12 @@ def summarise(
             f"{summary['rate_hz']:.0f} Hz; received to sent p50 {added['p50']:.2f} ms, "
             f"p99 {added['p99']:.2f} ms; {100 * summary['deadlines_missed_share']:.2f} % late"
         )
+    elif loop.mailbox.received:
+        reporter.note(
+            f"{loop.mailbox.received} frames came in {seconds:.1f} s and none was answered: the "
+            "run ended before a method was compiled, or the robot was held",
+            matters=True,
+        )
     else:
         reporter.note(
             f"no frame came from {loop.source.label} in {seconds:.1f} s; {health.detail}",

@@ -100,7 +100,7 @@ class HandPipeline:
     def hold(self) -> None:
         """Hold the robot while a method is compiled; frames are shown and not answered."""
         if not self.supervisor.compiling:
-            self.supervisor.compiling = True
+            self.supervisor.hold()
             self.note(COMPILING)
 
     def go_on(self) -> None:

@@ -24,6 +24,7 @@ class Supervisor:
     mode: Mode = Mode.WAITING
     refused: dict[str, int] = field(default_factory=dict)
     compiling: bool = False
+    _held: bool = False
     _last_good: float | None = None
     _newest: tuple[int, float] | None = None
     _blend_start: float = 0.0
@@ -59,10 +60,14 @@ class Supervisor:
         """A frame was answered; one that ends a silence begins a blend."""
         if not self.mode.moves:
             gap = self.config.blend_s
-            if self.mode is Mode.HOLDING and self._last_good is not None:
+            if self.mode is Mode.HOLDING and self._last_good is not None and not self._held:
                 gap = min(gap, now - self._last_good)
             self._blend_start, self._blend_length = now, gap
-        self._last_good = now
+        self._last_good, self._held = now, False
+
+    def hold(self) -> None:
+        """Begin a hold while a method is compiled; it lasts until a frame after ``compiling``."""
+        self.compiling = self._held = True
 
     def restart_blend(self, now: float | None) -> None:
         """Something else asks for commands from now on: go over to it smoothly."""
@@ -127,7 +132,7 @@ class Supervisor:
             return Mode.WAITING
         if self._last_good is None:
             return Mode.WAITING
-        if self.compiling:
+        if self._held:
             return Mode.HOLDING
         silence = now - self._last_good
         if silence > self.config.lost_s and self.config.on_loss == "ease":
