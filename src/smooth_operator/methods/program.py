@@ -190,7 +190,7 @@ def _host_program(method: HostMethod, alignment: AlignmentConfig, compiling: Com
         loss = float(output.tracking_loss)
         if not np.isfinite(output.q).all():
             return state, FrameResult(state.q, Status.SOLVER_FAILED, loss, scale)
-        state = RetargetState.of(FrameState(after, np.asarray(output.q)))
+        state = RetargetState.of(FrameState(after, np.asarray(output.q)), joined=False)
         return state, FrameResult(output.q, int(code), loss, scale)
 
     return program

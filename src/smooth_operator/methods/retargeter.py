@@ -128,7 +128,8 @@ class Retargeter:
     def init(self, seed: int | None = None) -> RetargetState:
         """The state before the first frame."""
         method = self.method.init(self.seed if seed is None else seed)
-        return RetargetState.of(FrameState(method, self.hand.neutral.astype(np.float32)))
+        state = FrameState(method, self.hand.neutral.astype(np.float32))
+        return RetargetState.of(state, joined=self.method.host is None)
 
     def step(
         self, state: RetargetState, frame: HandFrame | ArrayLike

@@ -40,7 +40,7 @@ class StateLayout:
     Attributes:
         structure: JAX's structure of the tree.
         shapes: shape of each leaf.
-        kinds: kind of each leaf; None for one that is no array.
+        kinds: kind of each leaf; None for one that is no array, or stays as it is.
     """
 
     structure: Any
@@ -48,10 +48,10 @@ class StateLayout:
     kinds: tuple[np.dtype | None, ...]
 
     @classmethod
-    def of(cls, state: FrameState) -> StateLayout:
-        """The layout of a state."""
+    def of(cls, state: FrameState, joined: bool = True) -> StateLayout:
+        """The layout of a state; see ``RetargetState.of``."""
         leaves, structure = jax.tree.flatten(state)
-        kinds = (getattr(leaf, "dtype", None) for leaf in leaves)
+        kinds = (getattr(leaf, "dtype", None) if joined else None for leaf in leaves)
         return cls(structure, tuple(map(np.shape, leaves)), tuple(kinds))
 
     def pack(self, state: FrameState) -> tuple[Float[Array, " n"], tuple[Any, ...]]:
@@ -105,10 +105,17 @@ class RetargetState:
     stamp: float | None = None
 
     @classmethod
-    def of(cls, state: FrameState) -> RetargetState:
-        """A state on the host, from its trees."""
-        state = jax.device_get(state)
-        layout = StateLayout.of(state)
+    def of(cls, state: FrameState, joined: bool = True) -> RetargetState:
+        """A state from its trees.
+
+        Args:
+            state: the trees.
+            joined: arrays of 32 bits become one on the host; otherwise all arrays stay as they are,
+                which is faster for a method whose solver runs on the host.
+        """
+        if joined:
+            state = jax.device_get(state)
+        layout = StateLayout.of(state, joined)
         return cls(*layout.pack(state), layout)
 
     @cached_property
