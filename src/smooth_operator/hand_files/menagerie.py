@@ -107,9 +107,9 @@ def menagerie_file(hand: Hand) -> Path:
     """
     entry = _ENTRIES.get((hand.name, hand.spec.side))
     if entry is None:
-        known = ", ".join(f"{name} ({side})" for name, side in _ENTRIES)
+        names = ", ".join(f"{name} ({side})" for name, side in _ENTRIES)
         raise HandModelError(
-            f"Menagerie has no model of the {hand.spec.side} hand {hand.name!r}, only of {known}; "
+            f"Menagerie has no model of the {hand.spec.side} hand {hand.name!r}, only of {names}; "
             "name a file of yours instead of the word menagerie"
         )
     package = _package()

@@ -99,12 +99,12 @@ def capsule_pairs(hand: Hand) -> CapsulePairs:
     if len(pairs):
         pairs = pairs[_meeting(hand, capsules, pairs)]
     used = sorted({int(c) for c in pairs.ravel()})
-    kept = [capsules[c] for c in used]
+    chosen = [capsules[c] for c in used]
     at = {c: i for i, c in enumerate(used)}
     return CapsulePairs(
-        _tree(hand, kept),
-        _names(kept),
-        _ends(kept),
+        _tree(hand, chosen),
+        _names(chosen),
+        _ends(chosen),
         np.array([(at[i], at[j]) for i, j in pairs], int).reshape(-1, 2),
         np.array([capsules[i].radius + capsules[j].radius for i, j in pairs], float),
         np.array([(capsules[i].geom, capsules[j].geom) for i, j in pairs], int).reshape(-1, 2),
@@ -200,7 +200,7 @@ def _meeting(hand: Hand, capsules: list[Capsule], pairs: np.ndarray) -> np.ndarr
     radii = np.array([capsule.radius for capsule in capsules])
     parts = np.array([hand.model.body_weldid[capsule.body] for capsule in capsules], int)
     links = np.sort(parts[pairs], axis=1)  # of each pair
-    found: list[tuple[int, int, int]] = []  # rank within its links, minus how often, which
+    ranked: list[tuple[int, int, int]] = []  # rank within its links, minus how often, which
     for two in np.unique(links, axis=0):
         these = np.flatnonzero((links == two).all(axis=1))
         clear = _clearances(ends, middles, radii, pairs[these])
@@ -210,8 +210,8 @@ def _meeting(hand: Hand, capsules: list[Capsule], pairs: np.ndarray) -> np.ndarr
         first = clear.argmin(axis=1)[clear.min(axis=1) < _SLACK]
         often = np.bincount(first, minlength=len(these))
         order = [k for k in np.argsort(-often, kind="stable") if meet[k]]
-        found += [(rank, -int(often[k]), int(these[k])) for rank, k in enumerate(order)]
-    return np.array(sorted(which for *_, which in sorted(found)[:MOST]), int)
+        ranked += [(rank, -int(often[k]), int(these[k])) for rank, k in enumerate(order)]
+    return np.array(sorted(which for *_, which in sorted(ranked)[:MOST]), int)
 
 
 def _clearances(

@@ -112,10 +112,10 @@ class Hand:
     @property
     def torques(self) -> Float[np.ndarray, " m"]:
         """(m,) most torque of the actuated joints' motors [N m]; NaN where it is not known."""
-        given = self.spec.torque
-        if not isinstance(given, Mapping):
-            return np.full(len(self.actuated), np.nan if given is None else given)
-        return np.array([given.get(name, np.nan) for name in self.actuated_names])
+        limits = self.spec.torque
+        if not isinstance(limits, Mapping):
+            return np.full(len(self.actuated), np.nan if limits is None else limits)
+        return np.array([limits.get(name, np.nan) for name in self.actuated_names])
 
     @cached_property
     def wrist(self) -> Float[np.ndarray, "3"]:
