@@ -20,6 +20,8 @@ from smooth_operator.geometry import array_namespace
 _WORDS: Final = tuple(map(np.dtype, ("float32", "int32", "uint32", "bool")))
 """Kinds of arrays that fit into an array of float32 bit for bit."""
 
+_EMPTY: Final = np.zeros(0, np.float32)
+
 
 class FrameState(NamedTuple):
     """The state as trees of arrays, as traceable functions take it.
@@ -39,7 +41,7 @@ class StateLayout:
 
     Attributes:
         structure: JAX's structure of the tree.
-        shapes: shape of each leaf.
+        shapes: shape of each leaf that has a kind.
         kinds: kind of each leaf; None for one that is no array, or stays as it is.
     """
 
@@ -48,10 +50,10 @@ class StateLayout:
     kinds: tuple[np.dtype | None, ...]
 
     @classmethod
-    def of(cls, state: FrameState, joined: bool = True) -> StateLayout:
-        """The layout of a state; see ``RetargetState.of``."""
+    def of(cls, state: FrameState) -> StateLayout:
+        """The layout of a state whose arrays of 32 bits are in one."""
         leaves, structure = jax.tree.flatten(state)
-        kinds = (getattr(leaf, "dtype", None) if joined else None for leaf in leaves)
+        kinds = (getattr(leaf, "dtype", None) for leaf in leaves)
         return cls(structure, tuple(map(np.shape, leaves)), tuple(kinds))
 
     def pack(self, state: FrameState) -> tuple[Float[Array, " n"], tuple[Any, ...]]:
@@ -64,7 +66,7 @@ class StateLayout:
         others = [leaf for leaf, kind in zip(leaves, self.kinds, strict=True) if kind not in _WORDS]
         xp = array_namespace(*words)
         parts = [_as(xp.asarray(leaf).ravel(), np.dtype(np.float32)) for leaf in words]
-        return xp.concatenate(parts or [np.zeros(0, np.float32)]), tuple(others)
+        return xp.concatenate(parts or [_EMPTY]), tuple(others)
 
     def unpack(
         self, words: Float[Array, " n"] | Float[np.ndarray, " n"], others: tuple[Any, ...]
@@ -113,9 +115,14 @@ class RetargetState:
             joined: arrays of 32 bits become one on the host; otherwise all arrays stay as they are,
                 which is faster for a method whose solver runs on the host.
         """
-        if joined:
-            state = jax.device_get(state)
-        layout = StateLayout.of(state, joined)
+        if not joined:
+            leaves, structure = jax.tree.flatten(state)
+            count = len(leaves)
+            return cls(
+                _EMPTY, tuple(leaves), StateLayout(structure, ((),) * count, (None,) * count)
+            )
+        state = jax.device_get(state)
+        layout = StateLayout.of(state)
         return cls(*layout.pack(state), layout)
 
     @cached_property
