@@ -46,10 +46,15 @@ from smooth_operator.lab.tuning.pareto import (
 )
 from smooth_operator.lab.tuning.score import figure
 from smooth_operator.lab.tuning.trial import TrialTask, run_trial
-from smooth_operator.lab.tuning.trial_log import Trial, TrialLog
 from smooth_operator.methods.method import MethodConfig
 from smooth_operator.parallel import TaskResult, run_tasks
-from smooth_operator.result_cache import ResultCache
+from smooth_operator.result_cache import (
+    Job,
+    ResultCache,
+    ResultLog,
+    compute_results,
+    find_results,
+)
 from smooth_operator_research.judging.judge import (
     GLOVE,
     OTHERS,
@@ -147,7 +152,7 @@ def measure_rows(variants: Variants, rows: Mapping[Row, Values]) -> tuple[Found,
         the figures, and why rows failed.
     """
     full = full_values(variants.config, rows)
-    log = TrialLog(variants.log, variants.key, code_of(variants.config))
+    log, code = ResultLog(variants.log), code_of(variants.config)
     preset = numeric_settings(variants.config)
     rows_of: dict[str, Row] = {}
     for row, values in full.items():
@@ -155,33 +160,37 @@ def measure_rows(variants: Variants, rows: Mapping[Row, Values]) -> tuple[Found,
     tasks = {key: variants.task(full[row]) for key, row in rows_of.items()}
     # those of one program one after the other, so that a worker compiles it once
     order = sorted(tasks, key=lambda key: to_json(tasks[key].config))
-    todo = [(_changed(full[rows_of[key]], preset), tasks[key]) for key in order]
-    missing = [task for values, task in todo if log.find(values) is None]
+    jobs = [
+        Job(key, [variants.key, _changed(full[rows_of[key]], preset)], code, tasks[key])
+        for key in order
+    ]
+    finished, missing = find_results(jobs, log)
     if missing:
-        programs = len({to_json(task.config) for task in missing})
+        programs = len({to_json(job.task.config) for job in missing})
         print(
-            f"rows to measure: {len(missing)}, kept: {len(todo) - len(missing)}; "
+            f"rows to measure: {len(missing)}, kept: {len(finished)}; "
             f"programs to compile: {programs}",
             file=sys.stderr,
         )
-    trials: dict[str, Trial] = {}
+    metrics: dict[str, Any] = {one.job.name: one.value["metrics"] for one in finished if one.value}
     failures: list[str] = []
-    done = 0
 
     def execute(tasks: Sequence[TrialTask]) -> Iterable[TaskResult[Any]]:
         return run_tasks(run_trial, tasks, workers=variants.workers)
 
-    for i, trial, fresh in log.run(todo, execute, keep_failures=False):
-        table, name = rows_of[order[i]]
-        trials[order[i]] = trial
-        if trial.metrics is None:
-            failures.append(f"{name} ({table}) failed: {trial.reason}")
-        if fresh:
-            done += 1
-            reason = "" if trial.reason is None else f": {trial.reason}"
-            print(f"{done} of {len(missing)}: {table}, {name}{reason}", file=sys.stderr)
+    def line(job: Job[TrialTask], result: TaskResult[Any]) -> dict[str, Any] | None:
+        return None if result.value is None else {"metrics": result.value}
+
+    for done, result in enumerate(compute_results(missing, log, execute, line), 1):
+        table, name = rows_of[result.job.name]
+        if result.value is None:
+            failures.append(f"{name} ({table}) failed: {result.error}")
+        else:
+            metrics[result.job.name] = result.value["metrics"]
+        reason = "" if result.error is None else f": {result.error}"
+        print(f"{done} of {len(missing)}: {table}, {name}{reason}", file=sys.stderr)
     nothing = [None] * len(variants.sources)
-    figures = {row: list(trials[to_json(v)].metrics or nothing) for row, v in full.items()}
+    figures = {row: list(metrics.get(to_json(v)) or nothing) for row, v in full.items()}
     return figures, failures
 
 

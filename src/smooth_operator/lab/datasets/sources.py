@@ -14,7 +14,7 @@ from smooth_operator.errors import ConfigError, RecordingError, SmoothOperatorEr
 from smooth_operator.lab.datasets.manifest import Row, is_manifest, read_manifest
 from smooth_operator.lab.datasets.registry import DATASETS, ClipRef, DatasetReader
 from smooth_operator.lab.datasets.remote import is_address, list_remote, local_path
-from smooth_operator.parallel.results import describe
+from smooth_operator.parallel.tasks import describe
 from smooth_operator.result_cache import key_digest
 from smooth_operator.types import Side
 

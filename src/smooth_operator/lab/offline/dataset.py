@@ -16,7 +16,7 @@ from smooth_operator.formats.jsonable import to_json
 from smooth_operator.lab.offline.discovery import Found, clashes, find_recordings
 from smooth_operator.lab.offline.finished import finished, foreign, remove_leftovers
 from smooth_operator.lab.offline.jobs import Entry, Job, retarget_group
-from smooth_operator.parallel import TaskResult, run_tasks, usable_cores
+from smooth_operator.parallel import TaskResult, run_groups, usable_cores
 from smooth_operator.planning import RetargetRequest
 
 SUMMARY: Final = "summary.json"
@@ -125,22 +125,14 @@ def retarget_all(
         the result of each, as they finish.
     """
     repeated = False
-    again: list[Job] = []
     groups = grouped(jobs, workers, cluster)
-    for result in run_tasks(retarget_group, groups, workers=workers, cluster=cluster):
-        group = groups[result.index]
+    for group, result in run_groups(
+        retarget_group, groups, lambda group: [(job,) for job in group],
+        workers=workers, cluster=cluster,
+    ):  # fmt: skip
         repeated = repeated or result.attempts > 1
-        if result.value is not None:
-            yield from (replace(entry, attempts=result.attempts) for entry in result.value)
-        elif len(group) > 1:  # its worker died: one of them may be at fault
-            again += group
-        else:
-            yield _lost(group[0], result)
-    for result in run_tasks(
-        retarget_group, [(j,) for j in again], workers=workers, cluster=cluster
-    ):
-        entry = _lost(again[result.index], result) if result.value is None else result.value[0]
-        yield replace(entry, attempts=result.attempts)
+        entries = [_lost(job, result) for job in group] if result.value is None else result.value
+        yield from (replace(entry, attempts=result.attempts) for entry in entries)
     if repeated:  # a worker that died in the middle of a write leaves its file; no other writes now
         remove_leftovers({job.output.parent for job in jobs})
 

@@ -21,7 +21,7 @@ from smooth_operator.lab.offline.answers import answers, tools_of
 from smooth_operator.lab.offline.discovery import Found
 from smooth_operator.lab.offline.finished import digest, identity
 from smooth_operator.lab.offline.trajectory_retargeter import check_method
-from smooth_operator.parallel.results import timed
+from smooth_operator.parallel.tasks import timed
 from smooth_operator.planning import Plan, RetargetRequest, configuration, plan
 from smooth_operator.types import CommandTrajectory, HandRecording, Side, Status
 

@@ -15,13 +15,12 @@ from smooth_operator.lab.datasets.readers.packed import clip_of_row
 from smooth_operator.lab.datasets.registry import ClipRef, ReadingOptions
 from smooth_operator.lab.datasets.robot_clip import RobotClip
 from smooth_operator.lab.datasets.sources import Item
+from smooth_operator.lab.datasets.store import as_stored
 from smooth_operator.lab.datasets.work import ReadClip
 from smooth_operator.lab.datasets.writers.parquet import clips_table
-from smooth_operator.lab.ray.episode_bytes import decode, encode
 from smooth_operator.lab.ray.settings import CorpusSettings
 from smooth_operator.lab.ray.work import ClipWork
-from smooth_operator.parallel.results import describe
-from smooth_operator.parallel.threads import one_thread
+from smooth_operator.parallel.tasks import describe, one_thread
 from smooth_operator.result_cache import key_digest
 
 
@@ -106,9 +105,7 @@ class RetargetClips:
         answers = self._work.retarget([each for _, _, each in read]) if read else []
         for (row, name, _), answer in zip(read, answers, strict=True):
             if isinstance(answer, RobotClip):
-                whole = decode(
-                    encode(answer)
-                )  # as the pipeline keeps it, so that figures are equal
+                whole = as_stored(answer)  # so that figures are those of the pipeline
                 found += [(row, name, _judged(each)) for each in self._work.select(whole)]
             else:
                 found.append((row, name, describe(answer)))

@@ -12,7 +12,6 @@ from jaxtyping import Bool, Float
 
 from smooth_operator.atomic_files import atomic_write
 from smooth_operator.lab.tuning.score import figure
-from smooth_operator.lab.tuning.trial_log import Trial
 from smooth_operator.reporting.drawing import INK, colors_of, name_points, plain_logs, styled
 
 if TYPE_CHECKING:
@@ -100,25 +99,23 @@ def front(points: Float[np.ndarray, "N 2"]) -> Bool[np.ndarray, " N"]:
 
 def save_pareto(
     path: Path,
-    trials: Sequence[Trial],
+    tried: Sequence[Sequence[Mapping[str, Any]]],
     start: Sequence[Mapping[str, Any]],
-    best: Trial,
+    best: Sequence[Mapping[str, Any]],
     names: Sequence[str],
 ) -> None:
     """Draws a row for each recording, a column for each figure against flatness.
 
     Args:
         path: PNG to write.
-        trials: all of them.
+        tried: figures of each trial, one mapping for each recording.
         start: figures of the configuration that the search began at.
-        best: the trial with the lowest score.
-        names: of the recordings.
+        best: figures of the trial with the lowest score.
+        names: names of the recordings.
 
     Raises:
         OutputError: it can't be written.
     """
-    measured = [trial.metrics for trial in trials if trial.metrics is not None]
-    found = best.metrics or start
     save_trade_offs(
         path,
         [
@@ -127,8 +124,8 @@ def save_pareto(
                     recording if k == 0 else "",
                     FLATNESS,
                     axis,
-                    [metrics[i] for metrics in measured],
-                    {"best score": found[i], "start": start[i]},
+                    [metrics[i] for metrics in tried],
+                    {"best score": best[i], "start": start[i]},
                 )
                 for k, axis in enumerate(AGAINST)
             ]
