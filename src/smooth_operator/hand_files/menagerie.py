@@ -14,9 +14,9 @@ from typing import Any, Final
 import mujoco
 
 from smooth_operator.errors import HandModelError, MissingExtraError
-from smooth_operator.hand_files.stand_ins import stand_in_links
 from smooth_operator.hand_files.vendor_model import on_model
 from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.stand_ins import stand_in_links
 from smooth_operator.types import Side
 
 MENAGERIE: Final = "menagerie"

@@ -20,9 +20,8 @@ from smooth_operator.hands.collision import PALM, colliding_shapes, owners, soli
 from smooth_operator.hands.hand import Hand, tree_with
 from smooth_operator.hands.kinematics import KinematicTree
 from smooth_operator.hands.solids import Capsule, shape_capsules
-from smooth_operator.plugins import Entry
+from smooth_operator.hands.stand_ins import stand_ins
 
-_STAND_INS = Entry("smooth_operator.hand_files.stand_ins:stand_ins")
 _POSES = 4000
 _MANY = 2000
 """With more candidates than this, a quarter of the poses has to do."""
@@ -66,7 +65,7 @@ def capsule_pairs(hand: Hand) -> CapsulePairs:
     and of any two links that meet one at least, as long as there is room. A mesh is one capsule
     about as thick as it; where that reaches into another part in the neutral pose, though the mesh
     does not, the pair is left out. Links whose shapes can't be read have estimated capsules
-    (``smooth_operator.hand_files.stand_ins``).
+    (``smooth_operator.hands.stand_ins``).
 
     Args:
         hand: the robot hand.
@@ -74,7 +73,7 @@ def capsule_pairs(hand: Hand) -> CapsulePairs:
     Returns:
         the pairs.
     """
-    counts, estimated = colliding_shapes(hand), _STAND_INS.load()(hand)
+    counts, estimated = colliding_shapes(hand), stand_ins(hand)
     # not those of an arm, or of a second hand
     shapes = solid_shapes(hand) if estimated.capsules else counts.any(axis=1)
     part = hand.model.body_weldid[hand.model.geom_bodyid]

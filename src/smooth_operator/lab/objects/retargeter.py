@@ -19,7 +19,7 @@ from smooth_operator import poses
 from smooth_operator.compilation.cache import jax_cache
 from smooth_operator.compilation.start import dispatch_here
 from smooth_operator.errors import ConfigError, RecordingError
-from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.hand import Hand, fingerprint
 from smooth_operator.lab.datasets.clip import Clip
 from smooth_operator.lab.objects.contacts import (
     Contacts,
@@ -41,7 +41,6 @@ from smooth_operator.lab.offline.trajectory_retargeter import TrajectoryRetarget
 from smooth_operator.lab.offline.trajectory_solver import FrameBlocks
 from smooth_operator.methods.method import MethodConfig, TrajectoryMethodConfig
 from smooth_operator.methods.presets import method_config
-from smooth_operator.methods.shared import fingerprint
 from smooth_operator.planning import Plan
 from smooth_operator.types import CommandTrajectory, Side
 

@@ -7,9 +7,9 @@ from typing import Final
 import mujoco
 import numpy as np
 
-from smooth_operator.hand_files.stand_ins import stand_in_links
 from smooth_operator.hands.collision import neutral_overlaps, solid_shapes
 from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.stand_ins import stand_in_links
 from smooth_operator.lab.validation.checks import Check, Verdict, worst
 from smooth_operator.lab.validation.samples import Samples
 
