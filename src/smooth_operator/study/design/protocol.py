@@ -11,7 +11,7 @@ from smooth_operator.errors import StudyError, UnknownNameError
 from smooth_operator.simulation.tasks.checks import check_name, distinct, seconds, whole
 from smooth_operator.simulation.tasks.task import RubricLine as RubricLine
 from smooth_operator.simulation.tasks.task import Task as Task
-from smooth_operator.study.design.forms import Form, check_forms
+from smooth_operator.study.design.forms import Form
 
 OUTCOMES: Final = ("success", "time", "tlx")
 """Success rate (0 to 1), completion time [s], workload (0 to 100 points)."""
@@ -216,7 +216,7 @@ class Protocol:
         seconds(self.break_s, "break")
         whole(self.resets, 0, 100, "resets of a trial")
         whole(self.break_every, 0, 1000, "blocks between two breaks")
-        check_forms(self.forms)
+        distinct([form.name for form in self.forms], "forms")
         if self.reset_cap not in _SCORES:
             raise StudyError(f"the score after a reset must be 0, 0.5 or 1, not {self.reset_cap}")
         if self.task_order not in ("balanced", "listed"):
