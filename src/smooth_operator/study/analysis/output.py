@@ -13,8 +13,7 @@ import numpy as np
 from smooth_operator.atomic_files import atomic_write
 from smooth_operator.formats.csv_table import csv_text
 from smooth_operator.study.analysis.analyze import Analysis
-from smooth_operator.study.analysis.citations import cited
-from smooth_operator.study.analysis.methods_text import methods_paragraph
+from smooth_operator.study.analysis.methods_text import cited, methods_paragraph
 from smooth_operator.study.analysis.operators import flow_rows, operator_means
 from smooth_operator.study.analysis.readings import reading_rows
 from smooth_operator.study.analysis.results import ScopeResult, plain
