@@ -24,7 +24,6 @@ from smooth_operator.study.data.reading import NAMES, with_second_ratings, with_
 
 SOME_REFUSED: Final = 1
 """Exit status where everything was done, but some parts have a reason in place of figures."""
-
 _STORE: Final = "study.db"
 _SQLITE: Final = b"SQLite format 3\0"
 _UNITS: Final[dict[Outcome, tuple[float, str]]] = {

@@ -44,8 +44,6 @@ from smooth_operator.study.design.protocol import (
 from smooth_operator.terminal import open_console, printable
 
 T = TypeVar("T")
-
-
 _YES: Final = ("y", "yes")
 
 
@@ -212,14 +210,8 @@ PAPER_CONDITIONS: Final = (
     Condition("hybrid", preset="published"),
 )
 """Methods with the settings of the authors' code, which the defaults here differ from."""
-
-
 PAPER_RATE_HZ: Final = 30.0
-
-
 PAPER_OPERATORS: Final = 18
-
-
 _STORE: Final = "study.db"
 
 

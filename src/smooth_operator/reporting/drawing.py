@@ -23,13 +23,10 @@ if TYPE_CHECKING:
 INK: Final = "#20262d"
 """Text and axes; on a page it becomes the colour of the text around."""
 GRID: Final = "#8a939c"
-
 _SPARE: Final = ("#6b9c2f", "#c2455f", "#3f8f9b", "#a0843c", "#7f8790", "#4a4fa3", "#b05fb8")
 """Colours of names that have none, such as presets that are no default."""
-
 MARKERS: Final = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "*", "h", "p")
 """Shapes, so that nothing depends on colour alone."""
-
 _DPI: Final = 150
 _CLOSE: Final = (1.0, 1.2, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)
 

@@ -16,16 +16,10 @@ from smooth_operator.study.analysis.results import Refused, figures_or_refused
 from smooth_operator.study.data.rows import SCORES
 
 _ROUNDS: Final = 2000
-
-
 _CLOSE: Final = 1e-9
-
-
 _ALONE: Final = 0.5
 """Wins that each retargeter has against each other before anything is counted, so that strengths
 are finite where one always wins."""
-
-
 _PERMUTATIONS: Final = 20_000
 
 

@@ -39,7 +39,6 @@ from smooth_operator.study.analysis.spearman import correlations
 from smooth_operator.study.data.rows import ITEMS, StudyData, Workload
 
 Report = Callable[[str], None]
-
 _DEFAULT_BASELINE: Final = "dexpilot"
 """Where no plan is known: the paper's."""
 

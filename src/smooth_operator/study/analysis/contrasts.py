@@ -27,7 +27,6 @@ _WORDS: Final = ("negligible", "small", "medium", "large")
 _NO_SPREAD: Final = 1e-10
 """Share of the largest standard error of a mean below which that of a difference is no number."""
 _ROUGH: Final = 1e-6
-
 Freedom = Callable[[Float[np.ndarray, " p"]], float]
 """Degrees of freedom of a combination of the coefficients."""
 Effect = Callable[[float, float], float]

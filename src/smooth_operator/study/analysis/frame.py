@@ -13,11 +13,7 @@ from smooth_operator.study.analysis.results import POOLED
 from smooth_operator.study.data.rows import Questionnaires, Trials
 
 INTERCEPT: Final = "(Intercept)"
-
-
 INDEX: Final = "t"
-
-
 _DEPENDENT: Final = 1e-9
 """Share of a column's length that earlier columns may leave unexplained, and it still counts as
 determined by them."""

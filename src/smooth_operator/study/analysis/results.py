@@ -18,7 +18,6 @@ from smooth_operator.errors import StudyError
 
 Mode: TypeAlias = Literal["small-sample", "paper"]
 Outcome: TypeAlias = Literal["success", "time", "tlx"]
-
 MODES: Final[tuple[Mode, ...]] = ("small-sample", "paper")
 """The default first."""
 OUTCOMES: Final[tuple[Outcome, ...]] = ("success", "time", "tlx")

@@ -26,8 +26,6 @@ SUCCESS: Final = 1
 COMPETING: Final = 2
 EARLY: Final = 30.0
 """Time at which the share of successes is given, next to that at the limit [s]."""
-
-
 _DROPPED: Final = ("drop", "lost", "fell")
 """Words in the rubric line of a failure that ended the trial for good."""
 

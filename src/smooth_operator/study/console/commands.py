@@ -21,13 +21,11 @@ from smooth_operator.study.store.operator_state import Trial
 from smooth_operator.study.store.progress import Progress
 
 Role: TypeAlias = Literal["experimenter", "operator"]
-
 EVENTS: Final = {event.word: kind for kind, event in KINDS.items() if event.word}
 """Word -> kind of the event that it causes."""
 OTHER: Final = ("choose", "enrol", "replace", "switch", "cancel_start")
 """Words that cause no event of the operator who is on."""
 OPERATOR_MAY: Final = ("answer", "weigh", "form")
-
 _LONGEST_WAIT: Final = 86_400.0
 _TOKEN: Final = range(8, 129)
 

@@ -12,11 +12,11 @@ from smooth_operator.errors import StudyError
 from smooth_operator.study.design.forms import Form, FormField
 from smooth_operator.study.design.plan import Block, Plan
 from smooth_operator.study.store.events import (
-    Answered,
     BlockEnded,
     BreakStarted,
     Event,
     Named,
+    QuestionnaireAnswered,
     Recalibrated,
     Record,
     Undone,
@@ -74,16 +74,10 @@ def step_in_words(step: Step) -> str:
 
 TRIAL_S: Final = 40.0
 """A trial whose length nobody knows yet [s]."""
-
-
 BETWEEN_S: Final = 15.0
 """From the end of a trial to the start of the next [s]."""
-
-
 QUESTIONNAIRE_S: Final = 60.0
 """Six scales, or the fifteen pairs [s]."""
-
-
 BLOCK_S: Final = 60.0
 """Switching, explaining [s]."""
 
@@ -455,7 +449,7 @@ def log_view(progress: Progress, named: Named) -> list[dict[str, Any]]:
 def _known(progress: Progress, record: Record) -> bool:
     """Whether the workload of an event may be known to who scores: not before its block is over."""
     event = record.event
-    return not isinstance(event, Answered) or any(
+    return not isinstance(event, QuestionnaireAnswered) or any(
         block.task.name == event.task and block.number == event.block and progress.finished(block)
         for block in progress.blocks
     )

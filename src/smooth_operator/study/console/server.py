@@ -45,7 +45,6 @@ _TROUBLE_S: Final = 10.0
 _LARGEST: Final = 256 * 1024
 _PLACES: Final[dict[Role, int]] = {"experimenter": 16, "operator": 48}
 """How many pages of each kind may be connected: a tablet's link takes no experimenter's place."""
-
 _LOGGER: Final = logging.getLogger("smooth_operator.study.console")
 
 

@@ -207,8 +207,6 @@ class OperatorChoice:
 _STARTS: Final = (
     "calibrated", "recalibrate", "start_block", "start_familiarisation", "start_trial",
 )  # fmt: skip
-
-
 _WITH_THE_HAND: Final = (
     *_STARTS, "reset", "void", "score", "pause", "resume", "withdraw",
     "undo",

@@ -271,11 +271,7 @@ def _seen(status: Mapping[str, Any], state: State, detail: str = "") -> Heard:
 
 CLEAR_WAIT_S: Final = 120.0
 """Longest that a trial waits for the hand to be clear of the object [s]."""
-
-
 _POLL_S: Final = 0.05
-
-
 _KEYS: Final = ("operator", "task", "block", "trial", "after")
 """Entries by which a simulated trial is known as one of the log."""
 

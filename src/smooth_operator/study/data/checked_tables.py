@@ -24,14 +24,8 @@ from smooth_operator.study.data.rows import (
 )
 
 _MISSING = frozenset({"", "na", "n/a", "nan", "none", "null"})
-
-
 _SHOWN = 8
-
-
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
-
-
 _MOST_COUNT = 10**9
 """Of a block or trial; whole numbers of a table fit into 64 bits."""
 
@@ -165,23 +159,13 @@ def _number(value: Any) -> float | None:
 TRIAL_COLUMNS: Final = (
     "operator", "task", "retargeter", "block", "trial_in_block", "trial_global", "score", "time_s",
 )  # fmt: skip
-
-
 MORE_TRIAL_COLUMNS: Final = ("duration_s", "line", "resets", "started_at", "place", "amended")
 """Of trials as a study stores them; each may be missing in a table."""
-
-
 QUESTIONNAIRE_COLUMNS: Final = ("operator", "task", "retargeter", "block", "point", *ITEMS)
-
-
 WEIGHT_COLUMNS: Final = tuple(f"weight_{item}" for item in ITEMS)
 """Of questionnaires, where the pairs of scales were asked for: all six, or none."""
-
-
 METRIC_COLUMNS: Final = ("operator", "retargeter")
 """And a column for each metric."""
-
-
 Rows = Sequence[tuple[int, Mapping[str, Any]]]
 
 

@@ -137,26 +137,16 @@ def _answers(one: Mapping[str, Any]) -> dict[str, Any]:
 
 NAMES: Final = ("trials.csv", "tlx.csv", "sim_metrics.csv")
 """Names of the tables in a folder."""
-
-
 EXPORT: Final = "study.json"
 """What an export calls its JSON file."""
-
-
 KEYS: Final = ("trials", "questionnaires", "simulation_metrics")
 """Names of the tables in a JSON file."""
-
-
 _KINDS: Final = {
     "trials": frozenset(TRIAL_COLUMNS),
     "questionnaires": frozenset(QUESTIONNAIRE_COLUMNS),
 }
-
-
 _SIMULATED: Final = "simulation.json"
 """Of virtual operators: their plan is in it."""
-
-
 _TELLING: Final = {"score": "trials", "trial_in_block": "trials", "point": "questionnaires"}
 """Columns that identify a table although others are missing."""
 
@@ -381,8 +371,6 @@ def _distinct(table: Trials | Questionnaires | SimulationMetrics, column: str) -
 
 
 SECOND_COLUMNS: Final = ("operator", "task", "block", "trial_in_block", "score")
-
-
 _KEY: Final = SECOND_COLUMNS[:-1]
 
 

@@ -91,29 +91,17 @@ class SecondRatings:
 
 ITEMS: Final = ("mental", "physical", "temporal", "performance", "effort", "frustration")
 """Scales of the NASA-TLX, each 0 to 100, higher is worse."""
-
-
 PAIRS: Final = len(ITEMS) * (len(ITEMS) - 1) // 2
 """Pairs of scales: an operator says of each pair which added more to the workload."""
-
-
 Workload: TypeAlias = Literal["raw", "weighted"]
 """``raw``: mean of the six answers (Hart 2006); ``weighted``: each as often as its scale was chosen
 (Hart and Staveland 1988)."""
-
-
 POINTS: Final = ("initial", "midpoint", "final")
 """When a questionnaire is filled in: after the first, middle and last trial of a block."""
-
-
 SCORES: Final = (0.0, 0.5, 1.0)
 """Failure, marginal success, success."""
-
-
 SUCCESS: Final = 0.5
 """Score from which a trial counts as a success."""
-
-
 _UNKNOWN: Final = {
     "duration": np.nan, "line": "", "resets": -1, "started": "", "place": -1, "amended": -1,
 }  # fmt: skip

@@ -13,7 +13,6 @@ from smooth_operator.simulation.tasks.checks import check_name, distinct, whole
 
 When: TypeAlias = Literal["before", "after"]
 Kind: TypeAlias = Literal["text", "number", "choice", "scale", "consent", "ranking"]
-
 KINDS: Final[tuple[Kind, ...]] = get_args(Kind)
 _LONGEST: Final = 4000
 

@@ -15,18 +15,10 @@ from smooth_operator.study.design.forms import Form
 
 OUTCOMES: Final = ("success", "time", "tlx")
 """Success rate (0 to 1), completion time [s], workload (0 to 100 points)."""
-
-
 POOLED: Final = "pooled"
 """The scope that is all tasks together; the others are the tasks."""
-
-
 PRIMARY: Final = f"{OUTCOMES[0]}/{POOLED}"
-
-
 PAPER_MARGINS: Final = {"success": 0.10, "time": 5.0, "tlx": 10.0}
-
-
 _LARGEST: Final = {"success": 1.0, "time": 86_400.0, "tlx": 100.0}
 
 
@@ -100,11 +92,7 @@ def check_margins(margins: Mapping[str, float]) -> None:
 
 Point: TypeAlias = Literal["initial", "midpoint", "final"]
 """When a questionnaire is asked: after the first, the middle or the last trial of a block."""
-
-
 POINTS: Final[tuple[Point, ...]] = get_args(Point)
-
-
 _SCORES: Final = (0.0, 0.5, 1.0)
 
 

@@ -23,12 +23,9 @@ PLOT: Final = "power.png"
 TITLES: Final[dict[Outcome, str]] = {"success": "success", "time": "time", "tlx": "workload"}
 ENOUGH: Final = 0.8
 """Power that is usually asked for."""
-
 MOST_ERROR: Final = 0.07
 """Family-wise error from which on a test is not to be relied on: 5 % and what simulation adds."""
-
 Tallies = Mapping[tuple[int, Truth], Tally]
-
 _LINES: Final[dict[Mode, str]] = {"small-sample": "-", "paper": "--"}
 
 

@@ -35,12 +35,10 @@ from smooth_operator.study.power.verdicts import Analyst, Tally
 Truth: TypeAlias = Literal["effects", "null"]
 TRUTHS: Final[tuple[Truth, ...]] = ("effects", "null")
 """As assumed; and with every condition as good as the baseline."""
-
 LOG: Final = "studies.jsonl"
 """Counts of finished chunks, a line each."""
 _CHUNK: Final = 10
 _LEAST_OPERATORS: Final = 3
-
 Report: TypeAlias = Callable[[int, int], None]
 """Called with the studies that are done, and all."""
 

@@ -24,12 +24,8 @@ from smooth_operator.study.design.protocol import POINTS
 
 PAPER_SUCCESS: Final = {"sbr": 0.541, "dexpilot": 0.440, "geort": 0.266, "hybrid": 0.521}
 """Probability of a score of 0.5 or 1."""
-
-
 PAPER_TIME_S: Final = {"sbr": 29.7, "dexpilot": 23.3, "geort": 33.3, "hybrid": 21.6}
 """Mean time of successful trials [s]."""
-
-
 PAPER_WORKLOAD: Final = {"sbr": 36.4, "dexpilot": 44.0, "geort": 56.4, "hybrid": 38.4}
 """Mean raw NASA-TLX."""
 
@@ -217,14 +213,8 @@ def _rows(rows: list[tuple[int, int, int, int]]) -> Rows:
 
 _CORRELATION: Final = np.array([[1.0, -0.4, -0.3], [-0.4, 1.0, 0.2], [-0.3, 0.2, 1.0]])
 """Of an operator's success, time and workload: who succeeds more is quicker and less strained."""
-
-
 _SHORTEST_S: Final = 2.0
-
-
 _STEP: Final = 5.0
-
-
 _SCALES: Final = np.array([8.0, -6.0, 0.0, 2.0, 4.0, -8.0])
 """How the six scales of NASA-TLX lie about their mean [points]."""
 

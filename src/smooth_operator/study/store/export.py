@@ -35,11 +35,7 @@ from smooth_operator.study.store.study_store import StudyStore
 
 FORMAT: Final = 1
 """Version of ``study.json``."""
-
-
 BLOCK_WEIGHT_COLUMNS: Final = ("operator", "task", "retargeter", "block", *SCALE_NAMES)
-
-
 _TRIALS, _TLX, _WEIGHTS, _ALL = "trials.csv", "tlx.csv", "tlx_weights.csv", "study.json"
 
 

@@ -15,8 +15,6 @@ from smooth_operator.io.entries import Entries, read_entries
 from smooth_operator.study.design.latin import lot
 
 STEP: Final = 5
-
-
 HIGHEST: Final = 100
 
 
@@ -61,11 +59,7 @@ SCALES: Final = (
         "How insecure, discouraged, irritated, stressed, and annoyed were you?",
     ),
 )
-
-
 SCALE_NAMES: Final = tuple(scale.name for scale in SCALES)
-
-
 PAIRS: Final = tuple(combinations(SCALE_NAMES, 2))
 """All pairs of scales; of each, the operator says which added more to the workload."""
 
@@ -125,8 +119,6 @@ def weighted_workload(ratings: Mapping[str, float], winners: Sequence[str]) -> f
 
 
 _MOST_BYTES: Final = 200_000
-
-
 TEXTS: Final[Mapping[str, str]] = MappingProxyType(
     {
         "heading": "How was it?",

@@ -36,8 +36,6 @@ from smooth_operator.study.store.progress import Progress
 
 AUTHORS: Final = ("experimenter", "operator", "system")
 """Who may have caused an event."""
-
-
 FORMAT: Final = 1
 """Version of what is stored; a store of a newer one is refused."""
 _OF_OPERATOR: Final = "WHERE study_id = ? AND operator = ?"
