@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from itertools import combinations
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,7 +13,6 @@ import scipy.special
 import scipy.stats
 from nested_cases import intercepts_with_t
 from study_cases import Case, holes, simulate
-from study_reference import REFERENCE
 
 from smooth_operator.errors import StudyError
 from smooth_operator.study.analysis import dunnett as dunnett_module
@@ -23,6 +24,14 @@ from smooth_operator.study.analysis.mixed import fit_mixed
 from smooth_operator.study.analysis.outcomes import analyze
 from smooth_operator.study.analysis.spearman import _correlate, _weighted, spearman
 from smooth_operator.study.data.checked_tables import make_trials
+
+REFERENCE = json.loads(Path(__file__).with_name("study_reference.json").read_text("utf-8"))
+"""Figures of lme4, lmerTest, geepack and emmeans for two simulated studies of ``study_cases``.
+
+``holes`` is ``simulate(4, keep=holes)``, ``alternate`` ``simulate(5, alternate=True, spread=0,
+effect=0)``. Mixed models by bobyqa to 1e-12, GEE to 1e-12, means and pairs on the response scale;
+pairs are baseline first.
+"""
 
 # Mixed models.
 

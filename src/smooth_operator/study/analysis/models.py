@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -117,12 +118,14 @@ def fit_modes(
     if more is not None:
         design = np.column_stack([design, more])
         names = [*names, *(f"more{k}" for k in range(more.shape[1]))]
+    fits: dict[Mode, Fit | Refused] = {}
     if outcome != "success":
-        return {mode: figures_or_refused(lambda m=mode: _linear(outcome, frame, design, names, m))
-                for mode in modes}  # type: ignore[misc]  # fmt: skip
+        for mode in modes:
+            fits[mode] = figures_or_refused(partial(_linear, outcome, frame, design, names, mode))
+        return fits
     gee = fit_gee(design, frame.outcome, frame.group)
     gee.check_correlation()
-    count, fits = gee.operators, dict[Mode, Fit | Refused]()
+    count = gee.operators
     for mode in modes:
         covariance = gee.mancl_derouen if mode == "small-sample" else gee.robust
         df = count - 1.0 if mode == "small-sample" else np.inf

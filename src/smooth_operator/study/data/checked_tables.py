@@ -160,7 +160,7 @@ TRIAL_COLUMNS: Final = (
     "operator", "task", "retargeter", "block", "trial_in_block", "trial_global", "score", "time_s",
 )  # fmt: skip
 MORE_TRIAL_COLUMNS: Final = ("duration_s", "line", "resets", "started_at", "place", "amended")
-"""Of trials as a study stores them; each may be missing in a table."""
+"""Of trials as a study stores them; an analysis reads the first two, where they are there."""
 QUESTIONNAIRE_COLUMNS: Final = ("operator", "task", "retargeter", "block", "point", *ITEMS)
 WEIGHT_COLUMNS: Final = tuple(f"weight_{item}" for item in ITEMS)
 """Of questionnaires, where the pairs of scales were asked for: all six, or none."""
@@ -184,6 +184,13 @@ def make_trials(name: str, rows: Rows, unit: str = "row") -> tuple[Trials, tuple
         StudyError: a value is not what its column holds; says which, by row and column.
     """
     table = Checked(name, rows, unit)
+    more: dict[str, np.ndarray] = {}
+    if "duration_s" in rows[0][1]:
+        expected = "a time in seconds from 0, or nothing"
+        more["duration"] = np.array(table.numbers("duration_s", expected, lambda x: x >= 0))
+    if "line" in rows[0][1]:
+        lines = ["" if is_missing(row["line"]) else str(row["line"]) for _, row in rows]
+        more["line"] = np.array(lines, str)
     trials = Trials(
         operator=np.array(table.words("operator")),
         task=np.array(table.words("task")),
@@ -197,7 +204,7 @@ def make_trials(name: str, rows: Rows, unit: str = "row") -> tuple[Trials, tuple
         time=np.array(
             table.numbers("time_s", "a time in seconds above 0, or nothing", lambda x: x > 0)
         ),
-        **_more(table),
+        **more,
     )
     table.unique(("operator", "task", "block", "trial_in_block"))
     table.unique(("operator", "task", "trial_global"))
@@ -218,30 +225,6 @@ def make_trials(name: str, rows: Rows, unit: str = "row") -> tuple[Trials, tuple
         )
     notes += _mixed_blocks(name, trials)
     return trials, tuple(notes)
-
-
-def _more(table: Checked) -> dict[str, np.ndarray]:
-    """What a table of trials has of ``MORE_TRIAL_COLUMNS``, by the names of ``Trials``."""
-    there = [column for column in MORE_TRIAL_COLUMNS if column in table.rows[0][1]]
-    arrays: dict[str, np.ndarray] = {}
-    if "duration_s" in there:
-        arrays["duration"] = np.array(
-            table.numbers("duration_s", "a time in seconds from 0, or nothing", lambda x: x >= 0)
-        )
-    for column, most in (("resets", 100), ("place", 10**6), ("amended", 1)):
-        if column in there:
-            least = 1 if column == "place" else 0
-            values = table.numbers(
-                column,
-                f"a whole number from {least} to {most}, or nothing",
-                lambda x, least=least, most=most: least <= x <= most and x == int(x),
-            )
-            arrays[column] = np.nan_to_num(np.array(values), nan=-1.0).astype(int)
-    for column, name in (("line", "line"), ("started_at", "started")):
-        if column in there:
-            words = ["" if is_missing(row[column]) else str(row[column]) for _, row in table.rows]
-            arrays[name] = np.array(words, str)
-    return arrays
 
 
 def make_questionnaires(

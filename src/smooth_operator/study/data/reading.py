@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
@@ -66,7 +66,6 @@ def study_facts(content: Mapping[str, Any], name: str) -> dict[str, Any]:
     try:
         return planned | {
             "flow": _flow(plan, operators, content.get("trials", [])),
-            "forms": {str(one["operator"]): _answers(one) for one in operators if one.get("forms")},
             "ranking": {
                 str(one["operator"]): tuple(map(str, one["ranking"]))
                 for one in operators
@@ -83,14 +82,12 @@ def study_facts(content: Mapping[str, Any], name: str) -> dict[str, Any]:
 def _flow(plan: Plan, operators: list[Mapping[str, Any]], trials: Any) -> Flow:
     codes = tuple(str(one["operator"]) for one in operators)
     withdrawn = {
-        str(one["operator"]): Withdrawal(
-            bool(left["keep"]), str(left.get("reason") or ""), str(left.get("at") or "")
-        )
+        str(one["operator"]): Withdrawal(bool(left["keep"]), str(left.get("reason") or ""))
         for one in operators
         if (left := one.get("withdrawn"))
     }
     names = plan.protocol.condition_names
-    voids = Counter(entry["retargeter"] for _, entry in _each(operators, "voided"))
+    voids = Counter(entry["retargeter"] for one in operators for entry in one.get("voided") or ())
     undone: Counter[str] = Counter()
     for one in operators:
         undone.update(one.get("undone", {}))
@@ -99,7 +96,11 @@ def _flow(plan: Plan, operators: list[Mapping[str, Any]], trials: Any) -> Flow:
         logged=True,
         planned=plan.protocol.operators,
         enrolled=codes,
-        started=tuple(str(one["operator"]) for one in operators if _started(one)),
+        started=tuple(
+            str(one["operator"])
+            for one in operators
+            if any(event["kind"] == _START for event in one.get("events", ()))
+        ),
         completed=tuple(
             str(o["operator"]) for o in operators if o.get("done") and not o.get("ended_early")
         ),
@@ -108,31 +109,10 @@ def _flow(plan: Plan, operators: list[Mapping[str, Any]], trials: Any) -> Flow:
         voids={name: voids[name] for name in names},
         undone={name: undone[name] for name in names},
         amended={name: amended[name] for name in names},
-        pauses=sum(1 for _ in _each(operators, "pauses")),
-        recalibrations=sum(1 for _ in _each(operators, "recalibrations")),
-        ended_early=sum(1 for _ in _each(operators, "ended_early")),
+        pauses=sum(len(one.get("pauses") or ()) for one in operators),
+        recalibrations=sum(len(one.get("recalibrations") or ()) for one in operators),
+        ended_early=sum(len(one.get("ended_early") or ()) for one in operators),
     )
-
-
-def _each(
-    operators: list[Mapping[str, Any]], key: str
-) -> Iterator[tuple[Mapping[str, Any], Mapping[str, Any]]]:
-    for one in operators:
-        for entry in one.get(key) or ():
-            yield one, entry
-
-
-def _started(one: Mapping[str, Any]) -> bool:
-    return any(event["kind"] == _START for event in one.get("events", ()))
-
-
-def _answers(one: Mapping[str, Any]) -> dict[str, Any]:
-    """All forms of an operator together, by field; a field of two forms has the form in front."""
-    fields: dict[str, Any] = {}
-    for form, filled in one["forms"].items():
-        for field, answer in filled["answers"].items():
-            fields[f"{form}.{field}" if field in fields else field] = answer
-    return fields
 
 
 NAMES: Final = ("trials.csv", "tlx.csv", "sim_metrics.csv")

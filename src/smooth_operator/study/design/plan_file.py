@@ -177,7 +177,8 @@ def _value(entries: Entries, name: str, hint: Any, *, lines: bool) -> Any:
     if get_origin(hint) is Literal:
         return entries.choice(name, inner)
     if get_origin(hint) is tuple and is_dataclass(inner[0]):
-        return tuple(_record(inner[0], one) for one in entries.tables(name))  # type: ignore[type-var]
+        cls: Any = inner[0]
+        return tuple(_record(cls, one) for one in entries.tables(name))
     if get_origin(hint) is tuple:
         texts, options = entries.texts(name), get_args(inner[0])
         if not set(texts) <= set(options or texts):

@@ -11,7 +11,7 @@ from scipy.special import ndtri
 from smooth_operator.errors import StudyError
 from smooth_operator.reporting.drawing import GRID
 from smooth_operator.study.analysis.analyze import Analysis
-from smooth_operator.study.analysis.frame import time_frame, tlx_frame, within
+from smooth_operator.study.analysis.frame import Frame, time_frame, tlx_frame, within
 from smooth_operator.study.analysis.mixed import fit_mixed
 from smooth_operator.study.analysis.operators import operator_means
 from smooth_operator.study.analysis.report.tables import p_said, scope_name, signed, span
@@ -327,12 +327,14 @@ def residual_figure(analysis: Analysis, colors: Colors) -> Figure | None:
     For the models of mode small-sample, all tasks together; None if all are refused.
     """
     data, baseline = analysis.data, analysis.baseline
-    frames = {"completion time [s]": ("time", time_frame(data.trials, POOLED, baseline))}
+    frames: dict[str, tuple[Outcome, Frame]] = {
+        "completion time [s]": ("time", time_frame(data.trials, POOLED, baseline))
+    }
     if data.questionnaires is not None:
         frames["workload"] = ("tlx", tlx_frame(data.questionnaires, POOLED, baseline))
     panels = []
     for title, (outcome, frame) in frames.items():
-        if analysis.results[MODES[0]][outcome][POOLED].refused is None:  # type: ignore[index]
+        if analysis.results[MODES[0]][outcome][POOLED].refused is None:
             try:
                 fit = fit_mixed(frame.design()[0], frame.outcome, frame.levels)
             except StudyError:

@@ -110,7 +110,7 @@ def learning_rows(learning: Mapping[str, Any]) -> tuple[list[tuple[str, str, lis
     raw = [one.get("p_t", one.get("p_satterthwaite", math.nan)) for *_, one in entries]
     tested = [i for i, p in enumerate(raw) if not math.isnan(p)]
     adjusted = dict(zip(tested, holm([raw[i] for i in tested]), strict=True))
-    rows = []
+    rows: list[tuple[str, str, list[str]]] = []
     for i, (name, outcome, one) in enumerate(entries):
         if "refused" in one:
             rows.append((name, one["refused"], []))
