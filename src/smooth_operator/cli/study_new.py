@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Final, TypeVar
 
 from rich.console import Console
@@ -275,22 +275,12 @@ def enrol_operator(options: Enrol) -> None:
 
 
 def _given(options: New) -> bool:
+    """Whether an option says what the study is to be."""
+    others = ("folder", "from_", "no_wizard", "overwrite")
     return any(
-        (
-            options.name is not None,
-            options.conditions,
-            options.baseline is not None,
-            options.primary is not None,
-            options.margin,
-            options.tasks,
-            options.operators is not None,
-            options.familiarisation is not None,
-            options.questionnaires,
-            options.weights,
-            options.no_forms,
-            options.seed is not None,
-            options.rate is not None,
-        )
+        getattr(options, one.name) not in (one.default, [])
+        for one in fields(options)
+        if one.name not in others
     )
 
 

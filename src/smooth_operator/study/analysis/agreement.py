@@ -11,8 +11,13 @@ from jaxtyping import Float
 from scipy.stats import chi2
 
 from smooth_operator.errors import StudyError
-from smooth_operator.study.analysis.resampling import Drawn, drawn, operator_weights
-from smooth_operator.study.analysis.results import Refused, figures_or_refused
+from smooth_operator.study.analysis.results import (
+    Drawn,
+    Refused,
+    drawn,
+    figures_or_refused,
+    operator_weights,
+)
 from smooth_operator.study.data.rows import SCORES
 
 _ROUNDS: Final = 2000

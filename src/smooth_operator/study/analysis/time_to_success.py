@@ -17,8 +17,13 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from smooth_operator.errors import StudyError
-from smooth_operator.study.analysis.resampling import Drawn, drawn, operator_weights
-from smooth_operator.study.analysis.results import Refused, figures_or_refused
+from smooth_operator.study.analysis.results import (
+    Drawn,
+    Refused,
+    drawn,
+    figures_or_refused,
+    operator_weights,
+)
 from smooth_operator.study.data.rows import Trials
 
 CENSORED: Final = 0

@@ -87,8 +87,7 @@ def time_left(progress: Progress) -> float:
     protocol = progress.plan.protocol
     scored = [trial for trial in progress.trials if trial.counts]
     times = [trial.time_s for trial in scored if trial.time_s is not None]
-    done = Counter((trial.block.task.name, trial.block.number) for trial in scored)
-    answered = Counter((q.block.task.name, q.block.number) for q in progress.questionnaires)
+    answered = Counter((task, block) for task, block, _ in progress.answered)
     left, blocks = 0.0, 0
     for block in progress.blocks:
         if progress.over or progress.finished(block):
@@ -97,10 +96,10 @@ def time_left(progress: Progress) -> float:
         limit = block.task.time_limit_s
         guess = TRIAL_S if limit is None else min(TRIAL_S, limit / 2)
         trial_s = sum(times) / len(times) if times else guess
-        left += (block.task.trials - done[key]) * (trial_s + BETWEEN_S)
+        left += (block.task.trials - progress.scored[key]) * (trial_s + BETWEEN_S)
         left += (len(block.questionnaires) - answered[key]) * QUESTIONNAIRE_S
         left += QUESTIONNAIRE_S * (protocol.weights and bool(block.questionnaires))
-        if not done[key]:
+        if not progress.scored[key]:
             left += protocol.familiarisation_s + BLOCK_S
             blocks += 1
     every = protocol.break_every
@@ -272,10 +271,7 @@ def study_view(plan: Plan, blind: bool) -> dict[str, Any]:
             {
                 "name": task.name,
                 "title": task.title or task.name,
-                "rubric": [
-                    {"name": line.name, "score": line.score, "text": line.text}
-                    for line in task.rubric
-                ],
+                "rubric": [asdict(line) for line in task.rubric],
             }
             for task in protocol.tasks
         ],
@@ -289,10 +285,6 @@ def study_view(plan: Plan, blind: bool) -> dict[str, Any]:
 
 def overview(progress: Progress, named: Named) -> dict[str, Any]:
     """One operator's blocks, and what is due."""
-    scored: Counter[tuple[str, int]] = Counter()
-    for trial in progress.trials:
-        if trial.score is not None and trial.void is None:
-            scored[trial.block.task.name, trial.block.number] += 1
     step = progress.step
     blocks = []
     for block in progress.blocks:
@@ -304,7 +296,7 @@ def overview(progress: Progress, named: Named) -> dict[str, Any]:
                 "number": block.number,
                 "condition": named(block.condition.name),
                 "trials": block.task.trials,
-                "scored": scored[key],
+                "scored": progress.scored[key],
                 "state": "left" if key in progress.ended_early else state,
             }
         )
@@ -419,15 +411,7 @@ def can_happen(progress: Progress, event: Event) -> bool:
 
 def rubric_view(block: Block, resets: int, cap: float) -> list[dict[str, Any]]:
     """Lines of the rubric; off are those by which the trial can't end, with its resets."""
-    return [
-        {
-            "name": line.name,
-            "score": line.score,
-            "text": line.text,
-            "possible": line.possible(resets, cap),
-        }
-        for line in block.task.rubric
-    ]
+    return [{**asdict(line), "possible": line.possible(resets, cap)} for line in block.task.rubric]
 
 
 def log_view(progress: Progress, named: Named) -> list[dict[str, Any]]:

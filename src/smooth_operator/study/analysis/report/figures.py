@@ -307,7 +307,8 @@ def _violins(outcome: Outcome) -> Callable[[Analysis, Colors], Figure | None]:
                     continue
                 if len(values) >= _FEWEST and np.ptp(values) > 0:
                     shape = axes.violinplot(values, [j], widths=0.8, showextrema=False)
-                    for body in shape["bodies"]:
+                    bodies: Any = shape["bodies"]
+                    for body in bodies:
                         body.set_facecolor(colors[name])
                         body.set_alpha(0.3)
                 side = j + rng.uniform(-0.1, 0.1, len(values))
