@@ -77,7 +77,7 @@ def analyze_command(options: Analyze) -> None:
 
 def _exclusions(words: Sequence[str]) -> dict[str, str]:
     """Operator -> reason."""
-    found: dict[str, str] = {}
+    reasons: dict[str, str] = {}
     for word in words:
         operator, sign, reason = word.partition("=")
         if not sign or not operator.strip() or not reason.strip():
@@ -85,9 +85,9 @@ def _exclusions(words: Sequence[str]) -> dict[str, str]:
                 f'--exclude {word}: expected OPERATOR=REASON, as in P03="an author"; the reason '
                 "is reported"
             )
-        if found.setdefault(operator.strip(), reason.strip()) != reason.strip():
+        if reasons.setdefault(operator.strip(), reason.strip()) != reason.strip():
             raise ConfigError(f"--exclude names {operator.strip()} twice, with two reasons")
-    return found
+    return reasons
 
 
 def _split(words: Sequence[str]) -> tuple[list[str], list[Path]]:
@@ -129,14 +129,14 @@ def _with_metrics(paths: Sequence[Path], stored: Sequence[str] = ()) -> list[Pat
     """The files, and the metrics in the folder of the trials under their usual name."""
     folders = [Path(word) for word in stored]
     trials = [(f if f.is_dir() else f.parent) / NAMES[0] for f in folders]
-    found = list(paths)
+    files = list(paths)
     if any(path.name == NAMES[2] for path in paths):
-        return found
+        return files
     for path in (*paths, *trials):
         beside = path.with_name(NAMES[2])
         if path.name == NAMES[0] and beside.is_file():
-            found.append(beside)
-    return found
+            files.append(beside)
+    return files
 
 
 def _print(analysis: Analysis) -> None:
@@ -163,13 +163,13 @@ def _print(analysis: Analysis) -> None:
 def _print_plan(console: Console, analysis: Analysis) -> None:
     """Who is analysed, against what, and what decides."""
     data = analysis.data
-    asked = data.plan is None or analysis.baseline != data.plan.baseline
-    said = [f"baseline: {analysis.baseline}{'' if asked else ', as planned'}"]
+    departs = data.plan is None or analysis.baseline != data.plan.baseline
+    sentences = [f"baseline: {analysis.baseline}{'' if departs else ', as planned'}"]
     if analysis.primary is not None:
-        said.append(f"primary endpoint: {'/'.join(analysis.primary)}; the rest is exploratory")
+        sentences.append(f"primary endpoint: {'/'.join(analysis.primary)}; the rest is exploratory")
     elif data.plan is not None:
-        said.append("the plan names no primary endpoint: all of this is exploratory")
-    for text in (". ".join(said), flow_text(data.flow)):
+        sentences.append("the plan names no primary endpoint: all of this is exploratory")
+    for text in (". ".join(sentences), flow_text(data.flow)):
         if text:
             console.print(Text(text), soft_wrap=True)
     console.print()

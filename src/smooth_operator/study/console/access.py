@@ -29,7 +29,7 @@ HOME: Final[Mapping[Role, str]] = {"experimenter": "/", "operator": "/operator"}
 LINK: Final[Mapping[Role, str]] = {"experimenter": "/link", "operator": "/operator/link"}
 """Where its WebSocket is."""
 OPERATORS: Final = (
-    "/operator", "/operator/link", "/operator.js", "/scales.js", "/pairs.js", "/form.js",
+    "/operator", "/operator/link", "/operator.js", "/tlx.js", "/form.js",
     "/link.js", "/dom.js", "/console.css", "/icon.svg",
 )  # fmt: skip
 """All that the operator's token opens."""

@@ -71,12 +71,12 @@ class Checked:
             text = str(row[column]).strip() if row[column] is not None else ""
             if not text:
                 self.complain(number, column, "expected a name; the field is empty")
-            at, known = first.setdefault(text.casefold(), (number, text))
-            if known != text:
+            at, spelling = first.setdefault(text.casefold(), (number, text))
+            if spelling != text:
                 self.complain(
                     number,
                     column,
-                    f"{brief(text)} and {brief(known)} of {self.unit} {at} differ only in case; "
+                    f"{brief(text)} and {brief(spelling)} of {self.unit} {at} differ only in case; "
                     "write both the same way",
                 )
             texts.append(text)
@@ -252,7 +252,7 @@ def make_questionnaires(
     answers = [
         table.numbers(item, "0 to 100, or nothing", lambda x: 0 <= x <= 100) for item in ITEMS
     ]
-    found = Questionnaires(
+    filled = Questionnaires(
         operator=np.array(table.words("operator")),
         task=np.array(table.words("task")),
         retargeter=np.array(table.words("retargeter")),
@@ -263,14 +263,14 @@ def make_questionnaires(
     )
     table.unique(("operator", "task", "block", "point"))
     table.raise_if_any()
-    missing = int(np.isnan(found.workload).sum())
+    missing = int(np.isnan(filled.workload).sum())
     notes = []
     if missing:
         notes.append(
-            f"{missing} of {len(found)} questionnaires have an answer left out and can't enter the "
+            f"{missing} of {len(filled)} questionnaires have an answer left out and can't enter the "
             f"analysis of workload ({name})"
         )
-    return found, tuple(notes)
+    return filled, tuple(notes)
 
 
 def _weights(table: Checked) -> Float[np.ndarray, "n 6"] | None:
@@ -294,12 +294,12 @@ def _weights(table: Checked) -> Float[np.ndarray, "n 6"] | None:
     ]
     chosen = np.array(columns).T.reshape(-1, len(ITEMS))
     for (number, row), weights in zip(table.rows, chosen, strict=True):
-        known = [not is_missing(row[column]) for column in WEIGHT_COLUMNS]
-        if any(known) and not all(known):
+        filled = [not is_missing(row[column]) for column in WEIGHT_COLUMNS]
+        if any(filled) and not all(filled):
             table.complain(
-                number, WEIGHT_COLUMNS[known.index(False)], "the other weights are there"
+                number, WEIGHT_COLUMNS[filled.index(False)], "the other weights are there"
             )
-        elif all(known) and np.isfinite(weights).all() and weights.sum() != PAIRS:
+        elif all(filled) and np.isfinite(weights).all() and weights.sum() != PAIRS:
             table.complain(
                 number,
                 WEIGHT_COLUMNS[0],
@@ -320,7 +320,7 @@ def make_metrics(name: str, rows: Rows, unit: str = "row") -> SimulationMetrics:
     if not names:
         table.problems.append("expected a column for each metric next to operator and retargeter")
     values = [table.numbers(metric, "a number, or nothing", lambda x: True) for metric in names]
-    found = SimulationMetrics(
+    metrics = SimulationMetrics(
         operator=np.array(table.words("operator")),
         retargeter=np.array(table.words("retargeter")),
         names=names,
@@ -328,7 +328,7 @@ def make_metrics(name: str, rows: Rows, unit: str = "row") -> SimulationMetrics:
     )
     table.unique(METRIC_COLUMNS)
     table.raise_if_any()
-    return found
+    return metrics
 
 
 def _mixed_blocks(name: str, trials: Trials) -> list[str]:

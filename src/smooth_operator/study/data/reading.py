@@ -82,7 +82,9 @@ def study_facts(content: Mapping[str, Any], name: str) -> dict[str, Any]:
 def _flow(plan: Plan, operators: list[Mapping[str, Any]], trials: Any) -> Flow:
     codes = tuple(str(one["operator"]) for one in operators)
     withdrawn = {
-        str(one["operator"]): Withdrawal(bool(left["keep"]), str(left.get("reason") or ""))
+        str(one["operator"]): Withdrawal(
+            bool(left["keep"]), str(left.get("reason") or ""), str(left.get("at") or "")
+        )
         for one in operators
         if (left := one.get("withdrawn"))
     }
@@ -164,8 +166,8 @@ def read_study(paths: Sequence[str | Path], *, texts: Sequence[tuple[str, str]] 
             read.append((file.name, [_from_csv(file.name, text)]))
     for file in () if facts else _facts_files(files):
         facts |= study_facts(_plan_in(_content(file.name, _text(file))), file.name)
-    for name, found in read:
-        for kind, rows, unit in found:
+    for name, contents in read:
+        for kind, rows, unit in contents:
             if kind in tables:
                 raise StudyError(f"{name} and {tables[kind][0]} both hold {kind}; give one")
             tables[kind] = (name, rows, unit)

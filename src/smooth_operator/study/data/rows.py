@@ -19,10 +19,12 @@ class Withdrawal:
     Attributes:
         keep: whether the data up to then may be analysed.
         reason: as the experimenter noted it.
+        at: ISO date and time.
     """
 
     keep: bool
     reason: str = ""
+    at: str = ""
 
 
 @dataclass(frozen=True)

@@ -85,7 +85,7 @@ def write_power(settings: PowerSettings, tallies: Tallies, folder: Path) -> list
     return [folder / RESULT, folder / PLOT]
 
 
-def found(tally: Tally, outcome: str, scope: str, mode: str, what: str) -> Rate:
+def rate_of(tally: Tally, outcome: str, scope: str, mode: str, what: str) -> Rate:
     """One rate; zero if it never happened."""
     counts = tally.counts.get(f"{outcome}/{scope}/{mode}")
     return rate(0 if counts is None else counts[what], tally.studies)
@@ -130,7 +130,7 @@ def draw_power(
     axes[0, 0].set_ylim(-0.02, 1.02)
     axes[0, 0].set_ylabel("power (solid small-sample, dashed paper)")
     worst = [
-        found(tallies[n, "null"], outcome, scope, mode, "family:dunnett").upper
+        rate_of(tallies[n, "null"], outcome, scope, mode, "family:dunnett").upper
         for n in settings.operators
         for outcome in outcomes
         for mode in MODES
@@ -162,7 +162,7 @@ def _line(
 ) -> None:
     outcome, scope, mode = where
     numbers = sorted(settings.operators)
-    rows = [found(tallies[n, truth], outcome, scope, mode, what) for n in numbers]
+    rows = [rate_of(tallies[n, truth], outcome, scope, mode, what) for n in numbers]
     middle = [row.rate for row in rows]
     bars = [
         [row.rate - row.lower for row in rows],

@@ -126,13 +126,13 @@ def assumptions_for(
         StudyError: a condition is given that the study hasn't, or one has no value.
     """
     values_of: dict[str, Mapping[str, float]] = {}
-    for what, given, known in (
+    for what, overrides, published in (
         ("success", success, PAPER_SUCCESS),
         ("time_s", time_s, PAPER_TIME_S),
         ("workload", workload, PAPER_WORKLOAD),
     ):
-        values = {**known, **(given or {})}
-        for name in given or {}:
+        values = {**published, **(overrides or {})}
+        for name in overrides or {}:
             if name not in conditions:
                 raise StudyError(
                     f"{what} is given for {name!r}; the study's conditions are "

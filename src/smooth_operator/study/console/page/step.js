@@ -5,7 +5,7 @@ import { button, clock, fill, h } from './dom.js';
 const SCORES = { 1: 'full', 0.5: 'half', 0: 'none' };
 const POINTS = { initial: 'after the first trial', midpoint: 'in the middle', final: 'after the last trial' };
 
-let typed = { name: '', text: '' }; // as it stands, when the page is drawn anew
+let typed = { name: '', text: '' }; // as it stands, when the page is drawn again
 
 /** Draws the step of the operator who is on. blocked: nothing may be started now. */
 export function drawStep(card, state, actions, blocked) {
