@@ -267,8 +267,8 @@ def make_questionnaires(
     notes = []
     if missing:
         notes.append(
-            f"{missing} of {len(filled)} questionnaires have an answer left out and can't enter the "
-            f"analysis of workload ({name})"
+            f"{missing} of {len(filled)} questionnaires have an answer left out and can't enter "
+            f"the analysis of workload ({name})"
         )
     return filled, tuple(notes)
 
