@@ -91,7 +91,7 @@ def _exclusions(words: Sequence[str]) -> dict[str, str]:
 
 
 def _split(words: Sequence[str]) -> tuple[list[str], list[Path]]:
-    """What is a store, and what are files."""
+    """Splits the words into stores and files."""
     stored, files = [], []
     for word in words:
         path = Path(word)
@@ -227,7 +227,7 @@ def _print_scope(console: Console, analysis: Analysis, outcome: Outcome, scope: 
 
 
 def _print_observed(console: Console, title: str, result: ScopeResult, scale: float) -> None:
-    """What was seen, where the model to report is refused; figures of mode paper would mislead."""
+    """Prints the data where the model to report is refused; figures of mode paper would mislead."""
     console.print(Text(f"{title}: refused: {result.refused}", "yellow"), soft_wrap=True)
     if result.observed:
         table = _table("as observed, without a model", ("retargeter", "rows", "mean", "median"))

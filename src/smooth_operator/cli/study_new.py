@@ -168,26 +168,22 @@ def _whole(text: str, least: int, most: int | None = None) -> int:
     return int(text)
 
 
-def _seconds(text: str) -> float:
+def _number(text: str, least: float, most: float, needed: str) -> float:
     try:
         value = float(text)
     except ValueError:
-        value = -1.0
-    if not 0 <= value <= 86_400:
-        raise StudyError("seconds are needed, 0 or more")
+        value = least - 1
+    if not least <= value <= most:
+        raise StudyError(needed)
     return value
+
+
+def _seconds(text: str) -> float:
+    return _number(text, 0, 86_400, "seconds are needed, 0 or more")
 
 
 def _rate(text: str) -> float | None:
-    if text == "any":
-        return None
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 1 <= value <= 1000:
-        raise StudyError("1 to 1000 Hz are needed, or any")
-    return value
+    return None if text == "any" else _number(text, 1, 1000, "1 to 1000 Hz are needed, or any")
 
 
 def _points(text: str) -> tuple[Point, ...]:
@@ -275,7 +271,7 @@ def enrol_operator(options: Enrol) -> None:
 
 
 def _given(options: New) -> bool:
-    """Whether an option says what the study is to be."""
+    """True if an option says what the study is to be."""
     others = ("folder", "from_", "no_wizard", "overwrite")
     return any(
         getattr(options, one.name) not in (one.default, [])

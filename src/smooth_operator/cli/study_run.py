@@ -126,7 +126,7 @@ def _found(target: str | Path, plan: Plan) -> StudyStore:
 
 
 def _words(plan: Plan, folder: Path) -> TlxWords:
-    """What operators read of NASA-TLX."""
+    """The words of NASA-TLX for the operators."""
     file = plan.protocol.tlx_language
     if not file:
         return ENGLISH

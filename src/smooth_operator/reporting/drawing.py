@@ -1,4 +1,4 @@
-"""How plots look: colours of methods, ink that fits light and dark, PNG and SVG of one figure."""
+"""Looks of plots: colours of methods, ink that fits light and dark, PNG and SVG of one figure."""
 
 from __future__ import annotations
 
@@ -143,7 +143,7 @@ def _pixels(ax: Axes, points: Iterable[tuple[float, float]]) -> np.ndarray:
 
 
 def _meet(one: tuple[float, ...], other: tuple[float, ...]) -> bool:
-    """Whether two boxes (left, low, width, height) overlap."""
+    """True if two boxes (left, low, width, height) overlap."""
     return all(one[k] < other[k] + other[k + 2] and other[k] < one[k] + one[k + 2] for k in (0, 1))
 
 

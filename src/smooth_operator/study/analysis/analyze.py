@@ -40,12 +40,12 @@ from smooth_operator.study.data.rows import ITEMS, StudyData, Workload
 
 Report = Callable[[str], None]
 _DEFAULT_BASELINE: Final = "dexpilot"
-"""Where no plan is known: the paper's."""
+"""Baseline where no plan is known: the paper's."""
 
 
 @dataclass(frozen=True, eq=False)
 class Analysis:
-    """What came of a study.
+    """Results of a study in both modes.
 
     Attributes:
         data: what was analysed.
@@ -86,12 +86,12 @@ class Analysis:
 
     @property
     def workload(self) -> Workload:
-        """What is meant by workload."""
+        """Kind of the workload."""
         return "raw" if self.data.questionnaires is None else self.data.questionnaires.kind
 
     @cached_property
     def readings(self) -> Readings:
-        """What else the data say: sensitivity, equivalence, order, preference."""
+        """Sensitivity analyses, equivalence, agreement, preference."""
         small = self.results[MODES[0]]
         return read_further(
             self.data, self.retargeters, self.scopes, small, self.interaction, seed=self.seed

@@ -154,7 +154,7 @@ def keep_rows(frame: Frame, rows: Bool[np.ndarray, " n"]) -> Frame:
 
 
 def check_frame(frame: Frame, *, retargeters: int = 2) -> None:
-    """Whether the rows carry an analysis at all.
+    """Refuses rows that carry no analysis.
 
     Args:
         frame: the rows.

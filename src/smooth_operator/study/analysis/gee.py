@@ -28,7 +28,7 @@ from smooth_operator.study.analysis.frame import Frame
 
 _ROUNDS: Final = 10
 _STEPS: Final = 50
-"""Of a round; after each, the fit is looked at."""
+"""Steps of a round; after each round the fit is checked."""
 _TOLERANCE: Final = 1e-12
 """Norm of the estimating equations at which a fit has converged, over that of sum |x|."""
 _STILL: Final = 1e-10
@@ -73,7 +73,7 @@ class GeeFit:
     margin: float
 
     def check_correlation(self) -> None:
-        """Whether the working correlation leaves estimates that mean something.
+        """Refuses a working correlation with which estimates mean nothing.
 
         Raises:
             StudyError: it is at the edge of what rows of one operator can have, or beyond it.

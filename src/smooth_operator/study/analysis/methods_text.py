@@ -45,7 +45,7 @@ def cited(text: str) -> list[Citation]:
 
 
 def methods_paragraph(analysis: Analysis) -> str:
-    """How the study was done and analysed, in the mode small-sample, in plain prose.
+    """Writes how the study was done and analysed, in the mode small-sample, in plain prose.
 
     Args:
         analysis: of the study.

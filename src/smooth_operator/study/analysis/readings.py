@@ -78,7 +78,7 @@ class Interaction:
 
     @property
     def found(self) -> bool:
-        """Whether p is under 0.05."""
+        """True if p is under 0.05."""
         return self.test.p < ALPHA
 
 
@@ -177,7 +177,7 @@ def _equivalence(pair: Pair, margin: float | None, *, turn: bool = False) -> Equ
 
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """What else the data say. All but ``equivalence`` are sensitivity or secondary readings.
+    """Further readings. All but ``equivalence`` are sensitivity or secondary readings.
 
     Attributes:
         full_success: by scope, success as a score of 1.

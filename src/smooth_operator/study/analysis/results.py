@@ -193,7 +193,7 @@ def drawn(value: float, draws: np.ndarray) -> Drawn:
 
 
 def operator_weights(operators: int, *, seed: int, draws: int = DRAWS) -> Float[np.ndarray, "k g"]:
-    """How often each operator is in each sample; the first sample has everybody once.
+    """Counts of each operator in each sample; the first sample has everybody once.
 
     Args:
         operators: how many there are.

@@ -152,7 +152,7 @@ def trial_time(
     waited_s: float,
     measured_s: float | None = None,
 ) -> float:
-    """How long the trial that runs took [s], to the millisecond.
+    """Time of the trial that runs [s], to the millisecond.
 
     From its stored start until its clock was stopped, so that neither a killed server nor a lost
     connection changes it. A trial whose score was undone keeps the time that it had.

@@ -47,7 +47,7 @@ def naming(plan: Plan, blind: bool) -> Named:
 
 
 def step_in_words(step: Step) -> str:
-    """What is due, short."""
+    """The step that is due, in a few words."""
     if step.block is None:
         plain = {
             "withdrawn": "withdrawn",
@@ -83,7 +83,7 @@ BLOCK_S: Final = 60.0
 
 
 def time_left(progress: Progress) -> float:
-    """What an operator's remaining blocks will take [s], by how long the trials took so far."""
+    """Time for an operator's remaining blocks [s], by the times of the trials so far."""
     protocol = progress.plan.protocol
     scored = [trial for trial in progress.trials if trial.counts]
     times = [trial.time_s for trial in scored if trial.time_s is not None]
@@ -107,7 +107,7 @@ def time_left(progress: Progress) -> float:
 
 
 def break_is_due(progress: Progress) -> bool:
-    """Whether the plan offers a break now: between blocks, and there was none since the last."""
+    """True if the plan offers a break now: between blocks, and there was none since the last."""
     every = progress.plan.protocol.break_every
     finished = sum(progress.finished(block) for block in progress.blocks)
     if progress.step.what not in ("calibrate", "start_block") or not every or not finished:
@@ -229,7 +229,7 @@ def pairs_view(words: TlxWords, shown: Sequence[tuple[str, str]] = PAIRS) -> lis
 
 
 def _nothing_follows(step: Step) -> bool:
-    """Whether nothing more is asked of the operator."""
+    """True if nothing more is asked of the operator."""
     return step.what in ("done", "withdrawn", "refused")
 
 
@@ -243,7 +243,7 @@ def asked_key(progress: Progress, step: Step) -> str:
 
 
 def place(block: Block, condition: str | None, progress: Progress) -> dict[str, Any]:
-    """Where in the study something is."""
+    """Task, block and session of something."""
     place = {
         "task": block.task.name,
         "title": block.task.title or block.task.name,
@@ -262,7 +262,7 @@ _LONGEST_LOG: Final = 250
 
 
 def study_view(plan: Plan, blind: bool) -> dict[str, Any]:
-    """What does not change while operators come and go."""
+    """The part of the page that does not change while operators come and go."""
     protocol = plan.protocol
     return {
         "name": protocol.name,
@@ -311,7 +311,7 @@ def overview(progress: Progress, named: Named) -> dict[str, Any]:
 
 
 def step_view(progress: Progress, named: Named, words: TlxWords = ENGLISH) -> dict[str, Any]:
-    """What is due for an operator, with the rubric of the current task.
+    """The step that is due for an operator, with the rubric of the current task.
 
     ``asked`` is NASA-TLX as it is asked now, for typing in what stands on paper.
     """
@@ -401,7 +401,7 @@ def scored_view(progress: Progress, named: Named) -> list[dict[str, Any]]:
 
 
 def can_happen(progress: Progress, event: Event) -> bool:
-    """Whether the protocol allows an event now."""
+    """True if the protocol allows an event now."""
     try:
         progress.check(event)
     except StudyError:
@@ -431,7 +431,7 @@ def log_view(progress: Progress, named: Named) -> list[dict[str, Any]]:
 
 
 def _known(progress: Progress, record: Record) -> bool:
-    """Whether the workload of an event may be known to who scores: not before its block is over."""
+    """True if who scores may know the workload of an event: not before its block is over."""
     event = record.event
     return not isinstance(event, QuestionnaireAnswered) or any(
         block.task.name == event.task and block.number == event.block and progress.finished(block)

@@ -27,7 +27,7 @@ _MISSING = frozenset({"", "na", "n/a", "nan", "none", "null"})
 _SHOWN = 8
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 _MOST_COUNT = 10**9
-"""Of a block or trial; whole numbers of a table fit into 64 bits."""
+"""Largest number of a block or trial; whole numbers of a table fit into 64 bits."""
 
 
 @dataclass
@@ -135,7 +135,7 @@ class Checked:
 
 
 def is_missing(value: Any) -> bool:
-    """Whether a field says that there is no value."""
+    """True if a field says that there is no value."""
     return (
         value is None
         or (isinstance(value, str) and value.strip().lower() in _MISSING)
@@ -160,10 +160,10 @@ TRIAL_COLUMNS: Final = (
     "operator", "task", "retargeter", "block", "trial_in_block", "trial_global", "score", "time_s",
 )  # fmt: skip
 MORE_TRIAL_COLUMNS: Final = ("duration_s", "line", "resets", "started_at", "place", "amended")
-"""Of trials as a study stores them; an analysis reads the first two, where they are there."""
+"""Further columns of stored trials; an analysis reads the first two, where they are there."""
 QUESTIONNAIRE_COLUMNS: Final = ("operator", "task", "retargeter", "block", "point", *ITEMS)
 WEIGHT_COLUMNS: Final = tuple(f"weight_{item}" for item in ITEMS)
-"""Of questionnaires, where the pairs of scales were asked for: all six, or none."""
+"""Columns of questionnaires with pairs of scales: all six, or none."""
 METRIC_COLUMNS: Final = ("operator", "retargeter")
 """And a column for each metric."""
 Rows = Sequence[tuple[int, Mapping[str, Any]]]

@@ -120,7 +120,7 @@ def _flow(plan: Plan, operators: list[Mapping[str, Any]], trials: Any) -> Flow:
 NAMES: Final = ("trials.csv", "tlx.csv", "sim_metrics.csv")
 """Names of the tables in a folder."""
 EXPORT: Final = "study.json"
-"""What an export calls its JSON file."""
+"""Name of the JSON file of an export."""
 KEYS: Final = ("trials", "questionnaires", "simulation_metrics")
 """Names of the tables in a JSON file."""
 _KINDS: Final = {
@@ -128,7 +128,7 @@ _KINDS: Final = {
     "questionnaires": frozenset(QUESTIONNAIRE_COLUMNS),
 }
 _SIMULATED: Final = "simulation.json"
-"""Of virtual operators: their plan is in it."""
+"""Name of the file of virtual operators that has their plan."""
 _TELLING: Final = {"score": "trials", "trial_in_block": "trials", "point": "questionnaires"}
 """Columns that identify a table although others are missing."""
 

@@ -122,7 +122,7 @@ class Form:
                 raise StudyError(f"form {self.name!r}: field {field.name!r} is not answered")
 
     def refused(self, answers: Mapping[str, Any]) -> bool:
-        """Whether a consent that is required was refused."""
+        """True if a consent that is required was refused."""
         return any(
             field.kind == "consent" and field.required and answers.get(field.name) is not True
             for field in self.fields
@@ -130,7 +130,7 @@ class Form:
 
 
 def _expected(field: FormField, value: Any, ranked: Sequence[str]) -> str:
-    """What should be there instead; empty if the value is right."""
+    """A description of the values that are right; empty if this one is."""
     number = isinstance(value, int | float) and not isinstance(value, bool)
     match field.kind:
         case "text":

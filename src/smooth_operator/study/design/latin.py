@@ -66,7 +66,7 @@ def balanced_rows(count: int) -> tuple[tuple[int, ...], ...]:
 
 @dataclass(frozen=True)
 class Balance:
-    """How evenly a set of orders treats the conditions.
+    """Counts of places and neighbours of the conditions in a set of orders.
 
     Attributes:
         places: (condition, place) -> how often.

@@ -95,7 +95,7 @@ def schedule_text(plan: Plan) -> str:
 
 
 def imbalances(plan: Plan) -> Iterator[str]:
-    """What a person should know about the balance of a plan, a sentence each; none where even."""
+    """Sentences on the balance of a plan; none where it is even."""
     square = balance(plan.orders, plan.protocol.condition_names)
     if square.spread_of_places or square.spread_of_neighbours:
         yield (
@@ -292,7 +292,7 @@ class Block:
 
 @dataclass(frozen=True)
 class Plan:
-    """What the experimenter follows.
+    """A plan that the experimenter follows.
 
     Attributes:
         protocol: what is done; each condition has a label.
@@ -412,7 +412,7 @@ class Plan:
         return replace(self, enrolled=(*self.enrolled, new))
 
     def balance(self, task: str) -> Balance:
-        """How evenly the operators of a task meet the conditions."""
+        """Counts of places and neighbours of the conditions over the operators of a task."""
         used = [self.orders[one.rows[task]] for one in self.enrolled if task in one.rows]
         return balance(used, self.protocol.condition_names)
 

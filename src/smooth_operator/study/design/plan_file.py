@@ -320,5 +320,5 @@ def write_preregistration(plan: Plan, folder: Path) -> Path | None:
 
 
 def _digest(plan: Plan) -> str:
-    """Of all but who is enrolled."""
+    """A digest of all but who is enrolled."""
     return hashlib.sha256(plan_text(replace(plan, enrolled=())).encode()).hexdigest()[:16]

@@ -261,7 +261,7 @@ class Protocol:
         return by_name[name]
 
     def planned(self, task: Task) -> int:
-        """How many operators are to do a task."""
+        """Number of operators who are to do a task."""
         return self.operators if task.operators is None else task.operators
 
     def questionnaire_trials(self, task: Task) -> dict[int, Point]:

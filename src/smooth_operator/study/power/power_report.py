@@ -68,7 +68,7 @@ def power_json(settings: PowerSettings, tallies: Tallies) -> dict[str, Any]:
 
 
 def errs(error: Rate) -> bool:
-    """Whether a family-wise error is more than what can be relied on."""
+    """True if a family-wise error is more than what can be relied on."""
     return error.rate > MOST_ERROR
 
 

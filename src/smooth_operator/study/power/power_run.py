@@ -45,7 +45,7 @@ Report: TypeAlias = Callable[[int, int], None]
 
 @dataclass(frozen=True)
 class PowerSettings:
-    """What to simulate.
+    """Settings of a simulation of power.
 
     Attributes:
         protocol: of the study; its operators are scaled to each of ``operators``.
@@ -76,7 +76,7 @@ class PowerSettings:
 
     @property
     def scopes(self) -> tuple[str, ...]:
-        """What is analysed."""
+        """Scopes of the analysis."""
         tasks = tuple(task.name for task in self.protocol.tasks)
         return (POOLED, *tasks) if self.per_task and len(tasks) > 1 else (POOLED,)
 

@@ -167,7 +167,7 @@ class Rows:
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """What a study of a plan will hold, if nobody drops out.
+    """The rows of a study of a plan, if nobody drops out.
 
     Attributes:
         conditions: the baseline first.
@@ -212,16 +212,16 @@ def _rows(rows: list[tuple[int, int, int, int]]) -> Rows:
 
 
 _CORRELATION: Final = np.array([[1.0, -0.4, -0.3], [-0.4, 1.0, 0.2], [-0.3, 0.2, 1.0]])
-"""Of an operator's success, time and workload: who succeeds more is quicker and less strained."""
+"""Correlation of success, time and workload: who succeeds more is quicker and less strained."""
 _SHORTEST_S: Final = 2.0
 _STEP: Final = 5.0
 _SCALES: Final = np.array([8.0, -6.0, 0.0, 2.0, 4.0, -8.0])
-"""How the six scales of NASA-TLX lie about their mean [points]."""
+"""Distances of the six scales of NASA-TLX from their mean [points]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Simulated:
-    """What came out.
+    """Data of a simulated study.
 
     Attributes:
         success: of each trial (n,).

@@ -35,7 +35,7 @@ from smooth_operator.study.power.simulated_study import Assumptions, Layout, Row
 ALPHA: Final = 0.05
 _Z: Final = 1.959963984540054
 Counts = dict[str, int]
-"""What was counted -> how often; see ``count``."""
+"""Name of a count, see ``count`` -> number of studies."""
 
 
 @dataclass(frozen=True)
@@ -137,7 +137,7 @@ class Analyst:
 def _verdict(
     blank: Verdict, fit: Fit | Refused, separated: Mapping[str, Separated], baseline: str
 ) -> Verdict:
-    """What the tests of a fit decide, and the exact tests of retargeters that are in no model."""
+    """The decisions of a fit's tests, and of exact tests of retargeters that are in no model."""
     if isinstance(fit, Refused):
         return replace(blank, refused=fit.refused)
     compared = fit.compare(limits=False, decide=ALPHA)
@@ -168,7 +168,7 @@ def _sign(difference: float, p: float) -> int:
 
 @dataclass(frozen=True)
 class Rate:
-    """How often something happened.
+    """A share of the studies with its error.
 
     Attributes:
         rate: share of the studies.
@@ -218,7 +218,7 @@ class Tally:
 def count(
     verdict: Verdict, truth: Assumptions, baseline: str, margins: Mapping[str, float] | None = None
 ) -> Counts:
-    """What one verdict got right and wrong.
+    """Counts what one verdict got right and wrong.
 
     Args:
         verdict: of one outcome.

@@ -103,7 +103,7 @@ def check_winners(winners: Sequence[str]) -> None:
 
 
 def weights(winners: Sequence[str]) -> dict[str, int]:
-    """How often each scale was chosen: 0 to 5 each, 15 together."""
+    """Scale -> number of pairs that it was chosen in: 0 to 5 each, 15 together."""
     return {name: list(winners).count(name) for name in SCALE_NAMES}
 
 
@@ -152,12 +152,12 @@ TEXTS: Final[Mapping[str, str]] = MappingProxyType(
         "wait_text": "The next questions appear here by themselves.",
     }
 )
-"""What else the operator's page says, in English."""
+"""Name -> other text of the operator's page, in English."""
 
 
 @dataclass(frozen=True)
 class TlxWords:
-    """What operators read.
+    """The words of the operator's page.
 
     Attributes:
         scales: the six, in the order of ``SCALES``.
