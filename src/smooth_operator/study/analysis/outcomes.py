@@ -104,7 +104,7 @@ def analyze(
     results = {mode: _result(blank, fit, limits) for mode, fit in fits.items()}
     if success:
         # What is known of the fit stands with a refused covariance as well.
-        gee = next(fit.model for fit in fits.values() if isinstance(fit, Fit))
+        gee = next((fit.model for fit in fits.values() if isinstance(fit, Fit)), None)
         for mode, fit in fits.items():
             if isinstance(fit, Refused) and isinstance(gee, GeeFit):
                 base = replace(blank, model=_gee_facts(frame, gee),

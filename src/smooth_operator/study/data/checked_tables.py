@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from smooth_operator.errors import StudyError, brief, listed
 from smooth_operator.study.data.rows import (
@@ -63,8 +63,8 @@ class Checked:
         rest = f"\n  and {more} more" if more > 0 else ""
         raise StudyError(f"{self.name} can't be used:\n  {shown}{rest}")
 
-    def words(self, column: str) -> list[str]:
-        """Names; none may be empty, and two must differ by more than case."""
+    def words(self, column: str) -> np.ndarray:
+        """Names (n,) of str; none may be empty, and two must differ by more than case."""
         texts: list[str] = []
         first: dict[str, tuple[int, str]] = {}
         for number, row in self.rows:
@@ -80,9 +80,9 @@ class Checked:
                     "write both the same way",
                 )
             texts.append(text)
-        return texts
+        return np.array(texts, str)
 
-    def counts(self, column: str) -> list[int]:
+    def counts(self, column: str) -> Int[np.ndarray, " n"]:
         """Whole numbers from 1."""
         wholes = []
         for number, row in self.rows:
@@ -93,11 +93,11 @@ class Checked:
                 )
                 value = 1.0
             wholes.append(int(value))
-        return wholes
+        return np.array(wholes, int)
 
     def numbers(
         self, column: str, expected: str, allowed: Any, *, optional: bool = True
-    ) -> list[float]:
+    ) -> Float[np.ndarray, " n"]:
         """Numbers; NaN where the field is empty, if that is allowed.
 
         Args:
@@ -118,7 +118,7 @@ class Checked:
                 self.complain(number, column, f"expected {expected}, came {brief(row[column])}")
                 value = math.nan
             floats.append(value)
-        return floats
+        return np.array(floats, float)
 
     def unique(self, columns: Sequence[str]) -> None:
         """Notes rows that are there twice."""
@@ -187,23 +187,19 @@ def make_trials(name: str, rows: Rows, unit: str = "row") -> tuple[Trials, tuple
     more: dict[str, np.ndarray] = {}
     if "duration_s" in rows[0][1]:
         expected = "a time in seconds from 0, or nothing"
-        more["duration"] = np.array(table.numbers("duration_s", expected, lambda x: x >= 0))
+        more["duration"] = table.numbers("duration_s", expected, lambda x: x >= 0)
     if "line" in rows[0][1]:
         lines = ["" if is_missing(row["line"]) else str(row["line"]) for _, row in rows]
         more["line"] = np.array(lines, str)
     trials = Trials(
-        operator=np.array(table.words("operator")),
-        task=np.array(table.words("task")),
-        retargeter=np.array(table.words("retargeter")),
-        block=np.array(table.counts("block"), int),
-        trial_in_block=np.array(table.counts("trial_in_block"), int),
-        trial_global=np.array(table.counts("trial_global"), int),
-        score=np.array(
-            table.numbers("score", "0, 0.5 or 1", lambda x: x in SCORES, optional=False)
-        ),
-        time=np.array(
-            table.numbers("time_s", "a time in seconds above 0, or nothing", lambda x: x > 0)
-        ),
+        operator=table.words("operator"),
+        task=table.words("task"),
+        retargeter=table.words("retargeter"),
+        block=table.counts("block"),
+        trial_in_block=table.counts("trial_in_block"),
+        trial_global=table.counts("trial_global"),
+        score=table.numbers("score", "0, 0.5 or 1", lambda x: x in SCORES, optional=False),
+        time=table.numbers("time_s", "a time in seconds above 0, or nothing", lambda x: x > 0),
         **more,
     )
     table.unique(("operator", "task", "block", "trial_in_block"))
@@ -245,7 +241,7 @@ def make_questionnaires(
     """
     table = Checked(name, rows, unit)
     points = []
-    for (number, _), word in zip(rows, table.words("point"), strict=True):
+    for (number, _), word in zip(rows, table.words("point").tolist(), strict=True):
         if word.lower() not in POINTS:
             table.complain(number, "point", f"expected {', '.join(POINTS)}; came {brief(word)}")
         points.append(POINTS.index(word.lower()) + 1 if word.lower() in POINTS else 1)
@@ -253,10 +249,10 @@ def make_questionnaires(
         table.numbers(item, "0 to 100, or nothing", lambda x: 0 <= x <= 100) for item in ITEMS
     ]
     filled = Questionnaires(
-        operator=np.array(table.words("operator")),
-        task=np.array(table.words("task")),
-        retargeter=np.array(table.words("retargeter")),
-        block=np.array(table.counts("block"), int),
+        operator=table.words("operator"),
+        task=table.words("task"),
+        retargeter=table.words("retargeter"),
+        block=table.counts("block"),
         point=np.array(points, int),
         answers=np.array(answers).T.reshape(-1, len(ITEMS)),
         weights=_weights(table),
@@ -321,8 +317,8 @@ def make_metrics(name: str, rows: Rows, unit: str = "row") -> SimulationMetrics:
         table.problems.append("expected a column for each metric next to operator and retargeter")
     values = [table.numbers(metric, "a number, or nothing", lambda x: True) for metric in names]
     metrics = SimulationMetrics(
-        operator=np.array(table.words("operator")),
-        retargeter=np.array(table.words("retargeter")),
+        operator=table.words("operator"),
+        retargeter=table.words("retargeter"),
         names=names,
         values=np.array(values).T.reshape(-1, len(names)),
     )

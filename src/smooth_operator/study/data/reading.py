@@ -377,13 +377,11 @@ def with_second_ratings(data: StudyData, file: str | Path) -> StudyData:
         )
     table = Checked(file.name, rows)
     ratings = SecondRatings(
-        operator=np.array(table.words("operator")),
-        task=np.array(table.words("task")),
-        block=np.array(table.counts("block"), int),
-        trial_in_block=np.array(table.counts("trial_in_block"), int),
-        score=np.array(
-            table.numbers("score", "0, 0.5 or 1", lambda x: x in SCORES, optional=False)
-        ),
+        operator=table.words("operator"),
+        task=table.words("task"),
+        block=table.counts("block"),
+        trial_in_block=table.counts("trial_in_block"),
+        score=table.numbers("score", "0, 0.5 or 1", lambda x: x in SCORES, optional=False),
     )
     table.unique(_KEY)
     trials = data.trials

@@ -91,13 +91,6 @@ class Balance:
         counts = [self.neighbours[a, b] for a in self.conditions for b in self.conditions if a != b]
         return max(counts) - min(counts)
 
-    @property
-    def unevenness(self) -> int:
-        """Sum of squared counts: lower is more even, for the same number of orders."""
-        return sum(c * c for c in self.places.values()) + sum(
-            c * c for c in self.neighbours.values()
-        )
-
 
 def balance(orders: Sequence[Sequence[str]], conditions: Sequence[str]) -> Balance:
     """Counts places and neighbours.

@@ -116,7 +116,7 @@ def imbalances(plan: Plan) -> Iterator[str]:
 
 
 _USED: Final = 1e6
-"""Weight of how often a row was used, over that of unevenness: the first always decides."""
+"""Weight of how often a row was used, over that of uneven places: the first always decides."""
 _AGAIN: Final = 1e12
 """Weight of a row that the operator has had already: only where no other is left."""
 Orders: TypeAlias = tuple[tuple[str, ...], ...]

@@ -251,23 +251,14 @@ class Simulator:
                 for name in layout.conditions
             ]
         )
-        trials, questionnaires = layout.trials, layout.questionnaires
         seconds = np.array([truth.time_s[name] for name in layout.conditions])
         points = np.array([truth.workload[name] for name in layout.conditions])
-        self._mean_logit = (
-            self._logit[trials.condition]
-            + offsets[trials.task, 0]
-            + truth.practice.success * _centred(trials)
-        )
-        self._mean_time = (
-            seconds[trials.condition]
-            + offsets[trials.task, 1]
-            + truth.practice.time_s * _centred(trials)
-        )
-        self._mean_workload = (
-            points[questionnaires.condition]
-            + offsets[questionnaires.task, 2]
-            + truth.practice.workload * _centred(questionnaires)
+        rows = (layout.trials, layout.trials, layout.questionnaires)
+        self._mean_logit, self._mean_time, self._mean_workload = (
+            values[own.condition] + offsets[own.task, k] + practice * _centred(own)
+            for k, (values, own, practice) in enumerate(
+                zip((self._logit, seconds, points), rows, _three(truth.practice), strict=True)
+            )
         )
         self._root = np.linalg.cholesky(_CORRELATION)
 

@@ -41,24 +41,14 @@ SCALES: Final = (
     Scale("mental", "Mental demand", "How mentally demanding was the task?"),
     Scale("physical", "Physical demand", "How physically demanding was the task?"),
     Scale("temporal", "Temporal demand", "How hurried or rushed was the pace of the task?"),
-    Scale(
-        "performance",
-        "Performance",
-        "How successful were you in accomplishing what you were asked to do?",
-        "Perfect",
-        "Failure",
-    ),
-    Scale(
-        "effort",
-        "Effort",
-        "How hard did you have to work to accomplish your level of performance?",
-    ),
-    Scale(
-        "frustration",
-        "Frustration",
-        "How insecure, discouraged, irritated, stressed, and annoyed were you?",
-    ),
-)
+    Scale("performance", "Performance",
+          "How successful were you in accomplishing what you were asked to do?",
+          "Perfect", "Failure"),
+    Scale("effort", "Effort",
+          "How hard did you have to work to accomplish your level of performance?"),
+    Scale("frustration", "Frustration",
+          "How insecure, discouraged, irritated, stressed, and annoyed were you?"),
+)  # fmt: skip
 SCALE_NAMES: Final = tuple(scale.name for scale in SCALES)
 PAIRS: Final = tuple(combinations(SCALE_NAMES, 2))
 """All pairs of scales; of each, the operator says which added more to the workload."""
