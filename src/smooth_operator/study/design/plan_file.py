@@ -173,7 +173,8 @@ def _value(entries: Entries, name: str, hint: Any, *, lines: bool) -> Any:
     """An entry of the type of a field; an empty text is None where that is allowed."""
     inner = get_args(hint)
     if type(None) in inner:
-        return None if entries.values[name] == "" else _value(entries, name, inner[0], lines=lines)
+        value = _value(entries, name, inner[0], lines=lines)
+        return None if value == "" else value
     if get_origin(hint) is Literal:
         return entries.choice(name, inner)
     if get_origin(hint) is tuple and is_dataclass(inner[0]):

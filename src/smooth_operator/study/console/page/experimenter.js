@@ -2,11 +2,11 @@
 
 import { ask, drawForms, typeTlx } from './dialogs.js';
 import { clock, h, fill, part } from './dom.js';
-import { keep, kept, Link, moment } from './link.js';
+import { keep, Link, moment, stored } from './link.js';
 import { drawPeople, drawScored } from './lists.js';
 import { drawStep } from './step.js';
 
-const link = new Link('/link', () => ({ operator: link.state?.now?.operator ?? kept('smooth-operator:on') }));
+const link = new Link('/link', () => ({ operator: link.state?.now?.operator ?? stored('smooth-operator:on') }));
 let refusal = '';
 let drawn = '';
 const PLACE = ['task', 'block', 'trial'];
@@ -21,8 +21,8 @@ const stopped = {
     return now?.what === 'trial' ? `${link.state.study.name}/${now.operator}/${now.task}/${now.block}/${now.trial}/${now.since}/${now.paused_ms}` : null;
   },
   get at() {
-    const stored = kept('smooth-operator:stopped');
-    return stored && stored.key === this.key() ? stored.at : null;
+    const stop = stored('smooth-operator:stopped');
+    return stop && stop.key === this.key() ? stop.at : null;
   },
   set at(moment) {
     keep('smooth-operator:stopped', moment === null ? null : { key: this.key(), at: moment });
@@ -281,7 +281,7 @@ part('noting').addEventListener('submit', (event) => {
   part('note').blur();
 });
 part('note').addEventListener('input', () => keep('smooth-operator:note', part('note').value || null));
-part('note').value = kept('smooth-operator:note') ?? '';
+part('note').value = stored('smooth-operator:note') ?? '';
 part('undo').addEventListener('click', actions.undo);
 part('enrol').addEventListener('click', actions.enrol);
 part('switch').addEventListener('click', () => actions.send('switch'));

@@ -166,11 +166,11 @@ function main(text, key, disabled, onclick) {
 /** What the simulation makes of the trial; the experimenter has the last word. */
 function proposal(now, sim, actions, waiting) {
   if (sim.phase !== 'done') return h('p', { class: 'soft' }, `In the simulation: ${sim.reason}.`);
-  const known = now.rubric.find(({ name }) => name === sim.line);
-  const line = known?.possible ? known : null;
+  const match = now.rubric.find(({ name }) => name === sim.line);
+  const line = match?.possible ? match : null;
   const says = `The simulation says: ${sim.line}, ${sim.score} (${sim.reason})`;
   return h('p', { class: 'notice good proposal' }, h('span', {}, line ? says
-    : `${says}. ${known ? 'That line is not possible now' : 'The rubric of the plan has no such line'}; choose one.`),
+    : `${says}. ${match ? 'That line is not possible now' : 'The rubric of the plan has no such line'}; choose one.`),
     line && button(`Score it ${line.name}`, { key: 'Enter', id: 'take', kind: 'main', disabled: waiting, onclick: () => actions.score(line.name) }));
 }
 

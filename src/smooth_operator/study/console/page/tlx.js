@@ -1,12 +1,12 @@
 // NASA-TLX: six scales, none of which has a mark until it is touched, and their fifteen pairs.
 
 import { button, fill, h } from './dom.js';
-import { keep, kept } from './link.js';
+import { keep, stored } from './link.js';
 
 /** Draws the six scales; what is filled in is kept on the device until it is sent. */
 export function scales(place, state, { name, sending, send }) {
-  const known = kept(name);
-  const ratings = known?.key === state.key ? known.ratings : {};
+  const draft = stored(name);
+  const ratings = draft?.key === state.key ? draft.ratings : {};
   const { texts } = state;
   const left = h('p', { class: 'soft', role: 'status' });
   const submit = h('button', { type: 'submit', class: 'main wide', 'data-key': 'submit' }, sending ? texts.sending : texts.send);
@@ -69,8 +69,8 @@ function oneScale(scale, k, state, ratings, sending, changed) {
 
 /** Draws the pair that is next, one after the other; choices are kept on the device until they are sent. */
 export function pairs(place, state, { name, sending, send }) {
-  const known = kept(name);
-  const winners = known?.key === state.key ? known.winners : [];
+  const draft = stored(name);
+  const winners = draft?.key === state.key ? draft.winners : [];
   const { texts } = state;
   const count = state.pairs.length;
   // Sent in the order of the instrument, whatever order they are shown in.
