@@ -1,10 +1,10 @@
-"""A whole study through the console by script, with disturbances; compares what was acknowledged.
+"""A whole study through the console's pages, with disturbances; compares what was acknowledged.
 
 ``python tests/soak_study.py --operators 18 --disturbances 30`` does all trials of the paper's
-design (three tasks, done by 12, 8 and 6 of 18 operators; other numbers in the same shares) over the
-pages' WebSocket, and prints a line of JSON; the exit status is 1 if anything that was acknowledged
-is not stored and exported, or anything else is. With ``--browser`` every key and click of both
-pages is made in headless Chromium. A stand-in answers for the teleoperation, without physics.
+design (three tasks, done by 12, 8 and 6 of 18 operators; other numbers in the same shares): every
+key and click of both pages is made in headless Chromium. It prints a line of JSON; the exit status
+is 1 if anything that was acknowledged is not stored and exported, or anything else is. A stand-in
+answers for the teleoperation, without physics.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import tempfile
 import time
 from pathlib import Path
 
+from soak_study_browser import BrowserSoak
 from soak_study_ledger import compare, expected
 
 
@@ -25,17 +26,12 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--operators", type=int, default=18)
     parser.add_argument("--disturbances", type=int, default=30)
-    parser.add_argument("--browser", action="store_true", help="in headless Chromium")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--keep", type=Path, help="where the study is to stay")
     options = parser.parse_args()
-    if options.browser:
-        from soak_study_browser import BrowserSoak as Soak
-    else:
-        from soak_study_socket import SocketSoak as Soak
     begin = time.monotonic()
     with tempfile.TemporaryDirectory() as name:
-        soak = Soak(Path(name), options)
+        soak = BrowserSoak(Path(name), options)
         try:
             soak.begin()
             soak.run()
@@ -54,7 +50,7 @@ def main() -> int:
             "questionnaires": len(answers),
             "forms": sum(said["do"] == "form" for said in events.values()),
             "commands": len(soak.ledger.sent), "acknowledged": len(soak.ledger.acknowledged),
-            "sent_again": soak.resent, "refused": dict(soak.ledger.refused),
+            "refused": dict(soak.ledger.refused),
             "disturbances": dict(soak.done), "wrong": wrong[:20], "wrong_count": len(wrong),
             "answers_that_changed": soak.ledger.changed_answers,
             "seconds": round(time.monotonic() - begin, 1),

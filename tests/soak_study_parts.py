@@ -1,4 +1,4 @@
-"""What takes part in the soak of a study: a stand-in for the teleoperation, and a page."""
+"""The soak of a study without its pages: a stand-in for the teleoperation, and disturbances."""
 
 from __future__ import annotations
 
@@ -13,11 +13,10 @@ from typing import Any
 
 from fake_teleop import FakeSimulation
 from soak_study_ledger import Ledger
-from study_console import ConsoleProcess, Tab, eventually
+from study_console import ConsoleProcess, eventually
 
 from smooth_operator.errors import RemoteRefusedError
 from smooth_operator.simulation.tasks.rubrics import PAPER_TASKS
-from smooth_operator.study.console.commands import Command
 from smooth_operator.study.design.forms import DEFAULT_FORMS
 from smooth_operator.study.design.plan import Plan, make_plan, scaled
 from smooth_operator.study.design.plan_file import write_plan_files
@@ -76,27 +75,6 @@ class StandIn:
             return {"ok": False, "error": str(error)}
 
 
-class Page(Tab):
-    """A page's end of the WebSocket, whose words go into the ledger."""
-
-    def __init__(self, port: int, role: str, ledger: Ledger) -> None:
-        self.ledger = ledger
-        super().__init__(port, role)
-
-    def hear(self) -> dict[str, Any]:
-        said = super().hear()
-        if said["type"] in ("done", "refused"):
-            self.ledger.heard(said)
-        return said
-
-    def send(self, asked: Command) -> None:
-        self.ledger.asked(
-            {"type": "command", "token": asked.token, "do": asked.do, "operator": asked.operator,
-             "fields": dict(asked.fields)}
-        )  # fmt: skip
-        super().send(asked)
-
-
 class SoakBase:
     """A study, its console, a stand-in for the teleoperation, and what is to disturb it.
 
@@ -118,7 +96,7 @@ class SoakBase:
         self.ledger = Ledger()
         self.done = Counter[str]()
         self.refusals = Counter[str]()
-        self.resent = self.replacements = self.count = 0
+        self.replacements = self.count = 0
         self.waiting = list(self.plan.codes)
         self.seen: set[Any] = set()
         trials = sum(block.task.trials for block in self.plan.schedule())

@@ -16,17 +16,17 @@ from pathlib import Path
 from smooth_operator.study.design.plan import Plan, make_plan
 from smooth_operator.study.design.protocol import Condition, Protocol, Task
 from smooth_operator.study.store.events import (
-    Answered,
     BlockStarted,
     BreakEnded,
     Calibrated,
     Event,
     FamiliarisationEnded,
     FamiliarisationStarted,
+    QuestionnaireAnswered,
     TrialReset,
     TrialScored,
     TrialStarted,
-    Weighed,
+    WeightsAnswered,
 )
 from smooth_operator.study.store.nasa_tlx import PAIRS, SCALE_NAMES
 from smooth_operator.study.store.progress import Progress
@@ -71,8 +71,8 @@ def due(progress: Progress, rng: random.Random) -> Event | None:
     if step.what == "questionnaire":
         assert step.point is not None
         ratings = {name: 5 * rng.randint(0, 20) for name in SCALE_NAMES}
-        return Answered(task, number, step.point, ratings)
-    return Weighed(task, number, tuple(rng.choice(pair) for pair in PAIRS))
+        return QuestionnaireAnswered(task, number, step.point, ratings)
+    return WeightsAnswered(task, number, tuple(rng.choice(pair) for pair in PAIRS))
 
 
 def write(target: str, operator: str, most: int, acknowledged: Path, seed: int) -> None:

@@ -12,8 +12,7 @@ from study_cases import FOUR, ITEMS, Case, Row, simulate, write_rows
 
 from smooth_operator.errors import StudyError, UnknownNameError
 from smooth_operator.study.analysis import Analysis, analyze_study
-from smooth_operator.study.analysis.citations import CITATIONS, cited
-from smooth_operator.study.analysis.methods_text import methods_paragraph
+from smooth_operator.study.analysis.methods_text import CITATIONS, cited, methods_paragraph
 from smooth_operator.study.analysis.results import MODES, OUTCOMES
 from smooth_operator.study.data import StudyData, read_study
 

@@ -688,7 +688,7 @@ def test_the_operators_link_opens_the_operators_page_alone(
             assert found == ok, path
             named = re.findall(r"""(?:from '\.|src="|href=")(/[\w.]+)""", body.decode())
             wanted += [name for name in named if name not in wanted]
-        assert {"/operator.js", "/scales.js", "/link.js", "/console.css"} < set(wanted)
+        assert {"/operator.js", "/tlx.js", "/link.js", "/console.css"} < set(wanted)
         for path in ("/", "/experimenter.js", "/operator.svg"):
             assert status(path, Cookie=cookie) == no
             assert status(f"{path}?token={tokens['operator']}") == no

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import sqlite3
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -20,7 +18,7 @@ from smooth_operator.study.console.session_service import SessionService
 from smooth_operator.study.design.plan import make_plan
 from smooth_operator.study.design.protocol import RubricLine
 from smooth_operator.study.store.clock import Clock
-from smooth_operator.study.store.events import Chosen, Noted, Replaces, TrialScored, Withdrawn
+from smooth_operator.study.store.events import Chosen, Replaces, TrialScored, Withdrawn
 from smooth_operator.study.store.study_store import StudyStore, open_study
 
 
@@ -454,24 +452,3 @@ def test_undone_events_are_counted_by_condition(store: StudyStore) -> None:
         give(service, store, "undo", number=last.number)
     condition = store.progress("P01").blocks[0].condition.name
     assert store.progress("P01").undone() == {condition: 2}
-
-
-def test_a_study_of_before_still_opens(tmp_path: Path) -> None:
-    plan = replace(console_plan())
-    with open_study(tmp_path, plan) as store:
-        walk(SessionService(store, operator="P01"), store, "questionnaire")
-        store.append("P01", Noted("x"))
-    with sqlite3.connect(tmp_path / "study.db") as database:
-        database.execute("DROP TRIGGER events_never_change")
-        for number, kind, text in database.execute("SELECT id, kind, payload FROM events"):
-            values = json.loads(text)
-            new = {"block_started": ("method", "preset"),
-                   "trial_scored": ("proposed_line", "proposed_score")}  # fmt: skip
-            for name in new.get(kind, ()):
-                del values[name]
-            database.execute(
-                "UPDATE events SET payload = ? WHERE id = ?", (json.dumps(values), number)
-            )
-    with open_study(tmp_path) as again:
-        assert again.progress("P01").step.what == "questionnaire"
-        assert again.progress("P01").begun_with is None

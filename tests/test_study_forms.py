@@ -21,7 +21,7 @@ from smooth_operator.study.console.session_service import SessionService
 from smooth_operator.study.design.forms import DEFAULT_FORMS, Form, FormField
 from smooth_operator.study.design.plan import Plan
 from smooth_operator.study.design.plan_file import plan_of, plan_table, read_plan
-from smooth_operator.study.store.events import Weighed
+from smooth_operator.study.store.events import WeightsAnswered
 from smooth_operator.study.store.export import study_json
 from smooth_operator.study.store.nasa_tlx import PAIRS, SCALES, read_words, shown_pairs
 from smooth_operator.study.store.study_store import StudyStore, open_study
@@ -172,7 +172,7 @@ def test_the_tlx_is_typed_in_from_paper(tmp_path: Path) -> None:
         assert log[1].startswith("Questionnaire (final): workload ")
         assert log[1].endswith(", typed in from paper by AB")
         weighed = store.progress("P01").records[-1].event
-        assert isinstance(weighed, Weighed)
+        assert isinstance(weighed, WeightsAnswered)
         assert (weighed.winners[0], weighed.shown, weighed.who) == ("physical", (), "AB")
         walk(service, store, "questionnaire")
         asked_again = command(store.progress("P01"), "answer", ratings=ratings(3))
@@ -250,7 +250,7 @@ def test_order_and_side_of_the_pairs_are_drawn_for_each_person(tmp_path: Path) -
         asked = due_command(store.progress("P01"))
         assert asked is not None
         service.carry_out(asked, "operator")
-        (event,) = [r.event for r in store.records("P01") if isinstance(r.event, Weighed)]
+        (event,) = [r.event for r in store.records("P01") if isinstance(r.event, WeightsAnswered)]
         assert event.shown == tuple("-".join(pair) for pair in shown_pairs(0, "P01"))
 
 

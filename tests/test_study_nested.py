@@ -17,14 +17,14 @@ from smooth_operator.errors import StudyError
 from smooth_operator.study.analysis.frame import make_frame
 from smooth_operator.study.analysis.learning import linear_slope
 from smooth_operator.study.analysis.mixed import fit_mixed, mancl_derouen
-from smooth_operator.study.analysis.outcomes import analyze_linear
+from smooth_operator.study.analysis.outcomes import analyze
 
 CASES = nested_rows()
 EXPECTED = json.loads(REFERENCE.read_text(encoding="utf-8"))
 
 
 def check(rows: list[Row], expected: dict[str, Any]) -> None:
-    found = analyze_linear(frame_of(rows), limits=False, modes=("small-sample",))["small-sample"]
+    found = analyze("time", frame_of(rows), limits=False, modes=("small-sample",))["small-sample"]
     assert list(found.coefficients) == expected["names"]
     of, means, pairs = (list(x.values()) for x in (found.coefficients, found.emm, found.pairs))
     for name, values, rel in (
@@ -137,7 +137,7 @@ def test_blocks_without_any_residual_are_refused() -> None:
 
 
 def test_what_suits_operators_is_said_with_its_size() -> None:
-    found = analyze_linear(frame_of(CASES["own time pooled"]), limits=False, unit=" s")
+    found = analyze("time", frame_of(CASES["own time pooled"]), limits=False)
     text = "operators differ in which retargeter suits them: SD 2.4 s of operator by retargeter"
     assert any(said.startswith(text) for said in found["small-sample"].warnings)
     assert "trials of one block for independent" in found["paper"].warnings[-1]
@@ -150,7 +150,7 @@ def test_what_suits_operators_is_said_with_its_size() -> None:
     # The error that a difference is given is that of operators who differ in it.
     small, paper = (found[mode].dunnett["sbr"] for mode in ("small-sample", "paper"))  # type: ignore[index]
     assert small.se > 1.3 * paper.se
-    calm = analyze_linear(frame_of(CASES["singular tlx A"]), limits=False, unit=" points")
+    calm = analyze("tlx", frame_of(CASES["singular tlx A"]), limits=False)
     assert not any("suits them" in said for said in calm["small-sample"].warnings)
 
 

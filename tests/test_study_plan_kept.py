@@ -88,23 +88,19 @@ def test_further_columns_of_trials(tmp_path: Path) -> None:
     trials = read_study([write_rows(tmp_path / "t.csv", rows(**more, place=3, amended=1))]).trials
     assert trials.duration.tolist() == [12.5] * 6
     assert set(trials.line) == {"dropped"}
-    assert set(trials.started) == {"2026-01-02T03:04:05"}
-    assert (set(trials.resets), set(trials.place), set(trials.amended)) == ({1}, {3}, {1})
-    assert trials.previous.tolist() == ["", "", "sbr", "sbr", "ako", "ako"]
 
 
 def test_columns_of_trials_that_are_missing(tmp_path: Path) -> None:
     trials = read_study([write_rows(tmp_path / "t.csv", rows(line="", place=""))]).trials
     assert np.isnan(trials.duration).all()
-    assert set(trials.line) | set(trials.started) == {""}
-    assert {*trials.resets, *trials.place, *trials.amended} == {-1}
+    assert set(trials.line) == {""}
     some = trials.where(trials.block == 2)
     assert len(some) == len(some.duration) == len(some.line) == 2
 
 
 def test_a_wrong_value_in_a_further_column(tmp_path: Path) -> None:
-    with pytest.raises(StudyError, match=r"row 2, column amended: expected a whole number .* '2'"):
-        read_study([write_rows(tmp_path / "t.csv", rows(amended=2))])
+    with pytest.raises(StudyError, match=r"row 2, column duration_s: expected a time .* '-2'"):
+        read_study([write_rows(tmp_path / "t.csv", rows(duration_s=-2))])
 
 
 # The pre-registration.

@@ -12,14 +12,9 @@ from study_cases import Row, simulate, write_rows
 from smooth_operator.errors import StudyError
 from smooth_operator.study.analysis import Analysis, analyze_study
 from smooth_operator.study.analysis.agreement import Agreement, Preference, agreement, preference
-from smooth_operator.study.analysis.readings import (
-    clustered_wald,
-    equivalences,
-    model_wald,
-    reading_rows,
-)
-from smooth_operator.study.analysis.resampling import operator_weights
-from smooth_operator.study.analysis.results import Pair, Refused, ScopeResult
+from smooth_operator.study.analysis.models import clustered_wald, model_wald
+from smooth_operator.study.analysis.readings import equivalences, reading_rows
+from smooth_operator.study.analysis.results import Pair, Refused, ScopeResult, operator_weights
 from smooth_operator.study.analysis.spearman import correlation_within
 from smooth_operator.study.analysis.time_to_success import (
     CENSORED,

@@ -16,7 +16,7 @@ from study_cases import Row, simulate, write_rows
 
 from smooth_operator.cli import main
 from smooth_operator.study.analysis import analyze_study
-from smooth_operator.study.analysis.citations import CITATIONS
+from smooth_operator.study.analysis.methods_text import CITATIONS
 from smooth_operator.study.analysis.report.conclusion import conclusion
 from smooth_operator.study.analysis.report.tables import number, p_said, signed, with_minus
 from smooth_operator.study.data import read_study

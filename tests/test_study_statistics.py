@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from itertools import combinations
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,7 +13,6 @@ import scipy.special
 import scipy.stats
 from nested_cases import intercepts_with_t
 from study_cases import Case, holes, simulate
-from study_reference import REFERENCE
 
 from smooth_operator.errors import StudyError
 from smooth_operator.study.analysis import dunnett as dunnett_module
@@ -20,9 +21,17 @@ from smooth_operator.study.analysis.frame import make_frame, success_frame, time
 from smooth_operator.study.analysis.gee import fit_gee, separating
 from smooth_operator.study.analysis.learning import logistic_slope
 from smooth_operator.study.analysis.mixed import fit_mixed
-from smooth_operator.study.analysis.outcomes import analyze_success
+from smooth_operator.study.analysis.outcomes import analyze
 from smooth_operator.study.analysis.spearman import _correlate, _weighted, spearman
 from smooth_operator.study.data.checked_tables import make_trials
+
+REFERENCE = json.loads(Path(__file__).with_name("study_reference.json").read_text("utf-8"))
+"""Figures of lme4, lmerTest, geepack and emmeans for two simulated studies of ``study_cases``.
+
+``holes`` is ``simulate(4, keep=holes)``, ``alternate`` ``simulate(5, alternate=True, spread=0,
+effect=0)``. Mixed models by bobyqa to 1e-12, GEE to 1e-12, means and pairs on the response scale;
+pairs are baseline first.
+"""
 
 # Mixed models.
 
@@ -242,7 +251,7 @@ def test_times_are_as_r_has_them(name: str, scope: str) -> None:
 def test_success_is_as_r_has_it(scope: str) -> None:
     expected = REFERENCE["holes"][f"success {scope}"]
     trials, _ = make_trials("trials", list(enumerate(_text(CASES["holes"].trials), 2)))
-    by_mode = analyze_success(success_frame(trials, scope, "dexpilot"))
+    by_mode = analyze("success", success_frame(trials, scope, "dexpilot"))
     for mode, suffix in (("paper", ""), ("small-sample", "_mancl_derouen")):
         found = by_mode[mode]  # type: ignore[index]
         assert list(found.coefficients) == expected["names"]
@@ -268,7 +277,7 @@ def test_a_negative_working_correlation_is_as_r_has_it_and_refused(scope: str) -
     np.testing.assert_allclose(fit.beta, expected["estimate"], rtol=1e-8)
     np.testing.assert_allclose(np.sqrt(np.diag(fit.robust)), expected["se"], rtol=1e-8)
     assert fit.alpha == pytest.approx(expected["alpha"], rel=1e-8)
-    for result in analyze_success(frame).values():
+    for result in analyze("success", frame).values():
         assert "working correlation is estimated as -0.0" in (result.refused or "")
         assert not result.emm
         assert set(result.observed) == set(frame.retargeters)
@@ -285,7 +294,7 @@ def test_a_mildly_negative_working_correlation_is_flagged() -> None:
             rows += [(float(y), name, "A", f"P{operator}", k) for k, y in enumerate(won, 1)]
     columns = [np.array(column) for column in zip(*rows, strict=True)]
     frame = make_frame(columns[0].astype(float), *columns[1:], baseline="dexpilot")
-    found = analyze_success(frame)["small-sample"]
+    found = analyze("success", frame)["small-sample"]
     assert -1 / 11 * 0.99 < found.model["alpha"] < 0
     assert any("working correlation is negative" in text for text in found.warnings)
 

@@ -20,11 +20,11 @@ from study_writers import STUDY, due, small_plan
 from smooth_operator.errors import StudyError, UnknownNameError
 from smooth_operator.study.data import read_study
 from smooth_operator.study.store.events import (
-    Answered,
     BreakEnded,
     BreakStarted,
     Calibrated,
     Noted,
+    QuestionnaireAnswered,
     TrialReset,
     TrialScored,
     TrialStarted,
@@ -250,7 +250,9 @@ def test_what_is_no_answer_is_refused(
     block = store.progress("P01").step.block
     assert block is not None
     with pytest.raises(StudyError, match=says):
-        store.append("P01", Answered(block.task.name, block.number, "initial", ratings))
+        store.append(
+            "P01", QuestionnaireAnswered(block.task.name, block.number, "initial", ratings)
+        )
 
 
 def test_weights_of_nasa_tlx() -> None:

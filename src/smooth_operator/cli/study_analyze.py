@@ -24,7 +24,6 @@ from smooth_operator.study.data.reading import NAMES, with_second_ratings, with_
 
 SOME_REFUSED: Final = 1
 """Exit status where everything was done, but some parts have a reason in place of figures."""
-
 _STORE: Final = "study.db"
 _SQLITE: Final = b"SQLite format 3\0"
 _UNITS: Final[dict[Outcome, tuple[float, str]]] = {
@@ -78,7 +77,7 @@ def analyze_command(options: Analyze) -> None:
 
 def _exclusions(words: Sequence[str]) -> dict[str, str]:
     """Operator -> reason."""
-    found: dict[str, str] = {}
+    reasons: dict[str, str] = {}
     for word in words:
         operator, sign, reason = word.partition("=")
         if not sign or not operator.strip() or not reason.strip():
@@ -86,13 +85,13 @@ def _exclusions(words: Sequence[str]) -> dict[str, str]:
                 f'--exclude {word}: expected OPERATOR=REASON, as in P03="an author"; the reason '
                 "is reported"
             )
-        if found.setdefault(operator.strip(), reason.strip()) != reason.strip():
+        if reasons.setdefault(operator.strip(), reason.strip()) != reason.strip():
             raise ConfigError(f"--exclude names {operator.strip()} twice, with two reasons")
-    return found
+    return reasons
 
 
 def _split(words: Sequence[str]) -> tuple[list[str], list[Path]]:
-    """What is a store, and what are files."""
+    """Splits the words into stores and files."""
     stored, files = [], []
     for word in words:
         path = Path(word)
@@ -130,14 +129,14 @@ def _with_metrics(paths: Sequence[Path], stored: Sequence[str] = ()) -> list[Pat
     """The files, and the metrics in the folder of the trials under their usual name."""
     folders = [Path(word) for word in stored]
     trials = [(f if f.is_dir() else f.parent) / NAMES[0] for f in folders]
-    found = list(paths)
+    files = list(paths)
     if any(path.name == NAMES[2] for path in paths):
-        return found
+        return files
     for path in (*paths, *trials):
         beside = path.with_name(NAMES[2])
         if path.name == NAMES[0] and beside.is_file():
-            found.append(beside)
-    return found
+            files.append(beside)
+    return files
 
 
 def _print(analysis: Analysis) -> None:
@@ -164,13 +163,13 @@ def _print(analysis: Analysis) -> None:
 def _print_plan(console: Console, analysis: Analysis) -> None:
     """Who is analysed, against what, and what decides."""
     data = analysis.data
-    asked = data.plan is None or analysis.baseline != data.plan.baseline
-    said = [f"baseline: {analysis.baseline}{'' if asked else ', as planned'}"]
+    departs = data.plan is None or analysis.baseline != data.plan.baseline
+    sentences = [f"baseline: {analysis.baseline}{'' if departs else ', as planned'}"]
     if analysis.primary is not None:
-        said.append(f"primary endpoint: {'/'.join(analysis.primary)}; the rest is exploratory")
+        sentences.append(f"primary endpoint: {'/'.join(analysis.primary)}; the rest is exploratory")
     elif data.plan is not None:
-        said.append("the plan names no primary endpoint: all of this is exploratory")
-    for text in (". ".join(said), flow_text(data.flow)):
+        sentences.append("the plan names no primary endpoint: all of this is exploratory")
+    for text in (". ".join(sentences), flow_text(data.flow)):
         if text:
             console.print(Text(text), soft_wrap=True)
     console.print()
@@ -228,7 +227,7 @@ def _print_scope(console: Console, analysis: Analysis, outcome: Outcome, scope: 
 
 
 def _print_observed(console: Console, title: str, result: ScopeResult, scale: float) -> None:
-    """What was seen, where the model to report is refused; figures of mode paper would mislead."""
+    """Prints the data where the model to report is refused; figures of mode paper would mislead."""
     console.print(Text(f"{title}: refused: {result.refused}", "yellow"), soft_wrap=True)
     if result.observed:
         table = _table("as observed, without a model", ("retargeter", "rows", "mean", "median"))

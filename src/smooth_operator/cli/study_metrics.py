@@ -51,7 +51,7 @@ def study_metrics(options: Metrics) -> None:
         )
     with open_study(options.study, name=options.name) as store:
         spans = [span for code in store.plan.codes for span in trial_spans(store.progress(code))]
-    pieces, hands, found = [], {}, set()
+    pieces, hands, covered = [], {}, set()
     with progress.counter("takes") as bar:
         task = bar.add_task("takes", total=len(files))
         for file in files:
@@ -60,7 +60,7 @@ def study_metrics(options: Metrics) -> None:
             for k, span in enumerate(spans):
                 if (trace := take.cut(span)) is not None:
                     pieces.append((span, trace))
-                    found.add(k)
+                    covered.add(k)
             bar.advance(task)
     if len(hands) > 1:
         raise StudyError(f"the takes are of several hands: {', '.join(hands)}; name those of one")
@@ -73,9 +73,9 @@ def study_metrics(options: Metrics) -> None:
     output = folder / NAMES[2] if options.output is None else options.output
     with folder_for(output.parent), atomic_write(output) as target:
         target.write(csv_text((*METRIC_COLUMNS, *METRIC_NAMES), rows).encode())
-    if missing := len(spans) - len(found):
+    if missing := len(spans) - len(covered):
         progress.note(f"note: {missing} of {len(spans)} trials are in no take", matters=True)
-    progress.note(f"wrote {output}: {len(rows)} rows of {len(found)} trials", matters=True)
+    progress.note(f"wrote {output}: {len(rows)} rows of {len(covered)} trials", matters=True)
 
 
 def read_take(file: Path) -> Take:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Final, TypeVar
 
 from rich.console import Console
@@ -44,8 +44,6 @@ from smooth_operator.study.design.protocol import (
 from smooth_operator.terminal import open_console, printable
 
 T = TypeVar("T")
-
-
 _YES: Final = ("y", "yes")
 
 
@@ -80,11 +78,11 @@ def ask_protocol(draft: Protocol, console: Console) -> Protocol:
         lambda text: _one_of(text, names),
     )
     operators = ask("Operators", str(draft.operators), lambda text: _whole(text, 1))
-    wanted = ask("Tasks", " ".join(task.name for task in draft.tasks), str.split)
-    known = {task.name: task for task in draft.tasks}
+    task_names = ask("Tasks", " ".join(task.name for task in draft.tasks), str.split)
+    drafts = {task.name: task for task in draft.tasks}
     tasks = []
-    for task_name in wanted:
-        task = known.get(task_name, Task(task_name))
+    for task_name in task_names:
+        task = drafts.get(task_name, Task(task_name))
         trials = ask(f"  {task_name}: trials a block", str(task.trials), lambda t: _whole(t, 1))
         default = min(operators, task.operators or operators)
         doing = ask(
@@ -96,17 +94,17 @@ def ask_protocol(draft: Protocol, console: Console) -> Protocol:
             task = replace(task, title=title, instruction=ask("  instruction", "", str))
         tasks.append(task)
     seconds = ask("Free movement before each block [s]", f"{draft.familiarisation_s:g}", _seconds)
-    asked = ask(
+    points = ask(
         "NASA-TLX after which trials of a block (initial midpoint final, or none)",
         " ".join(draft.questionnaires),
         _points,
     )
-    weights = bool(asked) and ask("The 15 pairs of NASA-TLX as well? (y/n)", "n", _yes)
+    weights = bool(points) and ask("The 15 pairs of NASA-TLX as well? (y/n)", "n", _yes)
     scopes = [task.name for task in tasks]
     primary = ask(
         "Primary endpoint: success, time or tlx, a slash, and pooled or a task",
         PRIMARY,
-        lambda text: _primary(text, scopes, bool(asked)),
+        lambda text: _primary(text, scopes, bool(points)),
     )
     margins = ask(
         "Margins of equivalence (success=SHARE time=SECONDS tlx=POINTS, or none)",
@@ -128,7 +126,7 @@ def ask_protocol(draft: Protocol, console: Console) -> Protocol:
             operators=operators,
             tasks=tuple(tasks),
             familiarisation_s=seconds,
-            questionnaires=asked,
+            questionnaires=points,
             weights=weights,
             seed=seed,
             rate_hz=rate,
@@ -137,8 +135,8 @@ def ask_protocol(draft: Protocol, console: Console) -> Protocol:
         )
     except StudyError as error:  # answers that don't go together
         console.print(f"  {error}; once more", markup=False, soft_wrap=True)
-        kept = replace(draft, name=name, conditions=conditions, baseline=baseline, seed=seed)
-        return ask_protocol(kept, console)
+        again = replace(draft, name=name, conditions=conditions, baseline=baseline, seed=seed)
+        return ask_protocol(again, console)
 
 
 def _primary(text: str, tasks: Sequence[str], workload: bool) -> str:
@@ -149,11 +147,11 @@ def _primary(text: str, tasks: Sequence[str], workload: bool) -> str:
 
 
 def _conditions(text: str) -> tuple[Condition, ...]:
-    made = [Condition.of(word) for word in text.split()]
-    names = [condition.name for condition in made]
-    if len(made) < 2 or len(set(names)) < len(names):
+    conditions = [Condition.of(word) for word in text.split()]
+    names = [condition.name for condition in conditions]
+    if len(conditions) < 2 or len(set(names)) < len(names):
         raise StudyError("two or more, all different, are needed")
-    return tuple(made)
+    return tuple(conditions)
 
 
 def _one_of(text: str, names: list[str]) -> str:
@@ -170,26 +168,22 @@ def _whole(text: str, least: int, most: int | None = None) -> int:
     return int(text)
 
 
-def _seconds(text: str) -> float:
+def _number(text: str, least: float, most: float, needed: str) -> float:
     try:
         value = float(text)
     except ValueError:
-        value = -1.0
-    if not 0 <= value <= 86_400:
-        raise StudyError("seconds are needed, 0 or more")
+        value = least - 1
+    if not least <= value <= most:
+        raise StudyError(needed)
     return value
+
+
+def _seconds(text: str) -> float:
+    return _number(text, 0, 86_400, "seconds are needed, 0 or more")
 
 
 def _rate(text: str) -> float | None:
-    if text == "any":
-        return None
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 1 <= value <= 1000:
-        raise StudyError("1 to 1000 Hz are needed, or any")
-    return value
+    return None if text == "any" else _number(text, 1, 1000, "1 to 1000 Hz are needed, or any")
 
 
 def _points(text: str) -> tuple[Point, ...]:
@@ -212,14 +206,8 @@ PAPER_CONDITIONS: Final = (
     Condition("hybrid", preset="published"),
 )
 """Methods with the settings of the authors' code, which the defaults here differ from."""
-
-
 PAPER_RATE_HZ: Final = 30.0
-
-
 PAPER_OPERATORS: Final = 18
-
-
 _STORE: Final = "study.db"
 
 
@@ -283,22 +271,12 @@ def enrol_operator(options: Enrol) -> None:
 
 
 def _given(options: New) -> bool:
+    """True if an option says what the study is to be."""
+    others = ("folder", "from_", "no_wizard", "overwrite")
     return any(
-        (
-            options.name is not None,
-            options.conditions,
-            options.baseline is not None,
-            options.primary is not None,
-            options.margin,
-            options.tasks,
-            options.operators is not None,
-            options.familiarisation is not None,
-            options.questionnaires,
-            options.weights,
-            options.no_forms,
-            options.seed is not None,
-            options.rate is not None,
-        )
+        getattr(options, one.name) not in (one.default, [])
+        for one in fields(options)
+        if one.name not in others
     )
 
 
@@ -306,11 +284,11 @@ def _protocol(options: New) -> Protocol:
     conditions = tuple(map(Condition.of, options.conditions)) or PAPER_CONDITIONS
     rate = options.rate if options.conditions or options.rate is not None else PAPER_RATE_HZ
     names = [condition.name for condition in conditions]
-    known = {task.name: task for task in PAPER_TASKS}
-    known |= {name: replace(one.task, name=name) for name, one in TASKS.items()}
+    templates = {task.name: task for task in PAPER_TASKS}
+    templates |= {name: replace(one.task, name=name) for name, one in TASKS.items()}
     operators = options.operators
     if options.tasks:
-        tasks = tuple(_task(text, known) for text in options.tasks)
+        tasks = tuple(_task(text, templates) for text in options.tasks)
         operators = PAPER_OPERATORS if operators is None else operators
     else:
         tasks = PAPER_TASKS
@@ -319,8 +297,8 @@ def _protocol(options: New) -> Protocol:
             share = Protocol("draft", conditions, tasks, names[0], PAPER_OPERATORS)
             tasks = scaled(share, operators).tasks
         operators = operators or PAPER_OPERATORS
-    asked = options.questionnaires or POINTS
-    if "none" in asked and len(asked) > 1:
+    points = options.questionnaires or POINTS
+    if "none" in points and len(points) > 1:
         raise ConfigError("--questionnaires none goes with no other")
     return Protocol(
         name=options.name or options.folder.absolute().name,
@@ -329,7 +307,7 @@ def _protocol(options: New) -> Protocol:
         baseline=options.baseline or ("dexpilot" if "dexpilot" in names else names[0]),
         operators=operators,
         familiarisation_s=120.0 if options.familiarisation is None else options.familiarisation,
-        questionnaires=tuple(point for point in POINTS if point in asked),
+        questionnaires=tuple(point for point in POINTS if point in points),
         weights=options.weights,
         seed=options.seed or 0,
         forms=() if options.no_forms else DEFAULT_FORMS,
@@ -348,7 +326,7 @@ def _margins(options: New) -> dict[str, float]:
         raise ConfigError(f"--margin: {error}") from None
 
 
-def _task(text: str, known: dict[str, Task]) -> Task:
+def _task(text: str, templates: dict[str, Task]) -> Task:
     name, *numbers = text.split(":")
     try:
         counts = [int(number) for number in numbers]
@@ -356,7 +334,7 @@ def _task(text: str, known: dict[str, Task]) -> Task:
         counts = []
     if len(counts) != len(numbers) or len(counts) > 2:
         raise ConfigError(f"--tasks {text}: expected NAME, NAME:TRIALS or NAME:TRIALS:OPERATORS")
-    task = replace(known[name], operators=None) if name in known else Task(name)
+    task = replace(templates[name], operators=None) if name in templates else Task(name)
     if counts:
         task = replace(task, trials=counts[0])
     return replace(task, operators=counts[1]) if len(counts) > 1 else task

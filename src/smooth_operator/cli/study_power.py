@@ -22,8 +22,8 @@ from smooth_operator.study.power.power_report import (
     TITLES,
     Tallies,
     errs,
-    found,
     power_json,
+    rate_of,
     write_power,
 )
 from smooth_operator.study.power.power_run import TRUTHS, PowerSettings, run_power
@@ -96,14 +96,14 @@ def _settings(options: Power) -> PowerSettings:
 
 
 def _values(texts: Sequence[str], option: str) -> dict[str, float]:
-    found: dict[str, float] = {}
+    numbers: dict[str, float] = {}
     for text in texts:
         name, _, number = text.partition("=")
         try:
-            found[name] = float(number)
+            numbers[name] = float(number)
         except ValueError:
             raise ConfigError(f"{option} {text}: expected NAME=NUMBER, such as sbr=0.5") from None
-    return found
+    return numbers
 
 
 def _print(settings: PowerSettings, tallies: Tallies, scope: str) -> None:
@@ -124,10 +124,10 @@ def _print(settings: PowerSettings, tallies: Tallies, scope: str) -> None:
             for mode in MODES:
                 what = [f"dunnett:{name}" for name in (*others, "all")]
                 cells = [
-                    found(tallies[operators, "effects"], outcome, scope, mode, each)
+                    rate_of(tallies[operators, "effects"], outcome, scope, mode, each)
                     for each in what
                 ]
-                error = found(tallies[operators, "null"], outcome, scope, mode, "family:dunnett")
+                error = rate_of(tallies[operators, "null"], outcome, scope, mode, "family:dunnett")
                 flag = " !" if errs(error) else ""
                 flagged |= bool(flag)
                 table.add_row(
@@ -162,9 +162,9 @@ def _print_equivalence(
 ) -> None:
     margins = settings.protocol.margins
     with_margin = [outcome for outcome in TITLES if outcome in margins]
-    said = ", ".join(f"{TITLES[outcome]} {margins[outcome]:g}" for outcome in with_margin)
+    limits = ", ".join(f"{TITLES[outcome]} {margins[outcome]:g}" for outcome in with_margin)
     table = plain_table(
-        f"shown to be equivalent to {settings.protocol.baseline} within the margin ({said}), as "
+        f"shown to be equivalent to {settings.protocol.baseline} within the margin ({limits}), as "
         "assumed / if none differs, mode small-sample [%]"
     )
     for header in ("operators", "outcome", *others):
@@ -174,7 +174,7 @@ def _print_equivalence(
             cells = []
             for name in others:
                 where = (outcome, scope, MODES[0], f"equivalent:{name}")
-                rates = [found(tallies[operators, truth], *where) for truth in TRUTHS]
+                rates = [rate_of(tallies[operators, truth], *where) for truth in TRUTHS]
                 cells.append(" / ".join(f"{100 * one.rate:.0f}" for one in rates))
             table.add_row(str(operators), TITLES[outcome], *cells)
     console.print(table)

@@ -115,10 +115,10 @@ def _found(target: str | Path, plan: Plan) -> StudyStore:
     except UnknownNameError:
         return open_study(target, plan)
     # Who was enrolled on a page is in the store, but not in the file if that went wrong.
-    known, erased = store.plan, store.erased
-    new = [one for one in plan.enrolled if one.code not in (*known.codes, *erased)]
+    stored, erased = store.plan, store.erased
+    new = [one for one in plan.enrolled if one.code not in (*stored.codes, *erased)]
     try:
-        store.revise(replace(plan, enrolled=(*known.enrolled, *new)))
+        store.revise(replace(plan, enrolled=(*stored.enrolled, *new)))
     except BaseException:
         store.close()
         raise
@@ -126,7 +126,7 @@ def _found(target: str | Path, plan: Plan) -> StudyStore:
 
 
 def _words(plan: Plan, folder: Path) -> TlxWords:
-    """What operators read of NASA-TLX."""
+    """The words of NASA-TLX for the operators."""
     file = plan.protocol.tlx_language
     if not file:
         return ENGLISH

@@ -1,4 +1,4 @@
-"""How plots look: colours of methods, ink that fits light and dark, PNG and SVG of one figure."""
+"""Looks of plots: colours of methods, ink that fits light and dark, PNG and SVG of one figure."""
 
 from __future__ import annotations
 
@@ -23,13 +23,10 @@ if TYPE_CHECKING:
 INK: Final = "#20262d"
 """Text and axes; on a page it becomes the colour of the text around."""
 GRID: Final = "#8a939c"
-
 _SPARE: Final = ("#6b9c2f", "#c2455f", "#3f8f9b", "#a0843c", "#7f8790", "#4a4fa3", "#b05fb8")
 """Colours of names that have none, such as presets that are no default."""
-
 MARKERS: Final = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "*", "h", "p")
 """Shapes, so that nothing depends on colour alone."""
-
 _DPI: Final = 150
 _CLOSE: Final = (1.0, 1.2, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)
 
@@ -47,11 +44,11 @@ def colors_of(methods: Iterable[str]) -> dict[str, str]:
     return {name: chosen[name] for name in names}
 
 
-def _spare_color(name: str, others: Iterable[str]) -> str:
+def _spare_color(name: str, taken: Iterable[str]) -> str:
     """The first free spare colour, from a place that the name decides."""
     start = zlib.crc32(name.encode()) % len(_SPARE)
     turned = (*_SPARE[start:], *_SPARE[:start])
-    used = set(others)
+    used = set(taken)
     return next((color for color in turned if color not in used), turned[0])
 
 
@@ -87,14 +84,14 @@ def styled() -> Iterator[None]:
         yield
 
 
-def series(name: str, text: str = "") -> str:
+def series(name: str, label: str = "") -> str:
     """The ``gid`` of what a plot draws of one series; a page dims the others while it is hovered.
 
     Args:
         name: of the series, as the page's tables have it in ``data-series``.
-        text: what the pointer shows.
+        label: what the pointer shows.
     """
-    return f"series|{name.replace('|', ' ')}|{text}"
+    return f"series|{name.replace('|', ' ')}|{label}"
 
 
 def name_points(
@@ -114,8 +111,8 @@ def name_points(
     line, letter, aside = 1.22 * size, 0.62 * size, 0.8 * size
     scale = 72.0 / ax.figure.dpi
     places = {name: scale * ax.transData.transform(point) for name, point in points.items()}
-    occupied = [(x - 4.0, y - 4.0, 8.0, 8.0) for x, y in places.values()]
-    occupied += [(x - 3.0, y - 3.0, 6.0, 6.0) for x, y in scale * _pixels(ax, avoid)]
+    covered = [(x - 4.0, y - 4.0, 8.0, 8.0) for x, y in places.values()]
+    covered += [(x - 3.0, y - 3.0, 6.0, 6.0) for x, y in scale * _pixels(ax, avoid)]
     (x0, y0), (x1, y1) = scale * ax.bbox.get_points()
     shifts = [sign * 0.25 * line * k for k in range(29) for sign in (1, -1)]
     for name, (x, y) in sorted(places.items(), key=lambda item: -item[1][1]):
@@ -130,9 +127,9 @@ def name_points(
             for box in boxes
             if x0 <= box[0] and box[0] + width <= x1 and y0 <= box[1] and box[1] + line <= y1
         ]
-        free = (box for box in within if not any(_meet(box, other) for other in occupied))
+        free = (box for box in within if not any(_meet(box, other) for other in covered))
         box = next(free, (within or boxes)[0])
-        occupied.append(box)
+        covered.append(box)
         far = abs(box[1] + 0.4 * size - y) > line
         ax.annotate(
             name, points[name], textcoords="offset points", fontsize=size,
@@ -146,7 +143,7 @@ def _pixels(ax: Axes, points: Iterable[tuple[float, float]]) -> np.ndarray:
 
 
 def _meet(one: tuple[float, ...], other: tuple[float, ...]) -> bool:
-    """Whether two boxes (left, low, width, height) overlap."""
+    """True if two boxes (left, low, width, height) overlap."""
     return all(one[k] < other[k] + other[k + 2] and other[k] < one[k] + one[k + 2] for k in (0, 1))
 
 
@@ -191,8 +188,8 @@ def write_figure(figure: Figure, stem: Path) -> str:
 
 
 def _series_group(match: re.Match[str]) -> str:
-    _, name, text = html.unescape(match.group(2)).split("|", 2)
-    title = f"<title>{html.escape(text)}</title>" if text else ""
+    _, name, label = html.unescape(match.group(2)).split("|", 2)
+    title = f"<title>{html.escape(label)}</title>" if label else ""
     return f'<g class="series" data-series="{html.escape(name)}">{title}'
 
 

@@ -106,6 +106,6 @@ def figure(svg: str, caption: str, label: str) -> Html:
 
 
 def details(title: str, content: Html, *, opened: bool = False, class_: str = "") -> Html:
-    """What folds away."""
+    """An element that folds away."""
     state = (f' class="{escape(class_)}"' if class_ else "") + (" open" if opened else "")
     return Html(f"<details{state}><summary>{escape(title)}</summary>{content}</details>")

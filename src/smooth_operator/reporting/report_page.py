@@ -20,13 +20,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _HOME: Final = files("smooth_operator.reporting")
-
 STYLE: Final = _HOME / "report.css"
 """The style of every report."""
-
 SORTING: Final = _HOME / "interact.js"
 """Tables of class ``sortable`` sort by their columns; a row shows its series in the plots."""
-
 Section = tuple[str, str, Html]
 """Title, anchor and content of a part of a report."""
 

@@ -24,7 +24,7 @@ class RubricLine:
 
     name: str
     score: float
-    text: str
+    text: str = ""
 
     def __post_init__(self) -> None:
         check_name(self.name, "line of a rubric")

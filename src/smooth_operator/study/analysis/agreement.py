@@ -11,21 +11,20 @@ from jaxtyping import Float
 from scipy.stats import chi2
 
 from smooth_operator.errors import StudyError
-from smooth_operator.study.analysis.resampling import Drawn, drawn, operator_weights
-from smooth_operator.study.analysis.results import Refused, figures_or_refused
+from smooth_operator.study.analysis.results import (
+    Drawn,
+    Refused,
+    drawn,
+    figures_or_refused,
+    operator_weights,
+)
 from smooth_operator.study.data.rows import SCORES
 
 _ROUNDS: Final = 2000
-
-
 _CLOSE: Final = 1e-9
-
-
 _ALONE: Final = 0.5
 """Wins that each retargeter has against each other before anything is counted, so that strengths
 are finite where one always wins."""
-
-
 _PERMUTATIONS: Final = 20_000
 
 

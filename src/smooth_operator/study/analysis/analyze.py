@@ -19,7 +19,7 @@ from smooth_operator.study.analysis.frame import (
 )
 from smooth_operator.study.analysis.learning import linear_slope, logistic_slope
 from smooth_operator.study.analysis.operators import leave_out, variance
-from smooth_operator.study.analysis.outcomes import analyze_linear, analyze_success
+from smooth_operator.study.analysis.outcomes import analyze
 from smooth_operator.study.analysis.readings import (
     Interaction,
     Readings,
@@ -39,14 +39,13 @@ from smooth_operator.study.analysis.spearman import correlations
 from smooth_operator.study.data.rows import ITEMS, StudyData, Workload
 
 Report = Callable[[str], None]
-
 _DEFAULT_BASELINE: Final = "dexpilot"
-"""Where no plan is known: the paper's."""
+"""Baseline where no plan is known: the paper's."""
 
 
 @dataclass(frozen=True, eq=False)
 class Analysis:
-    """What came of a study.
+    """Results of a study in both modes.
 
     Attributes:
         data: what was analysed.
@@ -87,12 +86,12 @@ class Analysis:
 
     @property
     def workload(self) -> Workload:
-        """What is meant by workload."""
+        """Kind of the workload."""
         return "raw" if self.data.questionnaires is None else self.data.questionnaires.kind
 
     @cached_property
     def readings(self) -> Readings:
-        """What else the data say: sensitivity, equivalence, order, preference."""
+        """Sensitivity analyses, equivalence, agreement, preference."""
         small = self.results[MODES[0]]
         return read_further(
             self.data, self.retargeters, self.scopes, small, self.interaction, seed=self.seed
@@ -201,7 +200,7 @@ def _analyze_scope(analysis: Analysis, scope: str) -> None:
     data, baseline = analysis.data, analysis.baseline
     frame = success_frame(data.trials, scope, baseline)
     by_outcome: dict[Outcome, dict[Mode, ScopeResult]] = {
-        "success": analyze_success(frame, _missing(analysis, frame, scope))
+        "success": analyze("success", frame, _missing(analysis, frame, scope))
     }
     frame = time_frame(data.trials, scope, baseline)
     notes = _missing(analysis, frame, scope)
@@ -210,7 +209,7 @@ def _analyze_scope(analysis: Analysis, scope: str) -> None:
     )
     if untimed:
         notes = (*notes, f"{untimed} successful trial(s) without a time are left out")
-    by_outcome["time"] = analyze_linear(frame, notes, unit=" s")
+    by_outcome["time"] = analyze("time", frame, notes)
     if data.questionnaires is None:
         reason = "no questionnaires were given"
         none = ScopeResult(refused=reason, warnings=(f"refused: {reason}",))
@@ -223,7 +222,7 @@ def _analyze_scope(analysis: Analysis, scope: str) -> None:
         )
         if left_out:
             notes = (*notes, f"{left_out} questionnaire(s) with an answer missing are left out")
-        by_outcome["tlx"] = analyze_linear(frame, notes, unit=" points")
+        by_outcome["tlx"] = analyze("tlx", frame, notes)
     for outcome, by_mode in by_outcome.items():
         for mode, result in by_mode.items():
             analysis.results[mode].setdefault(outcome, {})[scope] = result
@@ -283,8 +282,8 @@ def _items(analysis: Analysis, scope: str) -> dict[str, ScopeResult]:
     if table is None:
         return {}
     return {
-        item: analyze_linear(
-            tlx_frame(table, scope, analysis.baseline, item=k), modes=MODES[:1], limits=False
+        item: analyze(
+            "tlx", tlx_frame(table, scope, analysis.baseline, item=k), modes=MODES[:1], limits=False
         )[MODES[0]]
         for k, item in enumerate(ITEMS)
     }

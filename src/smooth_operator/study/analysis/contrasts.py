@@ -27,7 +27,6 @@ _WORDS: Final = ("negligible", "small", "medium", "large")
 _NO_SPREAD: Final = 1e-10
 """Share of the largest standard error of a mean below which that of a difference is no number."""
 _ROUGH: Final = 1e-6
-
 Freedom = Callable[[Float[np.ndarray, " p"]], float]
 """Degrees of freedom of a combination of the coefficients."""
 Effect = Callable[[float, float], float]
@@ -66,11 +65,6 @@ def response_means(frame: Frame, beta: Float[np.ndarray, " p"]) -> MarginalMeans
     slope = probability * (1 - probability)
     gradient = np.mean(slope[:, :, None] * grid, axis=1)
     return MarginalMeans(frame.retargeters, probability.mean(axis=1), gradient)
-
-
-def standardised(difference: float, spread: float) -> float:
-    """Difference of means in standard deviations of single rows, all variances together."""
-    return difference / spread
 
 
 def cohen_h(probability: float, baseline: float) -> float:
@@ -124,6 +118,7 @@ def compare(
     baseline: str,
     *,
     limits: bool = True,
+    decide: float | None = None,
 ) -> Comparisons:
     """Means with intervals, Dunnett against the baseline, Holm over all pairs.
 
@@ -134,6 +129,8 @@ def compare(
         effect: effect size of two means.
         baseline: compared with the others, if it is among the means.
         limits: whether to find simultaneous intervals against the baseline, which takes longest.
+        decide: level at which Dunnett's p-values are to decide; those that bounds decide are then
+            bounds. None for all p-values.
     """
     covariance = means.covariance(of_coefficients)
     emm = {}
@@ -169,7 +166,7 @@ def compare(
         others = [j for j in range(1, len(means.names)) if (0, j) in usable]
         if others:
             against, correlation, error = _against(
-                means, covariance, others, {j: usable[0, j] for j in others}, effect, limits
+                means, covariance, others, {j: usable[0, j] for j in others}, effect, limits, decide
             )
             if error > _ROUGH:
                 warnings.append(f"Dunnett p-values are known to {error:.1g} only")
@@ -214,6 +211,7 @@ def _against(
     tests: dict[int, _Test],
     effect: Effect,
     limits: bool,
+    decide: float | None,
 ) -> tuple[dict[str, Against], list[list[float]], float]:
     # Tests are baseline minus other; Dunnett's are the other way round, with equal correlations.
     matrix = np.zeros((len(others), len(means.names)))
@@ -227,6 +225,7 @@ def _against(
         correlation,
         [tests[j].df for j in others],
         level=0.95 if limits else None,
+        decide=decide,
     )
     comparisons = {}
     for j, p, reach in zip(others, family.p, family.critical, strict=True):

@@ -104,6 +104,7 @@ def dunnett(
     freedom: Sequence[float],
     *,
     level: float | None = 0.95,
+    decide: float | None = None,
 ) -> Dunnett:
     """Adjusted p-values and simultaneous limits.
 
@@ -112,6 +113,8 @@ def dunnett(
         correlation: correlation matrix of the estimates.
         freedom: degrees of freedom of each; infinite for normal ones.
         level: confidence level of the intervals; None for no limits, which is quicker.
+        decide: level at which p-values are to decide: where the bounds of one lie on one side of
+            it, the bound takes its place. None for all p-values.
 
     Returns:
         The family. No p is below its unadjusted one, or above that times their number.
@@ -122,6 +125,8 @@ def dunnett(
         raw = two_sided(statistic, df)
         if (count - 1) * raw < _PINNED:  # between its bounds there is nothing left to compute
             p, error = count * raw, 0.0
+        elif decide is not None and (raw > decide or count * raw <= decide):
+            p, error = (raw if raw > decide else count * raw), 0.0
         else:
             p, error = outside(abs(statistic), correlation, df)
         # Both bounds hold exactly; deep in the tail they are closer than a difference from one.

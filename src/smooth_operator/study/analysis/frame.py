@@ -13,11 +13,7 @@ from smooth_operator.study.analysis.results import POOLED
 from smooth_operator.study.data.rows import Questionnaires, Trials
 
 INTERCEPT: Final = "(Intercept)"
-
-
 INDEX: Final = "t"
-
-
 _DEPENDENT: Final = 1e-9
 """Share of a column's length that earlier columns may leave unexplained, and it still counts as
 determined by them."""
@@ -158,7 +154,7 @@ def keep_rows(frame: Frame, rows: Bool[np.ndarray, " n"]) -> Frame:
 
 
 def check_frame(frame: Frame, *, retargeters: int = 2) -> None:
-    """Whether the rows carry an analysis at all.
+    """Refuses rows that carry no analysis.
 
     Args:
         frame: the rows.

@@ -27,33 +27,19 @@ from smooth_operator.errors import MissingExtraError, StudyError
 from smooth_operator.study.analysis.frame import Frame
 
 _ROUNDS: Final = 10
-
-
 _STEPS: Final = 50
-"""Of a round; after each, the fit is looked at."""
-
-
+"""Steps of a round; after each round the fit is checked."""
 _TOLERANCE: Final = 1e-12
 """Norm of the estimating equations at which a fit has converged, over that of sum |x|."""
-
-
 _STILL: Final = 1e-10
 """Last step, over 1 + |beta|, at which a fit has converged as well: where the working correlation
 is nearly the lowest that there is, rounding keeps the equations off by more than the tolerance."""
-
-
 _RUNAWAY: Final = 20.0
 """Log-odds beyond which a fit is on its way to infinity: 2e-9 is no probability of a trial."""
-
-
 _EDGE: Final = 0.01
 """Smallest eigenvalue of a working correlation whose inverse is still worth something."""
-
-
 _ALONE: Final = 1 - 1e-10
 """Leverage from which on an operator alone determines a coefficient."""
-
-
 _INFINITE: Final = (
     "the GEE runs away to infinite odds: retargeter, task or trial (nearly) determine success "
     "without error"
@@ -87,7 +73,7 @@ class GeeFit:
     margin: float
 
     def check_correlation(self) -> None:
-        """Whether the working correlation leaves estimates that mean something.
+        """Refuses a working correlation with which estimates mean nothing.
 
         Raises:
             StudyError: it is at the edge of what rows of one operator can have, or beyond it.

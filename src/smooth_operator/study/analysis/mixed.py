@@ -260,7 +260,7 @@ class _Profile:
         return float(logs + np.linalg.slogdet(matrix)[1] + self.free * np.log(squares / self.free))
 
     def parts(self, ratios: Float[np.ndarray, " k"]) -> _Parts:
-        """What derivatives are made of, at λ."""
+        """The parts of the derivatives at λ."""
         _, matrix, beta, squares = self.solve(ratios)
         inverse = np.linalg.inv(matrix)
         weights = self.sizes / (1 + ratios[-1] * self.sizes)

@@ -57,10 +57,9 @@ def leave_out(data: StudyData, exclude: Mapping[str, str] | None = None) -> Stud
         for name in ("trials", "questionnaires", "metrics", "second_ratings")
         if (table := getattr(data, name)) is not None
     }
-    for name in ("forms", "ranking"):
-        changes[name] = {code: v for code, v in getattr(data, name).items() if code not in out}
+    changes["ranking"] = {code: v for code, v in data.ranking.items() if code not in out}
     for name in ("questionnaires", "metrics", "second_ratings"):
-        if name in changes and len(changes[name].operator) == 0:
+        if name in changes and len(changes[name]) == 0:
             changes[name] = None
     return replace(data, flow=flow, **changes)
 

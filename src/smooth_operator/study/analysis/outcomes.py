@@ -1,7 +1,6 @@
 """Success, time or workload over one scope: model, means and comparisons in both modes.
 
-Success is a logistic GEE, time and workload are linear mixed models. Their assumptions are checked:
-figures for the results and sentences for the reader.
+The assumptions of the models are checked: figures for the results and sentences for the reader.
 """
 
 from __future__ import annotations
@@ -16,47 +15,111 @@ from scipy.stats import kurtosis, levene, shapiro, skew
 
 from smooth_operator.errors import StudyError
 from smooth_operator.study.analysis.contrasts import (
-    Freedom,
+    Comparisons,
     coefficients,
-    cohen_h,
     compare,
     linear_means,
-    response_means,
-    standardised,
 )
 from smooth_operator.study.analysis.frame import INDEX, Frame, check_frame
 from smooth_operator.study.analysis.gee import (
     GeeFit,
-    fit_gee,
     one_sided_cells,
     one_sided_levels,
     separating,
 )
-from smooth_operator.study.analysis.mixed import MixedFit, fit_mixed
-from smooth_operator.study.analysis.results import MODES, Mode, ScopeResult
+from smooth_operator.study.analysis.mixed import MixedFit
+from smooth_operator.study.analysis.models import ONE_SIDED, Fit, fit_modes
+from smooth_operator.study.analysis.results import MODES, Mode, Outcome, Refused, ScopeResult
 from smooth_operator.study.analysis.separated import in_words, split
 
 FEW_OPERATORS: Final = 10
 """Fewer clusters than this, and asymptotic tests are warned of."""
-
-
 _SKEW: Final = 1.0
-
-
 _HEAVY: Final = 3.0
-
-
 _UNEQUAL: Final = 2.0
-
-
 _MOST_FOR_SHAPIRO: Final = 5000
-
-
 _RARE: Final = 5
+_IN_R: Final = {
+    "operator": "operator",
+    "operator:retargeter": "operator:retargeter",
+    "block": "operator:retargeter:task",
+}
+_OWN: Final = {
+    "operator:retargeter": "of operator by retargeter",
+    "block": "between blocks of one operator and retargeter",
+}
+_UNITS: Final[dict[Outcome, str]] = {"success": "", "time": " s", "tlx": " points"}
+_IGNORED: Final = (
+    "mode paper has no term for that and takes trials of one block for independent: it finds "
+    "differences too easily"
+)
+
+
+def analyze(
+    outcome: Outcome,
+    frame: Frame,
+    missing: tuple[str, ...] = (),
+    *,
+    modes: Sequence[Mode] = MODES,
+    limits: bool = True,
+) -> dict[Mode, ScopeResult]:
+    """Fits the models of an outcome and compares the retargeters.
+
+    Args:
+        outcome: decides on the model.
+        frame: the rows; success has an outcome of 0 and 1.
+        missing: what is known to be absent from them, for the warnings.
+        modes: modes of the result.
+        limits: whether to find simultaneous intervals against the baseline.
+
+    Returns:
+        The result in each mode. A retargeter that never or always succeeds is left out of the model
+        of success, see ``separated``.
+    """
+    blank = ScopeResult(n=len(frame), operators=len(frame.operators), warnings=missing)
+    success = outcome == "success"
+    if len(frame):
+        facts, notes = layout(frame)
+        if success:
+            facts["one_sided_cells"] = one_sided_cells(frame)
+        blank = replace(
+            blank, observed=observed(frame), diagnostics=facts, warnings=(*missing, *notes)
+        )
+    try:
+        check_frame(frame)
+        if success:
+            rest, separated = split(frame)
+            notes = [in_words(name, results) for name, results in separated.items()]
+            blank = replace(blank, separated=separated, warnings=(*blank.warnings, *notes))
+            if rest is None:
+                raise StudyError(ONE_SIDED)
+            frame = rest
+            warnings = (*blank.warnings, *rare_outcomes(frame))
+            blank = replace(blank, n=len(frame), operators=len(frame.operators), warnings=warnings)
+            check_frame(frame, retargeters=1)
+            _check_separation(frame)
+        fits = fit_modes(outcome, frame, modes)
+    except StudyError as error:
+        return dict.fromkeys(modes, refuse(blank, str(error)))
+    results = {mode: _result(blank, fit, limits) for mode, fit in fits.items()}
+    if success:
+        # What is known of the fit stands with a refused covariance as well.
+        gee = next((fit.model for fit in fits.values() if isinstance(fit, Fit)), None)
+        for mode, fit in fits.items():
+            if isinstance(fit, Refused) and isinstance(gee, GeeFit):
+                base = replace(blank, model=_gee_facts(frame, gee),
+                               warnings=(*blank.warnings, *_gee_warnings(frame, gee)))  # fmt: skip
+                results[mode] = refuse(base, fit.refused)
+    apart = _preferences(results, _UNITS[outcome])
+    for mode, result in results.items():
+        if apart and result.refused is None:
+            more = (_IGNORED,) if mode == "paper" else ()
+            results[mode] = replace(result, warnings=(*result.warnings, *apart, *more))
+    return results
 
 
 def layout(frame: Frame) -> tuple[dict[str, Any], list[str]]:
-    """Who did what: operators, cells that are empty, operators that lack a retargeter."""
+    """Counts of operators, cells that are empty, and operators that lack a retargeter."""
     cells = np.zeros((len(frame.retargeters), len(frame.tasks)), int)
     np.add.at(cells, (frame.retargeter, frame.task), 1)
     present = np.zeros((len(frame.operators), len(frame.retargeters)), bool)
@@ -111,7 +174,7 @@ def observed(frame: Frame) -> dict[str, Any]:
 def residual_checks(
     residuals: Float[np.ndarray, " n"], intercepts: Float[np.ndarray, " g"], frame: Frame
 ) -> tuple[dict[str, Any], list[str]]:
-    """Are residuals of a linear model near normal and equally wide? Are operators outlying?"""
+    """Checks that residuals are near normal and equally wide, and that no operator is outlying."""
     spreads = {
         name: float(residuals[frame.retargeter == j].std(ddof=1))
         for j, name in enumerate(frame.retargeters)
@@ -170,112 +233,45 @@ def rare_outcomes(frame: Frame) -> list[str]:
     return notes
 
 
-_IN_R: Final = {
-    "operator": "operator",
-    "operator:retargeter": "operator:retargeter",
-    "block": "operator:retargeter:task",
-}
-
-
-_OWN: Final = {
-    "operator:retargeter": "of operator by retargeter",
-    "block": "between blocks of one operator and retargeter",
-}
-
-
-_IGNORED: Final = (
-    "mode paper has no term for that and takes trials of one block for independent: it finds "
-    "differences too easily"
-)
-
-
-def analyze_linear(
-    frame: Frame,
-    missing: tuple[str, ...] = (),
-    *,
-    modes: Sequence[Mode] = MODES,
-    limits: bool = True,
-    unit: str = "",
-) -> dict[Mode, ScopeResult]:
-    """Fits and compares.
-
-    Args:
-        frame: the rows.
-        missing: what is known to be absent from them, for the warnings.
-        modes: which are wanted.
-        limits: whether to find simultaneous intervals against the baseline.
-        unit: of the outcome, with a blank in front, for the warnings.
-
-    Returns:
-        The result in each mode. ``paper`` has a random intercept for each operator and takes
-        statistics for normal. ``small-sample`` has one for each operator with each retargeter as
-        well, and with several tasks for each block, and t with Satterthwaite's degrees of freedom.
-    """
-    blank = ScopeResult(n=len(frame), operators=len(frame.operators), warnings=missing)
-    if len(frame):
-        facts, notes = layout(frame)
-        blank = replace(
-            blank,
-            observed=observed(frame),
-            diagnostics=facts,
-            warnings=(*missing, *notes),
-        )
-    try:
-        check_frame(frame)
-        design, names = frame.design()
-    except StudyError as error:
-        return dict.fromkeys(modes, refuse(blank, str(error)))
-    results = {}
-    for mode in modes:
-        small = mode == "small-sample"
-        try:
-            fit = fit_mixed(
-                design, frame.outcome, frame.levels if small else {"operator": frame.group}
+def _result(blank: ScopeResult, fit: Fit | Refused, limits: bool) -> ScopeResult:
+    if isinstance(fit, Refused):
+        return refuse(blank, fit.refused)
+    compared = fit.compare(limits=limits)
+    frame, checks = fit.frame, dict[str, Any]()
+    if isinstance(fit.model, MixedFit):
+        checks, notes = residual_checks(fit.model.residuals, fit.model.intercepts, frame)
+        model = _mixed_facts(frame, fit.model)
+        if fit.model.variances["operator"] == 0:
+            notes.append(
+                "singular fit: the variance between operators is estimated as zero, so that what "
+                "they do counts as independent of who they are"
             )
-        except StudyError as error:
-            results[mode] = refuse(blank, str(error))
-            continue
-        freedom: Freedom = fit.satterthwaite if small else _normal
-        checks, notes = residual_checks(fit.residuals, fit.intercepts, frame)
-        means = linear_means(frame, fit.beta)
-
-        def effect(mean: float, other: float, spread: float = fit.sd_row) -> float:
-            return standardised(mean - other, spread)
-
-        compared = compare(means, fit.covariance, freedom, effect, frame.baseline, limits=limits)
-        results[mode] = replace(
-            blank,
-            coefficients=coefficients(names, fit.beta, fit.covariance, freedom),
-            emm=compared.emm,
-            dunnett=compared.dunnett,
-            pairs=compared.pairs,
-            model={
-                **_facts(frame, fit),
-                **index_facts(frame),
-                "dunnett_correlation": compared.correlation,
-            },
-            diagnostics={**blank.diagnostics, **checks},
-            warnings=(*blank.warnings, *notes, *_singular(fit.variances), *compared.warnings),
-        )
-    exact, paper = results.get("small-sample"), results.get("paper")
-    if exact is not None and exact.refused is None:
-        apart = _preferences(exact.model["variances"], unit)
-        results["small-sample"] = replace(exact, warnings=(*exact.warnings, *apart))
-        if apart and paper is not None and paper.refused is None:
-            results["paper"] = replace(paper, warnings=(*paper.warnings, *apart, _IGNORED))
-    return results
+        notes += compared.warnings
+    else:
+        notes = [*_gee_warnings(frame, fit.model), *compared.warnings]
+        notes += [
+            f"the interval of {name} leaves 0 to 1: the delta method is rough so near the edge"
+            for name, mean in compared.emm.items()
+            if mean.lower < 0 or mean.upper > 1
+        ]
+        model = _gee_facts(frame, fit.model) | {"odds_ratios": _odds(fit)}
+    return replace(
+        blank,
+        coefficients=coefficients(fit.names, fit.beta, fit.covariance, fit.freedom),
+        emm=compared.emm,
+        dunnett=compared.dunnett,
+        pairs=compared.pairs,
+        model=model | {"dunnett_correlation": compared.correlation},
+        diagnostics={**blank.diagnostics, **checks},
+        warnings=(*blank.warnings, *notes),
+    )
 
 
-def _normal(_: Float[np.ndarray, " p"]) -> float:
-    """Infinite degrees of freedom."""
-    return np.inf
-
-
-def _facts(frame: Frame, fit: MixedFit) -> dict[str, Any]:
+def _mixed_facts(frame: Frame, fit: MixedFit) -> dict[str, Any]:
     variances = fit.variances
     return {
         "kind": "linear mixed model, REML",
-        "formula": formula(frame, random=[name for name in variances if name != "residual"]),
+        "formula": formula(frame, random=fit.levels),
         "variances": variances,
         "sd_operator": float(np.sqrt(variances["operator"])),
         "sd_residual": float(np.sqrt(variances["residual"])),
@@ -283,20 +279,29 @@ def _facts(frame: Frame, fit: MixedFit) -> dict[str, Any]:
         "log_likelihood": fit.log_likelihood,
         "singular": variances["operator"] == 0,
         "operator_effects": dict(zip(frame.operators, map(float, fit.intercepts), strict=True)),
+        **_index_facts(frame),
     }
 
 
-def _singular(variances: dict[str, float]) -> tuple[str, ...]:
-    if variances["operator"] > 0:
-        return ()
-    return (
-        "singular fit: the variance between operators is estimated as zero, so that what they do "
-        "counts as independent of who they are",
-    )
+def _gee_facts(frame: Frame, fit: GeeFit) -> dict[str, Any]:
+    return {
+        "kind": "logistic GEE, exchangeable working correlation",
+        "formula": formula(frame),
+        "alpha": fit.alpha,
+        "phi": fit.phi,
+        **_index_facts(frame),
+    }
 
 
-def _preferences(variances: dict[str, float], unit: str) -> tuple[str, ...]:
-    """How far operators differ in which retargeter suits them, if they do."""
+def _index_facts(frame: Frame) -> dict[str, float]:
+    """Mean and SD by which the index was standardised; means are at its mean."""
+    return {"index_mean": frame.index_mean, "index_sd": frame.index_sd}
+
+
+def _preferences(results: dict[Mode, ScopeResult], unit: str) -> tuple[str, ...]:
+    """A sentence on how far operators differ in which retargeter suits them, if they do."""
+    exact = results.get("small-sample")
+    variances = {} if exact is None or exact.refused else exact.model.get("variances", {})
     spreads = [
         f"{float(np.sqrt(variances[name])):.2g}{unit} {words}"
         for name, words in _OWN.items()
@@ -308,13 +313,8 @@ def _preferences(variances: dict[str, float], unit: str) -> tuple[str, ...]:
 
 
 def refuse(blank: ScopeResult, reason: str) -> ScopeResult:
-    """No figures, and why."""
+    """A result without figures, and the reason."""
     return replace(blank, refused=reason, warnings=(f"refused: {reason}", *blank.warnings))
-
-
-def index_facts(frame: Frame) -> dict[str, float]:
-    """How the index was standardised; means are at its mean."""
-    return {"index_mean": frame.index_mean, "index_sd": frame.index_sd}
 
 
 def formula(frame: Frame, *, random: Sequence[str] = ()) -> str:
@@ -327,130 +327,34 @@ def formula(frame: Frame, *, random: Sequence[str] = ()) -> str:
     return " + ".join([f"y ~ {' + '.join(terms)}", *(f"(1 | {_IN_R[name]})" for name in random)])
 
 
-def analyze_success(frame: Frame, missing: tuple[str, ...] = ()) -> dict[Mode, ScopeResult]:
-    """Fits and compares.
-
-    Args:
-        frame: the rows, with an outcome of 0 and 1.
-        missing: what is known to be absent from them, for the warnings.
-
-    Returns:
-        The result in each mode: ``paper`` has the sandwich covariance and normal statistics,
-        ``small-sample`` Mancl and DeRouen's and t with one degree of freedom less than operators.
-        A retargeter that never or always succeeds is left out of the model, see ``separated``.
-    """
-    blank = ScopeResult(n=len(frame), operators=len(frame.operators), warnings=missing)
-    if len(frame):
-        facts, notes = layout(frame)
-        blank = replace(
-            blank,
-            observed=observed(frame),
-            diagnostics={**facts, "one_sided_cells": one_sided_cells(frame)},
-            warnings=(*missing, *notes),
-        )
-    try:
-        check_frame(frame)
-        rest, separated = split(frame)
-        notes = [in_words(name, results) for name, results in separated.items()]
-        blank = replace(blank, separated=separated, warnings=(*blank.warnings, *notes))
-        if rest is None:
-            raise StudyError("no retargeter has both successes and failures")
-        frame = rest
-        notes = rare_outcomes(frame)
-        blank = replace(
-            blank,
-            n=len(frame),
-            operators=len(frame.operators),
-            warnings=(*blank.warnings, *notes),
-        )
-        check_frame(frame, retargeters=1)
-        design, names = frame.design()
-        _check_separation(frame, design, names)
-        fit = fit_gee(design, frame.outcome, frame.group)
-        fit.check_correlation()
-    except StudyError as error:
-        return dict.fromkeys(MODES, refuse(blank, str(error)))
-    model = {
-        "kind": "logistic GEE, exchangeable working correlation",
-        "formula": formula(frame),
-        "alpha": fit.alpha,
-        "phi": fit.phi,
-        **index_facts(frame),
-    }
-    notes = _warnings(frame, fit)
-    covariances = {"small-sample": fit.mancl_derouen, "paper": fit.robust}
-    freedoms = {"small-sample": float(fit.operators - 1), "paper": np.inf}
-    results: dict[Mode, ScopeResult] = {}
-    for mode in MODES:
-        covariance, df = covariances[mode], freedoms[mode]
-        base = replace(blank, model=model, warnings=(*blank.warnings, *notes))
-        if covariance is None:
-            results[mode] = refuse(
-                base,
-                "an operator has so much leverage that its residuals can't be corrected: too few "
-                f"operators ({fit.operators}) for {len(names)} coefficients",
-            )
-            continue
-        results[mode] = _in_mode(base, frame, fit, names, covariance, df)
-    return results
-
-
-def _in_mode(
-    base: ScopeResult,
-    frame: Frame,
-    fit: GeeFit,
-    names: list[str],
-    covariance: Float[np.ndarray, "p p"],
-    df: float,
-) -> ScopeResult:
-    freedom: Freedom = lambda contrast: df  # noqa: E731
-    compared = compare(
-        response_means(frame, fit.beta), covariance, freedom, cohen_h, frame.baseline
+def _odds(fit: Fit) -> dict[str, dict[str, float]]:
+    """The comparisons on the logit scale, for those who report odds ratios."""
+    means = linear_means(fit.frame, fit.beta)
+    logits: Comparisons = compare(
+        means, fit.covariance, fit.freedom, lambda a, b: a - b, fit.frame.baseline
     )
-    # The same on the logit scale, for those who report odds ratios.
-    logits = compare(
-        linear_means(frame, fit.beta), covariance, freedom, lambda a, b: a - b, frame.baseline
-    )
-    warnings = list(compared.warnings)
-    for name, mean in compared.emm.items():
-        if mean.lower < 0 or mean.upper > 1:
-            warnings.append(
-                f"the interval of {name} leaves 0 to 1: the delta method is rough so near the edge"
-            )
-    return replace(
-        base,
-        coefficients=coefficients(names, fit.beta, covariance, freedom),
-        emm=compared.emm,
-        dunnett=compared.dunnett,
-        pairs=compared.pairs,
-        model={
-            **base.model,
-            "dunnett_correlation": compared.correlation,
-            "odds_ratios": {name: _odds(test) for name, test in logits.dunnett.items()},
-        },
-        warnings=(*base.warnings, *warnings),
-    )
-
-
-def _odds(test: Any) -> dict[str, float]:
     return {
-        "odds_ratio": float(np.exp(test.difference)),
-        "lower": float(np.exp(test.lower)),
-        "upper": float(np.exp(test.upper)),
-        "log_odds_ratio": test.difference,
-        "se": test.se,
-        "p_raw": test.p_raw,
-        "p_dunnett": test.p_dunnett,
+        name: {
+            "odds_ratio": float(np.exp(test.difference)),
+            "lower": float(np.exp(test.lower)),
+            "upper": float(np.exp(test.upper)),
+            "log_odds_ratio": test.difference,
+            "se": test.se,
+            "p_raw": test.p_raw,
+            "p_dunnett": test.p_dunnett,
+        }
+        for name, test in logits.dunnett.items()
     }
 
 
-def _check_separation(frame: Frame, design: Float[np.ndarray, "n p"], names: list[str]) -> None:
+def _check_separation(frame: Frame) -> None:
     levels = one_sided_levels(frame)
     if levels:
         raise StudyError(
             f"separation: {'; '.join(levels)}, so its odds are estimated as zero or infinite and "
             "have no standard error; see the observed rates"
         )
+    design, names = frame.design()
     direction = separating(design, frame.outcome)
     if direction is not None:
         named = ", ".join(name for name, x in zip(names, direction, strict=True) if abs(x) > 1e-6)
@@ -460,7 +364,7 @@ def _check_separation(frame: Frame, design: Float[np.ndarray, "n p"], names: lis
         )
 
 
-def _warnings(frame: Frame, fit: GeeFit) -> list[str]:
+def _gee_warnings(frame: Frame, fit: GeeFit) -> list[str]:
     notes = [f"{cell}; the model shares its other rows" for cell in one_sided_cells(frame)]
     if fit.operators <= len(fit.beta):
         notes.append(

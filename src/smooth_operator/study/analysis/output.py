@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final
@@ -13,18 +13,21 @@ import numpy as np
 from smooth_operator.atomic_files import atomic_write
 from smooth_operator.formats.csv_table import csv_text
 from smooth_operator.study.analysis.analyze import Analysis
-from smooth_operator.study.analysis.citations import cited
-from smooth_operator.study.analysis.methods_text import methods_paragraph
+from smooth_operator.study.analysis.methods_text import cited, methods_paragraph
 from smooth_operator.study.analysis.operators import flow_rows, operator_means
 from smooth_operator.study.analysis.readings import reading_rows
 from smooth_operator.study.analysis.results import ScopeResult, plain
-from smooth_operator.study.data.rows import Questionnaires
+from smooth_operator.study.data.rows import Questionnaires, Trials
 
 RESULTS: Final = "results.json"
 METHODS: Final = "methods.txt"
 SCRIPT: Final = "analysis.R"
 TRIALS: Final = "rows_trials.csv"
 TLX: Final = "rows_tlx.csv"
+_TRIALS: Final = (
+    "operator", "task", "retargeter", "block", "trial_in_block", "trial_global", "score",
+)  # fmt: skip
+_TLX: Final = ("operator", "task", "retargeter", "block", "point", "index", "workload")
 _FAMILIES: Final = {
     "coefficients": "name",
     "emm": "retargeter",
@@ -149,34 +152,8 @@ def _named(numbers: Mapping[str, float]) -> str:
     return ", ".join(f"{json.dumps(name)} = {value!r}" for name, value in numbers.items())
 
 
-def _trials(analysis: Analysis) -> dict[str, np.ndarray]:
-    rows = analysis.data.trials
-    return {
-        "operator": rows.operator,
-        "task": rows.task,
-        "retargeter": rows.retargeter,
-        "block": rows.block,
-        "trial_in_block": rows.trial_in_block,
-        "trial_global": rows.trial_global,
-        "score": rows.score,
-        "success": rows.success.astype(int),
-        "time_s": rows.time,
-    }
-
-
-def _questionnaires(rows: Questionnaires) -> dict[str, np.ndarray]:
-    return {
-        "operator": rows.operator,
-        "task": rows.task,
-        "retargeter": rows.retargeter,
-        "block": rows.block,
-        "point": rows.point,
-        "index": rows.index,
-        "workload": rows.workload,
-    }
-
-
-def _csv(columns: dict[str, np.ndarray]) -> str:
+def _csv(table: Trials | Questionnaires, names: Sequence[str], **more: np.ndarray) -> str:
+    columns = {name: getattr(table, name) for name in names} | more
     values = [column.tolist() for column in columns.values()]
     rows: list[dict[str, Any]] = [
         {name: None if cell != cell else cell for name, cell in zip(columns, row, strict=True)}
@@ -206,8 +183,10 @@ def write_r_script(analysis: Analysis, folder: Path) -> list[str]:
         .read_text("utf-8")
         .replace("@BASELINE@", json.dumps(analysis.baseline))
         .replace("@MARGINS@", _named(data.plan.margins if data.plan else {})),
-        TRIALS: _csv(_trials(analysis)),
-        TLX: None if table is None else _csv(_questionnaires(table)),
+        TRIALS: _csv(
+            data.trials, _TRIALS, success=data.trials.success.astype(int), time_s=data.trials.time
+        ),
+        TLX: None if table is None else _csv(table, _TLX),
     }
     for name, text in texts.items():
         if text is None:

@@ -12,31 +12,20 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
-from jaxtyping import Float
-from scipy.special import fdtrc, ndtr, stdtr
+from scipy.special import ndtr, stdtr
 
 from smooth_operator.errors import StudyError
 from smooth_operator.study.analysis.agreement import Agreement, Preference, agreement, preference
-from smooth_operator.study.analysis.contrasts import (
-    Freedom,
-    MarginalMeans,
-    cohen_h,
-    compare,
-    linear_means,
-    response_means,
-)
 from smooth_operator.study.analysis.dunnett import holm, quantile
 from smooth_operator.study.analysis.frame import (
     Frame,
     check_frame,
-    dependent_columns,
     success_frame,
     time_frame,
     tlx_frame,
     within,
 )
-from smooth_operator.study.analysis.gee import fit_gee, separating
-from smooth_operator.study.analysis.mixed import fit_mixed
+from smooth_operator.study.analysis.models import WaldTest, fit_with
 from smooth_operator.study.analysis.outcomes import observed
 from smooth_operator.study.analysis.results import (
     OUTCOMES,
@@ -55,144 +44,6 @@ from smooth_operator.study.data.rows import StudyData, Trials
 ALPHA: Final = 0.05
 
 
-@dataclass(frozen=True)
-class WaldTest:
-    """A joint test of several coefficients: F with its degrees of freedom."""
-
-    f: float
-    df1: float
-    df2: float
-    p: float
-
-
-def clustered_wald(
-    values: Float[np.ndarray, " q"], covariance: Float[np.ndarray, "q q"], operators: int
-) -> WaldTest:
-    """Are all values zero? Hotelling's F, for a covariance that is estimated from operators.
-
-    Raises:
-        StudyError: not more operators than values.
-    """
-    count = len(values)
-    if operators <= count:
-        raise StudyError(
-            f"{operators} operators are too few for a joint test of {count} differences"
-        )
-    statistic = _quadratic(values, covariance)
-    free = operators - count
-    f = statistic * free / ((operators - 1) * count)
-    return WaldTest(f, float(count), float(free), float(fdtrc(count, free, f)))
-
-
-def model_wald(
-    values: Float[np.ndarray, " q"],
-    covariance: Float[np.ndarray, "q q"],
-    contrasts: Float[np.ndarray, "q p"],
-    freedom: Freedom,
-) -> WaldTest:
-    """Are all values zero? F with denominators from Satterthwaite (Fai and Cornelius 1996).
-
-    Args:
-        values: combinations of the coefficients.
-        covariance: theirs.
-        contrasts: the combinations.
-        freedom: degrees of freedom of one combination.
-
-    Raises:
-        StudyError: the covariance is singular, or there are next to no degrees of freedom.
-    """
-    count = len(values)
-    statistic = _quadratic(values, covariance)
-    _, axes = np.linalg.eigh(covariance)
-    each = np.array([freedom(axis @ contrasts) for axis in axes.T])
-    if np.min(each) <= 2:
-        raise StudyError("too few operators: a difference has no more than 2 degrees of freedom")
-    if np.isinf(each).all():
-        free = np.inf
-    else:
-        total = float(np.sum(1 / (1 - 2 / each)))
-        free = 2 * total / (total - count)
-    f = statistic / count
-    return WaldTest(f, float(count), float(free), float(fdtrc(count, min(free, 1e9), f)))
-
-
-def _quadratic(values: np.ndarray, covariance: np.ndarray) -> float:
-    scale = np.sqrt(np.maximum(np.diag(covariance), 0))
-    if not np.all(scale > 0) or np.linalg.cond(covariance / np.outer(scale, scale)) > 1e10:
-        raise StudyError("the differences have no joint test: their covariance is singular")
-    return float(values @ np.linalg.solve(covariance, values))
-
-
-@dataclass(frozen=True, eq=False)
-class Fit:
-    """Coefficients of a fit, their covariance and degrees of freedom.
-
-    Attributes:
-        outcome: which one.
-        beta: coefficients; of success on the logit (p,).
-        covariance: theirs (p, p).
-        freedom: degrees of freedom of a combination of them.
-        operators: clusters.
-        means: of the retargeters where the further columns are zero.
-    """
-
-    outcome: Outcome
-    beta: Float[np.ndarray, " p"]
-    covariance: Float[np.ndarray, "p p"]
-    freedom: Freedom
-    operators: int
-    means: MarginalMeans
-
-    def joint(self, columns: slice) -> WaldTest:
-        """Are these coefficients all zero?
-
-        Raises:
-            StudyError: there are too few operators for it.
-        """
-        chosen = np.eye(len(self.beta))[columns]
-        values = chosen @ self.beta
-        covariance = chosen @ self.covariance @ chosen.T
-        if self.outcome == "success":
-            return clustered_wald(values, covariance, self.operators)
-        return model_wald(values, covariance, chosen, self.freedom)
-
-
-def fit_with(outcome: Outcome, frame: Frame, more: Float[np.ndarray, "n q"] | None = None) -> Fit:
-    """Fits retargeter, task, the index and further columns by the method of mode small-sample.
-
-    Args:
-        outcome: decides on the model.
-        frame: the rows.
-        more: further columns, centred so that means are at their mean.
-
-    Raises:
-        StudyError: the rows do not carry the model.
-    """
-    check_frame(frame)
-    design = frame.design()[0]
-    if more is not None and more.shape[1]:
-        design = np.column_stack([design, more])
-    if dependent_columns(design):
-        raise StudyError("the further terms are not independent of retargeter, task and trial")
-    if len(frame) <= design.shape[1]:
-        raise StudyError(f"{len(frame)} rows are too few for {design.shape[1]} coefficients")
-    operators = len(frame.operators)
-    if outcome == "success":
-        if separating(design, frame.outcome) is not None:
-            raise StudyError("separation: with these terms the odds are infinite")
-        gee = fit_gee(design, frame.outcome, frame.group)
-        gee.check_correlation()
-        if gee.mancl_derouen is None:
-            raise StudyError(f"{operators} operators are too few for {design.shape[1]} terms")
-        means = response_means(frame, gee.beta)
-        return Fit(
-            outcome, gee.beta, gee.mancl_derouen, lambda _: operators - 1.0, operators, means
-        )
-    nested = fit_mixed(design, frame.outcome, frame.levels)
-    means = linear_means(frame, nested.beta)
-    return Fit(outcome, nested.beta, nested.covariance, nested.satterthwaite, operators, means)
-
-
 def full_success(trials: Trials, scope: str, baseline: str) -> ScopeResult:
     """Success as a score of 1, by the model of success in mode small-sample."""
     frame = success_frame(trials, scope, baseline)
@@ -203,8 +54,7 @@ def full_success(trials: Trials, scope: str, baseline: str) -> ScopeResult:
         blank = replace(blank, separated=separated)
         if rest is None:
             raise StudyError("no retargeter has both full successes and other trials")
-        fit = fit_with("success", rest)
-        compared = compare(fit.means, fit.covariance, fit.freedom, cohen_h, baseline)
+        compared = fit_with("success", rest).compare()
     except StudyError as error:
         return replace(blank, refused=str(error))
     return replace(
@@ -213,7 +63,7 @@ def full_success(trials: Trials, scope: str, baseline: str) -> ScopeResult:
         dunnett=compared.dunnett,
         pairs=compared.pairs,
         n=len(rest),
-        operators=fit.operators,
+        operators=len(rest.operators),
         warnings=compared.warnings,
     )
 
@@ -228,7 +78,7 @@ class Interaction:
 
     @property
     def found(self) -> bool:
-        """Whether p is under 0.05."""
+        """True if p is under 0.05."""
         return self.test.p < ALPHA
 
 
@@ -298,44 +148,36 @@ def equivalences(
         baseline: the retargeter that others are compared with.
         margin: of the plan, in the outcome's unit; None without one.
     """
-    against = [pair for pair in result.pairs.values() if baseline in (pair.a, pair.b)]
-    others = [pair for pair in result.pairs.values() if baseline not in (pair.a, pair.b)]
-    turned = [_turned(pair) if pair.a == baseline else pair for pair in against]
-    tests = [_test(pair, margin) for pair in (*turned, *others)]
-    if margin is not None and turned:
-        adjusted = holm([one.p for one in tests[: len(turned)] if one.p is not None])
-        for i, p in enumerate(adjusted):
-            tests[i] = _with(tests[i], p)
+    pairs = result.pairs.values()
+    against = [pair for pair in pairs if baseline in (pair.a, pair.b)]
+    tests = [_equivalence(pair, margin, turn=pair.a == baseline) for pair in against]
+    if margin is not None:
+        adjusted = holm([one.p for one in tests if one.p is not None])
+        tests = [replace(one, p_holm=p) for one, p in zip(tests, adjusted, strict=True)]
+    tests += [_equivalence(pair, margin) for pair in pairs if baseline not in (pair.a, pair.b)]
     return {f"{one.a}-{one.b}": one for one in tests}
 
 
-def _turned(pair: Pair) -> Pair:
-    return Pair(
-        pair.b, pair.a, -pair.difference, pair.se, pair.df, -pair.statistic, pair.p_raw,
-        pair.p_holm, -pair.effect, pair.effect_words,
-    )  # fmt: skip
-
-
-def _test(pair: Pair, margin: float | None) -> Equivalence:
-    reach = pair.se * quantile(pair.df, ALPHA)
-    low, high = pair.difference - reach, pair.difference + reach
+def _equivalence(pair: Pair, margin: float | None, *, turn: bool = False) -> Equivalence:
+    a, b = (pair.b, pair.a) if turn else (pair.a, pair.b)
+    difference, reach = (
+        -pair.difference if turn else pair.difference,
+        pair.se * quantile(pair.df, ALPHA),
+    )
+    low, high = difference - reach, difference + reach
     p = None
     if margin is not None:
-        nearest = (abs(pair.difference) - margin) / pair.se
+        nearest = (abs(difference) - margin) / pair.se
         p = float(stdtr(pair.df, nearest) if np.isfinite(pair.df) else ndtr(nearest))
     return Equivalence(
-        pair.a, pair.b, pair.difference, pair.se, pair.df, low, high, margin, p, None,
+        a, b, difference, pair.se, pair.df, low, high, margin, p, None,
         None if p is None else p < ALPHA, max(abs(low), abs(high)),
     )  # fmt: skip
 
 
-def _with(test: Equivalence, p_holm: float) -> Equivalence:
-    return Equivalence(**{**vars(test), "p_holm": float(p_holm)})
-
-
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """What else the data say. All but ``equivalence`` are sensitivity or secondary readings.
+    """Further readings. All but ``equivalence`` are sensitivity or secondary readings.
 
     Attributes:
         full_success: by scope, success as a score of 1.

@@ -13,14 +13,16 @@ from dataclasses import dataclass, field
 from typing import Any, Final, Literal, TypeAlias, TypeVar
 
 import numpy as np
+from jaxtyping import Float
 
 from smooth_operator.errors import StudyError
 
 Mode: TypeAlias = Literal["small-sample", "paper"]
 Outcome: TypeAlias = Literal["success", "time", "tlx"]
-
 MODES: Final[tuple[Mode, ...]] = ("small-sample", "paper")
 """The default first."""
+DRAWS: Final = 2000
+"""Samples of a bootstrap over operators."""
 OUTCOMES: Final[tuple[Outcome, ...]] = ("success", "time", "tlx")
 POOLED: Final = "pooled"
 
@@ -172,6 +174,49 @@ class ScopeResult:
     observed: Mapping[str, Any] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     refused: str | None = None
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """A number with its 95 % percentile interval of a bootstrap over operators."""
+
+    estimate: float
+    lower: float
+    upper: float
+
+
+def drawn(value: float, draws: np.ndarray) -> Drawn:
+    """A number and the 2.5 and 97.5 % points of what the bootstrap has (draws,), NaN left out."""
+    finite = draws[np.isfinite(draws)]
+    low, high = np.percentile(finite, [2.5, 97.5]) if len(finite) else (np.nan, np.nan)
+    return Drawn(float(value), float(low), float(high))
+
+
+def operator_weights(operators: int, *, seed: int, draws: int = DRAWS) -> Float[np.ndarray, "k g"]:
+    """Counts of each operator in each sample; the first sample has everybody once.
+
+    Args:
+        operators: how many there are.
+        seed: of the draws.
+        draws: samples after the first.
+    """
+    rng = np.random.default_rng(seed)
+    chosen = rng.integers(operators, size=(draws, operators))
+    counts = np.zeros((draws + 1, operators))
+    counts[0] = 1
+    np.add.at(counts, (np.arange(1, draws + 1)[:, None], chosen), 1)
+    return counts
+
+
+def operator_signs(operators: int, *, seed: int, draws: int) -> Float[np.ndarray, "k g"]:
+    """1 or -1 for each operator of each sample, for tests that change operators' signs.
+
+    Args:
+        operators: how many there are.
+        seed: of the draws.
+        draws: samples.
+    """
+    return np.random.default_rng(seed).choice([-1.0, 1.0], (draws, operators))
 
 
 def plain(value: Any) -> Any:

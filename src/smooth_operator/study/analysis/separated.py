@@ -101,7 +101,7 @@ def _swapped(frame: Frame, which: int, other: int) -> ExactTest:
 
 
 def in_words(name: str, result: Separated) -> str:
-    """What is known of a separated retargeter, for the warnings."""
+    """A sentence on a separated retargeter, for the warnings."""
     share, side = ("all", "at least") if result.rate else ("none", "at most")
     return (
         f"{name} succeeded in {share} of {result.trials} trials of {result.operators} "

@@ -17,8 +17,13 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from smooth_operator.errors import StudyError
-from smooth_operator.study.analysis.resampling import Drawn, drawn, operator_weights
-from smooth_operator.study.analysis.results import Refused, figures_or_refused
+from smooth_operator.study.analysis.results import (
+    Drawn,
+    Refused,
+    drawn,
+    figures_or_refused,
+    operator_weights,
+)
 from smooth_operator.study.data.rows import Trials
 
 CENSORED: Final = 0
@@ -26,8 +31,6 @@ SUCCESS: Final = 1
 COMPETING: Final = 2
 EARLY: Final = 30.0
 """Time at which the share of successes is given, next to that at the limit [s]."""
-
-
 _DROPPED: Final = ("drop", "lost", "fell")
 """Words in the rubric line of a failure that ended the trial for good."""
 
@@ -169,10 +172,9 @@ def _read(
         if limit is None:
             raise StudyError(f"no trial of task {name} has a time")
         limits[name] = float(limit)
-    mean: dict[str, list[np.ndarray]] = {name: [] for name in retargeters}
-    early: dict[str, list[np.ndarray]] = {name: [] for name in retargeters}
-    late: dict[str, list[np.ndarray]] = {name: [] for name in retargeters}
-    gone: dict[str, list[np.ndarray]] = {name: [] for name in retargeters}
+    samples: dict[str, dict[str, list[np.ndarray]]] = {
+        figure: {name: [] for name in retargeters} for figure in ("mean", "early", "late", "gone")
+    }
     events = np.where(trials.success[usable], SUCCESS, COMPETING)
     for name in retargeters:
         for one in tasks:
@@ -183,29 +185,29 @@ def _read(
             # A failure never succeeds, whenever it ended: without a duration the limit serves.
             times = np.where(np.isfinite(ended[rows]), ended[rows], limit)
             curve = incidence(times, events[rows], weights[:, rows])
-            mean[name].append(curve.restricted_mean(limit))
-            early[name].append(curve.at(min(EARLY, limit)))
-            late[name].append(curve.at(limit))
+            samples["mean"][name].append(curve.restricted_mean(limit))
+            samples["early"][name].append(curve.at(min(EARLY, limit)))
+            samples["late"][name].append(curve.at(limit))
             if np.isfinite(ended[rows]).all():
                 onward = np.where(given_up[rows], CENSORED, events[rows])
                 censored = incidence(ended[rows], onward, weights[:, rows])
-                gone[name].append(censored.restricted_mean(limit))
-    means = {name: np.mean(parts, axis=0) for name, parts in mean.items()}
-    shares = {name: np.mean(parts, axis=0) for name, parts in early.items()}
-    all_known = all(len(parts) == len(tasks) for parts in gone.values())
-    means_gone_on = (
-        {name: np.mean(parts, axis=0) for name, parts in gone.items()} if all_known else {}
+                samples["gone"][name].append(censored.restricted_mean(limit))
+    if any(len(parts) < len(tasks) for parts in samples["gone"].values()):
+        samples["gone"] = {}
+    mean, early, late, gone = (
+        {name: np.mean(parts, axis=0) for name, parts in by_name.items()}
+        for by_name in samples.values()
     )
     return TimeToSuccess(
         limits=limits,
         planned=all(planned.get(name) for name in tasks),
-        restricted_mean=_drawn(means),
-        difference=_differences(means),
-        by_30_s=_drawn(shares),
-        by_30_s_difference=_differences(shares),
-        by_limit=_drawn({name: np.mean(parts, axis=0) for name, parts in late.items()}),
-        if_gone_on=_drawn(means_gone_on),
-        if_gone_on_difference=_differences(means_gone_on),
+        restricted_mean=_drawn(mean),
+        difference=_differences(mean),
+        by_30_s=_drawn(early),
+        by_30_s_difference=_differences(early),
+        by_limit=_drawn(late),
+        if_gone_on=_drawn(gone),
+        if_gone_on_difference=_differences(gone),
         operators=len(operators),
         left_out=left_out,
     )

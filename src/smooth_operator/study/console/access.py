@@ -25,11 +25,11 @@ from smooth_operator.web.addresses import is_local, page_addresses
 from smooth_operator.web.auth import TokenAuth
 
 HOME: Final[Mapping[Role, str]] = {"experimenter": "/", "operator": "/operator"}
-"""Where each page is."""
+"""Path of each page."""
 LINK: Final[Mapping[Role, str]] = {"experimenter": "/link", "operator": "/operator/link"}
-"""Where its WebSocket is."""
+"""Path of each page's WebSocket."""
 OPERATORS: Final = (
-    "/operator", "/operator/link", "/operator.js", "/scales.js", "/pairs.js", "/form.js",
+    "/operator", "/operator/link", "/operator.js", "/tlx.js", "/form.js",
     "/link.js", "/dom.js", "/console.css", "/icon.svg",
 )  # fmt: skip
 """All that the operator's token opens."""

@@ -21,13 +21,11 @@ from smooth_operator.study.store.operator_state import Trial
 from smooth_operator.study.store.progress import Progress
 
 Role: TypeAlias = Literal["experimenter", "operator"]
-
 EVENTS: Final = {event.word: kind for kind, event in KINDS.items() if event.word}
 """Word -> kind of the event that it causes."""
 OTHER: Final = ("choose", "enrol", "replace", "switch", "cancel_start")
 """Words that cause no event of the operator who is on."""
 OPERATOR_MAY: Final = ("answer", "weigh", "form")
-
 _LONGEST_WAIT: Final = 86_400.0
 _TOKEN: Final = range(8, 129)
 
@@ -154,7 +152,7 @@ def trial_time(
     waited_s: float,
     measured_s: float | None = None,
 ) -> float:
-    """How long the trial that runs took [s], to the millisecond.
+    """Time of the trial that runs [s], to the millisecond.
 
     From its stored start until its clock was stopped, so that neither a killed server nor a lost
     connection changes it. A trial whose score was undone keeps the time that it had.

@@ -12,11 +12,11 @@ from smooth_operator.errors import StudyError
 from smooth_operator.study.design.forms import Form, FormField
 from smooth_operator.study.design.plan import Block, Plan
 from smooth_operator.study.store.events import (
-    Answered,
     BlockEnded,
     BreakStarted,
     Event,
     Named,
+    QuestionnaireAnswered,
     Recalibrated,
     Record,
     Undone,
@@ -47,7 +47,7 @@ def naming(plan: Plan, blind: bool) -> Named:
 
 
 def step_in_words(step: Step) -> str:
-    """What is due, short."""
+    """The step that is due, in a few words."""
     if step.block is None:
         plain = {
             "withdrawn": "withdrawn",
@@ -74,27 +74,20 @@ def step_in_words(step: Step) -> str:
 
 TRIAL_S: Final = 40.0
 """A trial whose length nobody knows yet [s]."""
-
-
 BETWEEN_S: Final = 15.0
 """From the end of a trial to the start of the next [s]."""
-
-
 QUESTIONNAIRE_S: Final = 60.0
 """Six scales, or the fifteen pairs [s]."""
-
-
 BLOCK_S: Final = 60.0
 """Switching, explaining [s]."""
 
 
 def time_left(progress: Progress) -> float:
-    """What an operator's remaining blocks will take [s], by how long the trials took so far."""
+    """Time for an operator's remaining blocks [s], by the times of the trials so far."""
     protocol = progress.plan.protocol
     scored = [trial for trial in progress.trials if trial.counts]
     times = [trial.time_s for trial in scored if trial.time_s is not None]
-    done = Counter((trial.block.task.name, trial.block.number) for trial in scored)
-    answered = Counter((q.block.task.name, q.block.number) for q in progress.questionnaires)
+    answered = Counter((task, block) for task, block, _ in progress.answered)
     left, blocks = 0.0, 0
     for block in progress.blocks:
         if progress.over or progress.finished(block):
@@ -103,10 +96,10 @@ def time_left(progress: Progress) -> float:
         limit = block.task.time_limit_s
         guess = TRIAL_S if limit is None else min(TRIAL_S, limit / 2)
         trial_s = sum(times) / len(times) if times else guess
-        left += (block.task.trials - done[key]) * (trial_s + BETWEEN_S)
+        left += (block.task.trials - progress.scored[key]) * (trial_s + BETWEEN_S)
         left += (len(block.questionnaires) - answered[key]) * QUESTIONNAIRE_S
         left += QUESTIONNAIRE_S * (protocol.weights and bool(block.questionnaires))
-        if not done[key]:
+        if not progress.scored[key]:
             left += protocol.familiarisation_s + BLOCK_S
             blocks += 1
     every = protocol.break_every
@@ -114,7 +107,7 @@ def time_left(progress: Progress) -> float:
 
 
 def break_is_due(progress: Progress) -> bool:
-    """Whether the plan offers a break now: between blocks, and there was none since the last."""
+    """True if the plan offers a break now: between blocks, and there was none since the last."""
     every = progress.plan.protocol.break_every
     finished = sum(progress.finished(block) for block in progress.blocks)
     if progress.step.what not in ("calibrate", "start_block") or not every or not finished:
@@ -236,7 +229,7 @@ def pairs_view(words: TlxWords, shown: Sequence[tuple[str, str]] = PAIRS) -> lis
 
 
 def _nothing_follows(step: Step) -> bool:
-    """Whether nothing more is asked of the operator."""
+    """True if nothing more is asked of the operator."""
     return step.what in ("done", "withdrawn", "refused")
 
 
@@ -250,7 +243,7 @@ def asked_key(progress: Progress, step: Step) -> str:
 
 
 def place(block: Block, condition: str | None, progress: Progress) -> dict[str, Any]:
-    """Where in the study something is."""
+    """Task, block and session of something."""
     place = {
         "task": block.task.name,
         "title": block.task.title or block.task.name,
@@ -269,7 +262,7 @@ _LONGEST_LOG: Final = 250
 
 
 def study_view(plan: Plan, blind: bool) -> dict[str, Any]:
-    """What does not change while operators come and go."""
+    """The part of the page that does not change while operators come and go."""
     protocol = plan.protocol
     return {
         "name": protocol.name,
@@ -278,10 +271,7 @@ def study_view(plan: Plan, blind: bool) -> dict[str, Any]:
             {
                 "name": task.name,
                 "title": task.title or task.name,
-                "rubric": [
-                    {"name": line.name, "score": line.score, "text": line.text}
-                    for line in task.rubric
-                ],
+                "rubric": [asdict(line) for line in task.rubric],
             }
             for task in protocol.tasks
         ],
@@ -295,10 +285,6 @@ def study_view(plan: Plan, blind: bool) -> dict[str, Any]:
 
 def overview(progress: Progress, named: Named) -> dict[str, Any]:
     """One operator's blocks, and what is due."""
-    scored: Counter[tuple[str, int]] = Counter()
-    for trial in progress.trials:
-        if trial.score is not None and trial.void is None:
-            scored[trial.block.task.name, trial.block.number] += 1
     step = progress.step
     blocks = []
     for block in progress.blocks:
@@ -310,7 +296,7 @@ def overview(progress: Progress, named: Named) -> dict[str, Any]:
                 "number": block.number,
                 "condition": named(block.condition.name),
                 "trials": block.task.trials,
-                "scored": scored[key],
+                "scored": progress.scored[key],
                 "state": "left" if key in progress.ended_early else state,
             }
         )
@@ -325,7 +311,7 @@ def overview(progress: Progress, named: Named) -> dict[str, Any]:
 
 
 def step_view(progress: Progress, named: Named, words: TlxWords = ENGLISH) -> dict[str, Any]:
-    """What is due for an operator, with the rubric of the current task.
+    """The step that is due for an operator, with the rubric of the current task.
 
     ``asked`` is NASA-TLX as it is asked now, for typing in what stands on paper.
     """
@@ -415,7 +401,7 @@ def scored_view(progress: Progress, named: Named) -> list[dict[str, Any]]:
 
 
 def can_happen(progress: Progress, event: Event) -> bool:
-    """Whether the protocol allows an event now."""
+    """True if the protocol allows an event now."""
     try:
         progress.check(event)
     except StudyError:
@@ -425,15 +411,7 @@ def can_happen(progress: Progress, event: Event) -> bool:
 
 def rubric_view(block: Block, resets: int, cap: float) -> list[dict[str, Any]]:
     """Lines of the rubric; off are those by which the trial can't end, with its resets."""
-    return [
-        {
-            "name": line.name,
-            "score": line.score,
-            "text": line.text,
-            "possible": line.possible(resets, cap),
-        }
-        for line in block.task.rubric
-    ]
+    return [{**asdict(line), "possible": line.possible(resets, cap)} for line in block.task.rubric]
 
 
 def log_view(progress: Progress, named: Named) -> list[dict[str, Any]]:
@@ -453,9 +431,9 @@ def log_view(progress: Progress, named: Named) -> list[dict[str, Any]]:
 
 
 def _known(progress: Progress, record: Record) -> bool:
-    """Whether the workload of an event may be known to who scores: not before its block is over."""
+    """True if who scores may know the workload of an event: not before its block is over."""
     event = record.event
-    return not isinstance(event, Answered) or any(
+    return not isinstance(event, QuestionnaireAnswered) or any(
         block.task.name == event.task and block.number == event.block and progress.finished(block)
         for block in progress.blocks
     )

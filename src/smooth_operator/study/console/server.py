@@ -37,15 +37,14 @@ if TYPE_CHECKING:
 _TICK_S: Final = 0.2
 _ALIVE_S: Final = 1.0
 _LOOK_S: Final = 1.5
-"""How often the store is asked whether another process wrote to it, and the teleoperation."""
+"""Time between two looks at what other processes stored, and at the teleoperation [s]."""
 _LOOK_CLOSER_S: Final = 0.4
 """The same while a trial runs in simulation."""
 _TROUBLE_S: Final = 10.0
-"""How long a failure of the store is shown that did not come again."""
+"""Time that a failure of the store is shown that did not come again [s]."""
 _LARGEST: Final = 256 * 1024
 _PLACES: Final[dict[Role, int]] = {"experimenter": 16, "operator": 48}
-"""How many pages of each kind may be connected: a tablet's link takes no experimenter's place."""
-
+"""Most pages of each kind: a tablet's link takes no experimenter's place."""
 _LOGGER: Final = logging.getLogger("smooth_operator.study.console")
 
 
@@ -88,7 +87,7 @@ class Console:
         self._threads = ThreadPoolExecutor(8, "study-console")
 
     def changed(self) -> None:
-        """What the pages show is old. From any thread."""
+        """Has the pages drawn again. From any thread."""
         if self._loop is not None and not self._loop.is_closed():
             self._loop.call_soon_threadsafe(self._stale.set)
 
@@ -335,7 +334,7 @@ class Console:
             self._stale.set()
 
     def _trouble(self) -> str:
-        """What is wrong with the store; a page tries its command again, or gave it up."""
+        """The failure of the store; a page tries its command again, or gave it up."""
         since = time.monotonic() - _TROUBLE_S
         return next((text for text, at in self._troubles.values() if at > since), "")
 

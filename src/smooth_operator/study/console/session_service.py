@@ -89,7 +89,7 @@ class OperatorChoice:
         self._report = report
         self._lock = lock
         self.chosen = operator is not None
-        """Whether the current operator was stated and not guessed."""
+        """True if the current operator was stated and not guessed."""
         if operator is not None:
             store.progress(operator)
         self.operator = self._latest() if operator is None else operator
@@ -207,8 +207,6 @@ class OperatorChoice:
 _STARTS: Final = (
     "calibrated", "recalibrate", "start_block", "start_familiarisation", "start_trial",
 )  # fmt: skip
-
-
 _WITH_THE_HAND: Final = (
     *_STARTS, "reset", "void", "score", "pause", "resume", "withdraw",
     "undo",
@@ -378,7 +376,7 @@ class SessionService:
     # What the pages show.
 
     def look(self) -> tuple[dict[str, Any], dict[str, Any]]:
-        """What the experimenter's page and the operator's page show.
+        """Content of the experimenter's page and of the operator's page.
 
         Raises:
             StoreFailedError: the store can't be read.
@@ -447,7 +445,7 @@ class SessionService:
         return number
 
     def _elapsed(self, progress: Progress, at: float) -> Elapsed | None:
-        """How long the trial that runs had taken at a moment of the steady clock."""
+        """Time that the trial that runs had taken at a moment of the steady clock."""
         trial, clock = progress.running, self._store.clock
         if trial is None:
             return None

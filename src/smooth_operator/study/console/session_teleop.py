@@ -23,11 +23,11 @@ from smooth_operator.study.store.events import Calibrated, Recalibrated, TrialSt
 from smooth_operator.study.store.progress import Progress
 
 HIDDEN: Final = "the teleoperation could not be switched; the terminal of the console says why"
-"""What a blind experimenter reads, since the reason may name the method."""
+"""Message for a blind experimenter, since the reason may name the method."""
 
 
 class SessionTeleop:
-    """What is done at each step of the protocol.
+    """The part of a running teleoperation in each step of the protocol.
 
     Args:
         switch: of the running teleoperation.
@@ -44,7 +44,7 @@ class SessionTeleop:
         self.scenes = SceneTrials(switch)
 
     def before(self, command: Command, progress: Progress) -> str:
-        """What must be so before a calibration counts, or a block or a trial starts.
+        """Prepares the hand before a calibration counts, or a block or a trial starts.
 
         Returns:
             What to note in the log; empty for nothing.
@@ -106,7 +106,7 @@ class SessionTeleop:
         self.switch.look()
 
     def facts(self, command: Command, progress: Progress) -> dict[str, str | float]:
-        """What the log keeps of the hand along with an event.
+        """Facts on the hand that the log keeps along with an event.
 
         Of a block, what the teleoperation said it runs; of a score, what the simulation proposed.
         """
@@ -120,7 +120,7 @@ class SessionTeleop:
         return {}
 
     def along(self, do: str, progress: Progress) -> None:
-        """What the simulation does with a trial that was reset, paused, void, scored or undone.
+        """Has the simulation follow a trial that was reset, paused, void, scored or undone.
 
         Never raises. An event before the trial's start can't be undone while it runs.
         """
@@ -129,7 +129,7 @@ class SessionTeleop:
         self.scenes.along(do, progress)
 
     def measured(self, progress: Progress) -> float | None:
-        """How long the trial that runs took in the simulation [s]; None where that is not over."""
+        """Time of the trial that runs by the simulation [s]; None where that is not over."""
         trial = self.scenes.standing(progress, fresh=True)
         if trial is None or trial.phase != "done" or trial.time_s is None:
             return None
@@ -189,7 +189,7 @@ class SessionTeleop:
             raise StudyError(HIDDEN if self._blind else str(error)) from error
 
     def view(self, progress: Progress | None) -> dict[str, Any]:
-        """What the experimenter's page shows of it."""
+        """The hand as the experimenter's page shows it."""
         heard = self.switch.heard
         running = None if heard.running is None else " ".join(filter(None, heard.running))
         hidden = self._blind and heard.state == "refused"
@@ -234,11 +234,11 @@ def _file(detail: str) -> str | None:
 
 
 def _starts_trial(progress: Progress) -> bool:
-    """Whether the event that would be undone now is the start of a trial."""
+    """True if the event that would be undone now is the start of a trial."""
     due = progress.undoable
     return due is not None and isinstance(due.event, TrialStarted)
 
 
 def _free(progress: Progress, block: Block) -> bool:
-    """Whether a block has had no trial yet: the operator moves without the object."""
+    """True if a block has had no trial yet: the operator moves without the object."""
     return not any(trial.block == block for trial in progress.trials)

@@ -29,7 +29,7 @@ State: TypeAlias = Literal["unknown", "ready", "switching", "refused", "gone"]
 
 
 class Teleop(Protocol):
-    """What takes words for a running teleoperation, as ``RemoteTeleop`` does."""
+    """A remote control of a running teleoperation, such as ``RemoteTeleop``."""
 
     def request(self, do: str, **fields: Any) -> Mapping[str, Any]:
         """Has something done.
@@ -41,7 +41,7 @@ class Teleop(Protocol):
 
 @dataclass(frozen=True)
 class Standing:
-    """How a simulated trial stands.
+    """State of a simulated trial.
 
     Attributes:
         phase: ``ready``, ``waiting`` (for the hand to be clear), ``running`` or ``done``; final
@@ -69,7 +69,7 @@ class Standing:
 
 @dataclass(frozen=True)
 class Heard:
-    """What is known of the teleoperation.
+    """State of the teleoperation as it answered last.
 
     Attributes:
         state: ``ready`` answers, and runs what it should; ``refused`` could not be switched;
@@ -147,7 +147,7 @@ class Switch:
             return True
 
     def runs(self, condition: Condition) -> bool:
-        """Whether it runs a condition, as it says now.
+        """Asks if it runs a condition.
 
         Raises:
             StudyError: it does not answer.
@@ -167,7 +167,7 @@ class Switch:
             return right
 
     def remember(self, condition: Condition, answered: tuple[str, str | None] | None) -> None:
-        """What it answered to a condition before this program was started, if that is known."""
+        """Takes over its answer to a condition from before this program was started, if known."""
         if answered is not None:
             self._answered.setdefault(condition.name, answered)
 
@@ -180,7 +180,7 @@ class Switch:
                 return
 
     def follow(self) -> Standing | None:
-        """How the simulated trial stands now.
+        """Asks for the state of the simulated trial.
 
         Raises:
             StudyError: there is none, or nobody answers.
@@ -217,7 +217,7 @@ class Switch:
 
 
 def standing(report: object) -> Standing | None:
-    """How a simulated trial stands, from what ``trial`` answers; None if that is nothing such."""
+    """State of a simulated trial from the answer to ``trial``; None if that is no state."""
     if not isinstance(report, Mapping):
         return None
     time_s, about = report.get("time_s"), report.get("about")
@@ -271,17 +271,13 @@ def _seen(status: Mapping[str, Any], state: State, detail: str = "") -> Heard:
 
 CLEAR_WAIT_S: Final = 120.0
 """Longest that a trial waits for the hand to be clear of the object [s]."""
-
-
 _POLL_S: Final = 0.05
-
-
 _KEYS: Final = ("operator", "task", "block", "trial", "after")
 """Entries by which a simulated trial is known as one of the log."""
 
 
 class SceneTrials:
-    """What is done with the simulation at each step of the protocol.
+    """The part of the simulation in each step of the protocol.
 
     Args:
         switch: to the running teleoperation.
@@ -295,7 +291,7 @@ class SceneTrials:
 
     @property
     def waiting(self) -> bool:
-        """Whether a trial waits for the hand to be clear of the object."""
+        """True while a trial waits for the hand to be clear of the object."""
         trial = self._switch.heard.trial
         return trial is not None and trial.phase == "waiting"
 
@@ -399,7 +395,7 @@ class SceneTrials:
             self.abandon()
 
     def along(self, do: str, progress: Progress) -> None:
-        """What the simulation does with a trial: reset, paused, scored, undone or made void.
+        """Has the simulation follow a trial: reset, paused, scored, undone or made void.
 
         Args:
             do: the command.
@@ -436,7 +432,7 @@ class SceneTrials:
                 self._switch.follow()
 
     def standing(self, progress: Progress, *, fresh: bool = False) -> Standing | None:
-        """Of the trial that runs, if the simulation knows of it all that the log does."""
+        """State of the trial that runs, if the simulation knows of it all that the log does."""
         running = progress.running
         if running is None or not self.in_scene(running.block):
             return None
@@ -452,7 +448,7 @@ class SceneTrials:
         return trial if right else None
 
     def lost(self, progress: Progress) -> str:
-        """What to note, once, where the simulation no longer runs the trial that it ran."""
+        """A note, once, where the simulation no longer runs the trial that it ran."""
         running, heard = progress.running, self._switch.heard
         if running is None or heard.state == "gone" or self._seen != running.started:
             return ""
@@ -472,13 +468,13 @@ class SceneTrials:
         return task_named(block.task.name).seconds if self.in_scene(block) else None
 
     def in_scene(self, block: Block) -> bool:
-        """Whether the simulation has the scene of a block."""
+        """True if the simulation has the scene of a block."""
         task = self._switch.heard.task
         return task is not None and task == scene_of(block)
 
 
 def same_trial(about: Mapping[str, Any], progress: Progress) -> bool:
-    """Whether a simulated trial was begun for the one that runs in the log.
+    """True if a simulated trial was begun for the one that runs in the log.
 
     Args:
         about: entries of its record.

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from smooth_operator.errors import StudyError, brief, listed
 from smooth_operator.study.data.rows import (
@@ -24,16 +24,10 @@ from smooth_operator.study.data.rows import (
 )
 
 _MISSING = frozenset({"", "na", "n/a", "nan", "none", "null"})
-
-
 _SHOWN = 8
-
-
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
-
-
 _MOST_COUNT = 10**9
-"""Of a block or trial; whole numbers of a table fit into 64 bits."""
+"""Largest number of a block or trial; whole numbers of a table fit into 64 bits."""
 
 
 @dataclass
@@ -69,26 +63,26 @@ class Checked:
         rest = f"\n  and {more} more" if more > 0 else ""
         raise StudyError(f"{self.name} can't be used:\n  {shown}{rest}")
 
-    def words(self, column: str) -> list[str]:
-        """Names; none may be empty, and two must differ by more than case."""
+    def words(self, column: str) -> np.ndarray:
+        """Names (n,) of str; none may be empty, and two must differ by more than case."""
         texts: list[str] = []
         first: dict[str, tuple[int, str]] = {}
         for number, row in self.rows:
             text = str(row[column]).strip() if row[column] is not None else ""
             if not text:
                 self.complain(number, column, "expected a name; the field is empty")
-            at, known = first.setdefault(text.casefold(), (number, text))
-            if known != text:
+            at, spelling = first.setdefault(text.casefold(), (number, text))
+            if spelling != text:
                 self.complain(
                     number,
                     column,
-                    f"{brief(text)} and {brief(known)} of {self.unit} {at} differ only in case; "
+                    f"{brief(text)} and {brief(spelling)} of {self.unit} {at} differ only in case; "
                     "write both the same way",
                 )
             texts.append(text)
-        return texts
+        return np.array(texts, str)
 
-    def counts(self, column: str) -> list[int]:
+    def counts(self, column: str) -> Int[np.ndarray, " n"]:
         """Whole numbers from 1."""
         wholes = []
         for number, row in self.rows:
@@ -99,11 +93,11 @@ class Checked:
                 )
                 value = 1.0
             wholes.append(int(value))
-        return wholes
+        return np.array(wholes, int)
 
     def numbers(
         self, column: str, expected: str, allowed: Any, *, optional: bool = True
-    ) -> list[float]:
+    ) -> Float[np.ndarray, " n"]:
         """Numbers; NaN where the field is empty, if that is allowed.
 
         Args:
@@ -124,7 +118,7 @@ class Checked:
                 self.complain(number, column, f"expected {expected}, came {brief(row[column])}")
                 value = math.nan
             floats.append(value)
-        return floats
+        return np.array(floats, float)
 
     def unique(self, columns: Sequence[str]) -> None:
         """Notes rows that are there twice."""
@@ -141,7 +135,7 @@ class Checked:
 
 
 def is_missing(value: Any) -> bool:
-    """Whether a field says that there is no value."""
+    """True if a field says that there is no value."""
     return (
         value is None
         or (isinstance(value, str) and value.strip().lower() in _MISSING)
@@ -165,23 +159,13 @@ def _number(value: Any) -> float | None:
 TRIAL_COLUMNS: Final = (
     "operator", "task", "retargeter", "block", "trial_in_block", "trial_global", "score", "time_s",
 )  # fmt: skip
-
-
 MORE_TRIAL_COLUMNS: Final = ("duration_s", "line", "resets", "started_at", "place", "amended")
-"""Of trials as a study stores them; each may be missing in a table."""
-
-
+"""Further columns of stored trials; an analysis reads the first two, where they are there."""
 QUESTIONNAIRE_COLUMNS: Final = ("operator", "task", "retargeter", "block", "point", *ITEMS)
-
-
 WEIGHT_COLUMNS: Final = tuple(f"weight_{item}" for item in ITEMS)
-"""Of questionnaires, where the pairs of scales were asked for: all six, or none."""
-
-
+"""Columns of questionnaires with pairs of scales: all six, or none."""
 METRIC_COLUMNS: Final = ("operator", "retargeter")
 """And a column for each metric."""
-
-
 Rows = Sequence[tuple[int, Mapping[str, Any]]]
 
 
@@ -200,20 +184,23 @@ def make_trials(name: str, rows: Rows, unit: str = "row") -> tuple[Trials, tuple
         StudyError: a value is not what its column holds; says which, by row and column.
     """
     table = Checked(name, rows, unit)
+    more: dict[str, np.ndarray] = {}
+    if "duration_s" in rows[0][1]:
+        expected = "a time in seconds from 0, or nothing"
+        more["duration"] = table.numbers("duration_s", expected, lambda x: x >= 0)
+    if "line" in rows[0][1]:
+        lines = ["" if is_missing(row["line"]) else str(row["line"]) for _, row in rows]
+        more["line"] = np.array(lines, str)
     trials = Trials(
-        operator=np.array(table.words("operator")),
-        task=np.array(table.words("task")),
-        retargeter=np.array(table.words("retargeter")),
-        block=np.array(table.counts("block"), int),
-        trial_in_block=np.array(table.counts("trial_in_block"), int),
-        trial_global=np.array(table.counts("trial_global"), int),
-        score=np.array(
-            table.numbers("score", "0, 0.5 or 1", lambda x: x in SCORES, optional=False)
-        ),
-        time=np.array(
-            table.numbers("time_s", "a time in seconds above 0, or nothing", lambda x: x > 0)
-        ),
-        **_more(table),
+        operator=table.words("operator"),
+        task=table.words("task"),
+        retargeter=table.words("retargeter"),
+        block=table.counts("block"),
+        trial_in_block=table.counts("trial_in_block"),
+        trial_global=table.counts("trial_global"),
+        score=table.numbers("score", "0, 0.5 or 1", lambda x: x in SCORES, optional=False),
+        time=table.numbers("time_s", "a time in seconds above 0, or nothing", lambda x: x > 0),
+        **more,
     )
     table.unique(("operator", "task", "block", "trial_in_block"))
     table.unique(("operator", "task", "trial_global"))
@@ -236,30 +223,6 @@ def make_trials(name: str, rows: Rows, unit: str = "row") -> tuple[Trials, tuple
     return trials, tuple(notes)
 
 
-def _more(table: Checked) -> dict[str, np.ndarray]:
-    """What a table of trials has of ``MORE_TRIAL_COLUMNS``, by the names of ``Trials``."""
-    there = [column for column in MORE_TRIAL_COLUMNS if column in table.rows[0][1]]
-    arrays: dict[str, np.ndarray] = {}
-    if "duration_s" in there:
-        arrays["duration"] = np.array(
-            table.numbers("duration_s", "a time in seconds from 0, or nothing", lambda x: x >= 0)
-        )
-    for column, most in (("resets", 100), ("place", 10**6), ("amended", 1)):
-        if column in there:
-            least = 1 if column == "place" else 0
-            values = table.numbers(
-                column,
-                f"a whole number from {least} to {most}, or nothing",
-                lambda x, least=least, most=most: least <= x <= most and x == int(x),
-            )
-            arrays[column] = np.nan_to_num(np.array(values), nan=-1.0).astype(int)
-    for column, name in (("line", "line"), ("started_at", "started")):
-        if column in there:
-            words = ["" if is_missing(row[column]) else str(row[column]) for _, row in table.rows]
-            arrays[name] = np.array(words, str)
-    return arrays
-
-
 def make_questionnaires(
     name: str, rows: Rows, unit: str = "row"
 ) -> tuple[Questionnaires, tuple[str, ...]]:
@@ -278,32 +241,32 @@ def make_questionnaires(
     """
     table = Checked(name, rows, unit)
     points = []
-    for (number, _), word in zip(rows, table.words("point"), strict=True):
+    for (number, _), word in zip(rows, table.words("point").tolist(), strict=True):
         if word.lower() not in POINTS:
             table.complain(number, "point", f"expected {', '.join(POINTS)}; came {brief(word)}")
         points.append(POINTS.index(word.lower()) + 1 if word.lower() in POINTS else 1)
     answers = [
         table.numbers(item, "0 to 100, or nothing", lambda x: 0 <= x <= 100) for item in ITEMS
     ]
-    found = Questionnaires(
-        operator=np.array(table.words("operator")),
-        task=np.array(table.words("task")),
-        retargeter=np.array(table.words("retargeter")),
-        block=np.array(table.counts("block"), int),
+    filled = Questionnaires(
+        operator=table.words("operator"),
+        task=table.words("task"),
+        retargeter=table.words("retargeter"),
+        block=table.counts("block"),
         point=np.array(points, int),
         answers=np.array(answers).T.reshape(-1, len(ITEMS)),
         weights=_weights(table),
     )
     table.unique(("operator", "task", "block", "point"))
     table.raise_if_any()
-    missing = int(np.isnan(found.workload).sum())
+    missing = int(np.isnan(filled.workload).sum())
     notes = []
     if missing:
         notes.append(
-            f"{missing} of {len(found)} questionnaires have an answer left out and can't enter the "
-            f"analysis of workload ({name})"
+            f"{missing} of {len(filled)} questionnaires have an answer left out and can't enter "
+            f"the analysis of workload ({name})"
         )
-    return found, tuple(notes)
+    return filled, tuple(notes)
 
 
 def _weights(table: Checked) -> Float[np.ndarray, "n 6"] | None:
@@ -327,12 +290,12 @@ def _weights(table: Checked) -> Float[np.ndarray, "n 6"] | None:
     ]
     chosen = np.array(columns).T.reshape(-1, len(ITEMS))
     for (number, row), weights in zip(table.rows, chosen, strict=True):
-        known = [not is_missing(row[column]) for column in WEIGHT_COLUMNS]
-        if any(known) and not all(known):
+        filled = [not is_missing(row[column]) for column in WEIGHT_COLUMNS]
+        if any(filled) and not all(filled):
             table.complain(
-                number, WEIGHT_COLUMNS[known.index(False)], "the other weights are there"
+                number, WEIGHT_COLUMNS[filled.index(False)], "the other weights are there"
             )
-        elif all(known) and np.isfinite(weights).all() and weights.sum() != PAIRS:
+        elif all(filled) and np.isfinite(weights).all() and weights.sum() != PAIRS:
             table.complain(
                 number,
                 WEIGHT_COLUMNS[0],
@@ -353,15 +316,15 @@ def make_metrics(name: str, rows: Rows, unit: str = "row") -> SimulationMetrics:
     if not names:
         table.problems.append("expected a column for each metric next to operator and retargeter")
     values = [table.numbers(metric, "a number, or nothing", lambda x: True) for metric in names]
-    found = SimulationMetrics(
-        operator=np.array(table.words("operator")),
-        retargeter=np.array(table.words("retargeter")),
+    metrics = SimulationMetrics(
+        operator=table.words("operator"),
+        retargeter=table.words("retargeter"),
         names=names,
         values=np.array(values).T.reshape(-1, len(names)),
     )
     table.unique(METRIC_COLUMNS)
     table.raise_if_any()
-    return found
+    return metrics
 
 
 def _mixed_blocks(name: str, trials: Trials) -> list[str]:

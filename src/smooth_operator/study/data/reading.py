@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
@@ -66,7 +66,6 @@ def study_facts(content: Mapping[str, Any], name: str) -> dict[str, Any]:
     try:
         return planned | {
             "flow": _flow(plan, operators, content.get("trials", [])),
-            "forms": {str(one["operator"]): _answers(one) for one in operators if one.get("forms")},
             "ranking": {
                 str(one["operator"]): tuple(map(str, one["ranking"]))
                 for one in operators
@@ -90,7 +89,7 @@ def _flow(plan: Plan, operators: list[Mapping[str, Any]], trials: Any) -> Flow:
         if (left := one.get("withdrawn"))
     }
     names = plan.protocol.condition_names
-    voids = Counter(entry["retargeter"] for _, entry in _each(operators, "voided"))
+    voids = Counter(entry["retargeter"] for one in operators for entry in one.get("voided") or ())
     undone: Counter[str] = Counter()
     for one in operators:
         undone.update(one.get("undone", {}))
@@ -99,7 +98,11 @@ def _flow(plan: Plan, operators: list[Mapping[str, Any]], trials: Any) -> Flow:
         logged=True,
         planned=plan.protocol.operators,
         enrolled=codes,
-        started=tuple(str(one["operator"]) for one in operators if _started(one)),
+        started=tuple(
+            str(one["operator"])
+            for one in operators
+            if any(event["kind"] == _START for event in one.get("events", ()))
+        ),
         completed=tuple(
             str(o["operator"]) for o in operators if o.get("done") and not o.get("ended_early")
         ),
@@ -108,55 +111,24 @@ def _flow(plan: Plan, operators: list[Mapping[str, Any]], trials: Any) -> Flow:
         voids={name: voids[name] for name in names},
         undone={name: undone[name] for name in names},
         amended={name: amended[name] for name in names},
-        pauses=sum(1 for _ in _each(operators, "pauses")),
-        recalibrations=sum(1 for _ in _each(operators, "recalibrations")),
-        ended_early=sum(1 for _ in _each(operators, "ended_early")),
+        pauses=sum(len(one.get("pauses") or ()) for one in operators),
+        recalibrations=sum(len(one.get("recalibrations") or ()) for one in operators),
+        ended_early=sum(len(one.get("ended_early") or ()) for one in operators),
     )
-
-
-def _each(
-    operators: list[Mapping[str, Any]], key: str
-) -> Iterator[tuple[Mapping[str, Any], Mapping[str, Any]]]:
-    for one in operators:
-        for entry in one.get(key) or ():
-            yield one, entry
-
-
-def _started(one: Mapping[str, Any]) -> bool:
-    return any(event["kind"] == _START for event in one.get("events", ()))
-
-
-def _answers(one: Mapping[str, Any]) -> dict[str, Any]:
-    """All forms of an operator together, by field; a field of two forms has the form in front."""
-    fields: dict[str, Any] = {}
-    for form, filled in one["forms"].items():
-        for field, answer in filled["answers"].items():
-            fields[f"{form}.{field}" if field in fields else field] = answer
-    return fields
 
 
 NAMES: Final = ("trials.csv", "tlx.csv", "sim_metrics.csv")
 """Names of the tables in a folder."""
-
-
 EXPORT: Final = "study.json"
-"""What an export calls its JSON file."""
-
-
+"""Name of the JSON file of an export."""
 KEYS: Final = ("trials", "questionnaires", "simulation_metrics")
 """Names of the tables in a JSON file."""
-
-
 _KINDS: Final = {
     "trials": frozenset(TRIAL_COLUMNS),
     "questionnaires": frozenset(QUESTIONNAIRE_COLUMNS),
 }
-
-
 _SIMULATED: Final = "simulation.json"
-"""Of virtual operators: their plan is in it."""
-
-
+"""Name of the file of virtual operators that has their plan."""
 _TELLING: Final = {"score": "trials", "trial_in_block": "trials", "point": "questionnaires"}
 """Columns that identify a table although others are missing."""
 
@@ -194,8 +166,8 @@ def read_study(paths: Sequence[str | Path], *, texts: Sequence[tuple[str, str]] 
             read.append((file.name, [_from_csv(file.name, text)]))
     for file in () if facts else _facts_files(files):
         facts |= study_facts(_plan_in(_content(file.name, _text(file))), file.name)
-    for name, found in read:
-        for kind, rows, unit in found:
+    for name, contents in read:
+        for kind, rows, unit in contents:
             if kind in tables:
                 raise StudyError(f"{name} and {tables[kind][0]} both hold {kind}; give one")
             tables[kind] = (name, rows, unit)
@@ -381,8 +353,6 @@ def _distinct(table: Trials | Questionnaires | SimulationMetrics, column: str) -
 
 
 SECOND_COLUMNS: Final = ("operator", "task", "block", "trial_in_block", "score")
-
-
 _KEY: Final = SECOND_COLUMNS[:-1]
 
 
@@ -407,13 +377,11 @@ def with_second_ratings(data: StudyData, file: str | Path) -> StudyData:
         )
     table = Checked(file.name, rows)
     ratings = SecondRatings(
-        operator=np.array(table.words("operator")),
-        task=np.array(table.words("task")),
-        block=np.array(table.counts("block"), int),
-        trial_in_block=np.array(table.counts("trial_in_block"), int),
-        score=np.array(
-            table.numbers("score", "0, 0.5 or 1", lambda x: x in SCORES, optional=False)
-        ),
+        operator=table.words("operator"),
+        task=table.words("task"),
+        block=table.counts("block"),
+        trial_in_block=table.counts("trial_in_block"),
+        score=table.numbers("score", "0, 0.5 or 1", lambda x: x in SCORES, optional=False),
     )
     table.unique(_KEY)
     trials = data.trials

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, Final, Literal, TypeAlias, TypeVar
+from typing import Final, Literal, Self, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -68,64 +68,60 @@ class Flow:
 
 
 @dataclass(frozen=True, eq=False)
-class SecondRatings:
+class _Table:
+    """Columns of one length n."""
+
+    operator: np.ndarray
+    """Pseudonymous codes (n,) of str."""
+
+    def __len__(self) -> int:
+        return len(self.operator)
+
+    def where(self, rows: Bool[np.ndarray, " n"]) -> Self:
+        """Only some rows."""
+        columns = {f.name: getattr(self, f.name) for f in fields(self)}
+        return replace(
+            self, **{name: c[rows] for name, c in columns.items() if isinstance(c, np.ndarray)}
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class SecondRatings(_Table):
     """Scores that another rater gave, for instance from video.
 
     Attributes:
-        operator: pseudonymous codes (n,) of str.
         task: names (n,) of str.
         block: which block of the operator's task, from 1 (n,).
         trial_in_block: from 1 (n,).
         score: 0, 0.5 or 1 (n,).
     """
 
-    operator: np.ndarray
     task: np.ndarray
     block: Int[np.ndarray, " n"]
     trial_in_block: Int[np.ndarray, " n"]
     score: Float[np.ndarray, " n"]
 
-    def __len__(self) -> int:
-        return len(self.score)
-
 
 ITEMS: Final = ("mental", "physical", "temporal", "performance", "effort", "frustration")
 """Scales of the NASA-TLX, each 0 to 100, higher is worse."""
-
-
 PAIRS: Final = len(ITEMS) * (len(ITEMS) - 1) // 2
 """Pairs of scales: an operator says of each pair which added more to the workload."""
-
-
 Workload: TypeAlias = Literal["raw", "weighted"]
 """``raw``: mean of the six answers (Hart 2006); ``weighted``: each as often as its scale was chosen
 (Hart and Staveland 1988)."""
-
-
 POINTS: Final = ("initial", "midpoint", "final")
 """When a questionnaire is filled in: after the first, middle and last trial of a block."""
-
-
 SCORES: Final = (0.0, 0.5, 1.0)
 """Failure, marginal success, success."""
-
-
 SUCCESS: Final = 0.5
 """Score from which a trial counts as a success."""
 
 
-_UNKNOWN: Final = {
-    "duration": np.nan, "line": "", "resets": -1, "started": "", "place": -1, "amended": -1,
-}  # fmt: skip
-"""Of columns that a table of trials may lack."""
-
-
 @dataclass(frozen=True, eq=False)
-class Trials:
+class Trials(_Table):
     """Trials, one a row.
 
     Attributes:
-        operator: pseudonymous codes (n,) of str.
         task: names (n,) of str.
         retargeter: names (n,) of str.
         block: which block of the operator's task, from 1 (n,).
@@ -135,13 +131,8 @@ class Trials:
         time: completion time [s], NaN where there is none (n,).
         duration: from the start to the score, of failures too [s], NaN where unknown (n,).
         line: of the rubric, "" where unknown (n,) of str.
-        resets: of the object, -1 where unknown (n,).
-        started: ISO date and time, "" where unknown (n,) of str.
-        place: of the block among all of the operator's, from 1, -1 where unknown (n,).
-        amended: whether it was corrected later, 0 or 1, -1 where unknown (n,).
     """
 
-    operator: np.ndarray
     task: np.ndarray
     retargeter: np.ndarray
     block: Int[np.ndarray, " n"]
@@ -151,31 +142,11 @@ class Trials:
     time: Float[np.ndarray, " n"]
     duration: Float[np.ndarray, " n"] = field(default_factory=lambda: np.empty(0))
     line: np.ndarray = field(default_factory=lambda: np.empty(0, str))
-    resets: Int[np.ndarray, " n"] = field(default_factory=lambda: np.empty(0, int))
-    started: np.ndarray = field(default_factory=lambda: np.empty(0, str))
-    place: Int[np.ndarray, " n"] = field(default_factory=lambda: np.empty(0, int))
-    amended: Int[np.ndarray, " n"] = field(default_factory=lambda: np.empty(0, int))
 
     def __post_init__(self) -> None:
-        for name, unknown in _UNKNOWN.items():
+        for name, unknown in (("duration", np.nan), ("line", "")):
             if len(getattr(self, name)) == 0:
                 object.__setattr__(self, name, np.full(len(self), unknown))
-
-    def __len__(self) -> int:
-        return len(self.score)
-
-    @property
-    def previous(self) -> np.ndarray:
-        """Retargeter of the block before in the operator's task, "" where there is none (n,)."""
-        keys = list(
-            zip(self.operator.tolist(), self.task.tolist(), self.block.tolist(), strict=True)
-        )
-        by_block = dict(zip(keys, map(str, self.retargeter), strict=True))
-        return np.array([by_block.get((o, t, b - 1), "") for o, t, b in keys], str)
-
-    def where(self, rows: Bool[np.ndarray, " n"]) -> Trials:
-        """Only some rows."""
-        return _where(self, rows)
 
     @property
     def success(self) -> np.ndarray:
@@ -184,11 +155,10 @@ class Trials:
 
 
 @dataclass(frozen=True, eq=False)
-class Questionnaires:
+class Questionnaires(_Table):
     """NASA-TLX answers, one questionnaire a row.
 
     Attributes:
-        operator: pseudonymous codes (n,) of str.
         task: names (n,) of str.
         retargeter: names (n,) of str.
         block: which block of the operator's task, from 1 (n,).
@@ -199,7 +169,6 @@ class Questionnaires:
         kind: of the workload.
     """
 
-    operator: np.ndarray
     task: np.ndarray
     retargeter: np.ndarray
     block: Int[np.ndarray, " n"]
@@ -207,13 +176,6 @@ class Questionnaires:
     answers: Float[np.ndarray, "n 6"]
     weights: Float[np.ndarray, "n 6"] | None = None
     kind: Workload = "raw"
-
-    def __len__(self) -> int:
-        return len(self.point)
-
-    def where(self, rows: Bool[np.ndarray, " n"]) -> Questionnaires:
-        """Only some rows."""
-        return _where(self, rows)
 
     @property
     def workload(self) -> Float[np.ndarray, " n"]:
@@ -231,24 +193,18 @@ class Questionnaires:
 
 
 @dataclass(frozen=True, eq=False)
-class SimulationMetrics:
+class SimulationMetrics(_Table):
     """Metrics of an operator's motion with a retargeter, from simulation.
 
     Attributes:
-        operator: pseudonymous codes (n,) of str.
         retargeter: names (n,) of str.
         names: of the metrics (m,).
         values: NaN where one is missing (n, m).
     """
 
-    operator: np.ndarray
     retargeter: np.ndarray
     names: tuple[str, ...]
     values: Float[np.ndarray, "n m"]
-
-    def where(self, rows: Bool[np.ndarray, " n"]) -> SimulationMetrics:
-        """Only some rows."""
-        return _where(self, rows)
 
 
 @dataclass(frozen=True, eq=False)
@@ -264,7 +220,6 @@ class StudyData:
         plan: of the study; None where only tables are known.
         orders: rows of the plan's square; empty where unknown.
         flow: of the participants, from enrolment to analysis.
-        forms: operator -> answers to the forms, by field.
         ranking: operator -> retargeters, the preferred one first.
         second_ratings: scores by another rater; None if there are none.
     """
@@ -277,15 +232,5 @@ class StudyData:
     plan: Protocol | None = None
     orders: tuple[tuple[str, ...], ...] = ()
     flow: Flow = field(default_factory=Flow)
-    forms: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     ranking: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     second_ratings: SecondRatings | None = None
-
-
-_Table = TypeVar("_Table", Trials, Questionnaires, SimulationMetrics)
-
-
-def _where(table: _Table, rows: Bool[np.ndarray, " n"]) -> _Table:
-    columns = {f.name: getattr(table, f.name) for f in fields(table)}
-    chosen = {name: c[rows] for name, c in columns.items() if isinstance(c, np.ndarray)}
-    return replace(table, **chosen)

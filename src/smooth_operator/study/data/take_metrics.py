@@ -28,7 +28,6 @@ METRIC_NAMES: Final = (
     "workspace_utilisation", "latency_ms",
 )  # fmt: skip
 """Columns of the table; units as in ``smooth_operator.metrics``, latency as its mean [ms]."""
-
 _POOLED: Final = "workspace_utilisation"
 _FEWEST: Final = 3  # frames of a trial, or there is no motion to measure
 _APART_S: Final = 1.0  # between trials that are put together

@@ -2,25 +2,18 @@
 
 from __future__ import annotations
 
-import json
+import dataclasses
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Literal, TypeAlias, get_args
 
 from smooth_operator.errors import StudyError
-from smooth_operator.io.entries import Entries
 from smooth_operator.simulation.tasks.checks import check_name, distinct, whole
 
 When: TypeAlias = Literal["before", "after"]
-
-
 Kind: TypeAlias = Literal["text", "number", "choice", "scale", "consent", "ranking"]
-
-
-_KINDS: Final[tuple[Kind, ...]] = get_args(Kind)
-
-
+KINDS: Final[tuple[Kind, ...]] = get_args(Kind)
 _LONGEST: Final = 4000
 
 
@@ -33,7 +26,8 @@ class FormField:
         label: what the operator reads, in any language.
         kind: ``text``; ``number``; ``choice``, one of ``choices``; ``scale``, 1 to ``steps``;
             ``consent``, yes or no; ``ranking``, the blind labels from the best to the worst.
-        required: whether it must be answered; without a required consent nothing starts.
+        required: whether it must be answered; without a required consent nothing starts. None for
+            consents alone.
         choices: of a choice.
         low: end label of a scale.
         high: the other one.
@@ -45,7 +39,7 @@ class FormField:
     name: str
     label: str
     kind: Kind = "text"
-    required: bool = False
+    required: bool | None = None
     choices: tuple[str, ...] = ()
     low: str = ""
     high: str = ""
@@ -54,12 +48,14 @@ class FormField:
     most: float | None = None
 
     def __post_init__(self) -> None:
+        if self.required is None:
+            object.__setattr__(self, "required", self.kind == "consent")
         check_name(self.name, "field of a form")
         if not self.label.strip():
             raise StudyError(f"field {self.name!r} of a form needs a label")
-        if self.kind not in _KINDS:
+        if self.kind not in KINDS:
             raise StudyError(
-                f"field {self.name!r}: its kind must be one of {', '.join(_KINDS)}, not "
+                f"field {self.name!r}: its kind must be one of {', '.join(KINDS)}, not "
                 f"{self.kind!r}"
             )
         if (self.kind == "choice") != bool(self.choices) or len(self.choices) == 1:
@@ -88,7 +84,7 @@ class Form:
     when: When
     fields: tuple[FormField, ...]
     title: str = ""
-    text: str = ""
+    text: str = dataclasses.field(default="", metadata={"lines": True})
 
     def __post_init__(self) -> None:
         check_name(self.name, "form")
@@ -126,7 +122,7 @@ class Form:
                 raise StudyError(f"form {self.name!r}: field {field.name!r} is not answered")
 
     def refused(self, answers: Mapping[str, Any]) -> bool:
-        """Whether a consent that is required was refused."""
+        """True if a consent that is required was refused."""
         return any(
             field.kind == "consent" and field.required and answers.get(field.name) is not True
             for field in self.fields
@@ -134,7 +130,7 @@ class Form:
 
 
 def _expected(field: FormField, value: Any, ranked: Sequence[str]) -> str:
-    """What should be there instead; empty if the value is right."""
+    """A description of the values that are right; empty if this one is."""
     number = isinstance(value, int | float) and not isinstance(value, bool)
     match field.kind:
         case "text":
@@ -157,97 +153,6 @@ def _expected(field: FormField, value: Any, ranked: Sequence[str]) -> str:
     return "" if right else f"each of these once: {', '.join(ranked)}"
 
 
-def read_forms(entries: Entries) -> tuple[Form, ...]:
-    """Forms from the entry ``forms`` of a plan; none where there is none.
-
-    Raises:
-        StudyError: an entry is wrong; the message names it.
-    """
-    if "forms" not in entries.names:
-        return ()
-    return tuple(_form(one) for one in entries.tables("forms"))
-
-
-def check_forms(forms: Sequence[Form]) -> None:
-    """Refuses forms of one name.
-
-    Raises:
-        StudyError: two forms have the same name.
-    """
-    distinct([form.name for form in forms], "forms")
-
-
-def _form(entries: Entries) -> Form:
-    entries.only("name", "when", "title", "text", "fields")
-    return Form(
-        entries.text("name"),
-        entries.choice("when", get_args(When)),
-        tuple(_field(one) for one in entries.tables("fields")),
-        entries.text("title", ""),
-        entries.text("text", "", lines=True),
-    )
-
-
-def _field(entries: Entries) -> FormField:
-    entries.only("name", "label", "kind", "required", "choices", "low", "high", "steps", "least",
-                 "most")  # fmt: skip
-    kind = entries.choice("kind", _KINDS, "text")
-    return FormField(
-        entries.text("name"),
-        entries.text("label"),
-        kind,
-        entries.flag("required", kind == "consent"),
-        tuple(entries.texts("choices", ())),
-        entries.text("low", ""),
-        entries.text("high", ""),
-        entries.whole("steps", 7),
-        entries.number("least") if "least" in entries.names else None,
-        entries.number("most") if "most" in entries.names else None,
-    )
-
-
-def form_lines(forms: Sequence[Form]) -> Iterator[str]:
-    """The forms as lines of TOML."""
-    if forms:
-        yield "# Forms on the operator's page, before the first block or after the last. Kinds of"
-        yield f"# fields: {', '.join(_KINDS)}."
-    for form in forms:
-        yield "[[forms]]"
-        yield f"name = {_text(form.name)}"
-        yield f"when = {_text(form.when)}"
-        if form.title:
-            yield f"title = {_text(form.title)}"
-        if form.text:
-            yield f"text = {_text(form.text)}"
-        yield "fields = ["
-        for field in form.fields:
-            yield f"  {{ {', '.join(_entries(field))} }},"
-        yield "]"
-        yield ""
-
-
-def _entries(field: FormField) -> Iterator[str]:
-    yield f"name = {_text(field.name)}"
-    yield f"label = {_text(field.label)}"
-    yield f"kind = {_text(field.kind)}"
-    if field.required != (field.kind == "consent"):
-        yield f"required = {'true' if field.required else 'false'}"
-    if field.choices:
-        yield f"choices = [{', '.join(map(_text, field.choices))}]"
-    for name in ("low", "high"):
-        if getattr(field, name):
-            yield f"{name} = {_text(getattr(field, name))}"
-    if field.kind == "scale":
-        yield f"steps = {field.steps}"
-    for name in ("least", "most"):
-        if getattr(field, name) is not None:
-            yield f"{name} = {float(getattr(field, name))!r}"
-
-
-def _text(value: str) -> str:
-    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007F")
-
-
 _CONSENT: Final = Form(
     "consent",
     "before",
@@ -258,16 +163,13 @@ _CONSENT: Final = Form(
             "consent",
             required=True,
         ),
-        FormField("recordings", "Recordings of my hand may be kept for research.", "consent"),
+        FormField("recordings", "Recordings of my hand may be kept for research.", "consent",
+                  required=False),
     ),
     title="Consent",
     text="You may stop at any time, without giving a reason.",
-)
-
-
+)  # fmt: skip
 _OFTEN: Final = ("never", "once or twice", "up to ten times", "more often")
-
-
 _ABOUT: Final = Form(
     "about-you",
     "before",
@@ -285,8 +187,6 @@ _ABOUT: Final = Form(
     ),
     title="About you",
 )  # fmt: skip
-
-
 _BACK: Final = Form(
     "at-the-end",
     "after",
@@ -296,7 +196,5 @@ _BACK: Final = Form(
     ),
     title="Looking back",
 )
-
-
 DEFAULT_FORMS: Final = (_CONSENT, _ABOUT, _BACK)
 """In the order in which they are asked."""

@@ -66,7 +66,7 @@ def balanced_rows(count: int) -> tuple[tuple[int, ...], ...]:
 
 @dataclass(frozen=True)
 class Balance:
-    """How evenly a set of orders treats the conditions.
+    """Counts of places and neighbours of the conditions in a set of orders.
 
     Attributes:
         places: (condition, place) -> how often.
@@ -90,13 +90,6 @@ class Balance:
         """Most minus least often that a condition follows another; 0 is carry-over balanced."""
         counts = [self.neighbours[a, b] for a in self.conditions for b in self.conditions if a != b]
         return max(counts) - min(counts)
-
-    @property
-    def unevenness(self) -> int:
-        """Sum of squared counts: lower is more even, for the same number of orders."""
-        return sum(c * c for c in self.places.values()) + sum(
-            c * c for c in self.neighbours.values()
-        )
 
 
 def balance(orders: Sequence[Sequence[str]], conditions: Sequence[str]) -> Balance:

@@ -95,7 +95,7 @@ def schedule_text(plan: Plan) -> str:
 
 
 def imbalances(plan: Plan) -> Iterator[str]:
-    """What a person should know about the balance of a plan, a sentence each; none where even."""
+    """Sentences on the balance of a plan; none where it is even."""
     square = balance(plan.orders, plan.protocol.condition_names)
     if square.spread_of_places or square.spread_of_neighbours:
         yield (
@@ -116,13 +116,9 @@ def imbalances(plan: Plan) -> Iterator[str]:
 
 
 _USED: Final = 1e6
-"""Weight of how often a row was used, over that of unevenness: the first always decides."""
-
-
+"""Weight of how often a row was used, over that of uneven places: the first always decides."""
 _AGAIN: Final = 1e12
 """Weight of a row that the operator has had already: only where no other is left."""
-
-
 Orders: TypeAlias = tuple[tuple[str, ...], ...]
 
 
@@ -182,22 +178,22 @@ def enrol_all(protocol: Protocol, orders: Orders) -> tuple[Enrolment, ...]:
     dealt = _dealt(protocol)
     best: tuple[float, tuple[Enrolment, ...]] | None = None
     for salt in range(64):
-        made: list[Enrolment] = []
+        enrolments: list[Enrolment] = []
         for code, tasks in dealt.items():
-            made.append(enrolled(protocol, orders, made, code, tasks, salt=salt))
-        spreads = [spread_of_rows(made, task.name, len(orders)) for task in protocol.tasks]
+            enrolments.append(enrolled(protocol, orders, enrolments, code, tasks, salt=salt))
+        spreads = [spread_of_rows(enrolments, task.name, len(orders)) for task in protocol.tasks]
         excess = float(sum(max(0, spread - 1) for spread in spreads))
         if best is None or excess < best[0]:
-            best = (excess, tuple(made))
+            best = (excess, tuple(enrolments))
         if excess == 0:
             break
     assert best is not None
     return best[1]
 
 
-def spread_of_rows(made: Sequence[Enrolment], task: str, rows: int) -> int:
+def spread_of_rows(enrolments: Sequence[Enrolment], task: str, rows: int) -> int:
     """Most minus least often that a row is used in a task."""
-    used = Counter(one.rows[task] for one in made if task in one.rows)
+    used = Counter(one.rows[task] for one in enrolments if task in one.rows)
     counts = [used[row] for row in range(rows)]
     return max(counts) - min(counts)
 
@@ -296,7 +292,7 @@ class Block:
 
 @dataclass(frozen=True)
 class Plan:
-    """What the experimenter follows.
+    """A plan that the experimenter follows.
 
     Attributes:
         protocol: what is done; each condition has a label.
@@ -416,7 +412,7 @@ class Plan:
         return replace(self, enrolled=(*self.enrolled, new))
 
     def balance(self, task: str) -> Balance:
-        """How evenly the operators of a task meet the conditions."""
+        """Counts of places and neighbours of the conditions over the operators of a task."""
         used = [self.orders[one.rows[task]] for one in self.enrolled if task in one.rows]
         return balance(used, self.protocol.condition_names)
 
@@ -428,8 +424,8 @@ def make_plan(protocol: Protocol) -> Plan:
     the square alone would always favour the same neighbours in a study that ends early.
     """
     bare = [c.name for c in protocol.conditions if not c.label]
-    taken = {c.label for c in protocol.conditions}
-    labels = blind_labels(bare, taken, protocol.seed)
+    chosen = {c.label for c in protocol.conditions}
+    labels = blind_labels(bare, chosen, protocol.seed)
     protocol = replace(
         protocol,
         conditions=tuple(replace(c, label=c.label or labels[c.name]) for c in protocol.conditions),

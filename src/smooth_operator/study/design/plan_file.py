@@ -5,15 +5,15 @@ from __future__ import annotations
 import hashlib
 import json
 import tomllib
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Iterator, Mapping
+from dataclasses import MISSING, fields, is_dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 from smooth_operator.atomic_files import atomic_write, output_error
 from smooth_operator.errors import StudyError
 from smooth_operator.io.entries import Entries, read_entries
-from smooth_operator.study.design.forms import form_lines, read_forms
+from smooth_operator.study.design.forms import KINDS
 from smooth_operator.study.design.plan import (
     Enrolment,
     Orders,
@@ -24,24 +24,38 @@ from smooth_operator.study.design.plan import (
 )
 from smooth_operator.study.design.preregistration import NAME as PREREGISTRATION
 from smooth_operator.study.design.preregistration import preregistration
-from smooth_operator.study.design.protocol import (
-    POINTS,
-    PRIMARY,
-    Condition,
-    Protocol,
-    RubricLine,
-    Task,
-)
+from smooth_operator.study.design.protocol import PRIMARY, Condition, Protocol, Task
 
 FORMAT: Final = 1
 """Version of the format that this program reads and writes."""
-
-
 NAME: Final = "study.toml"
 """Name of the file in the folder of a study."""
-
-
+KEPT: Final = "PREREGISTRATION.before.md"
+"""The text of the plan before it was changed."""
 _MOST_BYTES: Final = 4_000_000
+_COMMENTS: Final[Mapping[type, Mapping[str, str]]] = {
+    Protocol: {
+        "name": "",
+        "baseline": "the others are compared with it",
+        "operators": "",
+        "familiarisation_s": "free movement before a block",
+        "questionnaires": "NASA-TLX, after these trials",
+        "weights": "the 15 pairs of NASA-TLX at the end of a block",
+        "resets": "of the object, in a trial",
+        "reset_cap": "best score after that",
+        "break_s": "offered between blocks",
+        "break_every": "blocks between two breaks",
+        "task_order": "",
+        "seed": "",
+        "rate_hz": "commands a second, in every condition",
+        "primary": "decides; all else is exploratory",
+        "tlx_language": "words of NASA-TLX",
+    },
+    Condition: {"method": "", "label": "what operators may see"},
+    Task: {"trials": "in a block", "rubric": ""},
+}
+"""Entries of the file that are written even with the value of their default, and their remarks."""
+_T = TypeVar("_T")
 
 
 def read_plan(path: str | Path) -> Plan:
@@ -116,71 +130,69 @@ def _plan(entries: Entries) -> Plan:
 
 
 def _protocol(entries: Entries) -> Protocol:
-    entries.only(
-        "format", "name", "baseline", "operators", "familiarisation_s", "break_s",
-        "questionnaires", "weights", "resets", "reset_cap", "task_order", "seed", "rate_hz",
-        "break_every", "tlx_language", "primary", "margins", "forms", "conditions", "tasks",
-        "orders", "enrolled",
-    )  # fmt: skip
-    conditions = entries.table("conditions")
-    tasks = entries.table("tasks")
-    margins = entries.table("margins", {})
+    conditions, tasks = entries.table("conditions"), entries.table("tasks")
     # Where a plan was drawn and names no primary endpoint, none was planned.
     primary = entries.text("primary", "" if "orders" in entries.names else PRIMARY)
-    points = entries.texts("questionnaires", POINTS)
-    for point in points:
-        if point not in POINTS:
-            raise entries.error("questionnaires", f"expected some of {', '.join(POINTS)}")
-    return Protocol(
-        name=entries.text("name"),
-        conditions=tuple(_condition(conditions.table(name), name) for name in conditions.names),
-        tasks=tuple(_task(tasks.table(name), name) for name in tasks.names),
-        baseline=entries.text("baseline"),
-        operators=entries.whole("operators"),
-        familiarisation_s=entries.number("familiarisation_s", 120.0),
-        questionnaires=tuple(point for point in POINTS if point in points),
-        weights=entries.flag("weights", False),
-        resets=entries.whole("resets", 1),
-        reset_cap=entries.number("reset_cap", 0.5),
-        break_s=entries.number("break_s", 120.0),
-        task_order=entries.choice("task_order", ("balanced", "listed"), "balanced"),
-        seed=entries.whole("seed", 0),
-        rate_hz=entries.number("rate_hz") if "rate_hz" in entries.names else None,
+    return _record(
+        Protocol,
+        entries,
+        ("format", "primary", "conditions", "tasks", "orders", "enrolled"),
+        conditions=tuple(
+            _record(Condition, conditions.table(name), name=name) for name in conditions.names
+        ),
+        tasks=tuple(
+            _record(Task, table := tasks.table(name), ("trials",), name=name,
+                    trials=table.whole("trials"))
+            for name in tasks.names
+        ),
         primary=primary,
-        margins={name: margins.number(name) for name in margins.names},
-        break_every=entries.whole("break_every", 1),
-        forms=read_forms(entries),
-        tlx_language=entries.text("tlx_language", ""),
-    )
+    )  # fmt: skip
 
 
-def _condition(entries: Entries, name: str) -> Condition:
-    entries.only("method", "preset", "label")
-    preset = entries.text("preset", "")
-    return Condition(name, entries.text("method", name), preset or None, entries.text("label", ""))
+def _record(cls: type[_T], entries: Entries, more: tuple[str, ...] = (), **values: Any) -> _T:
+    """A dataclass from the table of a file, by names and types of its fields.
+
+    Args:
+        cls: class of the result.
+        entries: the table.
+        more: further entries that the table may have.
+        **values: fields that are known already.
+    """
+    hints = get_type_hints(cls)
+    columns = [f for f in fields(cls) if f.init and f.name not in values]  # type: ignore[arg-type]
+    entries.only(*(f.name for f in columns), *more)
+    for f in columns:
+        required = f.default is MISSING and f.default_factory is MISSING
+        if required or f.name in entries.names:
+            lines = bool(f.metadata.get("lines"))
+            values[f.name] = _value(entries, f.name, hints[f.name], lines=lines)
+    return cls(**values)
 
 
-def _task(entries: Entries, name: str) -> Task:
-    entries.only("title", "instruction", "trials", "operators", "time_limit_s", "rubric")
-    more: dict[str, Any] = {}
-    if "operators" in entries.names:
-        more["operators"] = entries.whole("operators")
-    if "time_limit_s" in entries.names:
-        more["time_limit_s"] = entries.number("time_limit_s")
-    if "rubric" in entries.names:
-        more["rubric"] = tuple(_line(line) for line in entries.tables("rubric"))
-    return Task(
-        name,
-        trials=entries.whole("trials"),
-        title=entries.text("title", ""),
-        instruction=entries.text("instruction", ""),
-        **more,
-    )
-
-
-def _line(entries: Entries) -> RubricLine:
-    entries.only("name", "score", "text")
-    return RubricLine(entries.text("name"), entries.number("score"), entries.text("text", ""))
+def _value(entries: Entries, name: str, hint: Any, *, lines: bool) -> Any:
+    """An entry of the type of a field; an empty text is None where that is allowed."""
+    inner = get_args(hint)
+    if type(None) in inner:
+        value = _value(entries, name, inner[0], lines=lines)
+        return None if value == "" else value
+    if get_origin(hint) is Literal:
+        return entries.choice(name, inner)
+    if get_origin(hint) is tuple and is_dataclass(inner[0]):
+        cls: Any = inner[0]
+        return tuple(_record(cls, one) for one in entries.tables(name))
+    if get_origin(hint) is tuple:
+        texts, options = entries.texts(name), get_args(inner[0])
+        if not set(texts) <= set(options or texts):
+            raise entries.error(name, f"expected some of {', '.join(options)}")
+        return tuple(option for option in options or texts if option in texts)
+    if get_origin(hint) is not None:
+        table = entries.table(name)
+        return {key: table.number(key) for key in table.names}
+    if hint is bool:
+        return entries.flag(name, False)
+    if hint is str:
+        return entries.text(name, lines=lines)
+    return entries.whole(name) if hint is int else entries.number(name)
 
 
 def _orders(entries: Entries) -> Orders:
@@ -192,106 +204,71 @@ def _orders(entries: Entries) -> Orders:
 
 
 def _enrolled(entries: Entries) -> tuple[Enrolment, ...]:
-    if "enrolled" not in entries.names:
-        return ()
-    operators = entries.table("enrolled")
-    enrolled = []
-    for code in operators.names:
-        rows = operators.table(code)
-        enrolled.append(Enrolment(code, {task: rows.whole(task) - 1 for task in rows.names}))
-    return tuple(enrolled)
+    operators = entries.table("enrolled", {})
+    tables = {code: operators.table(code) for code in operators.names}
+    return tuple(
+        Enrolment(code, {task: rows.whole(task) - 1 for task in rows.names})
+        for code, rows in tables.items()
+    )
 
 
 def _lines(plan: Plan) -> Iterator[str]:
     protocol = plan.protocol
     yield "# A user study. Names and rows of those who have begun are not to be changed any more."
     yield f"format = {FORMAT}"
-    yield f"name = {_text(protocol.name)}"
-    yield f"baseline = {_text(protocol.baseline)}  # the others are compared with it"
-    yield f"operators = {protocol.operators}"
-    yield f"familiarisation_s = {protocol.familiarisation_s!r}  # free movement before a block"
-    yield f"break_s = {protocol.break_s!r}  # offered between blocks"
-    if protocol.break_every != 1:
-        yield f"break_every = {protocol.break_every}  # blocks between two breaks"
-    yield f"questionnaires = {_texts(protocol.questionnaires)}  # NASA-TLX, after these trials"
-    yield f"weights = {_flag(protocol.weights)}  # the 15 pairs of NASA-TLX at the end of a block"
-    yield f"resets = {protocol.resets}  # of the object, in a trial"
-    yield f"reset_cap = {protocol.reset_cap!r}  # best score after that"
-    yield f"task_order = {_text(protocol.task_order)}"
-    yield f"seed = {protocol.seed}"
-    if protocol.tlx_language:
-        yield f"tlx_language = {_text(protocol.tlx_language)}  # words of NASA-TLX"
-    if protocol.rate_hz is not None:
-        yield f"rate_hz = {float(protocol.rate_hz)!r}  # commands a second, in every condition"
-    if protocol.primary:
-        yield f"primary = {_text(protocol.primary)}  # decides; all else is exploratory"
+    yield from _settings(protocol, ("conditions", "tasks", "forms", "margins"))
     if protocol.margins:
-        yield ""
-        yield "[margins]  # of equivalence: share of successes, seconds, points of workload"
+        yield "\n[margins]  # of equivalence: share of successes, seconds, points of workload"
         for name, margin in protocol.margins.items():
             yield f"{name} = {float(margin)!r}"
-    for condition in protocol.conditions:
-        yield ""
-        yield f"[conditions.{_key(condition.name)}]"
-        yield f"method = {_text(condition.method)}"
-        if condition.preset is not None:
-            yield f"preset = {_text(condition.preset)}"
-        if condition.label:
-            yield f"label = {_text(condition.label)}  # what operators may see"
-    for task in protocol.tasks:
-        yield ""
-        yield from _task_lines(task)
-    yield ""
-    yield from form_lines(protocol.forms)
-    yield "[orders]  # a balanced Latin square: the conditions of the first block, the second, ..."
+    for table, items in (("conditions", protocol.conditions), ("tasks", protocol.tasks)):
+        for item in items:
+            yield f"\n[{table}.{_key(item.name)}]"
+            yield from _settings(item, ("name",))
+    if protocol.forms:
+        yield "\n# Forms on the operator's page, before the first block or after the last."
+        yield f"# Kinds of fields: {', '.join(KINDS)}."
+    for form in protocol.forms:
+        yield "[[forms]]"
+        yield from _settings(form)
+    yield "\n[orders]  # a balanced Latin square: conditions of the first block, the second, ..."
     for number, order in enumerate(plan.orders, 1):
-        yield f"{number} = {_texts(order)}"
-    yield ""
-    yield "[enrolled]  # operator = { task = row of orders }, tasks in the order they are done"
+        yield f"{number} = {_toml(order)}"
+    yield "\n[enrolled]  # operator = { task = row of orders }, tasks in the order they are done"
     for one in plan.enrolled:
         rows = ", ".join(f"{_key(task)} = {row + 1}" for task, row in one.rows.items())
         yield f"{_key(one.code)} = {{ {rows} }}"
 
 
-def _task_lines(task: Task) -> Iterator[str]:
-    yield f"[tasks.{_key(task.name)}]"
-    if task.title:
-        yield f"title = {_text(task.title)}"
-    if task.instruction:
-        yield f"instruction = {_text(task.instruction)}"
-    yield f"trials = {task.trials}  # in a block"
-    if task.operators is not None:
-        yield f"operators = {task.operators}"
-    if task.time_limit_s is not None:
-        yield f"time_limit_s = {float(task.time_limit_s)!r}"
-    yield "rubric = ["
-    for line in task.rubric:
-        yield (
-            f"  {{ name = {_text(line.name)}, score = {float(line.score)!r}, "
-            f"text = {_text(line.text)} }},"
-        )
-    yield "]"
+def _settings(item: Any, skip: tuple[str, ...] = ()) -> Iterator[str]:
+    """Lines of TOML for the fields of a dataclass, without those that have their default."""
+    comments = _COMMENTS.get(type(item), {})
+    for f in fields(item):
+        value = getattr(item, f.name)
+        empty = value is None or value == "" or (value == f.default and f.name not in comments)
+        if empty or not f.init or f.name in skip:
+            continue
+        value = float(value) if str(f.type).startswith("float") else value
+        comment = comments.get(f.name, "")
+        yield f"{f.name} = {_toml(value)}" + (f"  # {comment}" if comment else "")
 
 
-def _text(value: str) -> str:
-    # A JSON string is a TOML one, but for the one control character that JSON lets through.
-    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007F")
-
-
-def _texts(values: tuple[str, ...]) -> str:
-    return f"[{', '.join(map(_text, values))}]"
+def _toml(value: Any) -> str:
+    """A value in TOML; dataclasses are inline tables."""
+    if is_dataclass(value):
+        return f"{{ {', '.join(_settings(value))} }}"
+    if isinstance(value, tuple) and value and is_dataclass(value[0]):
+        return "[\n" + "".join(f"  {_toml(one)},\n" for one in value) + "]"
+    if isinstance(value, tuple):
+        return f"[{', '.join(map(_toml, value))}]"
+    if isinstance(value, bool | str):
+        # A JSON string is a TOML one, but for the one control character that JSON lets through.
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007F")
+    return repr(value)
 
 
 def _key(name: str) -> str:
-    return name if name.replace("_", "").replace("-", "").isalnum() else _text(name)
-
-
-def _flag(value: bool) -> str:
-    return "true" if value else "false"
-
-
-KEPT: Final = "PREREGISTRATION.before.md"
-"""The text of the plan before it was changed."""
+    return name if name.replace("_", "").replace("-", "").isalnum() else _toml(name)
 
 
 def write_plan_files(plan: Plan, folder: Path) -> list[Path]:
@@ -344,5 +321,5 @@ def write_preregistration(plan: Plan, folder: Path) -> Path | None:
 
 
 def _digest(plan: Plan) -> str:
-    """Of all but who is enrolled."""
+    """A digest of all but who is enrolled."""
     return hashlib.sha256(plan_text(replace(plan, enrolled=())).encode()).hexdigest()[:16]

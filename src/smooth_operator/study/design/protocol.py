@@ -11,22 +11,14 @@ from smooth_operator.errors import StudyError, UnknownNameError
 from smooth_operator.simulation.tasks.checks import check_name, distinct, seconds, whole
 from smooth_operator.simulation.tasks.task import RubricLine as RubricLine
 from smooth_operator.simulation.tasks.task import Task as Task
-from smooth_operator.study.design.forms import Form, check_forms
+from smooth_operator.study.design.forms import Form
 
 OUTCOMES: Final = ("success", "time", "tlx")
 """Success rate (0 to 1), completion time [s], workload (0 to 100 points)."""
-
-
 POOLED: Final = "pooled"
 """The scope that is all tasks together; the others are the tasks."""
-
-
 PRIMARY: Final = f"{OUTCOMES[0]}/{POOLED}"
-
-
 PAPER_MARGINS: Final = {"success": 0.10, "time": 5.0, "tlx": 10.0}
-
-
 _LARGEST: Final = {"success": 1.0, "time": 86_400.0, "tlx": 100.0}
 
 
@@ -100,11 +92,7 @@ def check_margins(margins: Mapping[str, float]) -> None:
 
 Point: TypeAlias = Literal["initial", "midpoint", "final"]
 """When a questionnaire is asked: after the first, the middle or the last trial of a block."""
-
-
 POINTS: Final[tuple[Point, ...]] = get_args(Point)
-
-
 _SCORES: Final = (0.0, 0.5, 1.0)
 
 
@@ -216,7 +204,7 @@ class Protocol:
         seconds(self.break_s, "break")
         whole(self.resets, 0, 100, "resets of a trial")
         whole(self.break_every, 0, 1000, "blocks between two breaks")
-        check_forms(self.forms)
+        distinct([form.name for form in self.forms], "forms")
         if self.reset_cap not in _SCORES:
             raise StudyError(f"the score after a reset must be 0, 0.5 or 1, not {self.reset_cap}")
         if self.task_order not in ("balanced", "listed"):
@@ -273,7 +261,7 @@ class Protocol:
         return by_name[name]
 
     def planned(self, task: Task) -> int:
-        """How many operators are to do a task."""
+        """Number of operators who are to do a task."""
         return self.operators if task.operators is None else task.operators
 
     def questionnaire_trials(self, task: Task) -> dict[int, Point]:

@@ -23,12 +23,9 @@ PLOT: Final = "power.png"
 TITLES: Final[dict[Outcome, str]] = {"success": "success", "time": "time", "tlx": "workload"}
 ENOUGH: Final = 0.8
 """Power that is usually asked for."""
-
 MOST_ERROR: Final = 0.07
 """Family-wise error from which on a test is not to be relied on: 5 % and what simulation adds."""
-
 Tallies = Mapping[tuple[int, Truth], Tally]
-
 _LINES: Final[dict[Mode, str]] = {"small-sample": "-", "paper": "--"}
 
 
@@ -71,7 +68,7 @@ def power_json(settings: PowerSettings, tallies: Tallies) -> dict[str, Any]:
 
 
 def errs(error: Rate) -> bool:
-    """Whether a family-wise error is more than what can be relied on."""
+    """True if a family-wise error is more than what can be relied on."""
     return error.rate > MOST_ERROR
 
 
@@ -88,7 +85,7 @@ def write_power(settings: PowerSettings, tallies: Tallies, folder: Path) -> list
     return [folder / RESULT, folder / PLOT]
 
 
-def found(tally: Tally, outcome: str, scope: str, mode: str, what: str) -> Rate:
+def rate_of(tally: Tally, outcome: str, scope: str, mode: str, what: str) -> Rate:
     """One rate; zero if it never happened."""
     counts = tally.counts.get(f"{outcome}/{scope}/{mode}")
     return rate(0 if counts is None else counts[what], tally.studies)
@@ -133,7 +130,7 @@ def draw_power(
     axes[0, 0].set_ylim(-0.02, 1.02)
     axes[0, 0].set_ylabel("power (solid small-sample, dashed paper)")
     worst = [
-        found(tallies[n, "null"], outcome, scope, mode, "family:dunnett").upper
+        rate_of(tallies[n, "null"], outcome, scope, mode, "family:dunnett").upper
         for n in settings.operators
         for outcome in outcomes
         for mode in MODES
@@ -165,7 +162,7 @@ def _line(
 ) -> None:
     outcome, scope, mode = where
     numbers = sorted(settings.operators)
-    rows = [found(tallies[n, truth], outcome, scope, mode, what) for n in numbers]
+    rows = [rate_of(tallies[n, truth], outcome, scope, mode, what) for n in numbers]
     middle = [row.rate for row in rows]
     bars = [
         [row.rate - row.lower for row in rows],

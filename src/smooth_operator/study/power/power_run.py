@@ -35,19 +35,17 @@ from smooth_operator.study.power.verdicts import Analyst, Tally
 Truth: TypeAlias = Literal["effects", "null"]
 TRUTHS: Final[tuple[Truth, ...]] = ("effects", "null")
 """As assumed; and with every condition as good as the baseline."""
-
 LOG: Final = "studies.jsonl"
 """Counts of finished chunks, a line each."""
 _CHUNK: Final = 10
 _LEAST_OPERATORS: Final = 3
-
 Report: TypeAlias = Callable[[int, int], None]
 """Called with the studies that are done, and all."""
 
 
 @dataclass(frozen=True)
 class PowerSettings:
-    """What to simulate.
+    """Settings of a simulation of power.
 
     Attributes:
         protocol: of the study; its operators are scaled to each of ``operators``.
@@ -78,7 +76,7 @@ class PowerSettings:
 
     @property
     def scopes(self) -> tuple[str, ...]:
-        """What is analysed."""
+        """Scopes of the analysis."""
         tasks = tuple(task.name for task in self.protocol.tasks)
         return (POOLED, *tasks) if self.per_task and len(tasks) > 1 else (POOLED,)
 

@@ -24,12 +24,8 @@ from smooth_operator.study.design.protocol import POINTS
 
 PAPER_SUCCESS: Final = {"sbr": 0.541, "dexpilot": 0.440, "geort": 0.266, "hybrid": 0.521}
 """Probability of a score of 0.5 or 1."""
-
-
 PAPER_TIME_S: Final = {"sbr": 29.7, "dexpilot": 23.3, "geort": 33.3, "hybrid": 21.6}
 """Mean time of successful trials [s]."""
-
-
 PAPER_WORKLOAD: Final = {"sbr": 36.4, "dexpilot": 44.0, "geort": 56.4, "hybrid": 38.4}
 """Mean raw NASA-TLX."""
 
@@ -130,13 +126,13 @@ def assumptions_for(
         StudyError: a condition is given that the study hasn't, or one has no value.
     """
     values_of: dict[str, Mapping[str, float]] = {}
-    for what, given, known in (
+    for what, overrides, published in (
         ("success", success, PAPER_SUCCESS),
         ("time_s", time_s, PAPER_TIME_S),
         ("workload", workload, PAPER_WORKLOAD),
     ):
-        values = {**known, **(given or {})}
-        for name in given or {}:
+        values = {**published, **(overrides or {})}
+        for name in overrides or {}:
             if name not in conditions:
                 raise StudyError(
                     f"{what} is given for {name!r}; the study's conditions are "
@@ -171,7 +167,7 @@ class Rows:
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """What a study of a plan will hold, if nobody drops out.
+    """The rows of a study of a plan, if nobody drops out.
 
     Attributes:
         conditions: the baseline first.
@@ -216,22 +212,16 @@ def _rows(rows: list[tuple[int, int, int, int]]) -> Rows:
 
 
 _CORRELATION: Final = np.array([[1.0, -0.4, -0.3], [-0.4, 1.0, 0.2], [-0.3, 0.2, 1.0]])
-"""Of an operator's success, time and workload: who succeeds more is quicker and less strained."""
-
-
+"""Correlation of success, time and workload: who succeeds more is quicker and less strained."""
 _SHORTEST_S: Final = 2.0
-
-
 _STEP: Final = 5.0
-
-
 _SCALES: Final = np.array([8.0, -6.0, 0.0, 2.0, 4.0, -8.0])
-"""How the six scales of NASA-TLX lie about their mean [points]."""
+"""Distances of the six scales of NASA-TLX from their mean [points]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Simulated:
-    """What came out.
+    """Data of a simulated study.
 
     Attributes:
         success: of each trial (n,).
@@ -261,23 +251,14 @@ class Simulator:
                 for name in layout.conditions
             ]
         )
-        trials, questionnaires = layout.trials, layout.questionnaires
         seconds = np.array([truth.time_s[name] for name in layout.conditions])
         points = np.array([truth.workload[name] for name in layout.conditions])
-        self._mean_logit = (
-            self._logit[trials.condition]
-            + offsets[trials.task, 0]
-            + truth.practice.success * _centred(trials)
-        )
-        self._mean_time = (
-            seconds[trials.condition]
-            + offsets[trials.task, 1]
-            + truth.practice.time_s * _centred(trials)
-        )
-        self._mean_workload = (
-            points[questionnaires.condition]
-            + offsets[questionnaires.task, 2]
-            + truth.practice.workload * _centred(questionnaires)
+        rows = (layout.trials, layout.trials, layout.questionnaires)
+        self._mean_logit, self._mean_time, self._mean_workload = (
+            values[own.condition] + offsets[own.task, k] + practice * _centred(own)
+            for k, (values, own, practice) in enumerate(
+                zip((self._logit, seconds, points), rows, _three(truth.practice), strict=True)
+            )
         )
         self._root = np.linalg.cholesky(_CORRELATION)
 

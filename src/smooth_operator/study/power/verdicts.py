@@ -9,28 +9,33 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from itertools import combinations
 from typing import Any, Final
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from smooth_operator.errors import StudyError
-from smooth_operator.study.analysis.contrasts import MarginalMeans, linear_means, response_means
-from smooth_operator.study.analysis.dunnett import holm, outside, quantile, two_sided
+from smooth_operator.study.analysis.dunnett import quantile
 from smooth_operator.study.analysis.frame import Frame, check_frame
-from smooth_operator.study.analysis.gee import fit_gee
-from smooth_operator.study.analysis.mixed import fit_mixed
-from smooth_operator.study.analysis.results import POOLED, Mode, Outcome, Separated
+from smooth_operator.study.analysis.gee import one_sided_levels
+from smooth_operator.study.analysis.models import ONE_SIDED, Fit, fit_modes
+from smooth_operator.study.analysis.results import (
+    MODES,
+    POOLED,
+    Mode,
+    Outcome,
+    Refused,
+    Separated,
+)
 from smooth_operator.study.analysis.separated import split
 from smooth_operator.study.power.simulated_study import Assumptions, Layout, Rows, Simulated
 
 ALPHA: Final = 0.05
-
-
-Freedom = Callable[[Float[np.ndarray, " p"]], float]
+_Z: Final = 1.959963984540054
+Counts = dict[str, int]
+"""Name of a count, see ``count`` -> number of studies."""
 
 
 @dataclass(frozen=True)
@@ -76,15 +81,15 @@ class Analyst:
         trials, questionnaires = self._layout.trials, self._layout.questionnaires
         for scope in self._scopes:
             rows = self._within(trials, scope)
-            yield from self._success(self._frame(trials, study.success.astype(float), rows), scope)
-            yield from self._linear(
-                self._frame(trials, study.time_s, rows & study.success), "time", scope
-            )
+            frame = self._frame(trials, study.success.astype(float), rows)
+            yield from self._verdicts("success", frame, scope)
+            frame = self._frame(trials, study.time_s, rows & study.success)
+            yield from self._verdicts("time", frame, scope)
             if len(questionnaires.index):
                 frame = self._frame(
                     questionnaires, study.workload, self._within(questionnaires, scope)
                 )
-                yield from self._linear(frame, "tlx", scope)
+                yield from self._verdicts("tlx", frame, scope)
 
     def _within(self, rows: Rows, scope: str) -> Bool[np.ndarray, " n"]:
         if scope == POOLED:
@@ -109,157 +114,61 @@ class Analyst:
             baseline=self._layout.conditions[0],
         )
 
-    def _success(self, frame: Frame, scope: str) -> Iterator[Verdict]:
+    def _verdicts(self, outcome: Outcome, frame: Frame, scope: str) -> Iterator[Verdict]:
         separated: dict[str, Separated] = {}
+        fits: Mapping[Mode, Fit | Refused]
         try:
             check_frame(frame)
-            rest, separated = split(frame)
-            if rest is None:
-                raise StudyError("no retargeter has both successes and failures")
-            frame = rest
-            check_frame(frame, retargeters=1)
-            for codes in (frame.retargeter, frame.task):
-                rates = np.bincount(codes, frame.outcome) / np.bincount(codes)
-                if np.any((rates == 0) | (rates == 1)):
+            if outcome == "success":
+                rest, separated = split(frame)
+                if rest is None:
+                    raise StudyError(ONE_SIDED)
+                frame = rest
+                check_frame(frame, retargeters=1)
+                if one_sided_levels(frame):
                     raise StudyError("separation: a condition or task always or never succeeds")
-            fit = fit_gee(frame.design()[0], frame.outcome, frame.group)
-            fit.check_correlation()
+            fits = fit_modes(outcome, frame)
         except StudyError as error:
-            yield from _refusals("success", scope, str(error))
-            return
-        means = response_means(frame, fit.beta)
-        verdict = _verdict("success", scope, "paper", frame, means, fit.robust, lambda _: np.inf)
-        yield _with_separated(verdict, separated, frame)
-        if fit.mancl_derouen is None:
-            reason = "an operator's leverage can't be corrected"
-            yield Verdict("success", scope, "small-sample", {}, {}, reason)
-            return
-        df = float(fit.operators - 1)
-        verdict = _verdict(
-            "success", scope, "small-sample", frame, means, fit.mancl_derouen, lambda _: df
-        )
-        yield _with_separated(verdict, separated, frame)
-
-    def _linear(self, frame: Frame, outcome: Outcome, scope: str) -> Iterator[Verdict]:
-        try:
-            check_frame(frame)
-            design = frame.design()[0]
-            fit = fit_mixed(design, frame.outcome, {"operator": frame.group})
-        except StudyError as error:
-            yield from _refusals(outcome, scope, str(error))
-            return
-        means = linear_means(frame, fit.beta)
-        yield _verdict(outcome, scope, "paper", frame, means, fit.covariance, lambda _: np.inf)
-        try:
-            nested = fit_mixed(design, frame.outcome, frame.levels)
-        except StudyError as error:
-            yield Verdict(outcome, scope, "small-sample", {}, {}, str(error))
-            return
-        means = linear_means(frame, nested.beta)
-        yield _verdict(
-            outcome, scope, "small-sample", frame, means, nested.covariance, nested.satterthwaite
-        )
-
-
-def _refusals(outcome: Outcome, scope: str, reason: str) -> Iterator[Verdict]:
-    blank = Verdict(outcome, scope, "paper", {}, {}, reason)
-    yield blank
-    yield replace(blank, mode="small-sample")
-
-
-def _with_separated(verdict: Verdict, separated: dict[str, Separated], frame: Frame) -> Verdict:
-    """With the exact comparisons of retargeters that are in no model."""
-    if not separated or verdict.refused is not None:
-        return verdict
-    against, pairs = dict(verdict.against), dict(verdict.pairs)
-    for name, result in separated.items():
-        for other, test in result.against.items():
-            # As the pairs of the analysis are named: the baseline first, then by name.
-            turned = other == frame.baseline or (name != frame.baseline and other < name)
-            key = (other, name) if turned else (name, other)
-            pairs[key] = _sign(
-                -test.difference if turned else test.difference, test.p_holm <= ALPHA
-            )
-            if test.p_dunnett is None:
-                continue
-            sign = _sign(test.difference, test.p_dunnett <= ALPHA)
-            if other == frame.baseline:
-                against[name] = sign
-            else:
-                against[other] = -sign
-    return replace(verdict, against=against, pairs=pairs)
+            fits = dict.fromkeys(MODES, Refused(str(error)))
+        for mode, fit in fits.items():
+            yield _verdict(Verdict(outcome, scope, mode, {}, {}), fit, separated, frame.baseline)
 
 
 def _verdict(
-    outcome: Outcome,
-    scope: str,
-    mode: Mode,
-    frame: Frame,
-    means: MarginalMeans,
-    covariance: Float[np.ndarray, "p p"],
-    freedom: Freedom,
+    blank: Verdict, fit: Fit | Refused, separated: Mapping[str, Separated], baseline: str
 ) -> Verdict:
-    names = means.names
-    statistics: dict[tuple[int, int], tuple[float, float]] = {}
-    for a, b in combinations(range(len(names)), 2):
-        contrast = means.gradient[a] - means.gradient[b]
-        variance = float(contrast @ covariance @ contrast)
-        if not variance > 0:
-            return Verdict(outcome, scope, mode, {}, {}, "a difference has no estimated error")
-        difference = float(means.values[a] - means.values[b])
-        statistics[a, b] = (difference / np.sqrt(variance), freedom(contrast))
-    raw = {key: two_sided(*test) for key, test in statistics.items()}
-    adjusted = dict(zip(raw, holm(list(raw.values())), strict=True))
-    pairs = {
-        (names[a], names[b]): _sign(statistics[a, b][0], adjusted[a, b] <= ALPHA)
-        for a, b in statistics
+    """The decisions of a fit's tests, and of exact tests of retargeters that are in no model."""
+    if isinstance(fit, Refused):
+        return replace(blank, refused=fit.refused)
+    compared = fit.compare(limits=False, decide=ALPHA)
+    count = len(compared.emm)
+    if len(compared.pairs) < count * (count - 1) // 2:
+        return replace(blank, refused="a difference has no estimated error")
+    pairs = {(one.a, one.b): _sign(one.difference, one.p_holm) for one in compared.pairs.values()}
+    against = {name: _sign(one.difference, one.p_dunnett) for name, one in compared.dunnett.items()}
+    margins = {
+        name: abs(one.difference) + one.se * quantile(one.df, ALPHA)
+        for name, one in compared.dunnett.items()
     }
-    against: dict[str, int] = {}
-    margins: dict[str, float] = {}
-    if names[0] == frame.baseline:
-        others = range(1, len(names))
-        correlation = _correlation(means.covariance(covariance))
-        for j in others:
-            statistic, df = statistics[0, j]
-            significant = _dunnett_rejects(statistic, raw[0, j], correlation, df)
-            against[names[j]] = _sign(-statistic, significant)
-            difference = abs(float(means.values[0] - means.values[j]))
-            error = difference / abs(statistic) if statistic else float("nan")
-            margins[names[j]] = difference + error * quantile(df, ALPHA)
-    return Verdict(outcome, scope, mode, against, pairs, smallest_margin=margins)
+    for name, result in separated.items():
+        for other, test in result.against.items():
+            # As the pairs of the analysis are named: the baseline first, then by name.
+            turned = other == baseline or (name != baseline and other < name)
+            sign = _sign(test.difference, test.p_holm)
+            pairs[(other, name) if turned else (name, other)] = -sign if turned else sign
+            if test.p_dunnett is not None:
+                sign = _sign(test.difference, test.p_dunnett)
+                against[name if other == baseline else other] = sign if other == baseline else -sign
+    return replace(blank, against=against, pairs=pairs, smallest_margin=margins)
 
 
-def _dunnett_rejects(
-    statistic: float, raw: float, correlation: Float[np.ndarray, "m m"], df: float
-) -> bool:
-    if raw > ALPHA:  # the adjusted p is no lower than the raw one,
-        return False
-    if len(correlation) * raw <= ALPHA:  # and no higher than Bonferroni's
-        return True
-    return outside(abs(statistic), correlation, df)[0] <= ALPHA
-
-
-def _correlation(covariance: Float[np.ndarray, "r r"]) -> Float[np.ndarray, "m m"]:
-    """Of each mean minus the first."""
-    spread = covariance[1:, 1:] + covariance[0, 0] - covariance[1:, :1] - covariance[:1, 1:]
-    scale = np.sqrt(np.diag(spread))
-    return np.asarray(spread / np.outer(scale, scale))
-
-
-def _sign(statistic: float, significant: bool) -> int:
-    return int(np.sign(statistic)) if significant else 0
-
-
-_Z: Final = 1.959963984540054
-
-
-Counts = dict[str, int]
-"""What was counted -> how often; see ``count``."""
+def _sign(difference: float, p: float) -> int:
+    return int(np.sign(difference)) if p <= ALPHA else 0
 
 
 @dataclass(frozen=True)
 class Rate:
-    """How often something happened.
+    """A share of the studies with its error.
 
     Attributes:
         rate: share of the studies.
@@ -309,7 +218,7 @@ class Tally:
 def count(
     verdict: Verdict, truth: Assumptions, baseline: str, margins: Mapping[str, float] | None = None
 ) -> Counts:
-    """What one verdict got right and wrong.
+    """Counts what one verdict got right and wrong.
 
     Args:
         verdict: of one outcome.

@@ -35,7 +35,7 @@ def _boot() -> str:
 
 @dataclass(frozen=True)
 class Elapsed:
-    """How long something took.
+    """A duration and the doubts about it.
 
     Attributes:
         seconds: negative where nothing but a clock that was set back explains it.
@@ -82,7 +82,7 @@ class Clock:
         return f"{self._boot} {self._steady():.3f}"
 
     def since(self, at: datetime, reading: str) -> Elapsed:
-        """How long ago something was.
+        """The time since a moment.
 
         Args:
             at: when it was written down.

@@ -22,8 +22,7 @@ from smooth_operator.io.documents import parse_json
 FILE: Final = "study.db"
 """Name of the SQLite file in the folder of a study."""
 BUSY_S: Final = 60.0
-"""How long a writer waits for its turn [s]."""
-
+"""Longest time that a writer waits for its turn [s]."""
 _TABLES: Final = (
     """CREATE TABLE studies (id INTEGER PRIMARY KEY, name TEXT NOT NULL UNIQUE,
     format INTEGER NOT NULL, created_at TEXT NOT NULL)""",

@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from datetime import datetime
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
 
 Named: TypeAlias = Callable[[str], str]
 """From the name of a condition to what a reader may see."""
+EVENTS: Final[dict[str, type[Event]]] = {}
+"""Kind, as it is stored -> class."""
 _LONGEST_TEXT: Final = 20_000
 
 
@@ -32,14 +35,22 @@ class Event:
     """Something that happened to an operator.
 
     Attributes:
-        kind: name in the store and in exports.
+        kind: name in the store and in exports: that of the class, in lower case.
         word: name of the pages' command that causes it; empty where none does.
         due: steps of the protocol in which it is expected; further rules are in ``progress``.
+        words: a line for people: a format of the event (``0``) and its reason (``why``).
     """
 
     kind: ClassVar[str]
-    word: ClassVar[str] = ""
-    due: ClassVar[tuple[str, ...]] = ()
+    word: ClassVar[str]
+    due: ClassVar[tuple[str, ...]]
+    words: ClassVar[str]
+
+    def __init_subclass__(cls, word: str = "", due: tuple[str, ...] = (), words: str = "") -> None:
+        cls.kind = re.sub("(?!^)([A-Z])", r"_\1", cls.__name__).lower()
+        cls.word, cls.due, cls.words = word, due, words
+        if not cls.__name__.startswith("_"):
+            EVENTS[cls.kind] = cls
 
     def in_words(self, named: Named, *, sums: bool = True) -> str:
         """The event in a line for people.
@@ -55,7 +66,8 @@ class Event:
         self._change(state, record)
 
     def _line(self, named: Named, sums: bool) -> str:
-        return self.kind
+        reason = getattr(self, "detail", "") or getattr(self, "reason", "")
+        return self.words.format(self, why=_why(reason))
 
     def _change(self, state: OperatorState, record: Record) -> None:
         """Nothing, where an event changes nothing."""
@@ -73,24 +85,20 @@ class _OfTrial(_OfBlock):
 
 
 @dataclass(frozen=True)
-class Calibrated(Event):
+class Calibrated(
+    Event, word="calibrated", due=("calibrate",), words="Calibrated for {0.task}{why}"
+):
     """The tracker was calibrated to the operator, or that was left out."""
 
-    kind: ClassVar[str] = "calibrated"
-    word: ClassVar[str] = "calibrated"
-    due: ClassVar[tuple[str, ...]] = ("calibrate",)
     task: str
     detail: str = ""
-
-    def _line(self, named: Named, sums: bool) -> str:
-        return f"Calibrated for {self.task}" + _why(self.detail)
 
     def _change(self, state: OperatorState, record: Record) -> None:
         state.calibrated.add(self.task)
 
 
 @dataclass(frozen=True)
-class BlockStarted(_OfBlock):
+class BlockStarted(_OfBlock, word="start_block", due=("start_block",)):
     """The retargeter was switched to the block's condition.
 
     Attributes:
@@ -99,9 +107,6 @@ class BlockStarted(_OfBlock):
         preset: of the method, likewise.
     """
 
-    kind: ClassVar[str] = "block_started"
-    word: ClassVar[str] = "start_block"
-    due: ClassVar[tuple[str, ...]] = ("start_block",)
     condition: str
     method: str = field(default="", compare=False)
     preset: str = field(default="", compare=False)
@@ -114,35 +119,29 @@ class BlockStarted(_OfBlock):
 
 
 @dataclass(frozen=True)
-class FamiliarisationStarted(_OfBlock):
+class FamiliarisationStarted(
+    _OfBlock,
+    word="start_familiarisation",
+    due=("start_familiarisation",),
+    words="Free movement began",
+):
     """Free movement begins, and its countdown.
 
     Attributes:
         clock: reading of a steady clock (``smooth_operator.study.store.clock``).
     """
 
-    kind: ClassVar[str] = "familiarisation_started"
-    word: ClassVar[str] = "start_familiarisation"
-    due: ClassVar[tuple[str, ...]] = ("start_familiarisation",)
     clock: str = field(default="", compare=False)
-
-    def _line(self, named: Named, sums: bool) -> str:
-        return "Free movement began"
 
     def _change(self, state: OperatorState, record: Record) -> None:
         state.moving = (record.at, self.clock)
 
 
 @dataclass(frozen=True)
-class FamiliarisationEnded(_OfBlock):
+class FamiliarisationEnded(
+    _OfBlock, word="end_familiarisation", due=("familiarise",), words="Free movement ended"
+):
     """Free movement is over."""
-
-    kind: ClassVar[str] = "familiarisation_ended"
-    word: ClassVar[str] = "end_familiarisation"
-    due: ClassVar[tuple[str, ...]] = ("familiarise",)
-
-    def _line(self, named: Named, sums: bool) -> str:
-        return "Free movement ended"
 
     def _change(self, state: OperatorState, record: Record) -> None:
         state.moving = None
@@ -150,42 +149,38 @@ class FamiliarisationEnded(_OfBlock):
 
 
 @dataclass(frozen=True)
-class TrialStarted(_OfTrial):
+class TrialStarted(
+    _OfTrial, word="start_trial", due=("start_trial",), words="Trial {0.trial} started"
+):
     """The clock of a trial runs.
 
     Attributes:
         clock: reading of a steady clock (``smooth_operator.study.store.clock``).
     """
 
-    kind: ClassVar[str] = "trial_started"
-    word: ClassVar[str] = "start_trial"
-    due: ClassVar[tuple[str, ...]] = ("start_trial",)
     clock: str = field(default="", compare=False)
-
-    def _line(self, named: Named, sums: bool) -> str:
-        return f"Trial {self.trial} started"
 
     def _change(self, state: OperatorState, record: Record) -> None:
         state.begin_trial(self.trial, record.at, self.clock)
 
 
 @dataclass(frozen=True)
-class TrialReset(_OfTrial):
+class TrialReset(
+    _OfTrial, word="reset", due=("trial", "paused"), words="Trial {0.trial}: object put back"
+):
     """The object was put back; caps the score."""
-
-    kind: ClassVar[str] = "trial_reset"
-    word: ClassVar[str] = "reset"
-    due: ClassVar[tuple[str, ...]] = ("trial", "paused")
-
-    def _line(self, named: Named, sums: bool) -> str:
-        return f"Trial {self.trial}: object put back"
 
     def _change(self, state: OperatorState, record: Record) -> None:
         state.trials[-1].resets += 1
 
 
 @dataclass(frozen=True)
-class TrialScored(_OfTrial):
+class TrialScored(
+    _OfTrial,
+    word="score",
+    due=("trial",),
+    words="Trial {0.trial}: {0.line}, score {0.score:g}, {0.time_s:.1f}\u00a0s",
+):
     """The trial ended.
 
     Attributes:
@@ -196,17 +191,11 @@ class TrialScored(_OfTrial):
         proposed_score: of that line; None where nothing was proposed.
     """
 
-    kind: ClassVar[str] = "trial_scored"
-    word: ClassVar[str] = "score"
-    due: ClassVar[tuple[str, ...]] = ("trial",)
     line: str
     score: float
     time_s: float
     proposed_line: str = field(default="", compare=False)
     proposed_score: float | None = field(default=None, compare=False)
-
-    def _line(self, named: Named, sums: bool) -> str:
-        return f"Trial {self.trial}: {self.line}, score {self.score:g}, {self.time_s:.1f}\u00a0s"
 
     def _change(self, state: OperatorState, record: Record) -> None:
         trial = state.trials[-1]
@@ -216,12 +205,9 @@ class TrialScored(_OfTrial):
 
 
 @dataclass(frozen=True)
-class TrialVoided(_OfTrial):
+class TrialVoided(_OfTrial, word="void", due=("trial", "paused")):
     """The trial doesn't count, for a reason that is not the operator's; it is done again."""
 
-    kind: ClassVar[str] = "trial_voided"
-    word: ClassVar[str] = "void"
-    due: ClassVar[tuple[str, ...]] = ("trial", "paused")
     reason: str
 
     def _line(self, named: Named, sums: bool) -> str:
@@ -232,7 +218,9 @@ class TrialVoided(_OfTrial):
 
 
 @dataclass(frozen=True)
-class TrialPaused(_OfTrial):
+class TrialPaused(
+    _OfTrial, word="pause", due=("trial",), words="Trial {0.trial}: clock paused{why}"
+):
     """The clock of the trial that runs was stopped for a fault that is not the operator's.
 
     Attributes:
@@ -240,14 +228,8 @@ class TrialPaused(_OfTrial):
         clock: reading of a steady clock (``smooth_operator.study.store.clock``).
     """
 
-    kind: ClassVar[str] = "trial_paused"
-    word: ClassVar[str] = "pause"
-    due: ClassVar[tuple[str, ...]] = ("trial",)
     reason: str = ""
     clock: str = field(default="", compare=False)
-
-    def _line(self, named: Named, sums: bool) -> str:
-        return f"Trial {self.trial}: clock paused" + _why(self.reason)
 
     def _change(self, state: OperatorState, record: Record) -> None:
         trial = state.trials[-1]
@@ -256,27 +238,26 @@ class TrialPaused(_OfTrial):
 
 
 @dataclass(frozen=True)
-class TrialResumed(_OfTrial):
+class TrialResumed(
+    _OfTrial,
+    word="resume",
+    due=("paused",),
+    words="Trial {0.trial}: clock goes on after {0.paused_s:.1f}\u00a0s",
+):
     """The clock of a paused trial goes on.
 
     Attributes:
         paused_s: how long it had stood [s].
     """
 
-    kind: ClassVar[str] = "trial_resumed"
-    word: ClassVar[str] = "resume"
-    due: ClassVar[tuple[str, ...]] = ("paused",)
     paused_s: float = field(default=0.0, compare=False)
-
-    def _line(self, named: Named, sums: bool) -> str:
-        return f"Trial {self.trial}: clock goes on after {self.paused_s:.1f}\u00a0s"
 
     def _change(self, state: OperatorState, record: Record) -> None:
         state.trials[-1].end_pause(self.paused_s)
 
 
 @dataclass(frozen=True)
-class Amended(_OfTrial):
+class Amended(_OfTrial, word="amend"):
     """A scored trial was corrected later; the first score stays in the log.
 
     Attributes:
@@ -287,8 +268,6 @@ class Amended(_OfTrial):
         who: decided so; initials, never a name.
     """
 
-    kind: ClassVar[str] = "amended"
-    word: ClassVar[str] = "amend"
     line: str
     score: float
     time_s: float
@@ -307,33 +286,26 @@ class Amended(_OfTrial):
 
 
 @dataclass(frozen=True)
-class BlockEnded(_OfBlock):
+class BlockEnded(
+    _OfBlock,
+    word="end_block",
+    due=("start_block", "start_familiarisation", "start_trial", "questionnaire", "weights"),
+    words="Block {0.block} of {0.task} ended early: {0.reason}",
+):
     """The rest of a block is not done.
 
     Attributes:
         reason: why.
     """
 
-    kind: ClassVar[str] = "block_ended"
-    word: ClassVar[str] = "end_block"
-    due: ClassVar[tuple[str, ...]] = (
-        "start_block",
-        "start_familiarisation",
-        "start_trial",
-        "questionnaire",
-        "weights",
-    )
     reason: str
-
-    def _line(self, named: Named, sums: bool) -> str:
-        return f"Block {self.block} of {self.task} ended early: {self.reason}"
 
     def _change(self, state: OperatorState, record: Record) -> None:
         state.ended_early[self.task, self.block] = (record.at, self.reason)
 
 
 @dataclass(frozen=True)
-class Recalibrated(Event):
+class Recalibrated(Event, word="recalibrate", words="Calibrated again for {0.task}{why}"):
     """The tracker was calibrated once more.
 
     Attributes:
@@ -341,20 +313,15 @@ class Recalibrated(Event):
         detail: file or remark.
     """
 
-    kind: ClassVar[str] = "recalibrated"
-    word: ClassVar[str] = "recalibrate"
     task: str
     detail: str = ""
-
-    def _line(self, named: Named, sums: bool) -> str:
-        return f"Calibrated again for {self.task}" + _why(self.detail)
 
     def _change(self, state: OperatorState, record: Record) -> None:
         state.recalibrations.append((record.at, self.task, self.detail))
 
 
 @dataclass(frozen=True)
-class Withdrawn(Event):
+class Withdrawn(Event, word="withdraw"):
     """The operator takes no further part.
 
     Attributes:
@@ -362,8 +329,6 @@ class Withdrawn(Event):
         reason: why.
     """
 
-    kind: ClassVar[str] = "withdrawn"
-    word: ClassVar[str] = "withdraw"
     keep: bool
     reason: str = ""
 
@@ -376,18 +341,14 @@ class Withdrawn(Event):
 
 
 @dataclass(frozen=True)
-class Replaces(Event):
+class Replaces(Event, words="Takes the place of {0.operator}"):
     """The operator has the rows of one who withdrew.
 
     Attributes:
         operator: pseudonym of that one.
     """
 
-    kind: ClassVar[str] = "replaces"
     operator: str
-
-    def _line(self, named: Named, sums: bool) -> str:
-        return f"Takes the place of {self.operator}"
 
     def _change(self, state: OperatorState, record: Record) -> None:
         state.replaces = self.operator
@@ -402,7 +363,6 @@ class Chosen(Event):
         before: who was; empty for nobody.
     """
 
-    kind: ClassVar[str] = "chosen"
     operator: str
     before: str = ""
 
@@ -412,7 +372,7 @@ class Chosen(Event):
 
 
 @dataclass(frozen=True)
-class FormAnswered(Event):
+class FormAnswered(Event, word="form", due=("form",)):
     """A form of the study was filled in, by the operator or from paper.
 
     Attributes:
@@ -422,9 +382,6 @@ class FormAnswered(Event):
         reason: why answers that were there already are replaced; empty where none were.
     """
 
-    kind: ClassVar[str] = "form_answered"
-    word: ClassVar[str] = "form"
-    due: ClassVar[tuple[str, ...]] = ("form",)
     form: str
     answers: Mapping[str, Any]
     who: str = ""
@@ -444,7 +401,7 @@ class FormAnswered(Event):
 
 
 @dataclass(frozen=True)
-class FormOnPaper(Event):
+class FormOnPaper(Event, word="paper", due=("form",), words="Form {0.form} is on paper ({0.who})"):
     """A form is filled in on paper, and typed in later.
 
     Attributes:
@@ -452,21 +409,15 @@ class FormOnPaper(Event):
         who: has the paper; initials.
     """
 
-    kind: ClassVar[str] = "form_on_paper"
-    word: ClassVar[str] = "paper"
-    due: ClassVar[tuple[str, ...]] = ("form",)
     form: str
     who: str
-
-    def _line(self, named: Named, sums: bool) -> str:
-        return f"Form {self.form} is on paper ({self.who})"
 
     def _change(self, state: OperatorState, record: Record) -> None:
         state.on_paper[self.form] = (record.at, self.who)
 
 
 @dataclass(frozen=True)
-class Answered(_OfBlock):
+class QuestionnaireAnswered(_OfBlock, word="answer", due=("questionnaire",)):
     """NASA-TLX was filled in, by the operator or from paper.
 
     Attributes:
@@ -475,9 +426,6 @@ class Answered(_OfBlock):
         who: typed it in for the operator; initials. Empty where the operator did it.
     """
 
-    kind: ClassVar[str] = "questionnaire_answered"
-    word: ClassVar[str] = "answer"
-    due: ClassVar[tuple[str, ...]] = ("questionnaire",)
     point: Point
     ratings: Mapping[str, int]
     who: str = ""
@@ -494,7 +442,7 @@ class Answered(_OfBlock):
 
 
 @dataclass(frozen=True)
-class Weighed(_OfBlock):
+class WeightsAnswered(_OfBlock, word="weigh", due=("weights",)):
     """The fifteen pairs of NASA-TLX were chosen from.
 
     Attributes:
@@ -503,9 +451,6 @@ class Weighed(_OfBlock):
         who: typed them in for the operator; initials. Empty where the operator did it.
     """
 
-    kind: ClassVar[str] = "weights_answered"
-    word: ClassVar[str] = "weigh"
-    due: ClassVar[tuple[str, ...]] = ("weights",)
     winners: tuple[str, ...]
     shown: tuple[str, ...] = field(default=(), compare=False)
     who: str = ""
@@ -518,51 +463,33 @@ class Weighed(_OfBlock):
 
 
 @dataclass(frozen=True)
-class BreakStarted(Event):
+class BreakStarted(Event, word="start_break", words="Break began"):
     """The operator rests."""
-
-    kind: ClassVar[str] = "break_started"
-    word: ClassVar[str] = "start_break"
-
-    def _line(self, named: Named, sums: bool) -> str:
-        return "Break began"
 
     def _change(self, state: OperatorState, record: Record) -> None:
         state.breaks.append((record.at, None))
 
 
 @dataclass(frozen=True)
-class BreakEnded(Event):
+class BreakEnded(Event, word="end_break", due=("break",), words="Break ended"):
     """The operator is back."""
-
-    kind: ClassVar[str] = "break_ended"
-    word: ClassVar[str] = "end_break"
-    due: ClassVar[tuple[str, ...]] = ("break",)
-
-    def _line(self, named: Named, sums: bool) -> str:
-        return "Break ended"
 
     def _change(self, state: OperatorState, record: Record) -> None:
         state.end_break(record.at)
 
 
 @dataclass(frozen=True)
-class Noted(Event):
+class Noted(Event, word="note", words="Note: {0.text}"):
     """Something worth remembering."""
 
-    kind: ClassVar[str] = "noted"
-    word: ClassVar[str] = "note"
     text: str
-
-    def _line(self, named: Named, sums: bool) -> str:
-        return f"Note: {self.text}"
 
     def _change(self, state: OperatorState, record: Record) -> None:
         state.notes.append((record.at, self.text))
 
 
 @dataclass(frozen=True)
-class Undone(Event):
+class Undone(Event, word="undo", words="Event {0.number} undone{why}"):
     """An earlier event counts no more.
 
     Attributes:
@@ -570,27 +497,12 @@ class Undone(Event):
         reason: why.
     """
 
-    kind: ClassVar[str] = "undone"
-    word: ClassVar[str] = "undo"
     number: int
     reason: str = ""
-
-    def _line(self, named: Named, sums: bool) -> str:
-        return f"Event {self.number} undone" + _why(self.reason)
 
 
 ASIDE: Final = (Noted, Chosen, Replaces)
 """Kinds that change nothing in what is due, and are not undone."""
-EVENTS: Final[dict[str, type[Event]]] = {
-    event.kind: event
-    for event in (
-        Calibrated, BlockStarted, FamiliarisationStarted, FamiliarisationEnded, TrialStarted,
-        TrialReset, TrialScored, TrialVoided, Answered, Weighed, BreakStarted, BreakEnded, Noted,
-        Undone, TrialPaused, TrialResumed, Amended, BlockEnded, Recalibrated, Withdrawn, Replaces,
-        Chosen, FormAnswered, FormOnPaper,
-    )
-}  # fmt: skip
-"""Kind, as it is stored -> class."""
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,8 @@ either.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from datetime import datetime
 from pathlib import Path
 from typing import Any, Final
 
@@ -21,6 +22,7 @@ from smooth_operator.study.data.checked_tables import (
     TRIAL_COLUMNS,
     WEIGHT_COLUMNS,
 )
+from smooth_operator.study.design.plan import Block
 from smooth_operator.study.design.plan_file import plan_table
 from smooth_operator.study.store.events import payload
 from smooth_operator.study.store.nasa_tlx import (
@@ -35,12 +37,9 @@ from smooth_operator.study.store.study_store import StudyStore
 
 FORMAT: Final = 1
 """Version of ``study.json``."""
-
-
 BLOCK_WEIGHT_COLUMNS: Final = ("operator", "task", "retargeter", "block", *SCALE_NAMES)
-
-
 _TRIALS, _TLX, _WEIGHTS, _ALL = "trials.csv", "tlx.csv", "tlx_weights.csv", "study.json"
+_SCORING: Final = ("line", "score", "time_s")
 
 
 def export_study(
@@ -108,16 +107,12 @@ def study_json(store: StudyStore, operators: Sequence[str] | None = None) -> dic
         progress = store.progress(code)
         places = {(b.task.name, b.number): n for n, b in enumerate(progress.blocks, 1)}
         content["trials"] += [
-            _trial(code, trial, places) for trial in progress.trials if _counts(trial)
+            _trial(code, trial, places) for trial in progress.trials if trial.counts
         ]
         content["questionnaires"] += list(_questionnaires(progress))
         content["weights"] += list(_weights(progress))
         content["operators"].append(operator_json(progress))
     return content
-
-
-def _counts(trial: Trial) -> bool:
-    return trial.score is not None and trial.void is None
 
 
 def _trial(code: str, trial: Trial, places: Mapping[tuple[str, int], int]) -> dict[str, Any]:
@@ -126,9 +121,7 @@ def _trial(code: str, trial: Trial, places: Mapping[tuple[str, int], int]) -> di
     block = trial.block
     return {
         "operator": code,
-        "task": block.task.name,
-        "retargeter": block.condition.name,
-        "block": block.number,
+        **_place(block),
         "trial_in_block": trial.number,
         "trial_global": block.trial_global(trial.number),
         "score": trial.score,
@@ -150,9 +143,7 @@ def _questionnaires(progress: Progress) -> Iterator[dict[str, Any]]:
         chosen = {} if winners is None else weights(winners)
         yield {
             "operator": progress.operator,
-            "task": block.task.name,
-            "retargeter": block.condition.name,
-            "block": block.number,
+            **_place(block),
             "point": questionnaire.point,
             **{name: questionnaire.ratings[name] for name in SCALE_NAMES},
             **{
@@ -167,15 +158,9 @@ def _questionnaires(progress: Progress) -> Iterator[dict[str, Any]]:
 
 
 def _weights(progress: Progress) -> Iterator[dict[str, Any]]:
-    conditions = {(b.task.name, b.number): b.condition.name for b in progress.blocks}
-    for (task, block), winners in progress.winners.items():
-        yield {
-            "operator": progress.operator,
-            "task": task,
-            "retargeter": conditions[task, block],
-            "block": block,
-            **weights(winners),
-        }
+    blocks = {(block.task.name, block.number): block for block in progress.blocks}
+    for key, winners in progress.winners.items():
+        yield {"operator": progress.operator, **_place(blocks[key]), **weights(winners)}
 
 
 def _table(columns: Sequence[str], rows: Sequence[dict[str, Any]]) -> str:
@@ -201,19 +186,16 @@ def _remove(path: Path) -> None:
 
 
 def operator_json(progress: Progress) -> dict[str, Any]:
-    """The entry as plain values."""
+    """An operator's forms, notes, irregular events and whole log as plain values."""
     left = progress.withdrawn
+    blocks = {(block.task.name, block.number): block for block in progress.blocks}
     return {
         "operator": progress.operator,
         "done": progress.step.what == "done",
         "withdrawn": left and {"at": left.at.isoformat(), "keep": left.keep, "reason": left.reason},
         "replaces": progress.replaces or None,
         "forms": {
-            name: {
-                "at": at.isoformat(),
-                "answers": answers,
-                "typed_by": progress.typed.get(name),
-            }
+            name: {"at": at.isoformat(), "answers": answers, "typed_by": progress.typed.get(name)}
             for name, (at, answers) in progress.forms.items()
         },
         "forms_on_paper": {
@@ -221,16 +203,36 @@ def operator_json(progress: Progress) -> dict[str, Any]:
             for name, (at, who) in progress.on_paper.items()
         },
         "ranking": list(progress.ranking()),
-        "notes": [{"at": at.isoformat(), "text": text} for at, text in progress.notes],
-        "breaks": [
-            {"started_at": start.isoformat(), "ended_at": end and end.isoformat()}
-            for start, end in progress.breaks
+        "notes": _rows(("at", "text"), progress.notes),
+        "breaks": _rows(("started_at", "ended_at"), progress.breaks),
+        "recalibrations": _rows(("at", "task", "detail"), progress.recalibrations),
+        "voided": [
+            {**_place(trial.block), "trial_in_block": trial.number, "reason": trial.void}
+            for trial in progress.trials
+            if trial.void is not None
         ],
-        "recalibrations": [
-            {"at": at.isoformat(), "task": task, "detail": detail}
-            for at, task, detail in progress.recalibrations
+        "pauses": [
+            {**_place(trial.block), "trial_in_block": trial.number, **pause}
+            for trial in progress.trials
+            for pause in _rows(("at", "length_s", "reason"), trial.pauses)
         ],
-        **_irregular(progress),
+        "ended_early": [
+            {**_place(blocks[key]), "at": at.isoformat(), "reason": reason}
+            for key, (at, reason) in progress.ended_early.items()
+        ],
+        "amendments": [
+            {
+                **_place(one.block),
+                "trial_in_block": one.trial,
+                "at": one.at.isoformat(),
+                "before": dict(zip(_SCORING, one.before, strict=True)),
+                "after": dict(zip(_SCORING, one.after, strict=True)),
+                "reason": one.reason,
+                "who": one.who,
+            }
+            for one in progress.amendments
+        ],
+        "undone": dict(progress.undone()),
         "events": [
             {
                 "number": record.number,
@@ -244,56 +246,16 @@ def operator_json(progress: Progress) -> dict[str, Any]:
     }
 
 
-def _irregular(progress: Progress) -> dict[str, Any]:
-    conditions = {(b.task.name, b.number): b.condition.name for b in progress.blocks}
-    return {
-        "voided": [
-            {**_place(trial), "reason": trial.void}
-            for trial in progress.trials
-            if trial.void is not None
-        ],
-        "pauses": [
-            {**_place(trial), "at": at.isoformat(), "length_s": length, "reason": reason}
-            for trial in progress.trials
-            for at, length, reason in trial.pauses
-        ],
-        "ended_early": [
-            {
-                "task": task,
-                "retargeter": conditions[task, block],
-                "block": block,
-                "at": at.isoformat(),
-                "reason": reason,
-            }
-            for (task, block), (at, reason) in progress.ended_early.items()
-        ],
-        "amendments": [
-            {
-                "at": one.at.isoformat(),
-                "task": one.block.task.name,
-                "retargeter": one.block.condition.name,
-                "block": one.block.number,
-                "trial_in_block": one.trial,
-                "before": _scoring(one.before),
-                "after": _scoring(one.after),
-                "reason": one.reason,
-                "who": one.who,
-            }
-            for one in progress.amendments
-        ],
-        "undone": dict(progress.undone()),
-    }
+def _rows(names: Sequence[str], rows: Iterable[Sequence[Any]]) -> list[dict[str, Any]]:
+    """Rows as plain values by name; moments are ISO text."""
+    return [
+        {
+            name: value.isoformat() if isinstance(value, datetime) else value
+            for name, value in zip(names, row, strict=True)
+        }
+        for row in rows
+    ]
 
 
-def _place(trial: Trial) -> dict[str, Any]:
-    return {
-        "task": trial.block.task.name,
-        "retargeter": trial.block.condition.name,
-        "block": trial.block.number,
-        "trial_in_block": trial.number,
-    }
-
-
-def _scoring(scoring: tuple[str, float, float]) -> dict[str, Any]:
-    line, score, seconds = scoring
-    return {"line": line, "score": score, "time_s": seconds}
+def _place(block: Block) -> dict[str, Any]:
+    return {"task": block.task.name, "retargeter": block.condition.name, "block": block.number}

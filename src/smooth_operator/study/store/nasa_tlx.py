@@ -15,8 +15,6 @@ from smooth_operator.io.entries import Entries, read_entries
 from smooth_operator.study.design.latin import lot
 
 STEP: Final = 5
-
-
 HIGHEST: Final = 100
 
 
@@ -43,29 +41,15 @@ SCALES: Final = (
     Scale("mental", "Mental demand", "How mentally demanding was the task?"),
     Scale("physical", "Physical demand", "How physically demanding was the task?"),
     Scale("temporal", "Temporal demand", "How hurried or rushed was the pace of the task?"),
-    Scale(
-        "performance",
-        "Performance",
-        "How successful were you in accomplishing what you were asked to do?",
-        "Perfect",
-        "Failure",
-    ),
-    Scale(
-        "effort",
-        "Effort",
-        "How hard did you have to work to accomplish your level of performance?",
-    ),
-    Scale(
-        "frustration",
-        "Frustration",
-        "How insecure, discouraged, irritated, stressed, and annoyed were you?",
-    ),
-)
-
-
+    Scale("performance", "Performance",
+          "How successful were you in accomplishing what you were asked to do?",
+          "Perfect", "Failure"),
+    Scale("effort", "Effort",
+          "How hard did you have to work to accomplish your level of performance?"),
+    Scale("frustration", "Frustration",
+          "How insecure, discouraged, irritated, stressed, and annoyed were you?"),
+)  # fmt: skip
 SCALE_NAMES: Final = tuple(scale.name for scale in SCALES)
-
-
 PAIRS: Final = tuple(combinations(SCALE_NAMES, 2))
 """All pairs of scales; of each, the operator says which added more to the workload."""
 
@@ -109,7 +93,7 @@ def check_winners(winners: Sequence[str]) -> None:
 
 
 def weights(winners: Sequence[str]) -> dict[str, int]:
-    """How often each scale was chosen: 0 to 5 each, 15 together."""
+    """Scale -> number of pairs that it was chosen in: 0 to 5 each, 15 together."""
     return {name: list(winners).count(name) for name in SCALE_NAMES}
 
 
@@ -125,8 +109,6 @@ def weighted_workload(ratings: Mapping[str, float], winners: Sequence[str]) -> f
 
 
 _MOST_BYTES: Final = 200_000
-
-
 TEXTS: Final[Mapping[str, str]] = MappingProxyType(
     {
         "heading": "How was it?",
@@ -160,12 +142,12 @@ TEXTS: Final[Mapping[str, str]] = MappingProxyType(
         "wait_text": "The next questions appear here by themselves.",
     }
 )
-"""What else the operator's page says, in English."""
+"""Name -> other text of the operator's page, in English."""
 
 
 @dataclass(frozen=True)
 class TlxWords:
-    """What operators read.
+    """The words of the operator's page.
 
     Attributes:
         scales: the six, in the order of ``SCALES``.

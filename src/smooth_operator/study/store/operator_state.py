@@ -26,7 +26,7 @@ What: TypeAlias = Literal[
 
 @dataclass(frozen=True)
 class Step:
-    """What the protocol wants now.
+    """The step of the protocol that is due.
 
     Attributes:
         what: kind of step.
@@ -87,11 +87,11 @@ class Trial:
 
     @property
     def paused_s(self) -> float:
-        """How long its clock stood, pauses that are over [s]."""
+        """Length of its pauses that are over [s]."""
         return sum(length or 0.0 for _, length, _ in self.pauses)
 
     def paused_within(self, seconds: float) -> float:
-        """How long its clock stood in so many seconds from its start [s].
+        """Length of the pauses in so many seconds from its start [s].
 
         For a simulation whose own clock went on in the pauses.
         """
@@ -100,7 +100,7 @@ class Trial:
 
     @property
     def paused(self) -> bool:
-        """Whether its clock stands now."""
+        """True while its clock stands."""
         return bool(self.pauses) and self.pauses[-1][1] is None
 
     def end_pause(self, seconds: float) -> None:
@@ -110,7 +110,7 @@ class Trial:
 
     @property
     def counts(self) -> bool:
-        """Whether it was scored and is not void."""
+        """True if it was scored and is not void."""
         return self.score is not None and self.void is None
 
 
@@ -220,7 +220,7 @@ class OperatorState:
 
     @property
     def step(self) -> Step:
-        """What the protocol wants now."""
+        """The step of the protocol that is due."""
         if self.withdrawn is not None:
             return Step("withdrawn", since=self.withdrawn.at)
         if self.breaks and self.breaks[-1][1] is None:
@@ -278,12 +278,12 @@ class OperatorState:
 
     @property
     def busy(self) -> bool:
-        """Whether a trial or free movement is on."""
+        """True while a trial or free movement is on."""
         return self.running is not None or self.step.what == "familiarise"
 
     @property
     def over(self) -> bool:
-        """Whether nothing is due any more."""
+        """True if nothing is due any more."""
         return self.step.what in ("done", "withdrawn")
 
     def ranking(self) -> tuple[str, ...]:
@@ -302,7 +302,7 @@ class OperatorState:
         return tuple(c.label for c in self.plan.protocol.conditions if c.name in met)
 
     def capped(self, line: str, trial: Trial | None = None) -> float:
-        """What a line of the rubric scores in a trial.
+        """The score of a line of the rubric in a trial.
 
         Args:
             line: of the rubric of its task.
@@ -341,7 +341,7 @@ class OperatorState:
         return None
 
     def can_type(self, form: Form) -> bool:
-        """Whether an experimenter may type a form in now: not before it is due."""
+        """True if an experimenter may type a form in now: not before it is due."""
         return (
             form.name in {**self.forms, **self.on_paper}
             or self.withdrawn is not None
@@ -350,7 +350,7 @@ class OperatorState:
         )
 
     def finished(self, block: Block) -> bool:
-        """Whether nothing of a block is due any more."""
+        """True if nothing of a block is due any more."""
         key = (block.task.name, block.number)
         if key in self.ended_early:
             return True

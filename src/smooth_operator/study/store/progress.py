@@ -54,12 +54,12 @@ class Progress(OperatorState):
 
     @property
     def number(self) -> int:
-        """Of the last event; 0 before the first."""
+        """Number of the last event; 0 before the first."""
         return len(self.records)
 
     @property
     def undoable(self) -> Record | None:
-        """What ``Undone`` would take back now: the last event that counts, asides left out."""
+        """The event that ``Undone`` would take back now: the last that counts, asides left out."""
         for record in reversed(self._effective):
             if not isinstance(record.event, ASIDE):
                 return record

@@ -36,8 +36,6 @@ from smooth_operator.study.store.progress import Progress
 
 AUTHORS: Final = ("experimenter", "operator", "system")
 """Who may have caused an event."""
-
-
 FORMAT: Final = 1
 """Version of what is stored; a store of a newer one is refused."""
 _OF_OPERATOR: Final = "WHERE study_id = ? AND operator = ?"
@@ -104,9 +102,9 @@ class StudyStore:
         self._progress: dict[str, Progress] = {}
         self._newest: tuple[int, Plan] | None = None
         self.name = name
-        """Of the study."""
+        """Name of the study."""
         self.clock = Clock()
-        """What moments and durations are taken from."""
+        """Clock of all moments and durations."""
 
     def close(self) -> None:
         """Closes the file."""
@@ -241,7 +239,7 @@ class StudyStore:
             return int(connection.execute(newest, (self._id,)).fetchone()[0]), events
 
     def progress(self, operator: str) -> Progress:
-        """Where an operator is.
+        """The progress of an operator.
 
         Returns:
             A view that later events don't change.

@@ -24,7 +24,7 @@ _FIXED: Final = "\N{NO-BREAK SPACE}"  # a figure stays in the line of its unit
 
 
 def conclusion(analysis: Analysis) -> list[str]:
-    """What was found, in five sentences: the data, each outcome, and what limits them.
+    """Writes the result in five sentences: the data, each outcome, and what limits them.
 
     The primary outcome comes first; the others are named exploratory. Differences have effect sizes
     and simultaneous intervals, whether they are found or not. That none is found is no evidence

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Final
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from scipy.special import ndtri
@@ -28,33 +28,63 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-
+Colors = Mapping[str, str]
+"""Retargeter -> colour."""
 _OUTCOMES: Final = {
-    "success": "success",
-    "time_s": "time",
-    "raw_tlx": "workload",
-    "weighted_tlx": "workload",
-}
-
-
+    "success": "success", "time_s": "time", "raw_tlx": "workload", "weighted_tlx": "workload",
+}  # fmt: skip
+_LABELS: Final[dict[Outcome, str]] = {
+    "success": "success rate [%]", "time": "completion time [s]", "tlx": "workload (NASA-TLX)",
+}  # fmt: skip
+_INDICES: Final = {"trial_global": "trial of the task", "trial_in_block": "trial of the block"}
 _ACROSS: Final = 4
 """Panels next to each other."""
+_BINS: Final = 10
+_FEWEST: Final = 3
+"""Operators from which a violin is drawn; fewer are dots only."""
 
 
-def success_figure(analysis: Analysis, colors: Mapping[str, str]) -> Figure:
-    """Estimated success rates with 95 % intervals; thin lines are the operators' observed rates."""
+def _panels(
+    scopes: Sequence[str],
+    across: int,
+    size: tuple[float, float],
+    more: tuple[float, float] = (0.0, 0.0),
+    **options: Any,
+) -> tuple[Figure, list[Axes]]:
+    """A figure with axes for each scope, in rows of ``across``; sizes in inches, ``more`` once."""
     from matplotlib.figure import Figure  # not pyplot: no global state, no display
 
-    scopes, names = analysis.scopes, analysis.retargeters
-    columns = min(len(scopes), _ACROSS)
+    columns = min(len(scopes), across)
     rows = -(-len(scopes) // columns)
     figure = Figure(
-        figsize=((0.8 + 0.42 * len(names)) * columns + 0.6, 2.9 * rows), layout="constrained"
+        figsize=(size[0] * columns + more[0], size[1] * rows + more[1]), layout="constrained"
     )
-    grid = figure.subplots(rows, columns, sharey=True, squeeze=False)
+    grid = figure.subplots(rows, columns, squeeze=False, **options)
     for axes in grid.flat[len(scopes) :]:
         axes.remove()
-    for axes, scope in zip(grid.flat, scopes, strict=False):
+    panels = list(grid.flat[: len(scopes)])
+    for axes, scope in zip(panels, scopes, strict=True):
+        axes.set_title(scope_name(scope))
+    return figure, panels
+
+
+def _legend(figure: Figure, names: Sequence[str]) -> Figure:
+    figure.legend(loc="outside upper center", ncols=len(names))
+    return figure
+
+
+def _name_ticks(axes: Axes, names: Sequence[str], **options: Any) -> None:
+    """Names of retargeters below the axes, which have no lines across."""
+    axes.set_xticks(range(len(names)), names, **({"rotation": 25} | options))
+    axes.grid(visible=False, axis="x")
+
+
+def success_figure(analysis: Analysis, colors: Colors) -> Figure:
+    """Draws success rates with 95 % intervals; thin lines are the operators' observed rates."""
+    scopes, names = analysis.scopes, analysis.retargeters
+    size, more = (0.8 + 0.42 * len(names), 2.9), (0.6, 0.0)
+    figure, panels = _panels(scopes, _ACROSS, size, more, sharey=True)
+    for axes, scope in zip(panels, scopes, strict=True):
         for rates in _operator_rates(analysis, scope):
             axes.plot(
                 range(len(names)), 100 * rates, "-", color=GRID, alpha=0.45, linewidth=0.7,
@@ -76,14 +106,12 @@ def success_figure(analysis: Analysis, colors: Mapping[str, str]) -> Figure:
                     j, rate, "o", markerfacecolor="none", markeredgecolor=colors[name],
                     markersize=7, zorder=3,
                 )  # fmt: skip
-        axes.set_xticks(range(len(names)), names, rotation=35, ha="right")
+        _name_ticks(axes, names, rotation=35, ha="right")
         axes.set_xlim(-0.5, len(names) - 0.5)
         axes.set_ylim(-3, 103)
-        axes.set_title(scope_name(scope))
-        axes.grid(visible=False, axis="x")
         axes.set_axisbelow(True)
-    for row in grid:
-        row[0].set_ylabel("success rate [%]")
+    for axes in panels[::_ACROSS]:
+        axes.set_ylabel(_LABELS["success"])
     return figure
 
 
@@ -99,57 +127,37 @@ def _operator_rates(analysis: Analysis, scope: str) -> list[np.ndarray]:
     return rates
 
 
-def time_figure(analysis: Analysis, colors: Mapping[str, str]) -> Figure:
-    """Distributions of completion times of successful trials: boxes and every trial."""
-    from matplotlib.figure import Figure
-
-    tasks = analysis.scopes[1:]
-    figure = Figure(figsize=(1.5 + 2.5 * len(tasks), 3.4), layout="constrained")
-    trials = analysis.data.trials
+def time_figure(analysis: Analysis, colors: Colors) -> Figure:
+    """Draws completion times of successful trials: boxes and every trial."""
+    tasks, trials = analysis.scopes[1:], analysis.data.trials
+    figure, panels = _panels(tasks, len(tasks), (2.5, 3.4), (1.5, 0.0), sharey=True)
     rng = np.random.default_rng(0)  # of the jitter of the dots only
-    for axes, task in zip(
-        np.atleast_1d(figure.subplots(1, len(tasks), sharey=True)), tasks, strict=True
-    ):
+    timed = trials.success & np.isfinite(trials.time)
+    for axes, task in zip(panels, tasks, strict=True):
         for j, name in enumerate(analysis.retargeters):
-            rows = trials.success & np.isfinite(trials.time)
-            values = trials.time[rows & (trials.task == task) & (trials.retargeter == name)]
+            values = trials.time[timed & (trials.task == task) & (trials.retargeter == name)]
             if not len(values):
                 continue
             side = j + rng.uniform(-0.22, 0.22, len(values))
             axes.plot(side, values, ".", color=colors[name], alpha=0.35, markersize=3)
+            line = {"color": colors[name], "linewidth": 1.3}
             axes.boxplot(
-                values, positions=[j], widths=0.55, showfliers=False,
-                **{
-                    part: {"color": colors[name], "linewidth": 1.3}
-                    for part in ("boxprops", "whiskerprops", "capprops", "medianprops")
-                },
+                values, positions=[j], widths=0.55, showfliers=False, boxprops=line,
+                whiskerprops=line, capprops=line, medianprops=line,
             )  # fmt: skip
-        axes.set_xticks(range(len(analysis.retargeters)), analysis.retargeters, rotation=25)
-        axes.set_title(scope_name(task))
-        axes.grid(visible=False, axis="x")
-    figure.axes[0].set_ylabel("completion time [s]")
-    figure.axes[0].set_ylim(bottom=0)
+        _name_ticks(axes, analysis.retargeters)
+    panels[0].set_ylabel(_LABELS["time"])
+    panels[0].set_ylim(bottom=0)
     return figure
 
 
-def item_figure(analysis: Analysis, colors: Mapping[str, str]) -> Figure | None:
-    """The six scales of the NASA-TLX as dots with 95 % intervals, by scope."""
-    if analysis.data.questionnaires is None:
-        return None
-    from matplotlib.figure import Figure
-
+def item_figure(analysis: Analysis, colors: Colors) -> Figure:
+    """Draws the six scales of the NASA-TLX as dots with 95 % intervals, by scope."""
     scopes, names = analysis.scopes, analysis.retargeters
-    columns = min(len(scopes), _ACROSS)
-    rows = -(-len(scopes) // columns)
-    figure = Figure(
-        figsize=(2.1 * columns + 1.2, 0.4 + (0.9 + 0.14 * len(names) * len(ITEMS)) * rows),
-        layout="constrained",
-    )
-    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
-    for axes in grid.flat[len(scopes) :]:
-        axes.remove()
+    size = (2.1, 0.9 + 0.14 * len(names) * len(ITEMS))
+    figure, panels = _panels(scopes, _ACROSS, size, (1.2, 0.4), sharex=True, sharey=True)
     step = 0.7 / max(len(names), 2)
-    for axes, scope in zip(grid.flat, scopes, strict=False):
+    for axes, scope in zip(panels, scopes, strict=True):
         for j, name in enumerate(names):
             for k, item in enumerate(ITEMS):
                 value = _item(analysis, scope, item, name)
@@ -161,33 +169,22 @@ def item_figure(analysis: Analysis, colors: Mapping[str, str]) -> Figure | None:
                     axes.plot([mean.lower, mean.upper], [at, at], color=colors[name], linewidth=1.2)
                 label = name if scope == scopes[0] and k == 0 else None
                 axes.plot(value, at, "o", color=colors[name], markersize=3.5, label=label)
-        axes.set_title(scope_name(scope))
         axes.set_yticks(range(len(ITEMS)), ITEMS)
         axes.set_xlim(0, 100)
         axes.grid(visible=False, axis="y")
         axes.set_axisbelow(True)
-    grid[0, 0].invert_yaxis()
+    panels[0].invert_yaxis()
     figure.supxlabel("answer, 0 to 100 (less is better)", fontsize=9)
-    figure.legend(loc="outside upper center", ncols=len(names))
-    return figure
+    return _legend(figure, names)
 
 
-def radar_figure(analysis: Analysis, colors: Mapping[str, str]) -> Figure | None:
-    """The six scales of the NASA-TLX by scope; a smaller area is less workload."""
-    if analysis.data.questionnaires is None:
-        return None
-    from matplotlib.figure import Figure
-
-    scopes = analysis.scopes
-    columns = min(2, len(scopes))
-    rows = -(-len(scopes) // columns)
-    figure = Figure(figsize=(4.2 * columns, 0.4 + 3.4 * rows), layout="constrained")
+def radar_figure(analysis: Analysis, colors: Colors) -> Figure:
+    """Draws the six scales of the NASA-TLX by scope; a smaller area is less workload."""
+    scopes, polar = analysis.scopes, {"projection": "polar"}
+    figure, panels = _panels(scopes, 2, (4.2, 3.4), (0.0, 0.4), subplot_kw=polar)
     angles = np.linspace(0, 2 * np.pi, len(ITEMS), endpoint=False)
-    grid = figure.subplots(rows, columns, subplot_kw={"projection": "polar"}, squeeze=False)
     top = 10.0
-    for axes in grid.flat[len(scopes) :]:
-        axes.remove()
-    for axes, scope in zip(grid.flat, scopes, strict=False):
+    for axes, scope in zip(panels, scopes, strict=True):
         for name in analysis.retargeters:
             values = [_item(analysis, scope, item, name) for item in ITEMS]
             if any(value is None for value in values):
@@ -201,12 +198,10 @@ def radar_figure(analysis: Analysis, colors: Mapping[str, str]) -> Figure | None
             axes.fill(angles, finite, color=colors[name], alpha=0.07)
         axes.set_xticks(angles, ITEMS)
         axes.tick_params(labelsize=7.5)
-        axes.set_title(scope_name(scope))
-    for axes in figure.axes:
-        axes.set_ylim(0, min(100.0, 1.08 * top))
         axes.spines["polar"].set_visible(False)
-    figure.legend(loc="outside upper center", ncols=len(analysis.retargeters))
-    return figure
+    for axes in panels:
+        axes.set_ylim(0, min(100.0, 1.08 * top))
+    return _legend(figure, analysis.retargeters)
 
 
 def _item(analysis: Analysis, scope: str, item: str, name: str) -> float | None:
@@ -216,22 +211,20 @@ def _item(analysis: Analysis, scope: str, item: str, name: str) -> float | None:
     return float(result.observed[name]["mean"]) if name in result.observed else None
 
 
-def correlation_figure(analysis: Analysis) -> Figure | None:
-    """Rank correlations of simulation metrics (rows) with outcomes (columns)."""
-    correlated = {pair: e for pair, e in analysis.spearman.items() if "rho" in e}
+def correlation_figure(analysis: Analysis, colors: Colors) -> Figure | None:
+    """Draws rank correlations of simulation metrics (rows) with outcomes (columns)."""
+    correlated = {tuple(key.split("~")): e for key, e in analysis.spearman.items() if "rho" in e}
     if not correlated:
         return None
     from matplotlib.figure import Figure
 
-    metrics = _distinct(pair.split("~")[0] for pair in correlated)
-    outcomes = _distinct(pair.split("~")[1] for pair in correlated)
+    metrics, outcomes = (list(dict.fromkeys(names)) for names in zip(*correlated, strict=True))
     values = np.full((len(metrics), len(outcomes)), np.nan)
     figure = Figure(
         figsize=(2.0 + 1.7 * len(outcomes), 1.2 + 0.6 * len(metrics)), layout="constrained"
     )
     axes = figure.subplots()
-    for pair, entry in correlated.items():
-        metric, outcome = pair.split("~")
+    for (metric, outcome), entry in correlated.items():
         row, column = metrics.index(metric), outcomes.index(outcome)
         values[row, column] = entry["rho"]
         low, high = (entry["ci_boot_operators"][end] for end in ("lcl", "ucl"))
@@ -247,57 +240,29 @@ def correlation_figure(analysis: Analysis) -> Figure | None:
     return figure
 
 
-def _distinct(words: Iterable[str]) -> list[str]:
-    return list(dict.fromkeys(words))
-
-
-LABELS: Final[dict[Outcome, str]] = {
-    "success": "success rate [%]",
-    "time": "completion time [s]",
-    "tlx": "workload (NASA-TLX)",
-}
-
-
-_BINS: Final = 10
-
-
-_FEWEST: Final = 3
-"""Operators from which a violin is drawn; fewer are dots only."""
-
-
-def learning_figure(analysis: Analysis, colors: Mapping[str, str]) -> Figure:
-    """Time and success over the count of trials: means of bins, and the fitted slope."""
+def learning_figure(analysis: Analysis, colors: Colors) -> Figure:
+    """Draws time and success over the count of trials: means of bins, and the fitted slope."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(8.4, 5.4), layout="constrained")
     grid = figure.subplots(2, 2)
     trials = analysis.data.trials
-    kinds = (("trial_global", trials.trial_global), ("trial_in_block", trials.trial_in_block))
-    timed = trials.success & np.isfinite(trials.time)
-    for column, (index, counts) in enumerate(kinds):
-        for row, (outcome, values, rows) in enumerate(
-            (
-                ("time", trials.time, timed),
-                ("success", 100.0 * trials.success, np.ones(len(trials), bool)),
-            )
-        ):
+    outcomes: tuple[tuple[Outcome, np.ndarray, np.ndarray], ...] = (
+        ("time", trials.time, trials.success & np.isfinite(trials.time)),
+        ("success", 100.0 * trials.success, np.ones(len(trials), bool)),
+    )
+    for column, (index, title) in enumerate(_INDICES.items()):
+        counts = getattr(trials, index)
+        for row, (outcome, values, rows) in enumerate(outcomes):
             axes = grid[row, column]
             for name in analysis.retargeters:
                 chosen = rows & (trials.retargeter == name)
-                _binned(
-                    axes,
-                    counts[chosen],
-                    values[chosen],
-                    colors[name],
-                    name if row + column == 0 else None,
-                )
+                label = name if row + column == 0 else None
+                _binned(axes, counts[chosen], values[chosen], colors[name], label)
             _slope(axes, analysis.learning[POOLED][index][outcome], counts[rows], values[rows])
-            axes.set_xlabel(
-                {"trial_global": "trial of the task", "trial_in_block": "trial of the block"}[index]
-            )
-            axes.set_ylabel("completion time [s]" if outcome == "time" else LABELS["success"])
-    figure.legend(loc="outside upper center", ncols=len(analysis.retargeters))
-    return figure
+            axes.set_xlabel(title)
+            axes.set_ylabel(_LABELS[outcome])
+    return _legend(figure, analysis.retargeters)
 
 
 def _binned(axes: Axes, x: np.ndarray, y: np.ndarray, color: str, label: str | None) -> None:
@@ -322,97 +287,79 @@ def _slope(axes: Axes, entry: Mapping[str, float], x: np.ndarray, y: np.ndarray)
     axes.set_title(f"{signed(slope, 3)} a trial, {p_said(p)}", fontsize=9)
 
 
-def violin_figure(analysis: Analysis, colors: Mapping[str, str], outcome: Outcome) -> Figure | None:
-    """Distribution of the operators' means by task and retargeter; a dot is an operator."""
-    means = [one for one in operator_means(analysis.data) if one.outcome == outcome]
-    if not means:
-        return None
-    from matplotlib.figure import Figure
+def _violins(outcome: Outcome) -> Callable[[Analysis, Colors], Figure | None]:
+    """The drawing of the operators' means by task and retargeter; a dot is an operator."""
 
-    tasks = analysis.scopes[1:]
-    scale = 100.0 if outcome == "success" else 1.0
-    figure = Figure(figsize=(1.5 + 2.5 * len(tasks), 3.0), layout="constrained")
-    rng = np.random.default_rng(0)  # of the jitter of the dots only
-    for axes, task in zip(
-        np.atleast_1d(figure.subplots(1, len(tasks), sharey=True)), tasks, strict=True
-    ):
-        for j, name in enumerate(analysis.retargeters):
-            values = scale * np.array(
-                [one.mean for one in means if one.task == task and one.retargeter == name]
-            )
-            if not len(values):
-                continue
-            if len(values) >= _FEWEST and np.ptp(values) > 0:
-                shape = axes.violinplot(values, [j], widths=0.8, showextrema=False)
-                for body in shape["bodies"]:
-                    body.set_facecolor(colors[name])
-                    body.set_alpha(0.3)
-            side = j + rng.uniform(-0.1, 0.1, len(values))
-            axes.plot(side, values, ".", color=colors[name], markersize=4)
-            middle = float(np.median(values))
-            axes.plot([j - 0.25, j + 0.25], [middle, middle], color=colors[name], linewidth=2)
-        axes.set_xticks(range(len(analysis.retargeters)), analysis.retargeters, rotation=25)
-        axes.set_title(scope_name(task))
-        axes.grid(visible=False, axis="x")
-    figure.axes[0].set_ylabel(LABELS[outcome])
-    return figure
+    def draw(analysis: Analysis, colors: Colors) -> Figure | None:
+        means = [one for one in operator_means(analysis.data) if one.outcome == outcome]
+        if not means:
+            return None
+        tasks = analysis.scopes[1:]
+        scale = 100.0 if outcome == "success" else 1.0
+        figure, panels = _panels(tasks, len(tasks), (2.5, 3.0), (1.5, 0.0), sharey=True)
+        rng = np.random.default_rng(0)  # of the jitter of the dots only
+        for axes, task in zip(panels, tasks, strict=True):
+            for j, name in enumerate(analysis.retargeters):
+                values = scale * np.array(
+                    [one.mean for one in means if one.task == task and one.retargeter == name]
+                )
+                if not len(values):
+                    continue
+                if len(values) >= _FEWEST and np.ptp(values) > 0:
+                    shape = axes.violinplot(values, [j], widths=0.8, showextrema=False)
+                    bodies: Any = shape["bodies"]
+                    for body in bodies:
+                        body.set_facecolor(colors[name])
+                        body.set_alpha(0.3)
+                side = j + rng.uniform(-0.1, 0.1, len(values))
+                axes.plot(side, values, ".", color=colors[name], markersize=4)
+                middle = float(np.median(values))
+                axes.plot([j - 0.25, j + 0.25], [middle, middle], color=colors[name], linewidth=2)
+            _name_ticks(axes, analysis.retargeters)
+        panels[0].set_ylabel(_LABELS[outcome])
+        return figure
 
-
-_UNITS: Mapping[Outcome, str] = {"time": "completion time [s]", "tlx": "workload"}
+    return draw
 
 
-def residual_figure(analysis: Analysis, colors: Mapping[str, str]) -> Figure | None:
-    """Residuals over fitted values, and their quantiles over those of a normal distribution.
+def residual_figure(analysis: Analysis, colors: Colors) -> Figure | None:
+    """Draws residuals over fitted values, and their quantiles over those of a normal distribution.
 
-    Of the models of mode small-sample, all tasks together; None if all are refused.
+    For the models of mode small-sample, all tasks together; None if all are refused.
     """
-    rows = [
-        (outcome, frame)
-        for outcome, frame in _frames(analysis).items()
-        if analysis.results[MODES[0]][outcome][POOLED].refused is None
-    ]
-    fitted = [(outcome, frame, _residuals(frame)) for outcome, frame in rows]
-    panels = [
-        (outcome, frame, remainders)
-        for outcome, frame, remainders in fitted
-        if remainders is not None
-    ]
+    data, baseline = analysis.data, analysis.baseline
+    frames: dict[str, tuple[Outcome, Frame]] = {
+        "completion time [s]": ("time", time_frame(data.trials, POOLED, baseline))
+    }
+    if data.questionnaires is not None:
+        frames["workload"] = ("tlx", tlx_frame(data.questionnaires, POOLED, baseline))
+    panels = []
+    for title, (outcome, frame) in frames.items():
+        if analysis.results[MODES[0]][outcome][POOLED].refused is None:
+            try:
+                fit = fit_mixed(frame.design()[0], frame.outcome, frame.levels)
+            except StudyError:
+                continue
+            panels.append((title, frame, fit.residuals))
     if not panels:
         return None
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(8.4, 2.9 * len(panels)), layout="constrained")
     grid = figure.subplots(len(panels), 2, squeeze=False)
-    for (left, right), (outcome, frame, residuals) in zip(grid, panels, strict=True):
+    for (left, right), (title, frame, residuals) in zip(grid, panels, strict=True):
         expected = frame.outcome - residuals
         for j, name in enumerate(frame.retargeters):
             own = frame.retargeter == j
             left.plot(
                 expected[own], residuals[own], ".", color=colors[name], markersize=3.5, alpha=0.6,
-                label=name if outcome == panels[0][0] else None,
+                label=name if title == panels[0][0] else None,
             )  # fmt: skip
         left.axhline(0, color=GRID, linewidth=0.8)
-        left.set_xlabel(f"fitted {_UNITS[outcome]}")
+        left.set_xlabel(f"fitted {title}")
         left.set_ylabel("residual")
         _quantiles(right, residuals)
-    figure.legend(loc="outside upper center", ncols=len(analysis.retargeters))
-    return figure
-
-
-def _frames(analysis: Analysis) -> dict[Outcome, Frame]:
-    frames: dict[Outcome, Frame] = {
-        "time": time_frame(analysis.data.trials, POOLED, analysis.baseline)
-    }
-    if analysis.data.questionnaires is not None:
-        frames["tlx"] = tlx_frame(analysis.data.questionnaires, POOLED, analysis.baseline)
-    return frames
-
-
-def _residuals(frame: Frame) -> np.ndarray | None:
-    try:
-        return fit_mixed(frame.design()[0], frame.outcome, frame.levels).residuals
-    except StudyError:
-        return None
+    return _legend(figure, analysis.retargeters)
 
 
 def _quantiles(axes: Axes, residuals: np.ndarray) -> None:
@@ -425,18 +372,15 @@ def _quantiles(axes: Axes, residuals: np.ndarray) -> None:
     axes.set_ylabel("residual / SD")
 
 
-def incidence_figure(analysis: Analysis, colors: Mapping[str, str]) -> Figure | None:
-    """Share of all trials that have succeeded by a time, by task; failures never do."""
+def incidence_figure(analysis: Analysis, colors: Colors) -> Figure | None:
+    """Draws the share of all trials that have succeeded by a time, by task; failures never do."""
     reading = analysis.readings.time_to_success[POOLED]
     if not isinstance(reading, TimeToSuccess):
         return None
-    from matplotlib.figure import Figure
-
     tasks, trials = analysis.scopes[1:], analysis.data.trials
-    figure = Figure(figsize=(1.0 + 2.6 * len(tasks), 3.1), layout="constrained")
-    row = figure.subplots(1, len(tasks), sharey=True, squeeze=False)[0]
+    figure, panels = _panels(tasks, len(tasks), (2.6, 3.1), (1.0, 0.0), sharey=True)
     usable = ~(trials.success & np.isnan(trials.time))
-    for axes, task in zip(row, tasks, strict=True):
+    for axes, task in zip(panels, tasks, strict=True):
         limit = reading.limits[task]
         for name in analysis.retargeters:
             rows = usable & (trials.task == task) & (trials.retargeter == name)
@@ -452,10 +396,24 @@ def incidence_figure(analysis: Analysis, colors: Mapping[str, str]) -> Figure | 
                 where="post", color=colors[name], linewidth=1.5,
                 label=name if task == tasks[0] else None,
             )  # fmt: skip
-        axes.set_title(scope_name(task))
         axes.set_xlabel("time [s]")
         axes.set_ylim(0, 100)
         axes.set_xlim(0, limit)
-    row[0].set_ylabel("succeeded [%]")
-    figure.legend(loc="outside upper center", ncols=len(analysis.retargeters))
-    return figure
+    panels[0].set_ylabel("succeeded [%]")
+    return _legend(figure, analysis.retargeters)
+
+
+FIGURES: Final[Mapping[str, Callable[[Analysis, Colors], "Figure | None"]]] = {
+    "success": success_figure,
+    "time": time_figure,
+    "tlx-items": item_figure,
+    "tlx-radar": radar_figure,
+    "learning": learning_figure,
+    "operators-success": _violins("success"),
+    "operators-time": _violins("time"),
+    "operators-tlx": _violins("tlx"),
+    "time-to-success": incidence_figure,
+    "correlations": correlation_figure,
+    "residuals": residual_figure,
+}
+"""Stem of a file -> what draws it; None where there is nothing to draw."""

@@ -5,15 +5,15 @@ export const part = (id) => document.getElementById(id);
 
 /** An element: h('button', { class: 'main', onclick }, 'Start', h('kbd', {}, 'S')). */
 export function h(name, attributes = {}, ...children) {
-  const made = document.createElement(name);
+  const element = document.createElement(name);
   for (const [key, value] of Object.entries(attributes)) {
     if (value === false || value === null || value === undefined) continue;
-    if (key.startsWith('on')) made.addEventListener(key.slice(2), value);
-    else if (key in made && typeof value !== 'string') made[key] = value;
-    else made.setAttribute(key, value === true ? '' : value);
+    if (key.startsWith('on')) element.addEventListener(key.slice(2), value);
+    else if (key in element && typeof value !== 'string') element[key] = value;
+    else element.setAttribute(key, value === true ? '' : value);
   }
-  made.append(...children.flat().filter(there));
-  return made;
+  element.append(...children.flat().filter(there));
+  return element;
 }
 
 /** `condition && element` leaves no trace where the condition does not hold. */

@@ -1,17 +1,16 @@
 // The experimenter's page: what is due, keys, notes, the log, everybody's progress.
 
-import { ask } from './ask.js';
+import { ask, drawForms, typeTlx } from './dialogs.js';
 import { clock, h, fill, part } from './dom.js';
-import { drawForms } from './forms.js';
-import { keep, kept, Link, moment } from './link.js';
-import { typeTlx } from './paper_tlx.js';
-import { drawPeople } from './people.js';
-import { drawScored } from './scored.js';
+import { keep, Link, moment, stored } from './link.js';
+import { drawPeople, drawScored } from './lists.js';
 import { drawStep } from './step.js';
 
-const link = new Link('/link', () => ({ operator: link.state?.now?.operator ?? kept('smooth-operator:on') }));
+const link = new Link('/link', () => ({ operator: link.state?.now?.operator ?? stored('smooth-operator:on') }));
 let refusal = '';
 let drawn = '';
+const PLACE = ['task', 'block', 'trial'];
+const REASON = { name: 'reason', label: 'Reason', required: true };
 const BUSY = ['trial', 'paused', 'familiarise'];
 const CODE = '[A-Za-z0-9][A-Za-z0-9_.\\-]*';
 
@@ -22,8 +21,8 @@ const stopped = {
     return now?.what === 'trial' ? `${link.state.study.name}/${now.operator}/${now.task}/${now.block}/${now.trial}/${now.since}/${now.paused_ms}` : null;
   },
   get at() {
-    const known = kept('smooth-operator:stopped');
-    return known && known.key === this.key() ? known.at : null;
+    const stop = stored('smooth-operator:stopped');
+    return stop && stop.key === this.key() ? stop.at : null;
   },
   set at(moment) {
     keep('smooth-operator:stopped', moment === null ? null : { key: this.key(), at: moment });
@@ -83,83 +82,59 @@ const actions = {
     if (doubt && !await ask('The simulation says something else', doubt, [], 'Score it all the same')) return;
     send('score', { line }, { since });
   },
-  async voidTrial() {
-    const send = actions.asked('task', 'block', 'trial');
-    const given = await ask('Void this trial', 'For a reason that is not the operator’s. It will be done again.',
-      [{ name: 'reason', label: 'Reason', required: true }], 'Void');
-    if (given) send('void', { reason: given.reason });
+  /** Asks a question, and sends the answer for the operator and the place that were shown then. */
+  async inquire(what, names, title, text, fields, yes, fieldsOf = (answer) => answer) {
+    const send = actions.asked(...names);
+    const answer = await ask(title, text, fields, yes);
+    if (answer) send(what, fieldsOf(answer));
   },
-  async pause() {
-    const send = actions.asked('task', 'block', 'trial');
-    const given = await ask('Pause the clock', 'For a fault that is not the operator’s. The time until the clock goes on does not count.',
-      [{ name: 'reason', label: 'Reason', required: true }], 'Pause');
-    if (given) send('pause', { reason: given.reason });
-  },
-  async endBlock() {
-    const send = actions.asked('task', 'block');
-    const now = link.state.now;
-    const given = await ask(`End block ${now.block} of ${now.task} now?`, 'What is left of it is not done, its questionnaires included. The next block follows.',
-      [{ name: 'reason', label: 'Reason', required: true }], 'End the block');
-    if (given) send('end_block', { reason: given.reason });
-  },
-  async recalibrate() {
-    const send = actions.asked('task');
-    const given = await ask('Calibrate again', 'Calibrate, then enter the file. It is loaded into the running hand.',
-      [{ name: 'detail', label: 'File or remark', required: true, maxLength: 400 }], 'Calibrated');
-    if (given) send('recalibrate', { detail: given.detail });
-  },
-  async withdraw() {
-    const send = actions.asked();
-    const now = link.state.now;
-    const given = await ask(`Operator ${now.operator} withdraws`, 'No further step is due. A trial that runs becomes void. To delete the data: smooth-operator study erase.', [
+  voidTrial: () => actions.inquire('void', PLACE, 'Void this trial', 'For a reason that is not the operator’s. It will be done again.', [REASON], 'Void'),
+  pause: () => actions.inquire('pause', PLACE, 'Pause the clock',
+    'For a fault that is not the operator’s. The time until the clock goes on does not count.', [REASON], 'Pause'),
+  endBlock: () => actions.inquire('end_block', PLACE.slice(0, 2), `End block ${link.state.now.block} of ${link.state.now.task} now?`,
+    'What is left of it is not done, its questionnaires included. The next block follows.', [REASON], 'End the block'),
+  recalibrate: () => actions.inquire('recalibrate', ['task'], 'Calibrate again', 'Calibrate, then enter the file. It is loaded into the running hand.',
+    [{ name: 'detail', label: 'File or remark', required: true, maxLength: 400 }], 'Calibrated'),
+  withdraw: () => actions.inquire('withdraw', [], `Operator ${link.state.now.operator} withdraws`,
+    'No further step is due. A trial that runs becomes void. To delete the data: smooth-operator study erase.', [
       { name: 'keep', label: 'The data so far', type: 'select', options: [
         { value: 'keep', text: 'is kept and may be analysed' }, { value: 'leave', text: 'is left out of the analysis' }] },
-      { name: 'reason', label: 'Reason, if given' }], 'Withdraw');
-    if (given) send('withdraw', { keep: given.keep === 'keep', reason: given.reason });
-  },
+      { name: 'reason', label: 'Reason, if given' }], 'Withdraw', ({ keep: choice, reason }) => ({ keep: choice === 'keep', reason })),
   async replace() {
     const now = link.state.now;
-    const given = await ask(`Replace operator ${now.operator}`, 'A new operator gets the same tasks and orders of conditions.',
+    const answer = await ask(`Replace operator ${now.operator}`, 'A new operator gets the same tasks and orders of conditions.',
       [{ name: 'code', label: 'Code of the new operator', required: true, pattern: CODE, maxLength: 64 }], 'Enrol');
-    if (!given) return;
+    if (!answer) return;
     refusal = '';
-    keep('smooth-operator:on', given.code);
-    link.command('replace', now.operator, { by: given.code });
+    keep('smooth-operator:on', answer.code);
+    link.command('replace', now.operator, { by: answer.code });
   },
   async amend(block, trial) {
     const send = actions.asked();
     const { study } = link.state;
     const { rubric } = study.tasks.find((task) => task.name === block.task);
-    const given = await ask(`Amend trial ${trial.trial} of ${block.task}, block ${block.block}`,
+    const answer = await ask(`Amend trial ${trial.trial} of ${block.task}, block ${block.block}`,
       `It was scored ${trial.line}, ${trial.score}, in ${trial.time_s.toFixed(1)} s. The log keeps that.`, [
         { name: 'line', label: 'Line of the rubric', type: 'select', options: rubric.map((line) => ({
           value: line.name, text: `${line.name}: ${trial.resets ? Math.min(line.score, study.reset_cap) : line.score}`, selected: line.name === trial.line })) },
         { name: 'time', label: 'Time [s]', type: 'number', min: '0', step: 'any', value: String(trial.time_s), required: true },
         { name: 'reason', label: 'Reason', required: true },
         { name: 'who', label: 'Decided by (initials)', maxLength: 40 }], 'Amend');
-    if (!given) return;
-    const time = Number(given.time);
-    send('amend', { task: block.task, block: block.block, trial: trial.trial, line: given.line,
-      ...(time === trial.time_s ? {} : { time_s: time }), reason: given.reason, who: given.who });
+    if (!answer) return;
+    const time = Number(answer.time);
+    send('amend', { task: block.task, block: block.block, trial: trial.trial, line: answer.line,
+      ...(time === trial.time_s ? {} : { time_s: time }), reason: answer.reason, who: answer.who });
   },
-  async endFamiliarisation() {
-    const send = actions.asked('task', 'block');
-    const given = await ask('End free movement now?', 'Its time is not over yet.', [], 'End it');
-    if (given) send('end_familiarisation');
-  },
-  async undo() {
+  endFamiliarisation: () => actions.inquire('end_familiarisation', PLACE.slice(0, 2), 'End free movement now?', 'Its time is not over yet.', [], 'End it'),
+  undo() {
     const last = link.state?.now?.undoable;
     if (!last || !part('undo').matches(':enabled')) return;
-    const send = actions.asked();
-    const given = await ask(`Take back event ${last.number}?`, `${last.text}. It counts no more; the log keeps it.`, [{ name: 'reason', label: 'Reason (kept in the log)' }], 'Undo');
-    if (given) send('undo', { number: last.number, reason: given.reason });
+    actions.inquire('undo', [], `Take back event ${last.number}?`, `${last.text}. It counts no more; the log keeps it.`,
+      [{ name: 'reason', label: 'Reason (kept in the log)' }], 'Undo', ({ reason }) => ({ number: last.number, reason }));
   },
-  async onPaper() {
-    const send = actions.asked('form');
-    const given = await ask('On paper', 'The operator fills this form in on paper; type it in when there is time. A consent must be signed before anything starts.',
-      [{ name: 'who', label: 'Who has it (initials)', required: true, maxLength: 40 }], 'It is on paper');
-    if (given) send('paper', { who: given.who });
-  },
+  onPaper: () => actions.inquire('paper', ['form'], 'On paper',
+    'The operator fills this form in on paper; type it in when there is time. A consent must be signed before anything starts.',
+    [{ name: 'who', label: 'Who has it (initials)', required: true, maxLength: 40 }], 'It is on paper'),
   /** A form of an operator, from paper. What is due does not matter. */
   typeIn(operator, fields) {
     refusal = '';
@@ -171,15 +146,15 @@ const actions = {
   },
   async enrol() {
     const tasks = link.state.study.tasks;
-    const given = await ask('Enrol an operator', 'A code, never a name: who it is stands on paper.', [
+    const answer = await ask('Enrol an operator', 'A code, never a name: who it is stands on paper.', [
       { name: 'code', label: 'Code', required: true, pattern: CODE, maxLength: 64 },
       ...tasks.map((task) => ({ name: `task:${task.name}`, label: `${task.name}: ${task.title}`, type: 'checkbox', checked: true })),
     ], 'Enrol');
-    if (!given) return;
-    const wanted = tasks.map((task) => task.name).filter((name) => given[`task:${name}`]);
+    if (!answer) return;
+    const chosen = tasks.map((task) => task.name).filter((name) => answer[`task:${name}`]);
     refusal = '';
-    keep('smooth-operator:on', given.code);
-    link.command('enrol', given.code, { tasks: wanted });
+    keep('smooth-operator:on', answer.code);
+    link.command('enrol', answer.code, { tasks: chosen });
   },
 };
 
@@ -306,7 +281,7 @@ part('noting').addEventListener('submit', (event) => {
   part('note').blur();
 });
 part('note').addEventListener('input', () => keep('smooth-operator:note', part('note').value || null));
-part('note').value = kept('smooth-operator:note') ?? '';
+part('note').value = stored('smooth-operator:note') ?? '';
 part('undo').addEventListener('click', actions.undo);
 part('enrol').addEventListener('click', actions.enrol);
 part('switch').addEventListener('click', () => actions.send('switch'));

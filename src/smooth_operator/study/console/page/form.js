@@ -1,12 +1,12 @@
 // A form of the study: texts, numbers, choices, scales, consent, a ranking of blind labels.
 
 import { button, fill, h } from './dom.js';
-import { keep, kept } from './link.js';
+import { keep, stored } from './link.js';
 
 /** Draws a form; what is filled in is kept on the device until it is sent. */
 export function form(place, state, { name, sending, send, answers: before = {}, more = null }) {
-  const known = kept(name);
-  const answers = known?.key === state.key ? known.answers : { ...before };
+  const draft = stored(name);
+  const answers = draft?.key === state.key ? draft.answers : { ...before };
   const { texts } = state;
   const begun = new Set(); // rankings that are not whole yet
   const left = h('p', { class: 'soft', role: 'status' });

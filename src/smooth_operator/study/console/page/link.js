@@ -28,7 +28,7 @@ export function keep(name, value) {
   } catch { /* private mode, or full */ }
 }
 
-export function kept(name) {
+export function stored(name) {
   try {
     return JSON.parse(localStorage.getItem(name));
   } catch {
@@ -37,9 +37,9 @@ export function kept(name) {
 }
 
 /** Values whose names begin so, by name. */
-function keptBy(prefix) {
+function storedBy(prefix) {
   try {
-    return Object.keys(localStorage).filter((name) => name.startsWith(prefix)).map((name) => [name, kept(name)]);
+    return Object.keys(localStorage).filter((name) => name.startsWith(prefix)).map((name) => [name, stored(name)]);
   } catch {
     return [];
   }
@@ -138,25 +138,25 @@ export class Link extends EventTarget {
     if (performance.now() - since > SILENCE) this.lose();
   }
 
-  hear(said) {
+  hear(message) {
     this.heard = performance.now();
     // The message that was fastest tells best how the clocks differ.
-    this.best = Math.max(this.best, said.sent - moment());
+    this.best = Math.max(this.best, message.sent - moment());
     this.offset = this.best;
-    if (said.type === 'state') {
+    if (message.type === 'state') {
       this.tries = 0;
-      const study = said.study?.name ?? said.study ?? '';
+      const study = message.study?.name ?? message.study ?? '';
       if (this.study !== study) {
         this.study = study;
         this.name = `smooth-operator:${study}:${this.path}`;
         this.recall();
         this.store();
       }
-      this.state = said;
+      this.state = message;
       this.dispatchEvent(new Event('state'));
       this.flush();
-    } else if (said.type === 'done' || said.type === 'refused') {
-      this.answered(said);
+    } else if (message.type === 'done' || message.type === 'refused') {
+      this.answered(message);
     }
     this.changed();
   }
@@ -198,15 +198,15 @@ export class Link extends EventTarget {
 
   /** What a page of before did not see acknowledged. */
   recall() {
-    const known = new Set(this.outbox.map((entry) => entry.token));
-    const found = [];
-    for (const [name, entry] of keptBy(`${this.name}/`)) {
-      if (entry && known.has(entry.token)) continue;
-      if (entry && (LASTING.has(entry.do) || Math.abs(moment() - entry.since) < STALE)) found.push(entry);
+    const tokens = new Set(this.outbox.map((entry) => entry.token));
+    const entries = [];
+    for (const [name, entry] of storedBy(`${this.name}/`)) {
+      if (entry && tokens.has(entry.token)) continue;
+      if (entry && (LASTING.has(entry.do) || Math.abs(moment() - entry.since) < STALE)) entries.push(entry);
       else keep(name, null);
     }
-    found.sort((a, b) => a.since - b.since);
-    this.outbox.unshift(...found);
+    entries.sort((a, b) => a.since - b.since);
+    this.outbox.unshift(...entries);
   }
 
   changed() {

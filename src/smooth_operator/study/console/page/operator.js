@@ -3,8 +3,7 @@
 import { fill, h, part } from './dom.js';
 import { form } from './form.js';
 import { keep, Link } from './link.js';
-import { pairs } from './pairs.js';
-import { scales } from './scales.js';
+import { pairs, scales } from './tlx.js';
 
 const THANKS = 6000; // ms
 const link = new Link('/operator/link');

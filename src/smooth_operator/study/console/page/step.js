@@ -5,7 +5,7 @@ import { button, clock, fill, h } from './dom.js';
 const SCORES = { 1: 'full', 0.5: 'half', 0: 'none' };
 const POINTS = { initial: 'after the first trial', midpoint: 'in the middle', final: 'after the last trial' };
 
-let typed = { name: '', text: '' }; // as it stands, when the page is drawn anew
+let typed = { name: '', text: '' }; // as it stands, when the page is drawn again
 
 /** Draws the step of the operator who is on. blocked: nothing may be started now. */
 export function drawStep(card, state, actions, blocked) {
@@ -166,11 +166,11 @@ function main(text, key, disabled, onclick) {
 /** What the simulation makes of the trial; the experimenter has the last word. */
 function proposal(now, sim, actions, waiting) {
   if (sim.phase !== 'done') return h('p', { class: 'soft' }, `In the simulation: ${sim.reason}.`);
-  const known = now.rubric.find(({ name }) => name === sim.line);
-  const line = known?.possible ? known : null;
+  const match = now.rubric.find(({ name }) => name === sim.line);
+  const line = match?.possible ? match : null;
   const says = `The simulation says: ${sim.line}, ${sim.score} (${sim.reason})`;
   return h('p', { class: 'notice good proposal' }, h('span', {}, line ? says
-    : `${says}. ${known ? 'That line is not possible now' : 'The rubric of the plan has no such line'}; choose one.`),
+    : `${says}. ${match ? 'That line is not possible now' : 'The rubric of the plan has no such line'}; choose one.`),
     line && button(`Score it ${line.name}`, { key: 'Enter', id: 'take', kind: 'main', disabled: waiting, onclick: () => actions.score(line.name) }));
 }
 

@@ -1,13 +1,15 @@
-// Everybody's progress: a row for each operator, a box for each block.
+// Lists of the experimenter's page: everybody's progress, and the scored trials of who is on.
 
-import { fill, h } from './dom.js';
+import { fill, h, part } from './dom.js';
 
-let drawn = '';
+let drawnPeople = '';
+let drawnScores = '';
 
+/** Draws a row for each operator, with a box for each block. */
 export function drawPeople(place, { overview, now }, actions) {
   const key = JSON.stringify([overview, now?.operator, actions.link.connected]);
-  if (key === drawn) return;
-  drawn = key;
+  if (key === drawnPeople) return;
+  drawnPeople = key;
   const before = place.querySelector('.person.on')?.dataset.key;
   fill(place, overview.map((one) => {
     const on = one.operator === now?.operator;
@@ -29,7 +31,8 @@ function reveal(list, row) {
 }
 
 function tasks(one) {
-  const groups = Map.groupBy ? Map.groupBy(one.blocks, (block) => block.task) : grouped(one.blocks);
+  const groups = new Map();
+  for (const block of one.blocks) groups.set(block.task, [...(groups.get(block.task) ?? []), block]);
   return h('span', { class: 'tasks' }, [...groups].map(([task, blocks]) =>
     h('span', { class: 'task' }, h('i', {}, task), blocks.map((block) =>
       h('meter', { class: block.state, min: 0, max: block.trials, value: block.scored,
@@ -37,8 +40,20 @@ function tasks(one) {
         'aria-label': `Task ${task}, block ${block.number}: ${block.scored} of ${block.trials} trials` })))));
 }
 
-function grouped(blocks) {
-  const found = new Map();
-  for (const block of blocks) found.set(block.task, [...(found.get(block.task) ?? []), block]);
-  return found;
+const SCORES = { 0: 'none', 0.5: 'half', 1: 'full' };
+
+/** Draws the scored trials by block; each can be amended. */
+export function drawScored(place, { now }, actions, blocked) {
+  const blocks = now?.scored ?? [];
+  const key = JSON.stringify([now?.operator, blocks, blocked]);
+  part('scored-card').hidden = !blocks.length;
+  if (key === drawnScores) return;
+  drawnScores = key;
+  fill(place, blocks.map((block) => h('div', {},
+    h('p', { class: 'soft' }, `${block.task}, block ${block.block}: ${block.condition}`),
+    h('ol', { class: 'results', 'aria-label': `Scored trials of ${block.task}, block ${block.block}` }, block.trials.map((trial) => h('li', {},
+      h('button', {
+        type: 'button', class: `quiet ${SCORES[trial.score]} ${trial.amended ? 'amended' : ''}`, 'data-key': `amend-${block.task}-${block.block}-${trial.trial}`, disabled: blocked,
+        title: `Trial ${trial.trial}: ${trial.line}${trial.amended ? ', amended' : ''}. Amend it`, onclick: () => actions.amend(block, trial),
+      }, h('b', {}, String(trial.score)), h('span', {}, `${trial.time_s.toFixed(1)} s`))))))));
 }

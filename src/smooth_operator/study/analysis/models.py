@@ -1,0 +1,239 @@
+"""Models of the outcomes, fitted to a frame in each mode, and joint tests of their coefficients.
+
+Success is a logistic GEE, time and workload are linear mixed models. Mode ``paper`` has the
+sandwich covariance, or a random intercept for each operator, and takes statistics for normal. Mode
+``small-sample`` has Mancl and DeRouen's covariance and t with operators - 1 degrees of freedom, or
+random intercepts also for each operator with each retargeter and, with several tasks, for each
+block, and t with Satterthwaite's degrees of freedom.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float
+from scipy.special import fdtrc
+
+from smooth_operator.errors import StudyError
+from smooth_operator.study.analysis.contrasts import (
+    Comparisons,
+    Freedom,
+    MarginalMeans,
+    cohen_h,
+    compare,
+    linear_means,
+    response_means,
+)
+from smooth_operator.study.analysis.frame import Frame, check_frame, dependent_columns
+from smooth_operator.study.analysis.gee import GeeFit, fit_gee, separating
+from smooth_operator.study.analysis.mixed import MixedFit, fit_mixed
+from smooth_operator.study.analysis.results import (
+    MODES,
+    Mode,
+    Outcome,
+    Refused,
+    figures_or_refused,
+)
+
+ONE_SIDED: Final = "no retargeter has both successes and failures"
+"""Why nothing is left of a frame without the retargeters that never or always succeed."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A fitted model of one outcome in one mode.
+
+    Attributes:
+        outcome: success, time or tlx.
+        frame: the rows.
+        names: of the coefficients.
+        beta: coefficients; of success on the logit (p,).
+        covariance: of the coefficients (p, p).
+        freedom: degrees of freedom of a combination of the coefficients.
+        model: the fit that the coefficients come from.
+    """
+
+    outcome: Outcome
+    frame: Frame
+    names: list[str]
+    beta: Float[np.ndarray, " p"]
+    covariance: Float[np.ndarray, "p p"]
+    freedom: Freedom
+    model: GeeFit | MixedFit
+
+    @property
+    def means(self) -> MarginalMeans:
+        """Means of the retargeters where further columns are zero: rates, times or points."""
+        means = response_means if self.outcome == "success" else linear_means
+        return means(self.frame, self.beta)
+
+    def effect(self, mean: float, other: float) -> float:
+        """Effect size of two means: Cohen's h, or the difference in SDs of single rows."""
+        if isinstance(self.model, MixedFit):
+            return (mean - other) / self.model.sd_row
+        return cohen_h(mean, other)
+
+    def compare(self, *, limits: bool = True, decide: float | None = None) -> Comparisons:
+        """Means, differences and effect sizes; see ``contrasts.compare``."""
+        return compare(
+            self.means, self.covariance, self.freedom, self.effect, self.frame.baseline,
+            limits=limits, decide=decide,
+        )  # fmt: skip
+
+    def joint(self, columns: slice) -> WaldTest:
+        """Tests that these coefficients are all zero.
+
+        Raises:
+            StudyError: there are too few operators for it.
+        """
+        chosen = np.eye(len(self.beta))[columns]
+        values, covariance = chosen @ self.beta, chosen @ self.covariance @ chosen.T
+        if isinstance(self.model, GeeFit):
+            return clustered_wald(values, covariance, self.model.operators)
+        return model_wald(values, covariance, chosen, self.freedom)
+
+
+def fit_modes(
+    outcome: Outcome,
+    frame: Frame,
+    modes: Sequence[Mode] = MODES,
+    more: Float[np.ndarray, "n q"] | None = None,
+) -> dict[Mode, Fit | Refused]:
+    """Fits retargeter, task, the index and further columns.
+
+    Args:
+        outcome: decides on the model.
+        frame: the rows, checked by ``check_frame``; those of success without separation.
+        modes: of the result.
+        more: further columns, centred so that means are at their mean.
+
+    Raises:
+        StudyError: the rows carry the model in no mode.
+    """
+    design, names = frame.design()
+    if more is not None:
+        design = np.column_stack([design, more])
+        names = [*names, *(f"more{k}" for k in range(more.shape[1]))]
+    fits: dict[Mode, Fit | Refused] = {}
+    if outcome != "success":
+        for mode in modes:
+            fits[mode] = figures_or_refused(partial(_linear, outcome, frame, design, names, mode))
+        return fits
+    gee = fit_gee(design, frame.outcome, frame.group)
+    gee.check_correlation()
+    count = gee.operators
+    for mode in modes:
+        covariance = gee.mancl_derouen if mode == "small-sample" else gee.robust
+        df = count - 1.0 if mode == "small-sample" else np.inf
+        if covariance is None:
+            fits[mode] = Refused(
+                "an operator has so much leverage that its residuals can't be corrected: too few "
+                f"operators ({count}) for {len(names)} coefficients"
+            )
+        else:
+            fits[mode] = Fit(outcome, frame, names, gee.beta, covariance, lambda _, df=df: df, gee)  # type: ignore[misc]
+    return fits
+
+
+def _linear(
+    outcome: Outcome, frame: Frame, design: Float[np.ndarray, "n p"], names: list[str], mode: Mode
+) -> Fit:
+    small = mode == "small-sample"
+    levels = frame.levels if small else {"operator": frame.group}
+    fit = fit_mixed(design, frame.outcome, levels)
+    freedom: Freedom = fit.satterthwaite if small else lambda _: np.inf
+    return Fit(outcome, frame, names, fit.beta, fit.covariance, freedom, fit)
+
+
+def fit_with(outcome: Outcome, frame: Frame, more: Float[np.ndarray, "n q"] | None = None) -> Fit:
+    """Checks the rows and fits retargeter, task, the index and further columns, mode small-sample.
+
+    Raises:
+        StudyError: the rows do not carry the model.
+    """
+    check_frame(frame)
+    design = frame.design()[0]
+    if more is not None:
+        design = np.column_stack([design, more])
+    if dependent_columns(design):
+        raise StudyError("the further terms are not independent of retargeter, task and trial")
+    if len(frame) <= design.shape[1]:
+        raise StudyError(f"{len(frame)} rows are too few for {design.shape[1]} coefficients")
+    if outcome == "success" and separating(design, frame.outcome) is not None:
+        raise StudyError("separation: with these terms the odds are infinite")
+    fit = fit_modes(outcome, frame, MODES[:1], more)[MODES[0]]
+    if isinstance(fit, Refused):
+        raise StudyError(fit.refused)
+    return fit
+
+
+@dataclass(frozen=True)
+class WaldTest:
+    """A joint test of several coefficients: F with its degrees of freedom."""
+
+    f: float
+    df1: float
+    df2: float
+    p: float
+
+
+def clustered_wald(
+    values: Float[np.ndarray, " q"], covariance: Float[np.ndarray, "q q"], operators: int
+) -> WaldTest:
+    """Tests that all values are zero: Hotelling's F, for a covariance estimated from operators.
+
+    Raises:
+        StudyError: not more operators than values.
+    """
+    count = len(values)
+    if operators <= count:
+        raise StudyError(
+            f"{operators} operators are too few for a joint test of {count} differences"
+        )
+    statistic = _quadratic(values, covariance)
+    free = operators - count
+    f = statistic * free / ((operators - 1) * count)
+    return WaldTest(f, float(count), float(free), float(fdtrc(count, free, f)))
+
+
+def model_wald(
+    values: Float[np.ndarray, " q"],
+    covariance: Float[np.ndarray, "q q"],
+    contrasts: Float[np.ndarray, "q p"],
+    freedom: Freedom,
+) -> WaldTest:
+    """Tests that all values are zero: F with Satterthwaite's denominators (Fai, Cornelius 1996).
+
+    Args:
+        values: combinations of the coefficients.
+        covariance: of these values.
+        contrasts: coefficients of each combination.
+        freedom: degrees of freedom of one combination.
+
+    Raises:
+        StudyError: the covariance is singular, or there are next to no degrees of freedom.
+    """
+    count = len(values)
+    statistic = _quadratic(values, covariance)
+    _, axes = np.linalg.eigh(covariance)
+    each = np.array([freedom(axis @ contrasts) for axis in axes.T])
+    if np.min(each) <= 2:
+        raise StudyError("too few operators: a difference has no more than 2 degrees of freedom")
+    if np.isinf(each).all():
+        free = np.inf
+    else:
+        total = float(np.sum(1 / (1 - 2 / each)))
+        free = 2 * total / (total - count)
+    f = statistic / count
+    return WaldTest(f, float(count), float(free), float(fdtrc(count, min(free, 1e9), f)))
+
+
+def _quadratic(values: np.ndarray, covariance: np.ndarray) -> float:
+    scale = np.sqrt(np.maximum(np.diag(covariance), 0))
+    if not np.all(scale > 0) or np.linalg.cond(covariance / np.outer(scale, scale)) > 1e10:
+        raise StudyError("the differences have no joint test: their covariance is singular")
+    return float(values @ np.linalg.solve(covariance, values))
