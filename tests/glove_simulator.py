@@ -22,10 +22,10 @@ from smooth_operator.formats.readers import read_recording
 from smooth_operator.synthetic.operator import SyntheticOperator
 from smooth_operator.synthetic.settings import check_range, check_seed
 from smooth_operator.synthetic.tracker import TrackerModel
+from smooth_operator.teleop.sources.inboxes import load_zmq
 from smooth_operator.teleop.sources.live import Clock, Stopping, on_time
 from smooth_operator.teleop.sources.manus_gloves import write_manus
 from smooth_operator.teleop.sources.stream import Hands, sides_of
-from smooth_operator.teleop.sources.zmq_stream import load_zmq
 from smooth_operator.types import HandFrame, HandRecording, Side
 
 ROUND_S: Final = 20.0

@@ -18,10 +18,10 @@ from smooth_operator.errors import ConfigError, SinkError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.teleop import teleoperate
+from smooth_operator.teleop.components import build_sink
 from smooth_operator.teleop.hardware.device import WrongAnswerError
 from smooth_operator.teleop.hardware.hardware_sink import HardwareSink
 from smooth_operator.teleop.recording.log_reader import read_log
-from smooth_operator.teleop.sinks.registry import build_sink
 from smooth_operator.teleop.sinks.tick import Mode, Tick
 from smooth_operator.types import JointCommand
 

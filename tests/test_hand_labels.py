@@ -7,14 +7,14 @@ import dataclasses
 import numpy as np
 import pytest
 
-from smooth_operator.teleop.sources.webcam.hand_labels import (
+from smooth_operator.teleop.sources.webcam.picture_tracker import (
     MEMORY_S,
     PATIENCE,
     SeenHand,
     Tracks,
     assign_sides,
+    landmarks_of,
 )
-from smooth_operator.teleop.sources.webcam.picture_tracker import landmarks_of
 from smooth_operator.types import Side
 
 PERIOD = 1 / 30

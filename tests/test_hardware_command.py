@@ -21,9 +21,8 @@ from smooth_operator.errors import SinkError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
-from smooth_operator.teleop.hardware.actuator_mover import ActuatorMover
 from smooth_operator.teleop.hardware.device import Reading
-from smooth_operator.teleop.hardware.table_check import TableCheck, blank_table
+from smooth_operator.teleop.hardware.table_check import ActuatorMover, TableCheck, blank_table
 from smooth_operator.teleop.hardware.table_file import read_table
 
 

@@ -21,13 +21,13 @@ from ticks import make_tick
 from smooth_operator.errors import ConfigError, SinkError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
+from smooth_operator.teleop.components import build_sink
 from smooth_operator.teleop.hardware import bus_lock
-from smooth_operator.teleop.hardware.actuator_mover import ActuatorMover
 from smooth_operator.teleop.hardware.bus_lock import BusLock
 from smooth_operator.teleop.hardware.guard import GuardSettings
 from smooth_operator.teleop.hardware.hardware_sink import HardwareSink
+from smooth_operator.teleop.hardware.table_check import ActuatorMover
 from smooth_operator.teleop.hardware.worker import HandWorker
-from smooth_operator.teleop.sinks.registry import build_sink
 from smooth_operator.teleop.sinks.runner import SinkRunner
 from smooth_operator.teleop.sinks.tick import Mode, Tick
 from smooth_operator.types import JointCommand

@@ -15,9 +15,9 @@ from ticks import make_tick
 from smooth_operator.errors import MissingExtraError, SinkError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
+from smooth_operator.teleop.components import build_sink
 from smooth_operator.teleop.hardware.drivers.orca import OrcaSink
 from smooth_operator.teleop.hardware.table_file import built_in_tables, read_table
-from smooth_operator.teleop.sinks.registry import build_sink
 from smooth_operator.types import JointCommand
 
 

@@ -16,7 +16,7 @@ from smooth_operator.hands.hand import Hand, load_hand_spec
 from smooth_operator.hands.registry import hand_names, load_hand
 from smooth_operator.lab.discovery import discover
 from smooth_operator.simulation.physics import HandPhysics
-from smooth_operator.teleop.sinks.registry import build_sink
+from smooth_operator.teleop.components import build_sink
 from smooth_operator.teleop.sinks.simulation import Simulation
 from smooth_operator.types import Side
 

@@ -22,7 +22,7 @@ from ticks import make_tick
 from smooth_operator.errors import ConfigError, MissingExtraError, SinkError, install_command
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.teleop.sinks.registry import SINKS, build_sink
+from smooth_operator.teleop.components import SINKS, build_sink
 from smooth_operator.teleop.sinks.runner import SinkRunner
 from smooth_operator.teleop.sinks.sink import Sink
 from smooth_operator.teleop.sinks.table import HandPanel, TableSink

@@ -21,9 +21,9 @@ from smooth_operator.errors import ConfigError, SinkError, UnknownNameError
 from smooth_operator.hand_files.spec_writer import temporary_spec
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.teleop import Sink, TeleopLoop, Tick, read_log, teleoperate
+from smooth_operator.teleop.components import build_source
 from smooth_operator.teleop.runtime.pipeline import COMPILED, COMPILING
 from smooth_operator.teleop.sinks.tick import Mode
-from smooth_operator.teleop.sources.registry import build_source
 
 METHOD = {"method": "joint_angle"}
 """It compiles in a second."""

@@ -27,16 +27,16 @@ from smooth_operator.formats.checks import PALM_RANGE_M
 from smooth_operator.formats.readers import read_recording
 from smooth_operator.geometry import umeyama
 from smooth_operator.landmarks import TIPS
+from smooth_operator.teleop.components import build_source
 from smooth_operator.teleop.sources.live import LiveSource, Mailbox
-from smooth_operator.teleop.sources.registry import build_source
 from smooth_operator.teleop.sources.webcam import camera as camera_module
 from smooth_operator.teleop.sources.webcam import picture_tracker
 from smooth_operator.teleop.sources.webcam.camera import Camera, CameraMode
-from smooth_operator.teleop.sources.webcam.hand_labels import SeenHand
 from smooth_operator.teleop.sources.webcam.mediapipe_hands import SWITCH, HandLandmarker
 from smooth_operator.teleop.sources.webcam.picture_tracker import (
     PictureConfig,
     PictureTracker,
+    SeenHand,
 )
 from smooth_operator.teleop.sources.webcam.webcam_source import Video, Webcam, track_video
 

@@ -12,9 +12,8 @@ from tyro.conf import arg
 from smooth_operator.cli.common_options import METHOD_HELP, Common, Meshes, Page
 from smooth_operator.errors import ConfigError
 from smooth_operator.methods.default import DEFAULT_METHOD
+from smooth_operator.teleop.components import SINKS, SOURCES
 from smooth_operator.teleop.runtime.settings import LimitsConfig, SafetyConfig, WristConfig
-from smooth_operator.teleop.sinks.registry import SINKS
-from smooth_operator.teleop.sources.registry import SOURCES
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,8 +154,7 @@ def teleop(options: Teleop) -> None:
         KeyboardInterrupt: a signal; everything is closed and what it came to is printed.
     """
     from smooth_operator.cli.console import Progressing
-    from smooth_operator.teleop.run import teleoperate
-    from smooth_operator.teleop.run_page import PageSettings
+    from smooth_operator.teleop.run import PageSettings, teleoperate
 
     if options.no_view and options.model is not None:
         raise ConfigError(

@@ -8,13 +8,14 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
 
 from smooth_operator.compilation.start import dispatch_here
 from smooth_operator.errors import require
 from smooth_operator.hand_files.menagerie import drawn_on
+from smooth_operator.hand_files.spec_writer import temporary_spec
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import default_side
 from smooth_operator.hands.spec import HandSpec
@@ -31,12 +32,12 @@ from smooth_operator.planning import (
 )
 from smooth_operator.signals import ended_by_signals
 from smooth_operator.teleop.arm.settings import ArmSettings, read_arm
+from smooth_operator.teleop.components import build_sink, build_source
 from smooth_operator.teleop.control.keyboard import keyboard
 from smooth_operator.teleop.control.method_switcher import MethodSwitcher
 from smooth_operator.teleop.control.reporter import LoggingReporter, Reporter, summarise
 from smooth_operator.teleop.control.rpc_handlers import RpcHandlers
 from smooth_operator.teleop.control.task_trials import TaskTrials, with_task
-from smooth_operator.teleop.run_page import PageSettings, begun_page, show_page
 from smooth_operator.teleop.runtime.limiter import Limiter
 from smooth_operator.teleop.runtime.loop import TeleopLoop
 from smooth_operator.teleop.runtime.pipeline import HandPipeline
@@ -48,17 +49,17 @@ from smooth_operator.teleop.runtime.settings import (
     WristConfig,
 )
 from smooth_operator.teleop.runtime.stop_input import StopInput, stopped_by
-from smooth_operator.teleop.sinks.registry import build_sink
 from smooth_operator.teleop.sinks.runner import SinkRunner
 from smooth_operator.teleop.sinks.sink import Sink
 from smooth_operator.teleop.sinks.tick import Driver
 from smooth_operator.teleop.sources.live import LiveSource
-from smooth_operator.teleop.sources.registry import build_source
 from smooth_operator.teleop.sources.replay import Replay
 from smooth_operator.types import Side
+from smooth_operator.web.browser import open_page
 
 if TYPE_CHECKING:
     from smooth_operator.teleop.arm.controller import ArmOfHand
+    from smooth_operator.teleop.pages.live.live_page import LivePage
 
 Task: TypeAlias = Literal["card", "cube", "screwdriver"]
 """A task of the study."""
@@ -310,7 +311,7 @@ def _checked(
 
         check_address(control)
     if page is not None:
-        from smooth_operator.teleop.pages.ports import free_port
+        from smooth_operator.teleop.pages.viser_server import free_port
 
         free_port(page.host, page.port)
         if page.model is not None:
@@ -441,3 +442,81 @@ def _remote(
     with remote(loop, address, handlers.by_command, handlers.status) as bound:
         said.note(f"switches at {bound}")
         yield
+
+
+@dataclass(frozen=True)
+class PageSettings:
+    """Where the live page is served. Needs the extra ``teleop``.
+
+    Attributes:
+        host: address to listen at; other than this machine's, a token in the page's address is
+            needed to open it.
+        port: first port to try; 0 for any free one.
+        open_browser: open it in the browser.
+        model: the vendor's MJCF or URDF to draw in place of simple shapes, or ``menagerie``.
+        meshes: draw meshes, where there are some; otherwise simple shapes.
+    """
+
+    host: str = "127.0.0.1"
+    port: int = 8080
+    open_browser: bool = True
+    model: Path | None = None
+    meshes: bool = True
+
+
+@contextlib.contextmanager
+def begun_page(
+    page: PageSettings | None,
+    asked: RetargetRequest,
+    sides: tuple[Side, ...],
+    acting: Sequence[Sink],
+    blind: bool,
+    arm: ArmSettings | None = None,
+) -> Iterator[LivePage | None]:
+    """The page's process, which gets ready while the method is compiled; None if it is left out."""
+    if page is None:
+        yield None
+        return
+    from smooth_operator.teleop.pages.live.live_page import LivePage, PageSetup
+
+    with temporary_spec(asked.hand) as hand:
+        setup = PageSetup(
+            hand,
+            sides,
+            asked.fingers,
+            page.host,
+            page.port,
+            any(sink.measures for sink in acting),
+            blind,
+            None if page.model is None else str(page.model),
+            page.meshes,
+            arm=arm,
+        )
+        with LivePage(setup) as begun:
+            yield begun
+
+
+def show_page(
+    begun: LivePage,
+    page: PageSettings,
+    loop: TeleopLoop,
+    asked: RetargetRequest,
+    acting: Sequence[Sink],
+    switcher: MethodSwitcher,
+    blind: bool,
+    said: Reporter,
+    trial: Callable[[], Mapping[str, Any] | None] = lambda: None,
+) -> None:
+    """Have the page show a loop that is about to run, and open it.
+
+    Raises:
+        ConfigError: it can't be served there.
+    """
+    from smooth_operator.teleop.pages.live.live_session import LiveSession
+
+    session = LiveSession(loop, asked, acting, switcher=switcher, blind=blind, trial=trial)
+    loop.watch = session.watch
+    url = begun.serve(session)
+    said.note(f"page: {url}", matters=True)
+    if page.open_browser:
+        open_page(url)

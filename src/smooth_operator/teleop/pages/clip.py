@@ -15,8 +15,8 @@ from smooth_operator.atomic_files import atomic_write
 from smooth_operator.errors import ConfigError
 from smooth_operator.landmarks import BASES, BONES
 from smooth_operator.simulation.renderer import open_renderer
+from smooth_operator.teleop.pages.hand_view import HIGHLIGHT, PALM, Rgb, finger_colors
 from smooth_operator.teleop.pages.page_layout import FOV, camera_for, view_axes
-from smooth_operator.teleop.pages.palette import HIGHLIGHT, PALM, Rgb, finger_colors
 from smooth_operator.teleop.pages.playback import Playback, check_runs
 
 RATE_HZ: Final = 20.0

@@ -12,8 +12,7 @@ from jaxtyping import Float
 
 from smooth_operator.hands.hand import Hand
 from smooth_operator.teleop.joint_rows import JointRow, joint_rows
-from smooth_operator.teleop.pages.hand_view import HandView
-from smooth_operator.teleop.pages.palette import PALM, finger_colors, linear
+from smooth_operator.teleop.pages.hand_view import PALM, HandView, finger_colors, linear
 from smooth_operator.teleop.pages.viser_server import PageServer, plain, serve_page
 
 _LANDMARK, _TIP = 0.003, 0.0045  # radii of the balls [m]

@@ -16,8 +16,7 @@ from jaxtyping import Float
 from smooth_operator.atomic_files import atomic_write, output_error
 from smooth_operator.hands.hand import Hand
 from smooth_operator.teleop.joint_rows import joint_rows
-from smooth_operator.teleop.pages.hand_view import HandView
-from smooth_operator.teleop.pages.palette import PALM, finger_colors
+from smooth_operator.teleop.pages.hand_view import PALM, HandView, finger_colors
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

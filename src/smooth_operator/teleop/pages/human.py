@@ -12,7 +12,7 @@ import viser
 from jaxtyping import Bool, Float, Int, UInt8
 
 from smooth_operator.landmarks import BASES, BONES, NUM_LANDMARKS, WRIST
-from smooth_operator.teleop.pages.palette import HIGHLIGHT, PALM, Rgb, finger_colors, linear
+from smooth_operator.teleop.pages.hand_view import HIGHLIGHT, PALM, Rgb, finger_colors, linear
 
 _JOINT, _WRIST, _TIP, _PINCHED = 0.0070, 0.0095, 0.0075, 0.0095  # sphere radii [m]
 _BONE, _PALM_BONE = 0.0052, 0.0062  # bone radii [m]

@@ -15,7 +15,7 @@ from viser import uplot
 from smooth_operator.metrics import Metric
 from smooth_operator.metrics.metric import GROUPS
 from smooth_operator.metrics.registry import known_metrics
-from smooth_operator.teleop.pages.palette import RUN_COLORS, css, finger_colors
+from smooth_operator.teleop.pages.hand_view import RUN_COLORS, css, finger_colors
 from smooth_operator.teleop.pages.playback import PINCH_DISTANCE, Playback
 from smooth_operator.teleop.pages.viser_server import add_hotkeys, from_person
 from smooth_operator.types import Status

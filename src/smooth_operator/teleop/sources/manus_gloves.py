@@ -25,7 +25,7 @@ from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.landmarks import FROM_MANUS_25, METACARPALS_MANUS_25
-from smooth_operator.teleop.sources.message_receiver import Message
+from smooth_operator.teleop.sources.inboxes import Inbox, Message, Pattern, ZmqInbox
 from smooth_operator.teleop.sources.payload import (
     Reading,
     check_size,
@@ -37,8 +37,13 @@ from smooth_operator.teleop.sources.payload import (
     read_stamp,
     read_wrist,
 )
-from smooth_operator.teleop.sources.stream import Hands, StreamSource, only_side, sides_of
-from smooth_operator.teleop.sources.zmq_stream import Pattern, ZmqInbox
+from smooth_operator.teleop.sources.stream import (
+    Hands,
+    Reader,
+    StreamSource,
+    only_side,
+    sides_of,
+)
 from smooth_operator.types import HandFrame, Side
 
 NODES: Final = 25
@@ -269,6 +274,18 @@ def _read_csv(
     return tuple(readings)
 
 
+def glove_sides(right: str | None, left: str | None) -> dict[str, Side]:
+    """Glove id, in small letters -> side, for the gloves whose side the user names.
+
+    Raises:
+        ConfigError: both are one glove.
+    """
+    if right is not None and right == left:
+        raise ConfigError(f"right_glove and left_glove are both {right!r}")
+    gloves: tuple[tuple[str | None, Side], ...] = ((right, "right"), (left, "left"))
+    return {glove.lower(): side for glove, side in gloves if glove is not None}
+
+
 @dataclass(frozen=True)
 class ManusStream(StreamSource):
     """Each message a hand or two, as ``smooth_operator.teleop.sources.manus_gloves`` says.
@@ -295,30 +312,22 @@ class ManusStream(StreamSource):
 
     def __post_init__(self) -> None:
         sides_of(self.side)
-        if self.right_glove is not None and self.right_glove == self.left_glove:
-            raise ConfigError(f"right_glove and left_glove are both {self.right_glove!r}")
+        glove_sides(self.right_glove, self.left_glove)
 
     @property
     def label(self) -> str:
         """What it is, in a few words."""
         return f"MANUS gloves at {self.address}"
 
-    @property
-    def gloves(self) -> dict[str, Side]:
-        """Glove id -> side, where known."""
-        named: dict[str, Side] = {}
-        if self.right_glove is not None:
-            named[self.right_glove.lower()] = "right"
-        if self.left_glove is not None:
-            named[self.left_glove.lower()] = "left"
-        return named
-
-    def connect(self) -> ZmqInbox:
+    def connect(self) -> Inbox:
         """Open the socket."""
         return ZmqInbox("the source 'manus'", self.address, bind=self.bind, pattern=self.pattern)
 
-    def read(self, message: Message, received: float) -> Sequence[Reading]:
-        """The hands of a message."""
-        return read_manus(
-            b" ".join(message), gloves=self.gloves, side=only_side(self.side), received=received
-        )
+    def reader(self) -> Reader:
+        """Reads the messages of a bridge."""
+        gloves, side = glove_sides(self.right_glove, self.left_glove), only_side(self.side)
+
+        def read(message: Message, received: float) -> Sequence[Reading]:
+            return read_manus(b" ".join(message), gloves=gloves, side=side, received=received)
+
+        return read

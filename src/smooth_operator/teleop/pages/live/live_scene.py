@@ -24,7 +24,7 @@ from smooth_operator.human.palm_axes import human_palm_axes
 from smooth_operator.landmarks import FINGERS, TIPS
 from smooth_operator.teleop.arm.settings import ArmSettings
 from smooth_operator.teleop.opencv import opencv
-from smooth_operator.teleop.pages.hand_view import HandView
+from smooth_operator.teleop.pages.hand_view import SIMULATED, HandView, Rgb
 from smooth_operator.teleop.pages.human import (
     BodyNodes,
     HumanView,
@@ -32,10 +32,8 @@ from smooth_operator.teleop.pages.human import (
     keyvector_colors,
     thumb_lines,
 )
-from smooth_operator.teleop.pages.live.arm_room import ArmRoom
-from smooth_operator.teleop.pages.live.scenery_nodes import SceneryNodes
+from smooth_operator.teleop.pages.live.arm_room import ArmRoom, SceneryNodes
 from smooth_operator.teleop.pages.page_layout import FOREARM, GAP, Aiming, upright
-from smooth_operator.teleop.pages.palette import SIMULATED, Rgb
 from smooth_operator.types import Side
 
 _LINE: Final = 0.0022  # thickness of a keyvector [m]

@@ -6,7 +6,7 @@ import html
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from smooth_operator.teleop.pages.palette import PALM, SIMULATED, css, finger_colors
+from smooth_operator.teleop.pages.hand_view import PALM, SIMULATED, css, finger_colors
 
 # Okabe and Ito's colours; the sign and the word say the same to who can't distinguish them.
 _MODES: Final[dict[str, tuple[str, str, str]]] = {

@@ -30,7 +30,7 @@ from smooth_operator.atomic_files import atomic_write, output_error
 from smooth_operator.errors import MissingExtraError, SourceError
 from smooth_operator.result_cache.own_files import make_private
 from smooth_operator.result_cache.user_cache import user_cache
-from smooth_operator.teleop.sources.webcam.hand_labels import SeenHand
+from smooth_operator.teleop.sources.webcam.picture_tracker import SeenHand
 from smooth_operator.types import as_side
 
 _NOISE: Final = (b"W0000 ", b"I0000 ", b"INFO: ", b"WARNING: ")

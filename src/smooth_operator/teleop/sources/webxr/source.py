@@ -11,13 +11,15 @@ from dataclasses import dataclass, field
 from smooth_operator.errors import MissingExtraError
 from smooth_operator.synthetic.settings import check_range
 from smooth_operator.teleop.sources.live import Running, SourceHealth, ThreadedSource
-from smooth_operator.teleop.sources.webxr.certificate import (
+from smooth_operator.teleop.sources.webxr.link import Link, LinkState, Pairing, check_code
+from smooth_operator.teleop.sources.webxr.server import (
     Certificate,
     certificate_folder,
     get_certificate,
+    listen,
+    secure_context,
+    serve,
 )
-from smooth_operator.teleop.sources.webxr.link import Link, LinkState, Pairing, check_code
-from smooth_operator.teleop.sources.webxr.server import listen, secure_context, serve
 from smooth_operator.web.addresses import names_of, page_addresses
 from smooth_operator.web.listening import LimitedListener
 
