@@ -77,7 +77,7 @@ def test_joints_that_share_an_actuator_and_a_differential(hand: Hand) -> None:
     back = bound.joints(bound.commands(angles))
     assert back[[at[a], at[b]]] == pytest.approx([0.3, 0.1])
     assert back[[at[c], at[d]]] == pytest.approx([0.3, 0.3])  # the two can't be told apart
-    assert np.isnan(back).sum() == (~bound.known).sum() > 0  # joints without an actuator
+    assert np.isnan(back).sum() == (~bound.determined).sum() > 0  # joints without an actuator
 
 
 def test_coupled_joints_and_missing_answers_in_read_back(hand: Hand) -> None:

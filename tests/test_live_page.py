@@ -368,7 +368,7 @@ def test_another_method_while_the_hand_moves(stage: Stage) -> None:
 
     stage.session.do("method", "geort", "no-such-file")
     assert "no-such-file" in stage.see()["controls"]["message"]
-    assert stage.session.switcher.wanted is stage.session.switcher.used
+    assert stage.session.switcher.target is stage.session.switcher.used
     stage.session.do("method", "joint_angle")
     eventually(lambda: stage.session.switcher.used.method == "joint_angle")
 

@@ -38,7 +38,7 @@ def test_the_table_fits_our_model(side: str) -> None:
     table = read_table(built_in_tables() / f"orca_{side}.toml")
     hand = load_hand("orca_v2", side)  # type: ignore[arg-type]
     bound = table.bind(hand)
-    assert bound.known.all()
+    assert bound.determined.all()
     low, high = hand.limits.T
     for q in (low, high):  # our model's ends are the maker's
         commands = bound.commands(bound.angles(hand.full_configuration(q)))

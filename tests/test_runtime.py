@@ -334,8 +334,8 @@ def test_a_robot_holds_while_a_method_is_compiled(
     assert modes(waiting) == [Mode.WAITING]
     assert waiting[0].events == (COMPILING,)
     assert all(tick.status is None for tick in waiting)
-    assert stage.pipeline.seen is not None  # the page shows it
-    assert stage.pipeline.seen.frame is frames[49]
+    assert stage.pipeline.latest is not None  # the page shows it
+    assert stage.pipeline.latest.frame is frames[49]
     stage.pipeline.go_on()
     moving = stage.play(frames[50:250])
     assert moving[0].events == (COMPILED, "waiting -> blending")

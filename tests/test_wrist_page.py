@@ -80,11 +80,11 @@ def test_the_page_is_told_both_wrists(loop: TeleopLoop) -> None:
     poses = (None, np.array([0.1, 0.2, 1.0, 1.0, 0.0, 0.0, 0.0]), np.full(7, np.nan))
     for k, pose in enumerate(poses):
         frame = HandFrame(FLAT_HAND, float(k), T_world_wrist=pose, world="room")
-        pipeline.seen = Arrival(frame, loop.mailbox.clock())
+        pipeline.latest = Arrival(frame, loop.mailbox.clock())
         tick = make_tick(pipeline.retargeter.hand, k)
         session.watch(replace(tick, wrist=None if pose is None else target))
-        seen = json.loads(json.dumps(session.look(text=False, settings=0)))
-        wrist = seen["hands"]["right"]["wrist"]
+        latest = json.loads(json.dumps(session.look(text=False, settings=0)))
+        wrist = latest["hands"]["right"]["wrist"]
         if pose is None:
             assert wrist is None
         else:

@@ -163,7 +163,7 @@ def teleoperate(
         SmoothOperatorError: a setting is wrong or something can't be opened; nothing has moved.
         KeyboardInterrupt: a signal came before the run began; nothing was opened.
     """
-    said = LoggingReporter() if reporter is None else reporter
+    reporter = LoggingReporter() if reporter is None else reporter
     parts = safety or SafetyConfig(), limits or LimitsConfig(), wrist or WristConfig()
     config = LoopConfig(rate, *parts)
     stop = StopInput(estop) if isinstance(estop, str) else estop
@@ -172,9 +172,9 @@ def teleoperate(
         side = default_side(described) if isinstance(described, str) else "right"
     if isinstance(source, str):
         source = build_source(source, side)
-    wanted = with_task(sinks, task)
-    acting = [build_sink(sink) if isinstance(sink, str) else sink for sink in wanted]
-    asked = make_request(
+    requested = with_task(sinks, task)
+    acting = [build_sink(sink) if isinstance(sink, str) else sink for sink in requested]
+    request = make_request(
         hand=described,
         method=method,
         preset=preset,
@@ -183,34 +183,34 @@ def teleoperate(
         fingers=fingers,
         operator=operator,
     )
-    others = [_with_method(asked, name) for text in methods for name in text.split(",")]
+    others = [_with_method(request, name) for text in methods for name in text.split(",")]
     sides: tuple[Side, ...] = ("right", "left") if side == "both" else (side,)
     runner = SinkRunner(acting)
     carrier = read_arm(arm) if isinstance(arm, str) else arm
-    settled, arms = _checked(asked, config, sides, source, runner, control, page, carrier)
+    settled, arms = _checked(request, config, sides, source, runner, control, page, carrier)
     with (
         ended_by_signals() as ending,
-        begun_page(page, asked, sides, acting, blind, carrier) as begun,
+        begun_page(page, request, sides, acting, blind, carrier) as begun,
     ):
-        retargeters = _built(settled, asked, blind, said)
+        retargeters = _built(settled, request, blind, reporter)
         pipelines = {
             side: HandPipeline(
-                made,
+                retargeter,
                 config,
-                driver=Driver(asked.method, asked.preset, made.config),
+                driver=Driver(request.method, request.preset, retargeter.config),
                 arm=arms[side].controller if arms else None,
-                compiling=not made.compiled,
+                compiling=not retargeter.compiled,
             )
-            for side, made in retargeters.items()
+            for side, retargeter in retargeters.items()
         }
         loop = TeleopLoop(pipelines, source, runner, config)
-        switcher = MethodSwitcher(loop, asked)
+        switcher = MethodSwitcher(loop, request)
         recorded = live_configuration(
             "teleop",
-            asked,
-            {side: made.config for side, made in retargeters.items()},
+            request,
+            {side: retargeter.config for side, retargeter in retargeters.items()},
             source=source if dataclasses.is_dataclass(source) else source.label,
-            sinks=[sink if isinstance(sink, str) else sink.label for sink in wanted],
+            sinks=[sink if isinstance(sink, str) else sink.label for sink in requested],
             loop=config,
             arm=carrier,
         )
@@ -226,7 +226,7 @@ def teleoperate(
         tried = TaskTrials(
             acting,
             sides,
-            said,
+            reporter,
             task=task,
             folder=trials,
             controlled=control is not None,
@@ -235,10 +235,10 @@ def teleoperate(
             record=record,
         )
         if begun is not None and page is not None:
-            show_page(begun, page, loop, asked, acting, switcher, blind, said, tried.shown)
+            show_page(begun, page, loop, request, acting, switcher, blind, reporter, tried.shown)
         if others or task is not None or duration is not None or isinstance(source, Replay):
             switcher.building = "compiling"
-            _compile(settled, asked, others, blind, said)
+            _compile(settled, request, others, blind, reporter)
             switcher.building = ""
             for pipeline in pipelines.values():
                 pipeline.go_on()
@@ -247,16 +247,16 @@ def teleoperate(
         begin = time.perf_counter()
         ending.quit = loop.controls.quit
         where = ", ".join(sink.label for sink in runner.health()) or "no sink"
-        said.note(f"from {source.label} to {where}")
+        reporter.note(f"from {source.label} to {where}")
         with (
             contextlib.closing(switcher),
             low_jitter(),
-            keyboard(loop, said, tried.keys, tried.key_help)
+            keyboard(loop, reporter, tried.keys, tried.key_help)
             if attended
             else contextlib.nullcontext(),
-            _remote(loop, control, handlers, said),
+            _remote(loop, control, handlers, reporter),
             stopped_by(loop, stop),
-            _compiling(retargeters, loop, said),
+            _compiling(retargeters, loop, reporter),
             contextlib.ExitStack() as first,
         ):
 
@@ -264,7 +264,7 @@ def teleoperate(
                 nonlocal granted
                 if priority == "high":
                     granted = first.enter_context(going_first())
-                first.enter_context(_announced(source, said))
+                first.enter_context(_announced(source, reporter))
                 tried.begin()
                 if started is not None:
                     started(loop)
@@ -273,11 +273,11 @@ def teleoperate(
         seconds = time.perf_counter() - begin
         tried.end()
         more = {"priority": granted, "interrupted": ending.came, **tried.summary()}
-        return summarise(loop, seconds, said, more)
+        return summarise(loop, seconds, reporter, more)
 
 
 def _checked(
-    asked: RetargetRequest,
+    request: RetargetRequest,
     config: LoopConfig,
     sides: Sequence[Side],
     source: LiveSource,
@@ -294,7 +294,7 @@ def _checked(
     Raises:
         SmoothOperatorError: what is wrong.
     """
-    settled = {side: resolve(asked, side) for side in sides}
+    settled = {side: resolve(request, side) for side in sides}
     hands = {side: hand for side, (hand, _) in settled.items()}
     for hand in hands.values():
         Limiter(hand, config.limits)
@@ -323,27 +323,27 @@ def _checked(
 
 def _built(
     settled: Mapping[Side, tuple[Hand, MethodConfig]],
-    asked: RetargetRequest,
+    request: RetargetRequest,
     blind: bool,
-    said: Reporter,
+    reporter: Reporter,
 ) -> dict[Side, Retargeter]:
     """The hands' retargeters, not compiled yet."""
     retargeters: dict[Side, Retargeter] = {}
     for side, (hand, config) in settled.items():
         if not blind:
             for note in config.notes(hand):
-                said.note(note, matters=True)
+                reporter.note(note, matters=True)
         dispatch_here(one_thread=config.one_thread)
-        retargeters[side] = Retargeter(hand, config=config, seed=asked.seed)
+        retargeters[side] = Retargeter(hand, config=config, seed=request.seed)
     return retargeters
 
 
 def _compile(
     settled: Mapping[Side, tuple[Hand, MethodConfig]],
-    asked: RetargetRequest,
+    request: RetargetRequest,
     others: Sequence[RetargetRequest],
     blind: bool,
-    said: Reporter,
+    reporter: Reporter,
 ) -> None:
     """Compiles the run's method and those of other requests, which the process then has.
 
@@ -351,15 +351,15 @@ def _compile(
         SmoothOperatorError: a method can't serve a hand.
     """
     for side, (hand, own) in settled.items():
-        configs = [(asked.method, own)]
+        configs = [(request.method, own)]
         configs += [(each.method, resolve_config(each, hand)) for each in others]
         for name, config in configs:
             what = "the method" if blind else name
-            with said.waiting(f"compiling {what} for {hand.name} {side}"):
-                Retargeter(hand, config=config, seed=asked.seed).warm_up()
+            with reporter.waiting(f"compiling {what} for {hand.name} {side}"):
+                Retargeter(hand, config=config, seed=request.seed).warm_up()
 
 
-def _with_method(asked: RetargetRequest, text: str) -> RetargetRequest:
+def _with_method(request: RetargetRequest, text: str) -> RetargetRequest:
     """The request with another method, ``METHOD`` or ``METHOD:PRESET``.
 
     Raises:
@@ -369,12 +369,12 @@ def _with_method(asked: RetargetRequest, text: str) -> RetargetRequest:
     if name not in method_names():  # package.module:attribute
         name, preset = text, ""
     preset = preset or default_preset(name)
-    return replace(asked, method=name, preset=preset, config=method_config(name, preset))
+    return replace(request, method=name, preset=preset, config=method_config(name, preset))
 
 
 @contextlib.contextmanager
 def _compiling(
-    retargeters: Mapping[Side, Retargeter], loop: TeleopLoop, said: Reporter
+    retargeters: Mapping[Side, Retargeter], loop: TeleopLoop, reporter: Reporter
 ) -> Iterator[None]:
     """While the block runs: methods that are not compiled yet are, and their hands go on then.
 
@@ -389,7 +389,7 @@ def _compiling(
 
     def compile_all() -> None:
         for side, retargeter in waiting.items():
-            said.note(f"{side}: compiling the method; the robot holds", matters=True)
+            reporter.note(f"{side}: compiling the method; the robot holds", matters=True)
             try:
                 seconds = retargeter.warm_up()
             except Exception as error:  # raised on the loop's thread
@@ -397,7 +397,7 @@ def _compiling(
                 loop.controls.quit()
                 return
             let_go(side)
-            said.note(f"{side}: compiled after {seconds:.1f} s")
+            reporter.note(f"{side}: compiled after {seconds:.1f} s")
 
     if waiting:
         # Not a daemon: one that is inside XLA when the interpreter ends can abort the process.
@@ -408,7 +408,7 @@ def _compiling(
 
 
 @contextlib.contextmanager
-def _announced(source: LiveSource, said: Reporter) -> Iterator[None]:
+def _announced(source: LiveSource, reporter: Reporter) -> Iterator[None]:
     """What the operator has to do before frames come: where to connect, with which code."""
     over = threading.Event()
 
@@ -418,7 +418,7 @@ def _announced(source: LiveSource, said: Reporter) -> Iterator[None]:
             if over.wait(0.1):
                 return
         if health.detail:
-            said.note(f"{source.label}: {health.detail}", matters=health.state != "running")
+            reporter.note(f"{source.label}: {health.detail}", matters=health.state != "running")
 
     thread = threading.Thread(target=tell, name="announce", daemon=True)
     thread.start()
@@ -431,7 +431,7 @@ def _announced(source: LiveSource, said: Reporter) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _remote(
-    loop: TeleopLoop, address: str | None, handlers: RpcHandlers, said: Reporter
+    loop: TeleopLoop, address: str | None, handlers: RpcHandlers, reporter: Reporter
 ) -> Iterator[None]:
     """Commands of other programs, where they are to be listened to."""
     if address is None:
@@ -440,7 +440,7 @@ def _remote(
     from smooth_operator.teleop.runtime.rpc_server import remote
 
     with remote(loop, address, handlers.by_command, handlers.status) as bound:
-        said.note(f"switches at {bound}")
+        reporter.note(f"switches at {bound}")
         yield
 
 
@@ -467,7 +467,7 @@ class PageSettings:
 @contextlib.contextmanager
 def begun_page(
     page: PageSettings | None,
-    asked: RetargetRequest,
+    request: RetargetRequest,
     sides: tuple[Side, ...],
     acting: Sequence[Sink],
     blind: bool,
@@ -479,11 +479,11 @@ def begun_page(
         return
     from smooth_operator.teleop.pages.live.live_page import LivePage, PageSetup
 
-    with temporary_spec(asked.hand) as hand:
+    with temporary_spec(request.hand) as hand:
         setup = PageSetup(
             hand,
             sides,
-            asked.fingers,
+            request.fingers,
             page.host,
             page.port,
             any(sink.measures for sink in acting),
@@ -500,11 +500,11 @@ def show_page(
     begun: LivePage,
     page: PageSettings,
     loop: TeleopLoop,
-    asked: RetargetRequest,
+    request: RetargetRequest,
     acting: Sequence[Sink],
     switcher: MethodSwitcher,
     blind: bool,
-    said: Reporter,
+    reporter: Reporter,
     trial: Callable[[], Mapping[str, Any] | None] = lambda: None,
 ) -> None:
     """Have the page show a loop that is about to run, and open it.
@@ -514,9 +514,9 @@ def show_page(
     """
     from smooth_operator.teleop.pages.live.live_session import LiveSession
 
-    session = LiveSession(loop, asked, acting, switcher=switcher, blind=blind, trial=trial)
+    session = LiveSession(loop, request, acting, switcher=switcher, blind=blind, trial=trial)
     loop.watch = session.watch
     url = begun.serve(session)
-    said.note(f"page: {url}", matters=True)
+    reporter.note(f"page: {url}", matters=True)
     if page.open_browser:
         open_page(url)

@@ -42,7 +42,7 @@ class ClearanceConfig:
         table: between the table and the arm or the palm [m].
         fingers: between the table and the fingers, which may have to touch it [m].
         wall: between the wall and anything [m].
-        seen: pairs farther apart than this are free [m].
+        horizon: pairs farther apart than this are free [m].
         approach: a pair at a distance beyond its own least one comes nearer by this share of the
             rest in a second, at most [1/s].
     """
@@ -51,7 +51,7 @@ class ClearanceConfig:
     table: float = 0.02
     fingers: float = 0.0
     wall: float = 0.02
-    seen: float = 0.3
+    horizon: float = 0.3
     approach: float = 4.0
 
 
@@ -149,7 +149,7 @@ class Clearance(mink.Limit):
         first, second = self._pairs.T
         reach = self._radius[first] + self._radius[second]
         apart = np.linalg.norm(middle[first] - middle[second], axis=1)
-        near = apart - self._length[first] - self._length[second] - reach < self.config.seen
+        near = apart - self._length[first] - self._length[second] - reach < self.config.horizon
         first, second, reach = first[near], second[near], reach[near]
         one, other = _nearest_points(middle[first], half[first], middle[second], half[second])
         line = other - one
@@ -172,7 +172,7 @@ class Clearance(mink.Limit):
             np.concatenate(part) for part in zip(*parts_near, strict=True)
         )
         spare = distance - least
-        nearest = np.flatnonzero(spare < self.config.seen)
+        nearest = np.flatnonzero(spare < self.config.horizon)
         if len(nearest) > _ROWS:
             nearest = nearest[np.argpartition(spare[nearest], _ROWS)[:_ROWS]]
         axis = data.xaxis[self._joint_ids]

@@ -200,7 +200,7 @@ class BoundMap:
         table: the table.
         names: (n,) names of the model's joints.
         ends: (a, 2) least and greatest command.
-        known: (n,) whether the actuators determine a joint, or it is coupled to one that they do.
+        determined: (n,) true where the actuators determine a joint, or it is coupled to one that they do.
 
     Raises:
         ConfigError: the table is that of another hand, with other joints.
@@ -236,7 +236,7 @@ class BoundMap:
         reduced = self._weights @ self._gears
         self._inverse = np.linalg.pinv(reduced)
         touched = (self._weights @ self._gears != 0).any(axis=0)
-        self.known: Bool[np.ndarray, " n"] = (np.abs(self._gears) @ ~touched < _KNOWN) & (
+        self.determined: Bool[np.ndarray, " n"] = (np.abs(self._gears) @ ~touched < _KNOWN) & (
             np.abs(self._gears).sum(axis=1) > 0
         )
 
@@ -281,7 +281,7 @@ class BoundMap:
     def _spread(self, angles: Float[np.ndarray, " a"]) -> Float[np.ndarray, " n"]:
         missing = ~np.isfinite(angles)
         spread: np.ndarray = self._gears @ (self._inverse @ np.where(missing, 0.0, angles))
-        unknown = ~self.known
+        unknown = ~self.determined
         if missing.any():
             lost = (np.abs(self._inverse[:, missing]) > _KNOWN).any(axis=1)
             unknown = unknown | ((np.abs(self._gears) @ lost) > 0)

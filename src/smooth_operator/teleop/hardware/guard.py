@@ -136,12 +136,12 @@ class CommandGuard:
         self._loaded_s[:] = 0.0
 
     def step(
-        self, wanted: Float[np.ndarray, " n"], reading: Reading, seconds: float
+        self, target_positions: Float[np.ndarray, " n"], reading: Reading, seconds: float
     ) -> Float[np.ndarray, " a"]:
         """The next commands.
 
         Args:
-            wanted: (n,) joint positions [rad] that the loop asks for.
+            target_positions: (n,) joint positions [rad] that the loop asks for.
             reading: the hand's last answer; the same object again while there is no new one.
             seconds: since the last step [s].
 
@@ -153,7 +153,7 @@ class CommandGuard:
         """
         if self._at is None:
             raise SinkError("the guard has not been started with where the hand is")
-        target = self._map.clip(self._map.commands(self._map.angles(wanted)))
+        target = self._map.clip(self._map.commands(self._map.angles(target_positions)))
         angles = self._map.drive_angles(target)
         if reading is self._reading:
             seconds = 0.0  # nothing new is known of the hand
@@ -208,5 +208,5 @@ class CommandGuard:
         opened = (self.squeezing != 0) & (self.squeezing * (angles - self._bound) < 0)
         self.squeezing = np.where(opened, 0.0, self.squeezing)
         self._loaded_s = np.where(opened, 0.0, self._loaded_s)
-        kept: np.ndarray = np.where(self.squeezing != 0, self._bound, angles)
-        return kept
+        bounded: np.ndarray = np.where(self.squeezing != 0, self._bound, angles)
+        return bounded

@@ -91,8 +91,8 @@ class FoxgloveMessages:
         """
         assert frame.valid is not None  # filled in by HandFrame
         wrist = frame.T_world_wrist
-        known = wrist is not None and all(map(math.isfinite, wrist.tolist()))
-        if wrist is not None and known and self._is_due(HUMAN_WRIST, at):
+        finite = wrist is not None and all(map(math.isfinite, wrist.tolist()))
+        if wrist is not None and finite and self._is_due(HUMAN_WRIST, at):
             self._add_pose(HUMAN_WRIST, at, wrist, frame.world or "world")
         if not any(frame.valid.tolist()) or not self._is_due(HAND_SCENE, at):
             return
@@ -184,14 +184,14 @@ class _Scene:
     def __init__(self, topic: str, valid: bytes) -> None:
         self._topic = topic
         name, frame, colour = _LOOKS[topic]
-        self._known = np.frombuffer(valid, bool)
-        place = np.cumsum(self._known) - 1
-        ends = [place[i] for bone in BONES if self._known[list(bone)].all() for i in bone]
+        self._valid = np.frombuffer(valid, bool)
+        place = np.cumsum(self._valid) - 1
+        ends = [place[i] for bone in BONES if self._valid[list(bone)].all() for i in bone]
         line = {
             "type": _LINE_LIST,
             "pose": _pose(np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])),
             "thickness": _THICKNESS,
-            "points": [{}] * int(self._known.sum()),
+            "points": [{}] * int(self._valid.sum()),
             "color": dict(zip("rgba", colour, strict=True)),
             "indices": ends,
         }
@@ -204,7 +204,7 @@ class _Scene:
         self, times: Sequence[int], landmarks: Float[np.ndarray, "k 21 3"]
     ) -> Iterator[Message]:
         """The skeleton at some times [ns]."""
-        rows = landmarks[:, self._known].astype(np.float32)  # enough to draw, and packed better
+        rows = landmarks[:, self._valid].astype(np.float32)  # enough to draw, and packed better
         for at, row in zip(times, rows.tolist(), strict=True):
             _set_time(self._timestamp, at)
             for point, (x, y, z) in zip(self._points, row, strict=True):
@@ -265,9 +265,9 @@ def landmark_keypoints(hand: Hand) -> Keypoints:
             xmat.take(bodies, 0, turn)
         matrices = turns.reshape(*turns.shape[:2], 3, 3)
         places += (matrices @ local[:, :, None])[..., 0]
-        found = np.full((len(q), len(LANDMARKS), 3), math.nan)
+        landmarks = np.full((len(q), len(LANDMARKS), 3), math.nan)
         # in the palm's frame, whose body comes first
-        found[:, columns] = (places[:, 1:] - places[:, :1]) @ matrices[:, 0]
-        return found
+        landmarks[:, columns] = (places[:, 1:] - places[:, :1]) @ matrices[:, 0]
+        return landmarks
 
     return keypoints

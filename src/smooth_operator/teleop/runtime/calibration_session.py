@@ -42,12 +42,12 @@ class CalibrationSession:
 
     Args:
         side: which hand.
-        asked: the prompts, in order.
+        prompts: the prompts, in order.
     """
 
-    def __init__(self, side: Side, asked: Sequence[Prompt]) -> None:
+    def __init__(self, side: Side, prompts: Sequence[Prompt]) -> None:
         self.side: Side = side
-        self.prompts = tuple(asked)
+        self.prompts = tuple(prompts)
         self._frames: list[Arrival] = []
         self._held: list[int | None] = []  # for each frame, the prompt that it holds
         self._holding: int | None = None

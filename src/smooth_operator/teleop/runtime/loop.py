@@ -70,7 +70,7 @@ class TeleopLoop:
             pipeline.clutch.measured = functools.partial(self._measured_wrist, side)
         self._beat = self.mailbox.clock()
         self._rate_limiters = {side: RateLimiter(config.period) for side in self.pipelines}
-        self._asked: set[Side] = set()  # hands that something was changed of
+        self._changed_sides: set[Side] = set()  # hands that something was changed of
         self._stopped: set[Side] = set()  # hands whose emergency stop the sinks don't know yet
 
     def run(
@@ -175,7 +175,7 @@ class TeleopLoop:
         for change in self.controls.drain():
             for side, pipeline in self.pipelines.items():
                 change(pipeline)
-                self._asked.add(side)  # the sinks are to know as soon as the pace lets them
+                self._changed_sides.add(side)  # the sinks are to know as soon as the pace lets them
         self._stopped |= {side for side in free if self.pipelines[side].supervisor.stopped}
 
     def _due(self, side: Side, now: float) -> float:
@@ -183,7 +183,7 @@ class TeleopLoop:
         pace, following = self._rate_limiters[side], self.mailbox.following(side)
         if side in self._stopped:
             return now
-        if side in self._asked:
+        if side in self._changed_sides:
             return min(pace.opens, now)
         arrival = self.mailbox.newest(side)
         if arrival is None:
@@ -199,7 +199,7 @@ class TeleopLoop:
         if now < due:
             return
         arrival = self.mailbox.take(side)
-        self._asked.discard(side)
+        self._changed_sides.discard(side)
         self._stopped.discard(side)
         pace.take(now)
         tick = self.pipelines[side].step(now, arrival)

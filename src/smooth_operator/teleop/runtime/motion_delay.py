@@ -80,7 +80,7 @@ class MotionDelay:
         self._commands: _Track | None = None
         self._states: _Track | None = None
         self._state: HandState | None = None
-        self._found: tuple[float, Delay | None] = (-np.inf, None)
+        self._newest: tuple[float, Delay | None] = (-np.inf, None)
 
     def add(self, tick: Tick) -> None:
         """Take note of a command, and of where the hand was measured; microseconds."""
@@ -101,10 +101,10 @@ class MotionDelay:
             None without a measured state, without motion, or where the measured motion does not
             resemble the command.
         """
-        at, delay = self._found
+        at, delay = self._newest
         if time.monotonic() - at > _AGAIN_S:
             delay = self._compute()
-            self._found = (time.monotonic(), delay)
+            self._newest = (time.monotonic(), delay)
         return delay
 
     def _compute(self) -> Delay | None:

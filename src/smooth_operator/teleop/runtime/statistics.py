@@ -24,17 +24,17 @@ class _Times:
     """The newest times of a stage [ms], in memory that is taken once: a run lasts for hours."""
 
     def __init__(self) -> None:
-        self._kept = np.full(_KEPT, np.nan, np.float32)
+        self._row = np.full(_KEPT, np.nan, np.float32)
         self._count = 0
 
     def append(self, ms: float) -> None:
-        self._kept[self._count % _KEPT] = ms
+        self._row[self._count % _KEPT] = ms
         self._count += 1
 
     def newest(self, count: int = _KEPT) -> Float32[np.ndarray, " n"]:
         """A copy, in no order."""
         there = min(self._count, count, _KEPT)
-        return self._kept[np.arange(self._count - there, self._count) % _KEPT]
+        return self._row[np.arange(self._count - there, self._count) % _KEPT]
 
 
 class LoopStatistics:

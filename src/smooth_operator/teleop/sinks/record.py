@@ -200,7 +200,7 @@ class Recorder:
         self._lot = max(1, min(_AT_ONCE, buffer // 2))
         self._waiting: deque[Tick] = deque()
         self._events: list[str] = []
-        self._taken = 0  # ticks that went into the buffer
+        self._buffered = 0  # ticks that went into the buffer
         self._failed = False
         self._missed = 0  # since the last tick that found room
         self._stalled = 0.0
@@ -244,7 +244,7 @@ class Recorder:
                 self._events.append(f"no command for {self._stalled:.2f} s: the loop stood still")
                 self._stalled = 0.0
             self._waiting.append(tick)
-            self._taken += 1
+            self._buffered += 1
             if len(self._waiting) >= self._lot:
                 self._change.notify_all()
 
@@ -283,7 +283,7 @@ class Recorder:
             self.empty += [log.path for log in logs if not log.give_up()]
             with self._change:
                 # those that wait, those that were being written, those in a chunk that was lost
-                self.dropped += self._taken - sum(log.kept for log in logs)
+                self.dropped += self._buffered - sum(log.kept for log in logs)
                 self._waiting.clear()
                 self._error = error
 

@@ -145,7 +145,7 @@ class Simulation(Sink):
             None while the simulation is closed, or if it has no such hand.
         """
         world = self._world
-        return None if world is None else world.seen.get(side)
+        return None if world is None else world.states.get(side)
 
     def use_arms(self, arms: Mapping[Side, CarriedHand]) -> None:
         """The arms that carry the hands; see ``Sink``."""
@@ -298,7 +298,7 @@ class World:
             side: arm for side, p in physics.items() if (arm := p.arm_positions) is not None
         }
         self.number = next(_NUMBERS)
-        self.seen = {side: _measured(side, p, now) for side, p in physics.items()}
+        self.states = {side: _measured(side, p, now) for side, p in physics.items()}
         self.physics, self._events = physics, events
         self.scenes: dict[Side, SceneState] = {
             side: p.observe() for side, p in physics.items() if isinstance(p, ScenePhysics)
@@ -398,7 +398,7 @@ class World:
             with self._changed:
                 frozen, there = side in self._frozen, side in self._there
             if frozen:
-                self.seen[side] = _measured(side, physics, now)
+                self.states[side] = _measured(side, physics, now)
                 if there and isinstance(physics, ScenePhysics):
                     self._show(side, physics)  # the object may be put back meanwhile
                 continue
@@ -406,7 +406,7 @@ class World:
                 text = f"the physics of the {side} hand came apart and was set back"
                 resets = f"{text} ({physics.resets} times)" if physics.resets > 1 else text
                 self._events[:] = [e for e in self._events if not e.startswith(text)] + [resets]
-            self.seen[side] = _measured(side, physics, now)
+            self.states[side] = _measured(side, physics, now)
             if (arm := physics.arm_positions) is not None:
                 self.arms[side] = arm
             if isinstance(physics, ScenePhysics):

@@ -139,16 +139,16 @@ class Mailbox:
             gaps = self._gaps.get(side)
             return self._latest[side] + median(gaps) if gaps else None
 
-    def sleep(self, timeout: float, seen: int | None = None) -> None:
+    def sleep(self, timeout: float, received: int | None = None) -> None:
         """Sleep for so many seconds at most, until ``wake``, or until a frame is posted.
 
         Args:
             timeout: [s].
-            seen: ``received`` at a time from which on frames end it; None if none does.
+            received: ``received`` at a time from which on frames end it; None if none does.
         """
         with self._arrived:
             self._arrived.wait_for(
-                lambda: self._woken or (seen is not None and self.received != seen),
+                lambda: self._woken or (received is not None and self.received != received),
                 max(timeout, 0.0),
             )
             self._woken = False

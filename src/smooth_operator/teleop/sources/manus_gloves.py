@@ -204,14 +204,14 @@ def _read_nodes(
     if ids == _IN_ORDER:
         return _split(rows)
     places = [i for i, node in enumerate(ids) if 0 <= node < NODES]
-    wanted = [ids[i] for i in places]
-    if len(set(wanted)) != len(wanted):
+    targets = [ids[i] for i in places]
+    if len(set(targets)) != len(targets):
         raise RecordingError(f"'{key}' holds a node more than once: {ids}")
-    if len(wanted) < NODES:
-        missing = sorted(set(range(NODES)) - set(wanted))
+    if len(targets) < NODES:
+        missing = sorted(set(range(NODES)) - set(targets))
         raise RecordingError(f"'{key}' must hold the nodes 0 to {NODES - 1}, but lacks {missing}")
     sorted_rows = np.empty((NODES, rows.shape[1]))
-    sorted_rows[wanted] = rows[places]
+    sorted_rows[targets] = rows[places]
     return _split(sorted_rows)
 
 

@@ -268,12 +268,12 @@ def _read_json(
 def _read_hand(
     message: Mapping[str, Any], side: Side | None, received: float, forms: Forms
 ) -> Reading:
-    found = next((key for key in ("landmarks", "joints") if key in message), None)
-    if found is None:
+    field_name = next((key for key in ("landmarks", "joints") if key in message), None)
+    if field_name is None:
         keys = ", ".join(map(short, list(message)[:8])) or "nothing"
         raise RecordingError(f"{_WHERE} has no 'landmarks', but {keys}")
     points, turned = read_points(
-        message[found], f"'{found}'", quaternion=forms.quaternion, matrix=forms.matrix
+        message[field_name], f"'{field_name}'", quaternion=forms.quaternion, matrix=forms.matrix
     )
     orientations = _beside(message, "orientations", (len(points), 4))
     stamp = read_stamp(message, forms.stamp_unit)

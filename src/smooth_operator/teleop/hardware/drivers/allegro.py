@@ -248,9 +248,9 @@ class _Control:
         self._position, self._velocity = np.zeros(MOTORS), np.zeros(MOTORS)
         self._torque, self._before = np.zeros(MOTORS), np.zeros(MOTORS)
         self._target: np.ndarray | None = None
-        self._seen: set[int] = set()
+        self._fingers: set[int] = set()
         self._stamp: float | None = None
-        self._asked = 0.0
+        self._last_request = 0.0
         self._error: SinkError | None = None
         self._ready, self._ending = threading.Event(), False
         self._thread = threading.Thread(target=self._run, name="allegro control", daemon=True)
@@ -343,9 +343,9 @@ class _Control:
             mine = slice(4 * finger, 4 * finger + 4)
             with self._lock:
                 self._position[mine] = np.array(struct.unpack("<4h", data), float) * self._angle
-            self._seen.add(finger)
-            if len(self._seen) == 4:
-                self._seen.clear()
+            self._fingers.add(finger)
+            if len(self._fingers) == 4:
+                self._fingers.clear()
                 self._answer()
         elif 0 <= number - _HEAT < 4 and len(data) >= 4:
             self.temperatures[4 * (number - _HEAT) :][:4] = list(data[:4])
@@ -377,8 +377,8 @@ class _Control:
             for finger in range(4):
                 data = struct.pack("<4h", *torque[4 * finger : 4 * finger + 4])
                 self._bus.send(_TORQUE + finger << 2, data)
-        if now - self._asked > _ASK_S:
-            self._asked = now
+        if now - self._last_request > _ASK_S:
+            self._last_request = now
             for request in (_INFORMATION, *range(_HEAT, _HEAT + 4)):
                 self._bus.send(request << 2, remote=True)
 

@@ -266,12 +266,12 @@ class Tracks:
 
 
 def assign_sides(
-    seen: Iterable[SeenHand], tracks: Tracks, time: float
+    detections: Iterable[SeenHand], tracks: Tracks, time: float
 ) -> tuple[dict[Side, SeenHand], Tracks]:
     """Say which hand is which.
 
     Args:
-        seen: the hands of one picture.
+        detections: the hands of one picture.
         tracks: where they were before; ``Tracks()`` at the start.
         time: time of the picture [s]; if it goes back, what was before is forgotten.
 
@@ -280,7 +280,7 @@ def assign_sides(
     """
     recent = {s: t for s, t in tracks.of.items() if 0.0 <= time - t.time <= MEMORY_S}
     chosen: dict[Side, tuple[SeenHand, Track]] = {}
-    for hand in _without_duplicates(seen):
+    for hand in _without_duplicates(detections):
         side, doubts = _side_of(hand, recent)
         track = Track(hand.centre, time, doubts)
         rival = chosen.get(side)
@@ -291,9 +291,9 @@ def assign_sides(
     return hands, Tracks(moved)
 
 
-def _without_duplicates(seen: Iterable[SeenHand]) -> list[SeenHand]:
+def _without_duplicates(detections: Iterable[SeenHand]) -> list[SeenHand]:
     distinct: list[SeenHand] = []
-    for hand in sorted(seen, key=lambda h: -h.score):
+    for hand in sorted(detections, key=lambda h: -h.score):
         if all(_distance(hand, other.centre) > SAME for other in distinct):
             distinct.append(hand)
     return distinct
