@@ -200,7 +200,7 @@ class BoundMap:
         table: the table.
         names: (n,) names of the model's joints.
         ends: (a, 2) least and greatest command.
-        determined: (n,) true where the actuators determine a joint, or it is coupled to one that they do.
+        determined: (n,) true where the actuators determine a joint, or one that it is coupled to.
 
     Raises:
         ConfigError: the table is that of another hand, with other joints.

@@ -15,7 +15,6 @@ import math
 import struct
 import threading
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Final
 
@@ -26,8 +25,8 @@ from smooth_operator.errors import ConfigError, SinkError, require
 from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
 from smooth_operator.teleop.hardware.device import (
     DeviceLostError,
+    HandDevice,
     Reading,
-    Setting,
     WrongAnswerError,
 )
 from smooth_operator.teleop.hardware.drivers.can_bus import CanBus, can_port
@@ -111,11 +110,11 @@ class AllegroSink(HardwareSink):
 
     def device(self, actuators: ActuatorMap) -> AllegroDevice:
         """The hand, not yet open; see ``HardwareSink``."""
-        require("an Allegro Hand", "allegro", "can")
+        require(AllegroDevice.name, "allegro", "can")
         return AllegroDevice(actuators, self.port)
 
 
-class AllegroDevice:
+class AllegroDevice(HandDevice):
     """An Allegro Hand on its bus; see ``HandDevice``.
 
     A thread of its own answers each set of angles with torques, as often as the hand reports.
@@ -130,23 +129,17 @@ class AllegroDevice:
         table: table of the hand. Its settings have ``version`` (``v4`` or ``v5``) and may have
             ``gain``, a factor on the stiffness (1.0), and ``period_ms`` of the hand's reports (3).
             ``limit`` is the most duty or current.
-        port: port of the CAN bus.
-
-    Raises:
-        ConfigError: the table has not 16 actuators, or a setting is out of range.
     """
 
+    driver, name, motors = "allegro", "an Allegro Hand", MOTORS
+
     def __init__(self, table: ActuatorMap, port: str) -> None:
-        table.check_count(MOTORS, "an Allegro Hand")
+        super().__init__(table)
         version = table.settings.get("version")
         if version not in VERSIONS:
             raise ConfigError(f"{table.file}: version must be v4 or v5, not {version!r}")
-        gain, period = table.settings.get("gain", 1.0), table.settings.get("period_ms", 3)
-        if not isinstance(gain, int | float) or not 0.05 <= gain <= 3.0:
-            raise ConfigError(f"{table.file}: gain must be 0.05 to 3, not {gain!r}")
-        if not isinstance(period, int) or not 2 <= period <= 20:
-            raise ConfigError(f"{table.file}: period_ms must be 2 to 20, not {period!r}")
-        self._table, self._port, self._period = table, port, period
+        gain = self._setting("gain", 1.0, 0.05, 3)
+        self._port, self._period = port, self._setting("period_ms", 3, 2, 20)
         figures = VERSIONS[version]
         limits = np.nan_to_num(table.limits, nan=float(figures.most))
         if (limits > figures.most).any() or (limits <= 0).any():
@@ -163,27 +156,18 @@ class AllegroDevice:
         ``HandDevice``."""
         bus = CanBus(self._port, "allegro")
         self._control = _Control(bus, VERSIONS[self._version].angle, self._law, self._period)
-        try:
+        with self._opening(
+            "check its power switch, the wiring of CAN high and low, and the version in "
+            f"{self._table.file} ({self._version})"
+        ):
             self._control.begin()
-            self._check_side(self._control)
-        except SinkError as error:
-            self.close()
-            raise type(error)(
-                f"{error}; check its power switch, the wiring of CAN high and low, and the version "
-                f"in {self._table.file} ({self._version})"
-            ) from error
+            self._check_side(self._side(self._control), f"the hand {self._control.serial}")
 
-    def _check_side(self, control: _Control) -> None:
+    def _side(self, control: _Control) -> str | None:
         """V5 says in its serial number which hand it is, V4 in its information."""
         if self._version == "v5":
-            side = {"R": "right", "L": "left"}.get(control.serial[3:4])
-        else:
-            side = {0: "right", 1: "left"}.get(int.from_bytes(control.information[4:5] or b"\xff"))
-        if side is not None and side != self._table.side:
-            raise SinkError(
-                f"allegro: the hand {control.serial} is a {side} one, and {self._table.file} is "
-                f"for a {self._table.side} one"
-            )
+            return {"R": "right", "L": "left"}.get(control.serial[3:4])
+        return {0: "right", 1: "left"}.get(int.from_bytes(control.information[4:5] or b"\xff"))
 
     def read(self) -> Reading:
         """The newest angles [rad] and torques; see ``HandDevice``."""
@@ -208,10 +192,6 @@ class AllegroDevice:
             f"hand: {text}" for b, text in _STATUS.items() if status and status[0] >> b & 1
         )
 
-    def settings(self) -> Sequence[Setting]:
-        """None: a hand that restarted ends its reports, which is noticed sooner."""
-        return ()
-
     def write(self, commands: Float[np.ndarray, " 16"]) -> None:
         """Aim the controller [rad]; the first call switches the motors on. See ``HandDevice``."""
         self._running().aim(np.array(commands, float))
@@ -229,7 +209,7 @@ class AllegroDevice:
 
     def _running(self) -> _Control:
         if self._control is None:
-            raise DeviceLostError("allegro: the hand is not open")
+            raise self._not_open()
         self._control.raise_error()
         return self._control
 

@@ -17,6 +17,7 @@ from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
 from smooth_operator.teleop.hardware.bus_lock import only_port
 from smooth_operator.teleop.hardware.device import (
     DeviceLostError,
+    HandDevice,
     Reading,
     Setting,
     WrongAnswerError,
@@ -336,21 +337,18 @@ class LeapSink(DynamixelSink):
     driver: ClassVar[str] = "leap"
 
 
-class DynamixelHand:
+class DynamixelHand(HandDevice):
     """The servos of a hand, as ``HandDevice``.
 
     Args:
-        port: the serial port.
         actuators: the table.
-        baud: bits per second; None as the table says, or 57600, the servos' own.
-
-    Raises:
-        ConfigError: the table lacks an id, or has a unit or setting that servos don't.
-        MissingExtraError: the SDK is not installed.
     """
 
+    driver, name, motors = "dynamixel", "a hand of Dynamixel servos", 0
+
     def __init__(self, port: str, actuators: ActuatorMap, baud: int | None = None) -> None:
-        self._table, settings = actuators, actuators.settings
+        super().__init__(actuators)
+        settings = actuators.settings
         for where in (settings, *(a.settings for a in actuators.actuators)):
             for name in where:
                 if name not in _SETTINGS:
