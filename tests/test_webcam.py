@@ -32,8 +32,9 @@ from smooth_operator.teleop.sources.live import LiveSource, Mailbox
 from smooth_operator.teleop.sources.webcam import camera as camera_module
 from smooth_operator.teleop.sources.webcam import picture_tracker
 from smooth_operator.teleop.sources.webcam.camera import Camera, CameraMode
-from smooth_operator.teleop.sources.webcam.mediapipe_hands import SWITCH, HandLandmarker
 from smooth_operator.teleop.sources.webcam.picture_tracker import (
+    SWITCH,
+    HandLandmarker,
     PictureConfig,
     PictureTracker,
     SeenHand,
@@ -469,7 +470,7 @@ def test_a_model_that_is_none_is_one_sentence(media: Path, tmp_path: Path) -> No
 def test_the_start_is_quiet_and_hides_no_word_of_others(
     media: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    module = importlib.import_module("smooth_operator.teleop.sources.webcam.mediapipe_hands")
+    module = importlib.import_module("smooth_operator.teleop.sources.webcam.picture_tracker")
     find = HandLandmarker.find
 
     def speaking(self: HandLandmarker, *given: Any) -> list[SeenHand]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import viser
@@ -20,39 +20,11 @@ from smooth_operator.teleop.pages.playback import PINCH_DISTANCE, Playback
 from smooth_operator.teleop.pages.viser_server import add_hotkeys, from_person
 from smooth_operator.types import Status
 
+if TYPE_CHECKING:
+    from smooth_operator.teleop.pages.player import PlaybackServer
+
 SPEEDS = (0.1, 4.0)
 """Slowest and fastest playback, as a multiple of real time."""
-
-
-class Controls(Protocol):
-    """What the panel can ask for; implemented by the player, callable from any thread."""
-
-    def toggle(self) -> None:
-        """Play if paused, pause if playing."""
-
-    def step(self, frames: int) -> None:
-        """Pause and move by some frames."""
-
-    def scrub(self, frame: int) -> None:
-        """Go to a frame by hand; playback waits until the hand rests."""
-
-    def set_speed(self, speed: float) -> None:
-        """Set the playback speed."""
-
-    def set_loop(self, loop: bool) -> None:
-        """Start over at the end, or stop."""
-
-    def set_overlay(self, overlay: bool) -> None:
-        """Both hands in one place, or side by side."""
-
-    def set_keyvectors(self, visible: bool) -> None:
-        """Show or hide the keyvectors."""
-
-    def set_meshes(self, visible: bool) -> None:
-        """Show the makers' meshes, or simple shapes."""
-
-    def aim(self, client: viser.ClientHandle) -> None:
-        """Reset one browser's camera."""
 
 
 class Panel:
@@ -61,12 +33,12 @@ class Panel:
     Args:
         gui: where to build.
         runs: what is played.
-        controls: what carries out what is asked for.
+        controls: the player, whose methods any thread may call.
         loop: initial state of the loop box.
     """
 
     def __init__(
-        self, gui: viser.GuiApi, runs: Sequence[Playback], controls: Controls, loop: bool
+        self, gui: viser.GuiApi, runs: Sequence[Playback], controls: PlaybackServer, loop: bool
     ) -> None:
         self._runs = runs
         gui.set_panel_label(runs[0].title)

@@ -336,18 +336,8 @@ class Running:
 _Item = TypeVar("_Item")
 
 
-class Stopping(Protocol):
-    """What may end a wait: ``threading.Event``."""
-
-    def wait(self, timeout: float) -> bool:
-        """Wait up to ``timeout`` [s]; whether it is set."""
-
-    def is_set(self) -> bool:
-        """Whether it is set."""
-
-
 def on_time(
-    due: Iterable[tuple[float, _Item]], clock: Clock, stopping: Stopping
+    due: Iterable[tuple[float, _Item]], clock: Clock, stopping: threading.Event
 ) -> Iterator[tuple[float, _Item]]:
     """Items when they are due; those that are late already come immediately, in order.
 

@@ -1,6 +1,6 @@
 """Messages of MANUS glove bridges: the 25 nodes of a raw skeleton, in the forms that are about.
 
-Written and read is what ``ManusZmqBridge`` publishes (the program that the MANUS recordings were
+Read is what ``ManusZmqBridge`` publishes (the program that the MANUS recordings were
 made with), with three fields more::
 
     RIGHT {"glove_id": 3064964832, "side": "right", "session": "a1", "stamp": 12.505,
@@ -14,7 +14,6 @@ the Bidex bridge pushes them. ``docs/how-to/manus.md`` has an example of each.
 
 from __future__ import annotations
 
-import functools
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -24,7 +23,6 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError, RecordingError
-from smooth_operator.landmarks import FROM_MANUS_25, METACARPALS_MANUS_25
 from smooth_operator.teleop.sources.inboxes import Inbox, Message, Pattern, ZmqInbox
 from smooth_operator.teleop.sources.payload import (
     Reading,
@@ -44,7 +42,7 @@ from smooth_operator.teleop.sources.stream import (
     only_side,
     sides_of,
 )
-from smooth_operator.types import HandFrame, Side
+from smooth_operator.types import Side
 
 NODES: Final = 25
 
@@ -81,42 +79,6 @@ def read_manus(
     expected: Side | None = topic if topic in ("right", "left") else side  # type: ignore[assignment]
     message = parse_json(data[topic_match.end() :])
     return tuple(read_glove(hand, gloves, expected, received) for hand in _hands(message))
-
-
-def write_manus(frame: HandFrame) -> bytes:
-    """The nodes of a hand as JSON, without what is around them.
-
-    Metacarpal bases have no orientation here, and what is missing is null.
-
-    Returns:
-        a list of 25 ``{"id", "pos", "quat"}``.
-    """
-    positions = np.full((NODES, 3), np.nan)
-    positions[list(FROM_MANUS_25)] = frame.landmarks
-    if frame.metacarpals is not None:
-        positions[list(METACARPALS_MANUS_25)] = frame.metacarpals
-    quaternions = np.full((NODES, 4), np.nan)
-    if frame.orientations is not None:
-        quaternions[list(FROM_MANUS_25)] = frame.orientations
-    present = np.isfinite(positions).all(axis=1), np.isfinite(quaternions).all(axis=1)
-    numbers = np.hstack([positions, quaternions])[np.repeat(np.stack(present, 1), (3, 4), axis=1)]
-    return (
-        _template(*(tuple(flags.tolist()) for flags in present)) % tuple(numbers.tolist())
-    ).encode()
-
-
-@functools.lru_cache(maxsize=64)
-def _template(placed: tuple[bool, ...], turned: tuple[bool, ...]) -> str:
-    """The text of a hand with these positions and quaternions, to be filled with the numbers.
-
-    Numbers go to the micrometre; the gloves' own, float32, are no finer.
-    """
-    nodes = (
-        f'{{"id":{i},"pos":{"[%.6f,%.6f,%.6f]" if p else "null"},'
-        f'"quat":{"[%.6f,%.6f,%.6f,%.6f]" if q else "null"}}}'
-        for i, (p, q) in enumerate(zip(placed, turned, strict=True))
-    )
-    return f"[{','.join(nodes)}]"
 
 
 def _hands(message: Any) -> list[Mapping[str, Any]]:
