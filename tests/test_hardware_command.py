@@ -33,7 +33,7 @@ def hand() -> Hand:
 
 @pytest.fixture(autouse=True)
 def quick_contact(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("smooth_operator.teleop.hardware.actuator_mover._BLOCKED_S", 0.01)
+    monkeypatch.setattr("smooth_operator.teleop.hardware.table_check._BLOCKED_S", 0.01)
 
 
 @pytest.fixture
