@@ -540,7 +540,7 @@ def test_times_of_a_long_run_take_no_more_memory(monkeypatch: pytest.MonkeyPatch
         times.append(float(i))
     assert sorted(times.newest()) == list(range(950, 1050))
     assert sorted(times.newest(7)) == list(range(1043, 1050))
-    assert times._kept.nbytes == 400
+    assert times._ring.nbytes == 400
 
 
 def test_numbers_of_any_size_are_refused_without_a_warning(motion: HandRecording) -> None:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
+from inspect import signature
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
@@ -167,31 +168,11 @@ def teleop(options: Teleop) -> None:
         model=options.model,
         meshes=not options.no_meshes,
     )
+    shared = signature(teleoperate).parameters.keys() & {each.name for each in fields(options)}
     summary = teleoperate(
-        options.source,
-        options.sink,
-        hand=options.hand,
-        side=options.side,
-        method=options.method,
-        preset=options.preset,
-        seed=options.seed,
-        scale=options.scale,
-        fingers=options.fingers,
-        operator=options.operator,
-        rate=options.rate,
-        duration=options.duration,
-        safety=options.safety,
-        limits=options.limits,
-        wrist=options.wrist,
-        priority=options.priority,
-        methods=options.methods,
-        control=options.control,
-        estop=options.estop,
+        **{name: getattr(options, name) for name in shared},
+        sinks=options.sink,
         page=None if options.no_view else page,
-        blind=options.blind,
-        task=options.task,
-        trials=options.trials,
-        arm=options.arm,
         keys=True,
         reporter=Progressing(options.quiet),
     )

@@ -68,7 +68,7 @@ COMPILES: Final = "compile"
 """Name of the thread that compiles while the loop runs; a command does not wait for its end."""
 
 _ANNOUNCE_S: Final = 5.0
-"""How long a source may take to say how it is reached [s]."""
+"""Time that a source may take to say how it is reached [s]."""
 
 
 def teleoperate(
@@ -190,7 +190,7 @@ def teleoperate(
     settled, arms = _checked(request, config, sides, source, runner, control, page, carrier)
     with (
         ended_by_signals() as ending,
-        begun_page(page, request, sides, acting, blind, carrier) as begun,
+        _begun_page(page, request, sides, acting, blind, carrier) as begun,
     ):
         retargeters = _built(settled, request, blind, reporter)
         pipelines = {
@@ -235,7 +235,16 @@ def teleoperate(
             record=record,
         )
         if begun is not None and page is not None:
-            show_page(begun, page, loop, request, acting, switcher, blind, reporter, tried.shown)
+            from smooth_operator.teleop.pages.live.live_session import LiveSession
+
+            session = LiveSession(
+                loop, request, acting, switcher=switcher, blind=blind, trial=tried.shown
+            )
+            loop.watch = session.watch
+            url = begun.serve(session)
+            reporter.note(f"page: {url}", matters=True)
+            if page.open_browser:
+                open_page(url)
         if others or task is not None or duration is not None or isinstance(source, Replay):
             switcher.building = "compiling"
             _compile(settled, request, others, blind, reporter)
@@ -409,7 +418,7 @@ def _compiling(
 
 @contextlib.contextmanager
 def _announced(source: LiveSource, reporter: Reporter) -> Iterator[None]:
-    """What the operator has to do before frames come: where to connect, with which code."""
+    """Reports how the operator connects: address and code."""
     over = threading.Event()
 
     def tell() -> None:
@@ -446,7 +455,7 @@ def _remote(
 
 @dataclass(frozen=True)
 class PageSettings:
-    """Where the live page is served. Needs the extra ``teleop``.
+    """Address and look of the live page. Needs the extra ``teleop``.
 
     Attributes:
         host: address to listen at; other than this machine's, a token in the page's address is
@@ -465,7 +474,7 @@ class PageSettings:
 
 
 @contextlib.contextmanager
-def begun_page(
+def _begun_page(
     page: PageSettings | None,
     request: RetargetRequest,
     sides: tuple[Side, ...],
@@ -494,29 +503,3 @@ def begun_page(
         )
         with LivePage(setup) as begun:
             yield begun
-
-
-def show_page(
-    begun: LivePage,
-    page: PageSettings,
-    loop: TeleopLoop,
-    request: RetargetRequest,
-    acting: Sequence[Sink],
-    switcher: MethodSwitcher,
-    blind: bool,
-    reporter: Reporter,
-    trial: Callable[[], Mapping[str, Any] | None] = lambda: None,
-) -> None:
-    """Have the page show a loop that is about to run, and open it.
-
-    Raises:
-        ConfigError: it can't be served there.
-    """
-    from smooth_operator.teleop.pages.live.live_session import LiveSession
-
-    session = LiveSession(loop, request, acting, switcher=switcher, blind=blind, trial=trial)
-    loop.watch = session.watch
-    url = begun.serve(session)
-    reporter.note(f"page: {url}", matters=True)
-    if page.open_browser:
-        open_page(url)

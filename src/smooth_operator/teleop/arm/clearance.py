@@ -24,10 +24,10 @@ _BRAKING: Final = 0.3
 """Share of what the joints can do to a distance that is counted on to stop before its end."""
 
 _FATTER: Final = 0.04
-"""How much fatter than two links their capsules are [m]."""
+"""Width by which capsules exceed two links [m]."""
 
 _LEEWAY: Final = 0.02
-"""Of what the joints can do to a distance in a step, what is left to other distances."""
+"""Share of a step's effect on a distance that is left to other distances."""
 
 _TINY: Final = 1e-12
 _NEXT, _AFTER = np.array([1, 2, 0]), np.array([2, 0, 1])
@@ -35,7 +35,7 @@ _NEXT, _AFTER = np.array([1, 2, 0]), np.array([2, 0, 1])
 
 @dataclass(frozen=True)
 class ClearanceConfig:
-    """How far parts stay apart.
+    """Distances that parts keep.
 
     Attributes:
         parts: between parts of the arm, and between arm and hand [m].
@@ -135,11 +135,11 @@ class Clearance(mink.Limit):
                       self._planes]  # fmt: skip
 
     def place_hand(self, middles: Float[np.ndarray, "c 3"], axes: Float[np.ndarray, "c 3"]) -> None:
-        """Where the hand's capsules are on the flange; see ``HandCapsules.at``."""
+        """Places the hand's capsules on the flange; see ``HandCapsules.at``."""
         self._placed[:, 0], self._placed[:, 1] = middles, axes
 
     def distances(self, data: mujoco.MjData) -> tuple[np.ndarray, ...]:
-        """What is near, for a model whose kinematics are up to date.
+        """Near pairs, for a model whose kinematics are up to date.
 
         Returns:
             (k,) distance beyond the least one allowed [m], (k, n) its derivative by the joints

@@ -35,12 +35,12 @@ _JUMP: Final = 3.0
 _HOME_STEPS: Final = 1000
 _HOME_STEP_S: Final = 0.01
 _HOME_NEAR: Final = (1e-3, 5e-3)
-"""How near the home pose has to be reached [m, rad]."""
+"""Distance at which the home pose counts as reached [m, rad]."""
 
 
 @dataclass(frozen=True)
 class ArmControlConfig:
-    """How an arm follows.
+    """Settings of an arm that follows.
 
     Attributes:
         speed: most of the wrist [m/s].
@@ -258,7 +258,7 @@ class ArmController:
         return velocity, ""
 
     def _governed(self, now: Matrix, goal: Matrix, dt: float) -> Float[np.ndarray, "6"]:
-        """How far to go in this step: translation [m] and rotation vector [rad], in the base frame.
+        """The motion of this step: translation [m] and rotation vector [rad], in the base frame.
 
         The target's own motion, and of the distance to it as much as lets the wrist come to rest
         there.

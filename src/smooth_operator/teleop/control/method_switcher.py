@@ -27,7 +27,7 @@ _DEBOUNCE_S: Final = 0.4
 
 @dataclass(frozen=True, eq=False)
 class DriverSpec:
-    """What the hands are, or should be, driven by.
+    """Method and configurations that drive the hands, or are to drive them.
 
     Attributes:
         method: its name.
@@ -47,7 +47,7 @@ class DriverSpec:
         return next(iter(self.configs.values()))
 
     def driver(self, side: Side) -> Driver:
-        """What a record of the run says of it."""
+        """The driver of one side, for records of the run."""
         return Driver(self.method, self.preset, self.configs[side])
 
 

@@ -68,7 +68,7 @@ class TaskTrials:
 
     @property
     def key_help(self) -> str:
-        """What the keys do."""
+        """Key -> action."""
         return "   g: go   r: reset the object   d: done" if self.keys else ""
 
     def begin(self) -> None:
@@ -96,7 +96,7 @@ class TaskTrials:
                 self._reporter.note(failed, matters=True)
 
     def shown(self) -> dict[str, Any] | None:
-        """What the operator sees of the trial: never its score. None without a task.
+        """The trial as the operator sees it, without its score. None without a task.
 
         Returns:
             ``title`` and ``instruction`` of the task; ``number`` of the trial, as who began it

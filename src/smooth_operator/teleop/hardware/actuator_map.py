@@ -20,10 +20,10 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.types import Side
 
 Rest: TypeAlias = Literal["hold", "relax"]
-"""What a hand does when nothing commands it: stand still under power, or give way."""
+"""Rest of a hand without a command: stand still under power, or give way."""
 
 _KNOWN: Final = 1e-6
-"""How far from one the share of a joint may be that the actuators determine."""
+"""Tolerance of the share of a joint that the actuators determine."""
 
 
 @dataclass(frozen=True)

@@ -187,7 +187,7 @@ def _lock_file(file: int, sharer: str) -> None:
 
 
 def is_serial(port: str) -> bool:
-    """Whether a name is one of a serial port, a path or ``COM3``, and not an address."""
+    """True if a name is one of a serial port, a path or ``COM3``, and not an address."""
     return "/" in port or bool(re.fullmatch(r"(\\\\\.\\)?COM\d+", port, re.IGNORECASE))
 
 

@@ -33,7 +33,7 @@ class WrongAnswerError(SinkError):
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """What a hand answers, actuator by actuator, in the order of its table.
+    """An answer of a hand, actuator by actuator, in the order of its table.
 
     Attributes:
         positions: (a,) measured positions in the actuators' unit, that of ``HandDevice.write``;
@@ -185,7 +185,7 @@ class HandDevice(ABC):
 
 
 _AGREE: Final = 0.15
-"""How far apart two readings may be [rad]: a fast finger moves so far between them, 10 rad/s for
+"""Largest difference of two readings [rad]: a fast finger moves so far between them, 10 rad/s for
 15 ms."""
 
 _APART_S: Final = 0.01
@@ -205,7 +205,7 @@ def apart(first: Reading, second: Reading, table: ActuatorMap) -> list[int]:
 
 
 def agreed_reading(read: Callable[[], Reading], table: ActuatorMap) -> Reading:
-    """Where the hand is, by two readings within 0.15 rad of each other; a third may decide.
+    """The position of the hand, by two readings within 0.15 rad; a third may decide.
 
     Args:
         read: one exchange with the hand; takes some ms.

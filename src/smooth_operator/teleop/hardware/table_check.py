@@ -114,7 +114,7 @@ class TableCheck:
     def _end(
         self, index: int, actuator: Actuator, start: float, way: int, unit: str
     ) -> float | None:
-        """How far it may go one way; None to end."""
+        """The end of an actuator in one direction; None to quit."""
         low, high = actuator.ends
         step, stated = way * (high - low) / _STEPS, high if way > 0 else low
         side = "greatest" if way > 0 else "least"

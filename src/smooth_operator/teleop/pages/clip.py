@@ -125,7 +125,7 @@ class _Pane:
         return picture
 
     def _empty(self, picture: UInt8[np.ndarray, "H W 3"]) -> Bool[np.ndarray, "H W"]:
-        """Where no hand is: there MuJoCo draws black, as some robots are."""
+        """The pixels without a hand: there MuJoCo draws black, as some robots are."""
         black = picture.max(axis=-1) == 0
         if not self._robot:
             return np.asarray(black)

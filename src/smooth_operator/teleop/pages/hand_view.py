@@ -1,4 +1,4 @@
-"""What a page and a picture of a robot hand have in common: its axes, parts and joints."""
+"""Axes, parts, joints and colours of a robot hand, for pages and pictures."""
 
 from __future__ import annotations
 
@@ -424,11 +424,11 @@ RUN_COLORS: Final[tuple[Rgb, ...]] = (
     (255, 150, 170),
     (120, 230, 220),
 )
-"""Of runs that are compared, in plots and tables; no finger has any of them."""
+"""Colours of runs that are compared, in plots and tables; no finger has any of them."""
 HIGHLIGHT: Final[Rgb] = (240, 228, 66)
 """A pinching fingertip."""
 SIMULATED: Final[Rgb] = (240, 228, 66)
-"""Of two robot hands in one place, the one that is seen only where it differs."""
+"""Colour of the second of two robot hands in one place, seen only where it differs."""
 PALM: Final[Rgb] = (205, 205, 212)
 """Palm, wrist and whatever belongs to no finger."""
 

@@ -183,7 +183,7 @@ class BodyNodes:
         }
 
     def place(self, qpos: Float[np.ndarray, " nq"]) -> None:
-        """Where the bodies are, without drawing them."""
+        """Places the bodies without drawing them."""
         self.data.qpos[:] = qpos
         mujoco.mj_kinematics(self._model, self.data)
 

@@ -98,7 +98,7 @@ class PlaybackServer(PageServer):
 
     @property
     def playing(self) -> bool:
-        """Whether time runs."""
+        """True if time runs."""
         return self._playing
 
     # -- controls -----------------------------------------------------------------------------

@@ -276,7 +276,7 @@ class GapCurves:
 
     @property
     def series(self) -> tuple[uplot.Series, ...]:
-        """How each curve is drawn: the time, then the curves."""
+        """Looks of the curves: the time, then the curves."""
         plain = uplot.Series_Points(show=False)
         if len(self._runs) == 1:
             colors = [css(color) for color in finger_colors(len(self.fingers) + 1)][1:]

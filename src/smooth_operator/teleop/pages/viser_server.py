@@ -158,7 +158,7 @@ def auth_for(host: str) -> TokenAuth:
 
 @dataclass
 class Patched:
-    """Whether a server of viser was started that authenticates.
+    """True if a server of viser was started that authenticates.
 
     Attributes:
         applied: False if this release of viser starts its server by other means.

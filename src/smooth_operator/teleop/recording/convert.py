@@ -27,7 +27,7 @@ from smooth_operator.formats.sniff import file_kind, is_dataset
 from smooth_operator.types import Side, as_side
 
 Format: TypeAlias = Literal["mcap", "npz", "hdf5", "lerobot"]
-"""What episodes can be written as."""
+"""Formats of episodes."""
 
 SUFFIXES: Final[dict[str, Format]] = {
     ".mcap": "mcap",
@@ -150,7 +150,7 @@ def write_episode(path: str | os.PathLike[str], episode: Episode, to: Format | N
 
 
 def losses(episode: Episode, to: Format) -> list[str]:
-    """What a format can't hold of an episode, for a person."""
+    """Parts of an episode that a format can't hold, for a person."""
     lost: list[str] = _logs().log_losses(episode) if to == "mcap" else []
     return lost
 

@@ -77,7 +77,7 @@ class DamagedError(Exception):
 
 @dataclass(frozen=True, eq=False)
 class MethodUse:
-    """What drove a hand from some time on.
+    """The method that drove a hand from some time on.
 
     Attributes:
         stamp: of the first command that it gave [s].
@@ -94,7 +94,7 @@ class MethodUse:
 
 @dataclass(frozen=True, eq=False)
 class Log:
-    """What a log holds.
+    """Content of a log.
 
     Attributes:
         recording: the hand frames, or None if there are none.

@@ -78,10 +78,10 @@ def joint_message(
 
 
 Unit: TypeAlias = Literal["rad", "deg"]
-"""Of joint angles."""
+"""Unit of joint angles."""
 
 UNITS: Final[dict[Unit, float]] = {"rad": 1.0, "deg": 180.0 / math.pi}
-"""How many of a unit make a radian."""
+"""Units in a radian."""
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ SIGHT_S = 0.3
 
 @dataclass(frozen=True)
 class Moment:
-    """What to show an operator now.
+    """The prompt to show an operator now.
 
     Attributes:
         prompt: what is asked.
@@ -62,7 +62,7 @@ class CalibrationSession:
             self._held.append(self._holding)
 
     def at(self, now: float) -> Moment | None:
-        """What to show.
+        """The prompt to show.
 
         Args:
             now: by the clock of the arrivals; never earlier than at the last call [s].
@@ -112,7 +112,7 @@ class CalibrationSession:
         )
 
     def segments(self) -> list[Segment]:
-        """Where in the recording each prompt was held; what was asked is taken as done."""
+        """The span of the recording in which each prompt was held."""
         holds = []
         for number, prompt in enumerate(self.prompts):
             rows = [i for i, held in enumerate(self._held) if held == number]

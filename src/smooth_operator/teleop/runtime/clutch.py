@@ -26,7 +26,7 @@ FASTEST_RPS: Final = 25.0
 
 NEAR_M: Final = 0.02
 NEAR_RAD: Final = 0.1
-"""How far the measured arm may be from its last command for the clutch to engage there."""
+"""Distance of the measured arm from its last command at which the clutch still engages."""
 _APPROACH: Final = 0.2
 """Share of the velocity limits with which the command goes to an arm that is farther away."""
 _AHEAD_S: Final = 0.05
@@ -83,7 +83,7 @@ class Clutch:
 
     @property
     def engaged(self) -> bool:
-        """Whether the operator's wrist moves that of the robot; safe from any thread."""
+        """True if the operator's wrist moves that of the robot; safe from any thread."""
         return self._engaged
 
     def follow(self, on: bool) -> None:
@@ -99,7 +99,7 @@ class Clutch:
         self.config, self.limiter.config = config, new
 
     def events(self) -> list[str]:
-        """What has happened since the last call, a sentence each."""
+        """Events since the last call, a sentence each."""
         told, self._told = self._told, []
         return told
 
@@ -166,7 +166,7 @@ class Clutch:
     def _target(
         self, arrival: _Wrist, at: float
     ) -> tuple[Float[np.ndarray, "7"], Float[np.ndarray, "6"] | None]:
-        """Where the wrist of the robot is to be at a time, and how that moves."""
+        """Target of the robot's wrist at a time, and its velocity."""
         scale, since = self.config.wrist.scale, max(at - arrival.received, 0.0)
         lead = min(arrival.gap, _AHEAD_S)
         ahead = arrival.moving * min(since, lead)

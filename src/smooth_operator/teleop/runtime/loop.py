@@ -133,7 +133,7 @@ class TeleopLoop:
 
     @property
     def silent_s(self) -> float:
-        """How long ago the last command left [s]; since it was built before the first one."""
+        """Age of the last command [s]; that of the loop before the first one."""
         return self.mailbox.clock() - self._beat
 
     def _loop(self, duration: float | None) -> None:
@@ -219,7 +219,7 @@ class TeleopLoop:
             self.watch(tick)
 
     def _measured_wrist(self, side: Side) -> Float[np.ndarray, "7"] | None:
-        """Where the arm of a hand is: as a sink measures it, or as it was last commanded."""
+        """Pose of the arm of a hand: as a sink measures it, or as it was last commanded."""
         measured, arm = self.sinks.measured_wrist(side), self.pipelines[side].arm
         return arm.pose if measured is None and arm is not None else measured
 
@@ -305,16 +305,16 @@ class Controls:
 
     @property
     def quitting(self) -> bool:
-        """Whether the loop is to end."""
+        """True if the loop is to end."""
         return self._quit.is_set()
 
     @property
     def waiting(self) -> bool:
-        """Whether there is something to do."""
+        """True if there is something to do."""
         return bool(self._pending) or self.quitting
 
     def drain(self) -> list[Change]:
-        """What is to be done now, in order; the loop's own."""
+        """The changes to make now, in order; for the loop alone."""
         changes = []
         while self._pending:
             changes.append(self._pending.popleft())

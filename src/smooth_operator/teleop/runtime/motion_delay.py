@@ -34,7 +34,7 @@ _AGAIN_S: Final = 1.0
 
 
 class Delay(NamedTuple):
-    """How late a hand moves.
+    """Delay between a command and the measured motion of a hand.
 
     Attributes:
         seconds: from the command's time to the measured motion [s].
@@ -186,5 +186,5 @@ class TrackerDelay:
 
 
 def _difference(arrival: Arrival) -> float:
-    """Of the two clocks at an arrival, and the delay [s]."""
+    """Difference of the two clocks at an arrival, and the delay [s]."""
     return arrival.received - arrival.stamp / arrival.speed

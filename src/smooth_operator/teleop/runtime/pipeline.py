@@ -82,7 +82,7 @@ class HandPipeline:
 
     @property
     def mode_now(self) -> Mode:
-        """What the next tick does, if no frame comes."""
+        """Mode of the next tick, if no frame comes."""
         return self.supervisor.preview(self._clock())
 
     def switch(self, retargeter: Retargeter, driver: Driver | None = None) -> None:
@@ -235,7 +235,7 @@ class HandPipeline:
         }
 
     def _follow(self, mode: Mode, now: float, dt: float) -> np.ndarray:
-        """What the limits let the robot do in this mode in the time since the last command."""
+        """Joint positions that the limits allow in this mode since the last command."""
         if mode is Mode.TRACKING:
             return self.limiter.step(self._target, dt)
         if mode is Mode.BLENDING:

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from jaxtyping import Float, Float32
 
 from smooth_operator.errors import RecordingError
-from smooth_operator.teleop.recording.log_reader import Log
 from smooth_operator.teleop.runtime.motion_delay import MotionDelay
 from smooth_operator.teleop.sinks.tick import Mode, Tick
 from smooth_operator.types import Side, Status
+
+if TYPE_CHECKING:
+    from smooth_operator.teleop.recording.log_reader import Log
 
 _PERCENTILES: Final = (50.0, 95.0, 99.0)
 _KEPT: Final = 200_000
@@ -24,17 +26,17 @@ class _Times:
     """The newest times of a stage [ms], in memory that is taken once: a run lasts for hours."""
 
     def __init__(self) -> None:
-        self._row = np.full(_KEPT, np.nan, np.float32)
+        self._ring = np.full(_KEPT, np.nan, np.float32)
         self._count = 0
 
     def append(self, ms: float) -> None:
-        self._row[self._count % _KEPT] = ms
+        self._ring[self._count % _KEPT] = ms
         self._count += 1
 
     def newest(self, count: int = _KEPT) -> Float32[np.ndarray, " n"]:
         """A copy, in no order."""
         there = min(self._count, count, _KEPT)
-        return self._row[np.arange(self._count - there, self._count) % _KEPT]
+        return self._ring[np.arange(self._count - there, self._count) % _KEPT]
 
 
 class LoopStatistics:

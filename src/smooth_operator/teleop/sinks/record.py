@@ -79,7 +79,7 @@ class RecordSink(Sink):
 
     @property
     def note(self) -> str:
-        """What a person should know: ticks that are missing from the files."""
+        """A note on ticks that are missing from the files."""
         lost = self._lost + (0 if self._recorder is None else self._recorder.dropped)
         if not lost:
             return ""
@@ -154,14 +154,14 @@ class RecordSink(Sink):
 
 _CHUNK_BYTES: Final = 256 * 1024
 _PERIOD_S: Final = 0.5
-"""How often ticks are written, at least [s]; a thread that wakes for each takes time from the
+"""Longest interval at which ticks are written [s]; a thread that wakes for each takes time from the
 loop."""
 _AT_ONCE: Final = 200
 """Ticks that are written before that time is over."""
 _TURN: Final = 4
 """Ticks that are encoded before the loop gets the interpreter, should it wait: 0.1 ms."""
 _END_S: Final = 20.0
-"""How long the end of a recording may take: a buffer to write, two files to end [s]."""
+"""Time that the end of a recording may take: a buffer to write, two files to end [s]."""
 
 
 class Recorder:
@@ -404,7 +404,7 @@ SUFFIX = ".mcap"
 
 
 def is_folder(path: Path) -> bool:
-    """Whether a path means a folder of takes: it is one, or has no suffix.
+    """True if a path means a folder of takes: it is one, or has no suffix.
 
     Raises:
         ConfigError: it has another suffix than a log's.
@@ -447,7 +447,7 @@ def take_paths(path: Path, sides: Sequence[Side], *, overwrite: bool) -> dict[Si
 
 
 def next_part(path: Path, sides: Sequence[Side]) -> dict[Side, Path]:
-    """Where a recording goes on that broke off: the next take, or ``NAME.part2.mcap``."""
+    """Files in which a recording goes on that broke off: the next take, or ``NAME.part2.mcap``."""
     if is_folder(path):
         return take_paths(path, sides, overwrite=False)
     return _first_free(path.with_name(f"{path.stem}.part{{}}{path.suffix}"), sides, 2)

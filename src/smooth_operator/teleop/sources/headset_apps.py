@@ -29,7 +29,7 @@ from smooth_operator.teleop.sources.stream import (
 )
 
 Transport: TypeAlias = Literal["both", "udp", "tcp"]
-"""What the app sends over; ``both`` listens to both."""
+"""Transport of the app; ``both`` listens to both."""
 
 UDP_PORT: Final = 9000
 TCP_PORT: Final = 8000

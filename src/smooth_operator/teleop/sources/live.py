@@ -128,7 +128,7 @@ class Mailbox:
             return self._newest.pop(side, None)
 
     def newest(self, side: Side) -> Arrival | None:
-        """What ``take`` would give, left where it is."""
+        """The arrival that ``take`` would give; it stays there."""
         with self._arrived:
             return self._newest.get(side)
 
@@ -201,7 +201,7 @@ class _Sessions:
 
 @dataclass(frozen=True)
 class SourceHealth:
-    """How a source is.
+    """Health of a source.
 
     Attributes:
         state: ``waiting`` for its tracker; ``running``; ``ended``, there is nothing more to come;
@@ -218,7 +218,7 @@ class LiveSource(Protocol):
 
     @property
     def label(self) -> str:
-        """What it is, in a few words."""
+        """Name for a person, in a few words."""
 
     def prepare(self) -> None:
         """Get hold of all that ``start`` needs, before anything slow is done; may be left out.
@@ -239,7 +239,7 @@ class LiveSource(Protocol):
         """Post nothing more and give everything back; a second call does nothing."""
 
     def health(self) -> SourceHealth:
-        """How it is; may be asked at any time, from any thread."""
+        """Health of the source, at any time, from any thread."""
 
 
 class ThreadedSource(ABC):
@@ -251,7 +251,7 @@ class ThreadedSource(ABC):
     @property
     @abstractmethod
     def label(self) -> str:
-        """What it is, in a few words."""
+        """Name for a person, in a few words."""
 
     @abstractmethod
     def run(self, running: Running) -> None:
@@ -284,7 +284,7 @@ class ThreadedSource(ABC):
             running.end()
 
     def health(self) -> SourceHealth:
-        """How it is; see ``LiveSource``."""
+        """Health of the source; see ``LiveSource``."""
         running: Running | None = getattr(self, "_running", None)
         return SourceHealth("waiting", "not started") if running is None else running.health
 

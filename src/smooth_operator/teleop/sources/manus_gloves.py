@@ -278,7 +278,7 @@ class ManusStream(StreamSource):
 
     @property
     def label(self) -> str:
-        """What it is, in a few words."""
+        """Name for a person, in a few words."""
         return f"MANUS gloves at {self.address}"
 
     def connect(self) -> Inbox:

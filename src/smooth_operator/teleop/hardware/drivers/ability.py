@@ -41,7 +41,7 @@ _FRAME, _ESCAPE, _MASK = 0x7E, 0x7D, 0x20
 _ANSWER: Final = 72
 """Bytes of answer 0: header, 6 pairs, 45 of touch, heat, checksum."""
 _TIMEOUT: Final = 0.05
-"""How long an answer may take [s]."""
+"""Time that an answer may take [s]."""
 
 
 @dataclass(frozen=True)
@@ -200,7 +200,7 @@ def framed(body: bytes) -> bytes:
 
 
 def unstuffed(frame: bytes) -> bytes:
-    """What stood between two tildes, without escapes."""
+    """The bytes between two tildes, without escapes."""
     out, escaped = bytearray(), False
     for byte in frame:
         if byte == _ESCAPE:

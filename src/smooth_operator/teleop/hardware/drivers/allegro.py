@@ -37,10 +37,10 @@ _ON, _OFF, _TORQUE, _PERIOD = 0x40, 0x41, 0x60, 0x81
 _ANGLES, _HEAT, _INFORMATION, _SERIAL, _ERROR = 0x20, 0x38, 0x80, 0x88, 0xEE
 
 _OPENING_S: Final = 1.0
-"""How long the first angles may take [s]."""
+"""Time that the first angles may take [s]."""
 
 _ASK_S: Final = 1.0
-"""How often temperatures and status are asked for [s]."""
+"""Interval of the requests for temperatures and status [s]."""
 
 _STANDS: Final = 0.3
 """Slower than this a joint stands [rad/s]."""
@@ -60,7 +60,7 @@ _FLAGS: Final = {0: "input voltage", 2: "too hot", 4: "electrical shock", 5: "ov
 
 @dataclass(frozen=True)
 class Version:
-    """What differs between two versions of the hand.
+    """Figures of one version of the hand.
 
     Attributes:
         angle: angle of one count [rad].

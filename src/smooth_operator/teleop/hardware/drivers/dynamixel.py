@@ -65,10 +65,10 @@ ERRORS: Final = {
 """Bits of the hardware error status. A servo with one has switched its torque off."""
 
 _ANSWER_MS: Final = 12.0
-"""How long an answer may take beyond its time on the wire [ms]."""
+"""Time that an answer may take beyond its time on the wire [ms]."""
 
 _TRIES: Final = 4
-"""How often a servo is asked while the hand is opened. The first packet after power-on may be
+"""Number of questions to a servo while the hand is opened. The first packet after power-on may be
 lost, and on a busy machine an answer may be read too late."""
 
 _Register = tuple[int, int]  # address, bytes
@@ -297,10 +297,10 @@ _SLOW_EVERY: Final = 25
 """Cycles between two looks at what changes slowly."""
 
 _SLOW: Final = (HARDWARE_ERROR, TEMPERATURE)
-"""What is looked at in turns."""
+"""Registers that are read in turns."""
 
 _STRUCK: Final = 255
-"""What a servo's watchdog register holds once it has stopped the servo."""
+"""Value of a servo's watchdog register once it has stopped the servo."""
 
 
 @dataclass(frozen=True)

@@ -43,7 +43,7 @@ _ANGLE_ACT, _FORCE_ACT, _CURRENT = 1546, 1582, 1594
 _ERROR, _STATUS, _TEMP = 1606, 1612, 1618
 
 _IN_TURNS: Final = (_CURRENT, _FORCE_ACT, _ERROR, _CURRENT, _FORCE_ACT, _STATUS, _CURRENT, _TEMP)
-"""What is read besides the angles, one in each cycle: a serial line has no time for more."""
+"""Registers read next to the angles, one a cycle: a serial line has no time for more."""
 
 _ERRORS: Final = (
     "rotor locked", "too hot", "too much current", "motor faulty", "motor does not answer",
@@ -54,10 +54,10 @@ _STATUSES: Final = {5: "stopped by its current limit", 6: "rotor locked", 7: "fa
 """Values of ``STATUS`` that mean that a motor stands against its will."""
 
 _TIMEOUT: Final = 0.2
-"""How long an answer may take [s]."""
+"""Time that an answer may take [s]."""
 
 _MARGIN: Final = 100
-"""How far from 0 to 1000 a measured angle may be."""
+"""Margin of a measured angle around 0 to 1000."""
 
 _NO_VALUE: Final = -1
 """A word of 0xFFFF: no angle, as "leave this motor" where angles are set."""

@@ -53,7 +53,7 @@ class Model:
 
     @property
     def motors(self) -> int:
-        """How many it has."""
+        """Number of motors."""
         return sum(self.positions.values())
 
 
@@ -72,7 +72,7 @@ _SPEED: Final = 250
 one is noticed."""
 
 _TIMEOUT: Final = 0.05
-"""How long an answer may take [s]."""
+"""Time that an answer may take [s]."""
 
 
 @dataclass(frozen=True)
@@ -156,7 +156,7 @@ class LinkerDevice(HandDevice):
             self._send(kind, values)
 
     def settings(self) -> Sequence[Setting]:
-        """What the hand answers of speed, and torque or current; see ``HandDevice``.
+        """Speed, and torque or current, as the hand answers; see ``HandDevice``.
 
         Raises:
             WrongAnswerError: it answers nothing of them.

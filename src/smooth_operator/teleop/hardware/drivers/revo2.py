@@ -31,7 +31,7 @@ MOTORS: Final = 6
 _NUMBERS: Final = {"left": 0x7E, "right": 0x7F}
 _BAUDS: Final = (19200, 57600, 115200, 460800, 1_000_000, 2_000_000, 5_000_000)
 _TIMEOUT: Final = 0.2
-"""How long an answer may take [s]."""
+"""Time that an answer may take [s]."""
 _OPENING: Final = 5.0
 _CLOSING: Final = 0.05
 
@@ -194,5 +194,5 @@ async def _awaited(call: Callable[[], Awaitable[_T]]) -> _T:
 
 
 def _baud_name(baud: int) -> str:
-    """What the package calls a baud rate: ``Baud460800``, ``Baud1Mbps``."""
+    """The package's name of a baud rate: ``Baud460800``, ``Baud1Mbps``."""
     return f"Baud{baud}" if baud < 1_000_000 else f"Baud{baud // 1_000_000}Mbps"

@@ -222,7 +222,7 @@ class SceneryNodes:
 
     @property
     def there(self) -> bool:
-        """Whether there is a scene."""
+        """True if there is a scene."""
         return self._all is not None
 
     def bounds(self, pose: Sequence[float]) -> Float[np.ndarray, "c 3"]:
@@ -265,18 +265,18 @@ class SceneryNodes:
             )
 
     def draw(self, pose: Sequence[float] | None) -> None:
-        """Where the object is: position [m] and quaternion; None leaves it where it was."""
+        """Places the object: position [m] and quaternion; None leaves it."""
         if self._object is not None and pose is not None:
             self._object.position = self._scale * np.array(pose[:3])
             self._object.wxyz = np.array(pose[3:])
 
     def hide_object(self, hidden: bool) -> None:
-        """Whether there is no object now."""
+        """True if there is no object now."""
         if self._object is not None and self._object.visible is hidden:
             self._object.visible = not hidden
 
     def place(self, position: Float[np.ndarray, "3"], wxyz: Float[np.ndarray, "4"]) -> None:
-        """Where the frame of the scene is, in that of the node's parent."""
+        """Places the frame of the scene in that of the node's parent."""
         self._frame.position, self._frame.wxyz = position, wxyz
 
 

@@ -136,7 +136,7 @@ class LiveScene:
 
     @property
     def has_task(self) -> bool:
-        """Whether a hand works on the object of a task."""
+        """True if a hand works on the object of a task."""
         return any(view.scenery.there for view in self._sides.values())
 
     def draw(self, hands: Mapping[Side, Mapping[str, Any]]) -> None:
@@ -273,7 +273,7 @@ class _SideView:
 
     @property
     def _robot(self) -> RobotBodies:
-        """What is drawn."""
+        """The bodies that are drawn."""
         return self._meshes if self._meshes and self._want_meshes else self._simple
 
     def add_meshes(self, view: HandView) -> None:
@@ -296,7 +296,7 @@ class _SideView:
         self._with_human = self._roots["human"].visible = visible
 
     def put(self, human: Float[np.ndarray, "2"], robot: Float[np.ndarray, "2"]) -> None:
-        """Where the two stand when they don't stand in each other: right and up [m]."""
+        """Places of the two when they don't overlap: right and up [m]."""
         here, there = (np.array([*place, 0.0]) @ _VIEW for place in (human, robot))
         self._places = (here, there)
         self.set_overlay(self._overlaid)

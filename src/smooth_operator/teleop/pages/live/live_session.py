@@ -47,7 +47,7 @@ _TELLING: Final = ("solve", "total")
 
 
 class LiveSession:
-    """What a page knows and may do of a loop. Its methods are for the page's thread, but for
+    """State and actions of a loop for a page. Its methods are for the page's thread, but for
     ``watch``, which is for the loop's.
 
     Args:
@@ -260,7 +260,7 @@ class LiveSession:
         return controls
 
     def _told(self, words: str, blind: str) -> str:
-        """What may name a method, or what is said in its place."""
+        """A text that may name a method, or its substitute on a blind page."""
         return blind if words and self.blind else words
 
     def _choose(self, method: str, preset: str | None = None) -> None:
@@ -419,7 +419,7 @@ class Scenery:
         self._simulation = simulation
 
     def look(self, sides: Sequence[Side], shown_number: int) -> dict[str, Any]:
-        """What to draw.
+        """The scenery to draw.
 
         Args:
             sides: the hands.

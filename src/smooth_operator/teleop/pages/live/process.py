@@ -258,7 +258,7 @@ class Pace:
 
     @property
     def slow(self) -> bool:
-        """Whether what belongs together has to be sent in two steps, with a ``wait`` between
+        """True if what belongs together has to be sent in two steps, with a ``wait`` between
         them."""
         return self.delay >= _LATE_S
 

@@ -34,7 +34,7 @@ Points: TypeAlias = Literal["world", "picture"]
 
 @dataclass(frozen=True, kw_only=True)
 class PictureConfig:
-    """How hands are found in pictures.
+    """Settings of the search for hands in pictures.
 
     Attributes:
         mirrored: the pictures are mirrored, as selfie views are; they are turned back first.
@@ -140,7 +140,7 @@ def landmarks_of(hand: SeenHand, points: Points) -> Float[np.ndarray, "21 3"]:
 
 @dataclass(frozen=True)
 class OneEuroConfig:
-    """How strongly is filtered.
+    """Settings of the One Euro filter.
 
     Attributes:
         cutoff: cutoff of a point at rest [Hz]; lower is smoother, and later.
@@ -164,7 +164,7 @@ class OneEuroConfig:
 
 @dataclass(frozen=True, eq=False)
 class OneEuroState:
-    """What the filter remembers.
+    """State of the filter.
 
     Attributes:
         points: (N, 3) filtered points [m].
@@ -212,9 +212,9 @@ def _share(cutoff: float | np.ndarray, step: float) -> np.ndarray:
 
 
 MEMORY_S: Final = 0.3
-"""How long it is remembered where a hand was [s]."""
+"""Time for which the place of a hand is remembered [s]."""
 REACH: Final = 1.5
-"""How far a hand may have moved since, in lengths of its palm."""
+"""Distance that a hand may have moved since, in lengths of its palm."""
 PATIENCE: Final = 8
 """So many pictures on end a label must contradict the continuity before it is believed."""
 SAME: Final = 0.5
@@ -257,7 +257,7 @@ class SeenHand:
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """Where a hand was.
+    """Last place of a hand.
 
     Attributes:
         centre: (2,) middle of the palm in the picture.
@@ -272,7 +272,7 @@ class Track:
 
 @dataclass(frozen=True)
 class Tracks:
-    """Where the hands were: the state of ``assign_sides``."""
+    """Last places of the hands: the state of ``assign_sides``."""
 
     of: Mapping[Side, Track] = field(default_factory=dict)
 
@@ -327,7 +327,7 @@ def _side_of(hand: SeenHand, recent: Mapping[Side, Track]) -> tuple[Side, int]:
 
 
 def _rank(hand: SeenHand, side: Side, recent: Mapping[Side, Track]) -> tuple[bool, float]:
-    """Of two hands of one side the one that was there before, then the surer one."""
+    """Rank of a hand for a side: one that was there before, then the surer one."""
     was = recent.get(side)
     return was is not None and _distance(hand, was.centre) <= REACH, hand.score
 
@@ -476,7 +476,7 @@ MODEL_URL: Final = (
     "hand_landmarker.task"
 )
 MODEL_SHA256: Final = "fbc2a30080c3c557093b5ddfc334698132eb341044ccee322ccf8bcf3607cde1"
-"""Of version 1 as it is published there, 7,819,105 bytes."""
+"""SHA-256 of version 1 as it is published there, 7,819,105 bytes."""
 
 _LARGEST: Final = 64 * 2**20
 _CHUNK: Final = 2**16
@@ -487,7 +487,7 @@ Progress: TypeAlias = Callable[[int, int | None], None]
 
 
 def model_cache() -> Path:
-    """Where the fetched model is kept; it need not exist."""
+    """Path of the fetched model; it need not exist."""
     return user_cache() / "models" / "hand_landmarker.task"
 
 

@@ -66,7 +66,7 @@ class Webcam(_Pictures):
 
     @property
     def label(self) -> str:
-        """What it is, in a few words."""
+        """Name for a person, in a few words."""
         return f"camera {self.camera}"
 
     def open(self) -> None:
@@ -122,7 +122,7 @@ class Video(_Pictures):
 
     @property
     def label(self) -> str:
-        """What it is, in a few words."""
+        """Name for a person, in a few words."""
         return f"video {self.path.name}"
 
     def open(self) -> None:
@@ -180,7 +180,7 @@ class Video(_Pictures):
 
 @dataclass
 class Counts:
-    """What was found in a video's pictures.
+    """Counts of a video's pictures.
 
     Attributes:
         pictures: how many there were.

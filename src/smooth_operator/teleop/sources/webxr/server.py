@@ -41,7 +41,7 @@ MOST_OF_ONE_ADDRESS: Final = 24
 MOST_WAITING: Final = 12
 """A page takes seven at most, and a connection whose TLS is not yet agreed on 0.3 MB."""
 _HANDSHAKE_S: Final = 5.0
-"""How long each of TLS, the request and the greeting may take [s]."""
+"""Time that each of TLS, the request and the greeting may take [s]."""
 _LOOK_EVERY: Final = 0.05  # [s]
 
 
@@ -161,7 +161,7 @@ class Certificate:
 
 
 def certificate_folder() -> Path | None:
-    """Where certificates are kept; None if ``SWITCH`` turns that off."""
+    """Folder of the certificates; None if ``SWITCH`` turns that off."""
     if os.environ.get(SWITCH, "").strip().lower() in OFF:
         return None
     return user_cache() / "webxr"

@@ -53,7 +53,7 @@ class WebXr(ThreadedSource):
 
     @property
     def label(self) -> str:
-        """Where it listens."""
+        """Host and port that it listens on."""
         return f"webxr {self.host}:{self.port}"
 
     @property
@@ -70,7 +70,7 @@ class WebXr(ThreadedSource):
 
     @property
     def link(self) -> LinkState:
-        """How the link is; may be asked at any time, from any thread."""
+        """State of the link, at any time, from any thread."""
         link: Link | None = getattr(self, "_link", None)
         return LinkState() if link is None else link.state
 
@@ -108,7 +108,7 @@ class WebXr(ThreadedSource):
 
 @dataclass(frozen=True)
 class _Opened:
-    """What a started source holds."""
+    """Resources of a started source."""
 
     listening: LimitedListener
     certificate: Certificate
