@@ -299,9 +299,6 @@ def _checked(
 
     Whatever is missing, taken or wrong is found here, in a second, and not after a compilation:
     extras, files, models, addresses, ports. The source is open afterwards.
-
-    Raises:
-        SmoothOperatorError: what is wrong.
     """
     settled = {side: resolve(request, side) for side in sides}
     hands = {side: hand for side, (hand, _) in settled.items()}
@@ -354,11 +351,7 @@ def _compile(
     blind: bool,
     reporter: Reporter,
 ) -> None:
-    """Compiles the run's method and those of other requests, which the process then has.
-
-    Raises:
-        SmoothOperatorError: a method can't serve a hand.
-    """
+    """Compiles the run's method and those of other requests, which the process then has."""
     for side, (hand, own) in settled.items():
         configs = [(request.method, own)]
         configs += [(each.method, resolve_config(each, hand)) for each in others]
@@ -369,11 +362,7 @@ def _compile(
 
 
 def _with_method(request: RetargetRequest, text: str) -> RetargetRequest:
-    """The request with another method, ``METHOD`` or ``METHOD:PRESET``.
-
-    Raises:
-        UnknownNameError: there is no such method or preset.
-    """
+    """The request with another method, ``METHOD`` or ``METHOD:PRESET``."""
     name, _, preset = text.partition(":")
     if name not in method_names():  # package.module:attribute
         name, preset = text, ""
@@ -385,11 +374,7 @@ def _with_method(request: RetargetRequest, text: str) -> RetargetRequest:
 def _compiling(
     retargeters: Mapping[Side, Retargeter], loop: TeleopLoop, reporter: Reporter
 ) -> Iterator[None]:
-    """While the block runs: methods that are not compiled yet are, and their hands go on then.
-
-    Raises:
-        Exception: a method can't be compiled; the loop has ended.
-    """
+    """While the block runs: methods that are not compiled yet are, and their hands go on then."""
     waiting = {side: each for side, each in retargeters.items() if not each.compiled}
     errors: list[Exception] = []
 

@@ -100,11 +100,7 @@ class HandDevice(ABC):
         self._table = table
 
     def _setting(self, name: str, default: float, low: float, high: float) -> Any:
-        """A number of the table's settings, a whole one if the default is.
-
-        Raises:
-            ConfigError: it is no such number, or outside ``low`` to ``high``.
-        """
+        """A number of the table's settings, a whole one if the default is."""
         value = self._table.settings.get(name, default)
         kinds = int if isinstance(default, int) else int | float
         if not isinstance(value, kinds) or isinstance(value, bool) or not low <= value <= high:

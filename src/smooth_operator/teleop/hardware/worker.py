@@ -301,11 +301,7 @@ class HandWorker:
             self.statistics.add(now() - cycle, self._settings.period)
 
     def _until_answered(self, action: Callable[[], _T]) -> _T:
-        """The result of an action on the bus, repeated while the answers are wrong.
-
-        Raises:
-            SinkError: no right answer came within ``lost_s``, nor in a few tries.
-        """
+        """The result of an action on the bus, repeated while the answers are wrong."""
         end, tries = time.perf_counter() + self._settings.lost_s, 0
         while True:
             try:

@@ -158,11 +158,7 @@ class AbilityDevice(HandDevice):
         self._expected = True
 
     def _answer(self) -> bytes:
-        """The next right answer of the hand.
-
-        Raises:
-            WrongAnswerError: none comes in time.
-        """
+        """The next right answer of the hand."""
         deadline, frame, wrong = time.perf_counter() + _TIMEOUT, bytearray(), ""
         while time.perf_counter() < deadline:
             for byte in self._on_line("read", max(1, self._on_line("in_waiting"))):

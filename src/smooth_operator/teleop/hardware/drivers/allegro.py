@@ -236,11 +236,7 @@ class _Control:
         self._thread = threading.Thread(target=self._run, name="allegro control", daemon=True)
 
     def begin(self) -> None:
-        """Ask for reports, and wait until all fingers have reported.
-
-        Raises:
-            SinkError: the hand says nothing.
-        """
+        """Ask for reports, and wait until all fingers have reported."""
         for number in (_INFORMATION, _SERIAL):
             self._bus.send(number << 2, remote=True)
         self._bus.send(_OFF << 2)
@@ -256,11 +252,7 @@ class _Control:
             raise self._error
 
     def look(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(16,) angles [rad], velocities [rad/s] and torques in the hand's unit.
-
-        Raises:
-            WrongAnswerError: the newest angles are old.
-        """
+        """(16,) angles [rad], velocities [rad/s] and torques in the hand's unit."""
         with self._lock:
             age = time.perf_counter() - (self._stamp or 0.0)
             if age > _LATE_S:

@@ -238,12 +238,7 @@ class DynamixelBus:
 
 
 def _port_handler(sdk: Any, port: str, baud: int) -> Any:
-    """An open port, exclusive, that sleeps while it waits: the SDK's own spins.
-
-    Raises:
-        OSError: there is no such port, or it is in use.
-        ValueError: it does not know the baud rate.
-    """
+    """An open port, exclusive, that sleeps while it waits: the SDK's own spins."""
     import serial
 
     class Port(sdk.PortHandler):  # type: ignore[misc]
@@ -404,9 +399,6 @@ class DynamixelHand(HandDevice):
     def _limit(self) -> None:
         """Write gains and currents, and see that the currents have arrived: no servo confirms what
         is written to all of them.
-
-        Raises:
-            WrongAnswerError: a servo has another current than it was sent.
         """
         bus = self._bus
         everywhere = gains_of(self._table.settings)
