@@ -19,11 +19,6 @@ from smooth_operator.teleop.hardware.guard import CommandGuard, GuardSettings
 from smooth_operator.teleop.hardware.table_file import find_table, read_table, write_table
 
 
-@pytest.fixture(scope="module")
-def hand() -> Hand:
-    return load_hand("mimic_p050")
-
-
 def table_of(*actuators: Actuator, **more: object) -> ActuatorMap:
     return ActuatorMap("fake", "mimic_p050", "right", "deg", actuators, **more)  # type: ignore[arg-type]
 

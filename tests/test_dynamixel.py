@@ -12,6 +12,7 @@ from typing import TypeVar
 
 import numpy as np
 import pytest
+from live_time import until
 from ticks import make_tick
 
 from smooth_operator.errors import ConfigError, SinkError
@@ -53,13 +54,6 @@ def bank() -> Iterator[ServoBank]:
 @pytest.fixture(autouse=True)
 def fast_retries(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("smooth_operator.teleop.hardware.worker._RETRY_S", 0.05)
-
-
-def until(done: Callable[[], object], seconds: float = 10.0) -> None:
-    end = time.perf_counter() + seconds
-    while not done():
-        assert time.perf_counter() < end, "it did not happen in time"
-        time.sleep(0.005)
 
 
 def patiently(action: Callable[[], T], between: Callable[[], object] = int) -> T:

@@ -10,7 +10,6 @@ import struct
 import sys
 import time
 import types
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,6 +21,7 @@ from fake_hand_sdks import StarkContext, StarkWorld, WujiController, WujiHand, W
 from hand_rigs import RIGS, missing
 from inspire_simulator import InspireHand, TcpServer
 from linker_simulator import LinkerHand
+from live_time import until
 from ticks import make_tick
 
 from smooth_operator.cli import main
@@ -411,13 +411,6 @@ def test_the_stand_in_of_bc_stark_sdk_is_like_the_real_one() -> None:
 @pytest.fixture(scope="module")
 def hand() -> Hand:
     return load_hand("orca_v2")
-
-
-def until(done: Callable[[], object], seconds: float = 10.0) -> None:
-    end = time.perf_counter() + seconds
-    while not done():
-        assert time.perf_counter() < end, "it did not happen in time"
-        time.sleep(0.005)
 
 
 @pytest.mark.parametrize("side", ["right", "left"])

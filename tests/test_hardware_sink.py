@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from fake_hand import FakeHand, FakeHandSink, write_fake_table
+from live_time import until
 from ticks import make_tick
 
 from smooth_operator.errors import ConfigError, SinkError
@@ -33,18 +34,6 @@ from smooth_operator.teleop.sinks.tick import Mode, Tick
 from smooth_operator.types import JointCommand
 
 PERIOD = 0.01
-
-
-@pytest.fixture(scope="module")
-def hand() -> Hand:
-    return load_hand("mimic_p050")
-
-
-def until(done: Callable[[], object], seconds: float = 10.0) -> None:
-    end = time.perf_counter() + seconds
-    while not done():
-        assert time.perf_counter() < end, "it did not happen in time"
-        time.sleep(0.002)
 
 
 def calm(sink: HardwareSink) -> bool:

@@ -41,11 +41,6 @@ from smooth_operator.types import Side
 
 
 @pytest.fixture(scope="module")
-def hand() -> Hand:
-    return load_hand("mimic_p050")
-
-
-@pytest.fixture(scope="module")
 def hands(hand: Hand) -> dict[Side, Hand]:
     return {"right": hand, "left": load_hand("mimic_p050", "left")}
 

@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from live_time import until
 from scipy.spatial.transform import Rotation
 from ticks import make_tick
 
@@ -52,13 +53,6 @@ from smooth_operator.teleop.ros2.transport import Endpoint, Transport, reach_of
 DOMAINS = (1 + (os.getpid() * 13 + i) % 100 for i in count())
 """Of each test its own: a domain is a range of ports."""
 LOCAL = {"network": "localhost"}
-
-
-def until(done: Callable[[], object], seconds: float = 20.0) -> None:
-    end = time.perf_counter() + seconds
-    while not done():
-        assert time.perf_counter() < end, "it never came"
-        time.sleep(0.005)
 
 
 class Peer:
@@ -97,11 +91,6 @@ def peer() -> Iterator[Peer]:
 @pytest.fixture
 def domain() -> int:
     return next(DOMAINS)
-
-
-@pytest.fixture(scope="module")
-def hand() -> Hand:
-    return load_hand("mimic_p050")
 
 
 def send_until(sink: Ros2Sink, tick: Tick, done: Callable[[], object]) -> None:

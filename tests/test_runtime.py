@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from smooth_operator import HandFrame, Retargeter, Status, load_hand
+from smooth_operator import HandFrame, Retargeter, Status
 from smooth_operator.errors import ConfigError
 from smooth_operator.formats.readers import read_recording
 from smooth_operator.hands.hand import Hand
@@ -32,11 +32,6 @@ from smooth_operator.types import HandRecording
 
 PERIOD = 0.01
 LOOP = LoopConfig(rate=1 / PERIOD)
-
-
-@pytest.fixture(scope="module")
-def hand() -> Hand:
-    return load_hand("mimic_p050")
 
 
 @pytest.fixture(scope="module")

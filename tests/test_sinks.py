@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 from free_port import free_port
+from live_time import until
 from rich.console import Console
 from ticks import make_tick
 
@@ -32,20 +33,8 @@ from smooth_operator.types import Side
 
 
 @pytest.fixture(scope="module")
-def hand() -> Hand:
-    return load_hand("mimic_p050")
-
-
-@pytest.fixture(scope="module")
 def hands(hand: Hand) -> dict[Side, Hand]:
     return {"right": hand, "left": load_hand("mimic_p050", "left")}
-
-
-def until(done: Callable[[], object], seconds: float = 5.0) -> None:
-    end = time.perf_counter() + seconds
-    while not done():
-        assert time.perf_counter() < end, "it did not happen in time"
-        time.sleep(0.005)
 
 
 class Fake(Sink):

@@ -10,13 +10,14 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from live_time import until
 
 from smooth_operator import Retargeter
 from smooth_operator.errors import ConfigError, SinkError, SourceError, UnknownNameError
@@ -200,13 +201,6 @@ def test_what_is_wrong_is_said_before_anything_opens(
     with pytest.raises(error, match=says):
         teleoperate(sinks=sinks, **settings)
     assert (kept.config, kept.closed) == ({}, 0)
-
-
-def until(done: Callable[[], object], seconds: float = 10.0) -> None:
-    end = time.perf_counter() + seconds
-    while not done():
-        assert time.perf_counter() < end, "it did not happen in time"
-        time.sleep(0.002)
 
 
 class FakeLoop:
