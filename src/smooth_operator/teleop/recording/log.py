@@ -7,6 +7,7 @@ from the front without its index; so what a crash leaves is a recording and not 
 from __future__ import annotations
 
 import contextlib
+import functools
 import math
 import os
 import sys
@@ -443,15 +444,17 @@ def _message(kind: Any, stamp: float, values: object, **other: Any) -> Any:
 
     Arrays become rows of numbers; a field without a value is left out.
     """
-    message = kind(stamp=stamp)
-    fields = {name: getattr(values, name, None) for name in kind.DESCRIPTOR.fields_by_name}
-    for name, value in {**fields, "stamp": stamp, **other}.items():
-        if isinstance(value, np.ndarray | tuple):
-            row = value if isinstance(value, tuple) else value.ravel().tolist()
-            getattr(message, name).extend(row)
-        elif value is not None:
-            setattr(message, name, value)
-    return message
+    fields: dict[str, Any] = {}
+    for name in _names(kind):
+        value = other[name] if name in other else getattr(values, name, None)
+        if value is not None:
+            fields[name] = value.ravel().tolist() if isinstance(value, np.ndarray) else value
+    return kind(**{**fields, "stamp": stamp})
+
+
+@functools.cache
+def _names(kind: Any) -> tuple[str, ...]:
+    return tuple(kind.DESCRIPTOR.fields_by_name)
 
 
 def _close_at(stream: IO[bytes], size: int) -> None:
