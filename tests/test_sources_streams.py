@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from glove_simulator import Glove, GloveFaults, GloveSimulator
+from glove_simulator import Glove, GloveFaults, GloveSimulator, write_manus
 from live_time import Kept, until
 
 from smooth_operator.errors import (
