@@ -79,7 +79,7 @@ class Clutch:
         self._engaged = self._begun = False
         self._last: _Wrist | None = None
         self._anchor = self._home = poses.IDENTITY
-        self._told: list[str] = []
+        self._events: list[str] = []
 
     @property
     def engaged(self) -> bool:
@@ -100,8 +100,8 @@ class Clutch:
 
     def events(self) -> list[str]:
         """Events since the last call, a sentence each."""
-        told, self._told = self._told, []
-        return told
+        events_now, self._events = self._events, []
+        return events_now
 
     def step(
         self, mode: Mode, at: float, dt: float, arrival: Arrival | None
@@ -140,7 +140,7 @@ class Clutch:
             limiter.rest(dt)
             if stood:
                 self._engaged, self._anchor, self._home = True, wrist.pose, limiter.pose
-                self._told.append("wrist engaged")
+                self._events.append("wrist engaged")
         return WristCommand(limiter.pose, self._engaged, valid)
 
     def _see(self, arrival: Arrival) -> None:
@@ -187,7 +187,7 @@ class Clutch:
     def _let_go(self, why: str) -> None:
         if self._engaged:
             self._engaged = False
-            self._told.append(f"wrist released: {why}" if why else "wrist released")
+            self._events.append(f"wrist released: {why}" if why else "wrist released")
 
 
 def _arc(a: Float[np.ndarray, "7"], b: Float[np.ndarray, "7"]) -> Float[np.ndarray, "3"]:

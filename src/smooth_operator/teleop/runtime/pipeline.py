@@ -76,7 +76,7 @@ class HandPipeline:
         self._last: float | None = None
         self._number = 0
         self.latest: Arrival | None = None
-        self._told: list[str] = []  # events of the next step
+        self._next_events: list[str] = []  # events of the next step
         if compiling:
             self.hold()
 
@@ -111,7 +111,7 @@ class HandPipeline:
 
     def note(self, text: str) -> None:
         """Have something stand among the events of the next step, and so in the record."""
-        self._told.append(text)
+        self._next_events.append(text)
 
     def configure(self, config: LoopConfig) -> None:
         """Go on with other policies and limits, from the last command.
@@ -142,7 +142,7 @@ class HandPipeline:
             arrival: the newest frame, if one has come since the last step.
         """
         before = self.supervisor.mode
-        events, self._told = self._told, []
+        events, self._next_events = self._next_events, []
         stages: dict[str, float] = {}
         result: Result | None = None
         self.supervisor.update(now)  # what the operator switched since the last step

@@ -237,9 +237,9 @@ class LiveSession:
         supervisors = [pipeline.supervisor for pipeline in self.loop.pipelines.values()]
         shown, number = switcher.target, self.settings_number
         controls: dict[str, Any] = {
-            "building": self._told(switcher.building, "getting ready"),
+            "building": self._masked(switcher.building, "getting ready"),
             "message": self._message
-            or self._told(switcher.error, "that could not be done; the experimenter knows why")
+            or self._masked(switcher.error, "that could not be done; the experimenter knows why")
             or self.recordings.error,
             "stopped": any(supervisor.stopped for supervisor in supervisors),
             "paused": any(supervisor.paused for supervisor in supervisors),
@@ -259,7 +259,7 @@ class LiveSession:
             controls["loop_settings"] = values(self.loop.config, LOOP_SETTINGS)
         return controls
 
-    def _told(self, words: str, blind: str) -> str:
+    def _masked(self, words: str, blind: str) -> str:
         """A text that may name a method, or its substitute on a blind page."""
         return blind if words and self.blind else words
 
