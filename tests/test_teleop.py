@@ -455,7 +455,7 @@ def nothing_slow(monkeypatch: pytest.MonkeyPatch) -> None:
         yield
 
     monkeypatch.setattr(run_module, "_compile", compiled)
-    monkeypatch.setattr(run_module, "begun_page", opened)
+    monkeypatch.setattr(run_module, "_begun_page", opened)
 
 
 @pytest.mark.parametrize(

@@ -158,8 +158,8 @@ _PERIOD_S: Final = 0.5
 loop."""
 _AT_ONCE: Final = 200
 """Ticks that are written before that time is over."""
-_TURN: Final = 2
-"""Ticks that are encoded before the loop gets the interpreter, should it wait: 0.3 ms."""
+_TURN: Final = 4
+"""Ticks that are encoded before the loop gets the interpreter, should it wait: 0.6 ms."""
 _END_S: Final = 20.0
 """Time that the end of a recording may take: a buffer to write, two files to end [s]."""
 
