@@ -136,6 +136,14 @@ def shared() -> Path:
 
 
 @pytest.fixture(scope="module")
+def hand() -> Any:
+    """The default robot hand."""
+    from smooth_operator.hands.registry import load_hand
+
+    return load_hand("mimic_p050")
+
+
+@pytest.fixture(scope="module")
 def few_optimisations() -> Iterator[None]:
     """Programs are compiled with few optimisations: for files where compiling is most of the time.
 

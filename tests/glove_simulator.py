@@ -5,6 +5,7 @@ As a program: ``python tests/glove_simulator.py --address tcp://127.0.0.1:8000 -
 
 from __future__ import annotations
 
+import functools
 import math
 import random
 import threading
@@ -19,13 +20,14 @@ import tyro
 
 from smooth_operator.errors import ConfigError, SourceError
 from smooth_operator.formats.readers import read_recording
+from smooth_operator.landmarks import FROM_MANUS_25, METACARPALS_MANUS_25
 from smooth_operator.synthetic.operator import SyntheticOperator
 from smooth_operator.synthetic.settings import check_range, check_seed
 from smooth_operator.synthetic.tracker import TrackerModel
-from smooth_operator.teleop.sources.live import Clock, Stopping, on_time
-from smooth_operator.teleop.sources.manus_gloves import write_manus
+from smooth_operator.teleop.sources.inboxes import load_zmq
+from smooth_operator.teleop.sources.live import Clock, on_time
+from smooth_operator.teleop.sources.manus_gloves import NODES
 from smooth_operator.teleop.sources.stream import Hands, sides_of
-from smooth_operator.teleop.sources.zmq_stream import load_zmq
 from smooth_operator.types import HandFrame, HandRecording, Side
 
 ROUND_S: Final = 20.0
@@ -41,6 +43,42 @@ _QUEUE = 64  # of a subscriber that does not read; what is more is not sent to i
 
 
 _SHARES: Final = ("drop", "missing", "duplicate", "reorder", "swap", "garbage")
+
+
+def write_manus(frame: HandFrame) -> bytes:
+    """The nodes of a hand as JSON, without what is around them.
+
+    Metacarpal bases have no orientation here, and what is missing is null.
+
+    Returns:
+        a list of 25 ``{"id", "pos", "quat"}``.
+    """
+    positions = np.full((NODES, 3), np.nan)
+    positions[list(FROM_MANUS_25)] = frame.landmarks
+    if frame.metacarpals is not None:
+        positions[list(METACARPALS_MANUS_25)] = frame.metacarpals
+    quaternions = np.full((NODES, 4), np.nan)
+    if frame.orientations is not None:
+        quaternions[list(FROM_MANUS_25)] = frame.orientations
+    present = np.isfinite(positions).all(axis=1), np.isfinite(quaternions).all(axis=1)
+    numbers = np.hstack([positions, quaternions])[np.repeat(np.stack(present, 1), (3, 4), axis=1)]
+    return (
+        _template(*(tuple(flags.tolist()) for flags in present)) % tuple(numbers.tolist())
+    ).encode()
+
+
+@functools.lru_cache(maxsize=64)
+def _template(placed: tuple[bool, ...], turned: tuple[bool, ...]) -> str:
+    """The text of a hand with these positions and quaternions, to be filled with the numbers.
+
+    Numbers go to the micrometre; the gloves' own, float32, are no finer.
+    """
+    nodes = (
+        f'{{"id":{i},"pos":{"[%.6f,%.6f,%.6f]" if p else "null"},'
+        f'"quat":{"[%.6f,%.6f,%.6f,%.6f]" if q else "null"}}}'
+        for i, (p, q) in enumerate(zip(placed, turned, strict=True))
+    )
+    return f"[{','.join(nodes)}]"
 
 
 @dataclass(frozen=True)
@@ -280,7 +318,9 @@ class Glove:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def run(self, stopping: Stopping | None = None, clock: Clock = time.perf_counter) -> None:
+    def run(
+        self, stopping: threading.Event | None = None, clock: Clock = time.perf_counter
+    ) -> None:
         """Publish until it is to stop, or its time is over. What was done is in ``sent``."""
         settings = self._settings
         start = clock()

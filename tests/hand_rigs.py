@@ -20,8 +20,8 @@ from inspire_simulator import InspireHand, RtuServer, TcpServer
 from linker_simulator import LinkerHand
 from revo2_simulator import Revo2Hand
 
+from smooth_operator.teleop.components import build_sink
 from smooth_operator.teleop.hardware.hardware_sink import HardwareSink
-from smooth_operator.teleop.sinks.registry import build_sink
 
 _channels = itertools.count()
 

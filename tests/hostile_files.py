@@ -89,7 +89,7 @@ def overwrite(path: Path) -> None:
 def latency(path: Path) -> None:
     from smooth_operator.formats.jsonable import to_json
     from smooth_operator.teleop.recording import read_log
-    from smooth_operator.teleop.runtime.log_timing import log_timing
+    from smooth_operator.teleop.runtime.statistics import log_timing
 
     to_json(log_timing(read_log(path)))
 

@@ -62,7 +62,7 @@ def started(waits: Waits) -> tuple[Running, Kept]:
     return running, mailbox
 
 
-def until(condition: Callable[[], object], timeout: float = 10.0) -> None:
+def until(condition: Callable[[], object], timeout: float = 20.0) -> None:
     """Wait until something is so.
 
     Raises:

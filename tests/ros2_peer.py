@@ -1,6 +1,7 @@
-"""Another program on a ROS 2 network: a process with message definitions of its own, no ROS 2.
+"""Another program on a ROS 2 network, without ROS 2: a process of its own.
 
-Nothing is imported from the package. One JSON object a line on standard input:
+The bytes of its messages are compared with those of rosbags elsewhere; those of MANUS, which
+rosbags does not know, are defined here once more. One JSON object a line on standard input:
 ``{"domain": 3, "subscribe": "rt/x", "type": "JointState"}`` or
 ``{"domain": 3, "publish": "rt/x", "type": "PoseArray", "values": {...}, "reliable": true}``. What
 comes goes to standard output, one line a message: topic, bytes (hexadecimal), and what is in it.
@@ -17,12 +18,27 @@ from cyclonedds._clayer import ddspy_take
 from cyclonedds.core import InstanceState, SampleState, ViewState
 from cyclonedds.domain import Domain, DomainParticipant
 from cyclonedds.idl import IdlStruct
-from cyclonedds.idl.types import float32, float64, int32, sequence, uint32
+from cyclonedds.idl.types import float32, int32, sequence
 from cyclonedds.pub import DataWriter
 from cyclonedds.qos import Policy, Qos
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 from cyclonedds.util import duration
+
+from smooth_operator.teleop.ros2.messages import (  # noqa: F401  (found by their names)
+    Float64MultiArray,
+    Header,
+    JointState,
+    JointTrajectory,
+    Point,
+    Pose,
+    PoseArray,
+    PoseStamped,
+    Quaternion,
+    String,
+    TFMessage,
+    Time,
+)
 
 # Settings of rmw_cyclonedds_cpp (Humble) where ROS_LOCALHOST_ONLY is 1. Elsewhere than on Linux
 # the loopback interface may have no multicast, and programs find each other by unicast.
@@ -34,131 +50,6 @@ CONFIG = (
     '<CycloneDDS><Domain id="any"><General><Interfaces><NetworkInterface address="127.0.0.1"/>'
     f"</Interfaces></General>{'' if sys.platform == 'linux' else UNICAST}</Domain></CycloneDDS>"
 )
-
-
-@dataclass
-class Time(IdlStruct, typename="builtin_interfaces.msg.dds_.Time_"):
-    sec: int32
-    nanosec: uint32
-
-
-@dataclass
-class Duration(IdlStruct, typename="builtin_interfaces.msg.dds_.Duration_"):
-    sec: int32
-    nanosec: uint32
-
-
-@dataclass
-class Header(IdlStruct, typename="std_msgs.msg.dds_.Header_"):
-    stamp: Time
-    frame_id: str
-
-
-@dataclass
-class String(IdlStruct, typename="std_msgs.msg.dds_.String_"):
-    data: str
-
-
-@dataclass
-class Dimension(IdlStruct, typename="std_msgs.msg.dds_.MultiArrayDimension_"):
-    label: str
-    size: uint32
-    stride: uint32
-
-
-@dataclass
-class Layout(IdlStruct, typename="std_msgs.msg.dds_.MultiArrayLayout_"):
-    dim: sequence[Dimension]
-    data_offset: uint32
-
-
-@dataclass
-class Float64MultiArray(IdlStruct, typename="std_msgs.msg.dds_.Float64MultiArray_"):
-    layout: Layout
-    data: sequence[float64]
-
-
-@dataclass
-class JointState(IdlStruct, typename="sensor_msgs.msg.dds_.JointState_"):
-    header: Header
-    name: sequence[str]
-    position: sequence[float64]
-    velocity: sequence[float64]
-    effort: sequence[float64]
-
-
-@dataclass
-class TrajectoryPoint(IdlStruct, typename="trajectory_msgs.msg.dds_.JointTrajectoryPoint_"):
-    positions: sequence[float64]
-    velocities: sequence[float64]
-    accelerations: sequence[float64]
-    effort: sequence[float64]
-    time_from_start: Duration
-
-
-@dataclass
-class JointTrajectory(IdlStruct, typename="trajectory_msgs.msg.dds_.JointTrajectory_"):
-    header: Header
-    joint_names: sequence[str]
-    points: sequence[TrajectoryPoint]
-
-
-@dataclass
-class Point(IdlStruct, typename="geometry_msgs.msg.dds_.Point_"):
-    x: float64
-    y: float64
-    z: float64
-
-
-@dataclass
-class Vector3(IdlStruct, typename="geometry_msgs.msg.dds_.Vector3_"):
-    x: float64
-    y: float64
-    z: float64
-
-
-@dataclass
-class Quaternion(IdlStruct, typename="geometry_msgs.msg.dds_.Quaternion_"):
-    x: float64
-    y: float64
-    z: float64
-    w: float64
-
-
-@dataclass
-class Pose(IdlStruct, typename="geometry_msgs.msg.dds_.Pose_"):
-    position: Point
-    orientation: Quaternion
-
-
-@dataclass
-class PoseStamped(IdlStruct, typename="geometry_msgs.msg.dds_.PoseStamped_"):
-    header: Header
-    pose: Pose
-
-
-@dataclass
-class PoseArray(IdlStruct, typename="geometry_msgs.msg.dds_.PoseArray_"):
-    header: Header
-    poses: sequence[Pose]
-
-
-@dataclass
-class Transform(IdlStruct, typename="geometry_msgs.msg.dds_.Transform_"):
-    translation: Vector3
-    rotation: Quaternion
-
-
-@dataclass
-class TransformStamped(IdlStruct, typename="geometry_msgs.msg.dds_.TransformStamped_"):
-    header: Header
-    child_frame_id: str
-    transform: Transform
-
-
-@dataclass
-class TFMessage(IdlStruct, typename="tf2_msgs.msg.dds_.TFMessage_"):
-    transforms: sequence[TransformStamped]
 
 
 @dataclass

@@ -27,9 +27,9 @@ from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.synthetic.hand_anatomy import couple, draw_anatomy
 from smooth_operator.synthetic.human_kinematics import pose_hand
 from smooth_operator.synthetic.poses import FIST, FLAT, SPREAD, pinch_postures
+from smooth_operator.teleop.components import build_source
 from smooth_operator.teleop.recording import read_episode
 from smooth_operator.teleop.sources.payload import read_payload
-from smooth_operator.teleop.sources.registry import build_source
 from smooth_operator.types import CommandTrajectory, HandRecording, Side
 
 MIRROR = np.array([-1.0, 1.0, 1.0])

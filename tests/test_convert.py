@@ -796,7 +796,7 @@ def test_a_failure_on_the_way_leaves_what_was_there(
         raise OSError(28, "No space left on device")
 
     where = {
-        "mcap": "smooth_operator.teleop.recording.mcap_writer.McapWriter.finish",
+        "mcap": "mcap.writer.Writer.finish",
         "npz": "numpy.savez",
         "hdf5": "h5py.Group.create_dataset",
         "lerobot": "pyarrow.parquet.ParquetWriter.write_table",

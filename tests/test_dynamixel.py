@@ -12,16 +12,17 @@ from typing import TypeVar
 
 import numpy as np
 import pytest
+from live_time import until
 from ticks import make_tick
 
 from smooth_operator.errors import ConfigError, SinkError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.teleop import teleoperate
+from smooth_operator.teleop.components import build_sink
 from smooth_operator.teleop.hardware.device import WrongAnswerError
 from smooth_operator.teleop.hardware.hardware_sink import HardwareSink
 from smooth_operator.teleop.recording.log_reader import read_log
-from smooth_operator.teleop.sinks.registry import build_sink
 from smooth_operator.teleop.sinks.tick import Mode, Tick
 from smooth_operator.types import JointCommand
 
@@ -53,13 +54,6 @@ def bank() -> Iterator[ServoBank]:
 @pytest.fixture(autouse=True)
 def fast_retries(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("smooth_operator.teleop.hardware.worker._RETRY_S", 0.05)
-
-
-def until(done: Callable[[], object], seconds: float = 10.0) -> None:
-    end = time.perf_counter() + seconds
-    while not done():
-        assert time.perf_counter() < end, "it did not happen in time"
-        time.sleep(0.005)
 
 
 def patiently(action: Callable[[], T], between: Callable[[], object] = int) -> T:

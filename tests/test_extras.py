@@ -96,7 +96,7 @@ AT_THE_TOP = (
     "teleop/isaac.py",
     "teleop/pages/",
     "teleop/recording/log_types.py",
-    "teleop/ros2/cyclone_transport.py",
+    "teleop/ros2/",
 )
 """Where they may be imported with the module: its package says first what is missing."""
 

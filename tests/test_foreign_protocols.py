@@ -16,9 +16,9 @@ import pytest
 from browser_page import new_page
 from live_time import Kept, until
 
-from smooth_operator.teleop.sources.message_receiver import MessageReceiver
+from smooth_operator.teleop.components import build_source
 from smooth_operator.teleop.sources.payload import Reading
-from smooth_operator.teleop.sources.registry import build_source
+from smooth_operator.teleop.sources.stream import MessageReceiver
 from smooth_operator.types import HandFrame
 
 POSE = (0.4, -0.3, 1.1, 0.6, -0.48, 0.384, 0.512)

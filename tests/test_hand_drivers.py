@@ -147,8 +147,8 @@ def test_a_table_fits_its_hand(name: str) -> None:
     assert name == f"{name.rsplit('_', 1)[0]}_{table.side}"
     assert table.source
     # every joint that the hand's motors move is moved by an actuator of the table
-    assert bound.known.all(), [
-        n for n, k in zip(hand.joint_names, bound.known, strict=True) if not k
+    assert bound.determined.all(), [
+        n for n, k in zip(hand.joint_names, bound.determined, strict=True) if not k
     ]
     # and the way to the actuators and back is the same place
     for share in (0.0, 0.3, 1.0):

@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from smooth_operator.errors import OutputError, SourceError
-from smooth_operator.teleop.sources.webcam import mediapipe_hands as model_file
-from smooth_operator.teleop.sources.webcam.mediapipe_hands import SWITCH, hand_model, model_cache
+from smooth_operator.teleop.sources.webcam import picture_tracker as model_file
+from smooth_operator.teleop.sources.webcam.picture_tracker import SWITCH, hand_model, model_cache
 
 
 def archive() -> bytes:

@@ -15,7 +15,6 @@ from ticks import make_tick
 
 from smooth_operator.errors import SinkError
 from smooth_operator.hands.hand import Hand
-from smooth_operator.hands.registry import load_hand
 from smooth_operator.teleop.hardware.actuator_map import BoundMap
 from smooth_operator.teleop.hardware.device import Reading, Setting, WrongAnswerError
 from smooth_operator.teleop.hardware.guard import CommandGuard, GuardSettings
@@ -115,11 +114,6 @@ def degrees(angles: np.ndarray) -> np.ndarray:
 
 def radians(commands: np.ndarray) -> np.ndarray:
     return SIGNS * np.deg2rad(commands - 180.0)
-
-
-@pytest.fixture(scope="module")
-def hand() -> Hand:
-    return load_hand("mimic_p050")
 
 
 class Run:

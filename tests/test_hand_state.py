@@ -16,21 +16,15 @@ from smooth_operator.errors import RecordingError
 from smooth_operator.formats.episode import Episode
 from smooth_operator.formats.states import StateTrajectory
 from smooth_operator.hands.hand import Hand
-from smooth_operator.hands.registry import load_hand
+from smooth_operator.teleop.components import build_sink
 from smooth_operator.teleop.recording import read_episode, write_episode
 from smooth_operator.teleop.recording.log import LogWriter
 from smooth_operator.teleop.recording.log_reader import read_log
 from smooth_operator.teleop.sinks.record import RecordSink
-from smooth_operator.teleop.sinks.registry import build_sink
 from smooth_operator.teleop.sinks.runner import SinkRunner
 from smooth_operator.teleop.sinks.tick import HandState, Tick
 from smooth_operator.teleop.sinks.zmq_sink import command_message
 from smooth_operator.teleop.sinks.zmq_sink import state_message as zmq_message
-
-
-@pytest.fixture(scope="module")
-def hand() -> Hand:
-    return load_hand("mimic_p050")
 
 
 def measured(hand: Hand, number: int, stamp: float) -> HandState:

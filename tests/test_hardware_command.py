@@ -6,7 +6,6 @@ import json
 import os
 import signal
 import threading
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -15,39 +14,26 @@ from typing import Any
 import numpy as np
 import pytest
 from fake_hand import FakeHand, FakeHandSink, write_fake_table
+from live_time import until
 
 from smooth_operator.cli import main
 from smooth_operator.errors import SinkError
 from smooth_operator.hands.hand import Hand
-from smooth_operator.hands.registry import load_hand
 from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
-from smooth_operator.teleop.hardware.actuator_mover import ActuatorMover
 from smooth_operator.teleop.hardware.device import Reading
-from smooth_operator.teleop.hardware.table_check import TableCheck, blank_table
+from smooth_operator.teleop.hardware.table_check import ActuatorMover, TableCheck, blank_table
 from smooth_operator.teleop.hardware.table_file import read_table
-
-
-@pytest.fixture(scope="module")
-def hand() -> Hand:
-    return load_hand("mimic_p050")
 
 
 @pytest.fixture(autouse=True)
 def quick_contact(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("smooth_operator.teleop.hardware.actuator_mover._BLOCKED_S", 0.01)
+    monkeypatch.setattr("smooth_operator.teleop.hardware.table_check._BLOCKED_S", 0.01)
 
 
 @pytest.fixture
 def table(tmp_path: Path, hand: Hand) -> ActuatorMap:
     path = write_fake_table(tmp_path / "fake_right.toml", hand.actuated_names[:2], "rate = 500\n")
     return read_table(path)
-
-
-def until(done: Callable[[], object], seconds: float = 10.0) -> None:
-    end = time.perf_counter() + seconds
-    while not done():
-        assert time.perf_counter() < end, "it did not happen in time"
-        time.sleep(0.001)
 
 
 def answers(*given: str) -> tuple[Callable[[str], str], list[str]]:

@@ -16,8 +16,8 @@ from smooth_operator.errors import ConfigError, RecordingError, SmoothOperatorEr
 from smooth_operator.headsets.hts_lines import HtsHands, parse_line
 from smooth_operator.io.anatomy import chirality
 from smooth_operator.poses import separation
-from smooth_operator.teleop.sources.hts import HtsSource
-from smooth_operator.teleop.sources.registry import build_source
+from smooth_operator.teleop.components import build_source
+from smooth_operator.teleop.sources.headset_apps import HtsSource
 from smooth_operator.types import HandFrame, Side
 
 POSE = (0.4, -0.3, 1.1, 0.6, -0.48, 0.384, 0.512)
@@ -252,15 +252,15 @@ def test_connections_that_never_end_make_room() -> None:
 
 def test_a_second_headset_is_not_used_while_the_first_sends() -> None:
     source = HtsSource(port=0)
-    inbox = source.connect()
+    inbox, read = source.connect(), source.reader()
     inbox.close()
     wrist, points = app.hts_packet("right", POSE, RIGHT).split(b"\n")
 
     def take(host: bytes, received: float) -> list[Any]:
-        return [r for line in (wrist, points) for r in source.read((line, host), received)]
+        return [r for line in (wrist, points) for r in read((line, host), received)]
 
     with pytest.raises(RecordingError, match="must begin with"):  # and does not choose the sender
-        source.read((b"x", b"192.168.1.7"), 0.0)
+        read((b"x", b"192.168.1.7"), 0.0)
     assert len(take(b"192.168.1.5", 0.0)) == 1
     with pytest.raises(RecordingError, match=r"192\.168\.1\.7 sends too.*192\.168\.1\.5"):
         take(b"192.168.1.7", 0.5)

@@ -28,6 +28,7 @@ from smooth_operator.errors import ConfigError
 from smooth_operator.methods.presets import PRESETS, live_presets
 from smooth_operator.planning import make_request
 from smooth_operator.synthetic import SyntheticOperator
+from smooth_operator.teleop.pages.hand_view import PALM, SIMULATED, css
 from smooth_operator.teleop.pages.live import live_texts
 from smooth_operator.teleop.pages.live.live_page import LivePage, PageSetup
 from smooth_operator.teleop.pages.live.live_panel import LivePanel
@@ -41,7 +42,6 @@ from smooth_operator.teleop.pages.live.settings import (
     changed,
     values,
 )
-from smooth_operator.teleop.pages.palette import PALM, SIMULATED, css
 from smooth_operator.teleop.pages.viser_server import close_server, open_server, page_url
 from smooth_operator.teleop.recording import read_log
 from smooth_operator.teleop.runtime.limiter import Limiter
@@ -368,7 +368,7 @@ def test_another_method_while_the_hand_moves(stage: Stage) -> None:
 
     stage.session.do("method", "geort", "no-such-file")
     assert "no-such-file" in stage.see()["controls"]["message"]
-    assert stage.session.switcher.wanted is stage.session.switcher.used
+    assert stage.session.switcher.target is stage.session.switcher.used
     stage.session.do("method", "joint_angle")
     eventually(lambda: stage.session.switcher.used.method == "joint_angle")
 

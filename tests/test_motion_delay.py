@@ -11,16 +11,10 @@ import pytest
 from ticks import make_tick
 
 from smooth_operator.hands.hand import Hand
-from smooth_operator.hands.registry import load_hand
 from smooth_operator.teleop.runtime.motion_delay import MotionDelay, _Track
 from smooth_operator.teleop.runtime.statistics import LoopStatistics
 from smooth_operator.teleop.sinks.tick import HandState
 from smooth_operator.types import JointCommand
-
-
-@pytest.fixture(scope="module")
-def hand() -> Hand:
-    return load_hand("mimic_p050")
 
 
 def motion(at: float, count: int, seed: int = 0) -> np.ndarray:

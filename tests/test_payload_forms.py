@@ -18,9 +18,9 @@ from smooth_operator.errors import ConfigError, RecordingError, SmoothOperatorEr
 from smooth_operator.io.anatomy import chirality
 from smooth_operator.landmarks import FROM_OPENXR_26
 from smooth_operator.synthetic import SyntheticOperator
+from smooth_operator.teleop.components import build_source
+from smooth_operator.teleop.sources.landmark_streams import UdpSource
 from smooth_operator.teleop.sources.payload import Forms, PayloadReader, Reading, read_payload
-from smooth_operator.teleop.sources.registry import build_source
-from smooth_operator.teleop.sources.udp import UdpSource
 
 HAND = next(SyntheticOperator(seed=2).frames())
 POINTS = HAND.landmarks
@@ -213,7 +213,7 @@ def test_sources_have_the_settings() -> None:
     rows = [[*p, *q[1:], q[0]] for p, q in zip(POINTS.tolist(), QUATERNIONS.tolist(), strict=True)]
     data = json.dumps({"stamp": 5_000_000_000, "landmarks": rows}).encode()
     assert isinstance(source, UdpSource)
-    (reading,) = source.read((data,), 0.0)
+    (reading,) = source.reader()((data,), 0.0)
     assert (reading.frame.stamp, reading.stamped) == (5.0, True)
     np.testing.assert_allclose(reading.frame.orientations, QUATERNIONS, atol=1e-12)
     # the same hand as the plain landmarks, not its mirror image

@@ -17,8 +17,8 @@ from smooth_operator.errors import ConfigError, RecordingError, SmoothOperatorEr
 from smooth_operator.headsets.pico_packets import read_packet, split_packets
 from smooth_operator.io.anatomy import chirality
 from smooth_operator.poses import separation
-from smooth_operator.teleop.sources.pico import PicoSource
-from smooth_operator.teleop.sources.registry import build_source
+from smooth_operator.teleop.components import build_source
+from smooth_operator.teleop.sources.headset_apps import PicoSource
 from smooth_operator.types import HandFrame, Side
 
 POSE = (0.4, -0.3, 1.1, 0.6, -0.48, 0.384, 0.512)
@@ -213,10 +213,11 @@ def test_a_frame_without_a_stamp_is_of_the_time_of_receipt() -> None:
 def test_what_is_no_packet_does_not_choose_the_sender() -> None:
     source = PicoSource(port=0)
     source.connect().close()
+    read = source.reader()
     data = app.pico_tracking(both()["hands"], STAMP)
     with pytest.raises(RecordingError, match="0x3F"):
-        source.read((b"x", b"192.168.1.7", b"1"), 0.0)
-    assert len(source.read((data, b"192.168.1.5", b"2"), 0.1)) == 2
+        read((b"x", b"192.168.1.7", b"1"), 0.0)
+    assert len(read((data, b"192.168.1.5", b"2"), 0.1)) == 2
 
 
 def test_what_can_t_be_listened_on_is_said() -> None:

@@ -28,21 +28,16 @@ from smooth_operator.formats.readers import read_recording
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.synthetic import SyntheticOperator
+from smooth_operator.teleop.components import build_sink
 from smooth_operator.teleop.recording import Log, LogWriter, read_episode, read_log
 from smooth_operator.teleop.recording.log_episode import write_log_episode
 from smooth_operator.teleop.runtime.pipeline import HandPipeline
 from smooth_operator.teleop.runtime.settings import LoopConfig
 from smooth_operator.teleop.sinks.record import RecordSink
-from smooth_operator.teleop.sinks.registry import build_sink
 from smooth_operator.teleop.sinks.runner import SinkRunner
 from smooth_operator.teleop.sinks.tick import Mode
 from smooth_operator.teleop.sources.live import Mailbox
 from smooth_operator.types import Side
-
-
-@pytest.fixture(scope="module")
-def hand() -> Hand:
-    return load_hand("mimic_p050")
 
 
 @pytest.fixture(scope="module")

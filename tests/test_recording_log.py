@@ -24,7 +24,6 @@ from smooth_operator.errors import ConfigError, OutputError, RecordingError
 from smooth_operator.formats.readers import read_recording
 from smooth_operator.teleop import recording as recording_package
 from smooth_operator.teleop.recording import LogWriter, read_log
-from smooth_operator.teleop.recording.mcap_writer import McapWriter
 from smooth_operator.types import HandFrame, HandRecording, JointCommand, Side, Status
 
 NAMES = ("base", "tip")
@@ -479,7 +478,7 @@ def test_disk_that_fills_up_on_the_way(tmp_path: Path, monkeypatch: pytest.Monke
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(McapWriter, "end_chunk", full)
+    monkeypatch.setattr(Writer, "flush", full)
     with log, pytest.raises(OutputError, match="no space is left on the device; free some"):
         log.write_hand(hands[10])
     with pytest.raises(OutputError, match="gave up on an error"):

@@ -34,6 +34,7 @@ from smooth_operator.planning import make_request
 from smooth_operator.simulation.scenes import SceneState
 from smooth_operator.simulation.tasks import read_trial
 from smooth_operator.simulation.tasks.trial_runner import TrialRunner
+from smooth_operator.teleop.components import build_source
 from smooth_operator.teleop.control.method_switcher import MethodSwitcher
 from smooth_operator.teleop.control.rpc_handlers import RpcHandlers
 from smooth_operator.teleop.pages.live.live_panel import LivePanel
@@ -51,7 +52,6 @@ from smooth_operator.teleop.sinks.record import RecordSink
 from smooth_operator.teleop.sinks.runner import SinkRunner
 from smooth_operator.teleop.sinks.simulation import Simulation
 from smooth_operator.teleop.sinks.tick import Driver, Mode, Tick
-from smooth_operator.teleop.sources.registry import build_source
 
 zmq = pytest.importorskip("zmq")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 import re
@@ -17,6 +18,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from live_time import until
 from scipy.spatial.transform import Rotation
 from ticks import make_tick
 
@@ -32,34 +34,25 @@ from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.alignment import reference_landmarks
 from smooth_operator.landmarks import NODE_LAYOUTS
 from smooth_operator.poses import wrist_from_landmarks
+from smooth_operator.teleop.components import build_sink, build_source
+from smooth_operator.teleop.sinks.tick import ArmCommand, HandState, Mode, Tick, WristCommand
+from smooth_operator.teleop.sources.live import Mailbox
+from smooth_operator.types import HandFrame, Side
+
+pytest.importorskip("cyclonedds", reason="needs CycloneDDS's Python binding: the extra ros2")
+
 from smooth_operator.teleop.ros2 import messages as ros
-from smooth_operator.teleop.ros2 import open_transport
 from smooth_operator.teleop.ros2 import sink as sink_module
+from smooth_operator.teleop.ros2 import transport as transport_module
 from smooth_operator.teleop.ros2.hand_poses import HandPoseReader
 from smooth_operator.teleop.ros2.messages import Message
 from smooth_operator.teleop.ros2.sink import Ros2Sink
 from smooth_operator.teleop.ros2.source import Ros2Source
-from smooth_operator.teleop.ros2.transport import Endpoint
-from smooth_operator.teleop.sinks.registry import build_sink
-from smooth_operator.teleop.sinks.tick import ArmCommand, HandState, Mode, Tick, WristCommand
-from smooth_operator.teleop.sources.live import Mailbox
-from smooth_operator.teleop.sources.registry import build_source
-from smooth_operator.types import HandFrame, Side
+from smooth_operator.teleop.ros2.transport import Endpoint, Transport, reach_of
 
-needs_cyclonedds = pytest.mark.skipif(
-    not __import__("importlib.util").util.find_spec("cyclonedds"),
-    reason="needs CycloneDDS's Python binding: the extra ros2",
-)
 DOMAINS = (1 + (os.getpid() * 13 + i) % 100 for i in count())
 """Of each test its own: a domain is a range of ports."""
 LOCAL = {"network": "localhost"}
-
-
-def until(done: Callable[[], object], seconds: float = 20.0) -> None:
-    end = time.perf_counter() + seconds
-    while not done():
-        assert time.perf_counter() < end, "it never came"
-        time.sleep(0.005)
 
 
 class Peer:
@@ -98,11 +91,6 @@ def peer() -> Iterator[Peer]:
 @pytest.fixture
 def domain() -> int:
     return next(DOMAINS)
-
-
-@pytest.fixture(scope="module")
-def hand() -> Hand:
-    return load_hand("mimic_p050")
 
 
 def send_until(sink: Ros2Sink, tick: Tick, done: Callable[[], object]) -> None:
@@ -147,39 +135,37 @@ SAMPLES: list[Message] = [
 
 def of_rosbags(store: Any, message: Message) -> Any:
     """The message as an object of rosbags."""
-    made = {}
-    for name, (kind, many) in ros.field_types(type(message)).items():
-        value = getattr(message, name)
-        if isinstance(kind, type) and issubclass(kind, Message):
-            value = [of_rosbags(store, v) for v in value] if many else of_rosbags(store, value)
-        elif many and kind is not str:
-            value = np.array(value, kind)
-        made[name] = value
-    return store.types[message.type_name](**made)
+    values = {}
+    for each in dataclasses.fields(message):
+        value = getattr(message, each.name)
+        if dataclasses.is_dataclass(value):
+            value = of_rosbags(store, value)
+        elif "float64" in str(each.type) and isinstance(value, list):
+            value = np.array(value, float)
+        elif isinstance(value, list):
+            value = [of_rosbags(store, v) if isinstance(v, Message) else v for v in value]
+        values[each.name] = value
+    return store.types[ros.type_name(type(message))](**values)
 
 
-@needs_cyclonedds
 @pytest.mark.parametrize("release", ["ROS2_HUMBLE", "ROS2_JAZZY"])
 def test_bytes_are_those_of_rosbags(release: str) -> None:
     rosbags = pytest.importorskip("rosbags.typesys", reason="needs rosbags to compare with")
-    from smooth_operator.teleop.ros2.cyclone_transport import wire_class
-
     store = rosbags.get_typestore(rosbags.Stores[release])
     for message in SAMPLES:
-        wire = wire_class(type(message))
-        ours = ros.to_foreign(message, wire_class).serialize(use_version_2=False)
-        theirs = bytes(store.serialize_cdr(of_rosbags(store, message), message.type_name))
-        assert ours.rstrip(b"\0") == theirs.rstrip(b"\0"), message.type_name
+        name = ros.type_name(type(message))
+        ours = message.serialize(use_version_2=False)
+        theirs = bytes(store.serialize_cdr(of_rosbags(store, message), name))
+        assert ours.rstrip(b"\0") == theirs.rstrip(b"\0"), name
         assert abs(len(ours) - len(theirs)) < 4  # a sample is filled up to four bytes
-        assert ros.from_foreign(wire.deserialize(theirs), type(message)) == message
-        back = store.deserialize_cdr(ours, message.type_name)
+        assert type(message).deserialize(theirs) == message
+        back = store.deserialize_cdr(ours, name)
         assert str(back) == str(of_rosbags(store, message))
 
 
 # --- the sink
 
 
-@needs_cyclonedds
 def test_another_process_gets_joints_mode_wrist_and_transforms(
     peer: Peer, domain: int, hand: Hand
 ) -> None:
@@ -251,7 +237,6 @@ def test_another_process_gets_joints_mode_wrist_and_transforms(
     assert json.dumps(wrist["header"]["stamp"]) in stamps  # wrist and fingers bear one stamp
 
 
-@needs_cyclonedds
 def test_controllers_get_the_actuated_joints_by_their_names_and_unit(
     peer: Peer, domain: int
 ) -> None:
@@ -310,7 +295,7 @@ class Recorded:
 @pytest.fixture
 def recorded(monkeypatch: pytest.MonkeyPatch) -> Recorded:
     transport = Recorded()
-    monkeypatch.setattr(sink_module, "open_transport", lambda endpoint: transport)
+    monkeypatch.setattr(sink_module, "Transport", lambda endpoint: transport)
     return transport
 
 
@@ -520,7 +505,6 @@ def publish_until(peer: Peer, done: Callable[[], object], *orders: dict[str, Any
     until(sent)
 
 
-@needs_cyclonedds
 @pytest.mark.parametrize("reliable", [True, False])
 def test_hands_come_from_another_process_with_the_wrist_in_the_world(
     peer: Peer, domain: int, reliable: bool
@@ -556,7 +540,6 @@ def test_hands_come_from_another_process_with_the_wrist_in_the_world(
     until(lambda: source.health().state == "ended")
 
 
-@needs_cyclonedds
 def test_wrist_topic_gloves_and_texts(peer: Peer, domain: int) -> None:
     points = a_hand()
     points -= points[0]
@@ -613,7 +596,6 @@ def test_wrist_topic_gloves_and_texts(peer: Peer, domain: int) -> None:
         source.stop()
 
 
-@needs_cyclonedds
 def test_a_message_that_can_not_be_read_is_counted_and_the_next_is_read(
     peer: Peer, domain: int
 ) -> None:
@@ -638,18 +620,15 @@ def test_a_message_that_can_not_be_read_is_counted_and_the_next_is_read(
 
 
 def test_bytes_of_another_type_are_refused_in_one_line(domain: int) -> None:
-    pytest.importorskip("cyclonedds")
-    from smooth_operator.teleop.ros2 import cyclone_transport
-
     class Reader:
         def take(self, most: int, condition: Any) -> list[Any]:
-            return [cyclone_transport.wire_class(ros.PoseArray).deserialize(b"\0\1\0\0\7")]
+            return [ros.PoseArray.deserialize(b"\0\1\0\0\7")]
 
-    (found,) = cyclone_transport._take(Reader(), None, ros.PoseArray)  # type: ignore[arg-type]
-    assert isinstance(found, RecordingError)
+    (refusal,) = transport_module._take(Reader(), None, ros.PoseArray)  # type: ignore[arg-type]
+    assert isinstance(refusal, RecordingError)
     reader = HandPoseReader({"/x": "right"}, {}, "world", "mediapipe", {})
     with pytest.raises(RecordingError, match="another type than geometry_msgs/msg/PoseArray"):
-        reader.read("/x", found, 1.0)
+        reader.read("/x", refusal, 1.0)
 
 
 def test_a_wrist_that_is_old_or_unknown_is_not_valid() -> None:
@@ -696,12 +675,9 @@ def test_settings_of_the_source_that_contradict_each_other() -> None:
 # --- domain, network and libraries
 
 
-@needs_cyclonedds
 def test_network_and_domain_come_from_the_setting_else_from_ros_variables(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    from smooth_operator.teleop.ros2.cyclone_transport import reach_of
-
     names = ("ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY", "CYCLONEDDS_URI")
     for name in (*names, "ROS_DOMAIN_ID"):
         monkeypatch.delenv(name, raising=False)
@@ -727,17 +703,19 @@ def test_network_and_domain_come_from_the_setting_else_from_ros_variables(
             end.domain_id()
 
 
-@needs_cyclonedds
 def test_one_domain_has_one_network_in_a_process(domain: int) -> None:
     end = Endpoint("the ros2 sink", SinkError, domain=domain, **LOCAL)  # type: ignore[arg-type]
-    first = open_transport(end)
+    first = Transport(end)
     with pytest.raises(ConfigError, match="in use here with network 'localhost'"):
-        open_transport(replace(end, network="subnet"))
+        Transport(replace(end, network="subnet"))
     first.close()
 
 
-def test_without_the_library_one_line_says_how(hand: Hand, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_the_library_one_line_says_how(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "cyclonedds", None)
-    with pytest.raises(MissingExtraError, match=r"the ros2 sink.*\[ros2\]") as caught:
-        Ros2Sink().open({"right": hand}, {})
-    assert "\n" not in str(caught.value)
+    for name in [name for name in sys.modules if "teleop.ros2" in name]:
+        monkeypatch.delitem(sys.modules, name)
+    for build in (build_sink, build_source):
+        with pytest.raises(MissingExtraError, match=r"ROS 2 topics.*\[ros2\]") as caught:
+            build("ros2")
+        assert "\n" not in str(caught.value)

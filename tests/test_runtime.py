@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from smooth_operator import HandFrame, Retargeter, Status, load_hand
+from smooth_operator import HandFrame, Retargeter, Status
 from smooth_operator.errors import ConfigError
 from smooth_operator.formats.readers import read_recording
 from smooth_operator.hands.hand import Hand
@@ -32,11 +32,6 @@ from smooth_operator.types import HandRecording
 
 PERIOD = 0.01
 LOOP = LoopConfig(rate=1 / PERIOD)
-
-
-@pytest.fixture(scope="module")
-def hand() -> Hand:
-    return load_hand("mimic_p050")
 
 
 @pytest.fixture(scope="module")
@@ -334,8 +329,8 @@ def test_a_robot_holds_while_a_method_is_compiled(
     assert modes(waiting) == [Mode.WAITING]
     assert waiting[0].events == (COMPILING,)
     assert all(tick.status is None for tick in waiting)
-    assert stage.pipeline.seen is not None  # the page shows it
-    assert stage.pipeline.seen.frame is frames[49]
+    assert stage.pipeline.latest is not None  # the page shows it
+    assert stage.pipeline.latest.frame is frames[49]
     stage.pipeline.go_on()
     moving = stage.play(frames[50:250])
     assert moving[0].events == (COMPILED, "waiting -> blending")
@@ -540,7 +535,7 @@ def test_times_of_a_long_run_take_no_more_memory(monkeypatch: pytest.MonkeyPatch
         times.append(float(i))
     assert sorted(times.newest()) == list(range(950, 1050))
     assert sorted(times.newest(7)) == list(range(1043, 1050))
-    assert times._kept.nbytes == 400
+    assert times._ring.nbytes == 400
 
 
 def test_numbers_of_any_size_are_refused_without_a_warning(motion: HandRecording) -> None:

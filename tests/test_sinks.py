@@ -16,13 +16,14 @@ from typing import Any
 import numpy as np
 import pytest
 from free_port import free_port
+from live_time import until
 from rich.console import Console
 from ticks import make_tick
 
 from smooth_operator.errors import ConfigError, MissingExtraError, SinkError, install_command
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.teleop.sinks.registry import SINKS, build_sink
+from smooth_operator.teleop.components import SINKS, build_sink
 from smooth_operator.teleop.sinks.runner import SinkRunner
 from smooth_operator.teleop.sinks.sink import Sink
 from smooth_operator.teleop.sinks.table import HandPanel, TableSink
@@ -32,20 +33,8 @@ from smooth_operator.types import Side
 
 
 @pytest.fixture(scope="module")
-def hand() -> Hand:
-    return load_hand("mimic_p050")
-
-
-@pytest.fixture(scope="module")
 def hands(hand: Hand) -> dict[Side, Hand]:
     return {"right": hand, "left": load_hand("mimic_p050", "left")}
-
-
-def until(done: Callable[[], object], seconds: float = 5.0) -> None:
-    end = time.perf_counter() + seconds
-    while not done():
-        assert time.perf_counter() < end, "it did not happen in time"
-        time.sleep(0.005)
 
 
 class Fake(Sink):

@@ -22,12 +22,11 @@ from smooth_operator.errors import (
 )
 from smooth_operator.plugins import Entry, Registry
 from smooth_operator.synthetic import SyntheticOperator
-from smooth_operator.teleop.components import build_component
+from smooth_operator.teleop.components import SOURCES, build_component, build_source
 from smooth_operator.teleop.sources.live import Mailbox, Running, ThreadedSource, on_time
-from smooth_operator.teleop.sources.message_receiver import MessageReceiver
 from smooth_operator.teleop.sources.payload import Reading
-from smooth_operator.teleop.sources.registry import SOURCES, build_source
 from smooth_operator.teleop.sources.replay import Replay
+from smooth_operator.teleop.sources.stream import MessageReceiver
 from smooth_operator.teleop.sources.synthetic_live import SyntheticSource
 from smooth_operator.types import HandFrame, Side
 

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from glove_simulator import Glove, GloveFaults, GloveSimulator
+from glove_simulator import Glove, GloveFaults, GloveSimulator, write_manus
 from live_time import Kept, until
 
 from smooth_operator.errors import (
@@ -29,11 +29,10 @@ from smooth_operator.errors import (
 )
 from smooth_operator.landmarks import FROM_MANUS_25, METACARPALS_MANUS_25
 from smooth_operator.synthetic import SyntheticOperator
+from smooth_operator.teleop.sources.landmark_streams import UdpSource, ZmqSource
 from smooth_operator.teleop.sources.live import Running, ThreadedSource
-from smooth_operator.teleop.sources.manus_gloves import ManusStream, read_manus, write_manus
+from smooth_operator.teleop.sources.manus_gloves import ManusStream, read_manus
 from smooth_operator.teleop.sources.payload import MAX_BYTES, read_payload
-from smooth_operator.teleop.sources.udp import UdpSource
-from smooth_operator.teleop.sources.zmq_stream import ZmqSource
 from smooth_operator.types import HandFrame
 
 zmq = pytest.importorskip("zmq")

@@ -35,7 +35,7 @@ from smooth_operator.simulation.tasks import (
     task_named,
     write_trial,
 )
-from smooth_operator.teleop.sinks.registry import build_sink
+from smooth_operator.teleop.components import build_sink
 from smooth_operator.teleop.sinks.simulation import Simulation
 from smooth_operator.types import Side
 from smooth_operator_research.demonstrations.demonstration import load_demonstration, play

@@ -399,7 +399,7 @@ def test_an_emergency_stop_does_not_wait_for_the_next_tick(
 
 
 def test_a_source_is_told_which_hands_are_wanted() -> None:
-    from smooth_operator.teleop.sources.registry import build_source
+    from smooth_operator.teleop.components import build_source
 
     for text, told in (("synthetic", "left"), ("udp:0", "left"), ("synthetic:seed=1", "both")):
         assert build_source(text, told).side == told  # type: ignore[arg-type, attr-defined]
@@ -455,7 +455,7 @@ def nothing_slow(monkeypatch: pytest.MonkeyPatch) -> None:
         yield
 
     monkeypatch.setattr(run_module, "_compile", compiled)
-    monkeypatch.setattr(run_module, "begun_page", opened)
+    monkeypatch.setattr(run_module, "_begun_page", opened)
 
 
 @pytest.mark.parametrize(

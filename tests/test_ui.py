@@ -26,10 +26,16 @@ from browser_page import changed, new_page, settled
 from smooth_operator import landmarks
 from smooth_operator.errors import ConfigError, HandModelError, RecordingError
 from smooth_operator.teleop.pages import Playback, PlaybackServer, player, serve
-from smooth_operator.teleop.pages.hand_view import body_meshes, finger_of_body, geom_mesh
+from smooth_operator.teleop.pages.hand_view import (
+    FINGER_COLORS,
+    HIGHLIGHT,
+    body_meshes,
+    finger_of_body,
+    geom_mesh,
+    linear,
+)
 from smooth_operator.teleop.pages.human import _turn_z, lit_tips
 from smooth_operator.teleop.pages.page_layout import FOV, plan, view_axes
-from smooth_operator.teleop.pages.palette import FINGER_COLORS, HIGHLIGHT, linear
 from smooth_operator.teleop.pages.playback import PlaybackClock
 from smooth_operator.teleop.pages.player_panel import (
     GapCurves,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib
 import re
 import subprocess
@@ -27,18 +28,28 @@ from smooth_operator.formats.checks import PALM_RANGE_M
 from smooth_operator.formats.readers import read_recording
 from smooth_operator.geometry import umeyama
 from smooth_operator.landmarks import TIPS
+from smooth_operator.teleop.components import build_source
 from smooth_operator.teleop.sources.live import LiveSource, Mailbox
-from smooth_operator.teleop.sources.registry import build_source
 from smooth_operator.teleop.sources.webcam import camera as camera_module
 from smooth_operator.teleop.sources.webcam import picture_tracker
 from smooth_operator.teleop.sources.webcam.camera import Camera, CameraMode
-from smooth_operator.teleop.sources.webcam.hand_labels import SeenHand
-from smooth_operator.teleop.sources.webcam.mediapipe_hands import SWITCH, HandLandmarker
 from smooth_operator.teleop.sources.webcam.picture_tracker import (
+    MEMORY_S,
+    PATIENCE,
+    SWITCH,
+    HandLandmarker,
+    OneEuroConfig,
+    OneEuroState,
     PictureConfig,
     PictureTracker,
+    SeenHand,
+    Tracks,
+    assign_sides,
+    landmarks_of,
+    one_euro,
 )
 from smooth_operator.teleop.sources.webcam.webcam_source import Video, Webcam, track_video
+from smooth_operator.types import Side
 
 cv2 = opencv_or_skip()
 PINCHES = {"index": 8, "middle": 12, "ring": 16, "little": 20}
@@ -469,7 +480,7 @@ def test_a_model_that_is_none_is_one_sentence(media: Path, tmp_path: Path) -> No
 def test_the_start_is_quiet_and_hides_no_word_of_others(
     media: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    module = importlib.import_module("smooth_operator.teleop.sources.webcam.mediapipe_hands")
+    module = importlib.import_module("smooth_operator.teleop.sources.webcam.picture_tracker")
     find = HandLandmarker.find
 
     def speaking(self: HandLandmarker, *given: Any) -> list[SeenHand]:
@@ -500,3 +511,182 @@ time.sleep(0.5)
     )
     assert ended.returncode == 0, ended.stderr
     assert "Traceback" not in ended.stderr
+
+
+PERIOD = 1 / 30
+PALM = 0.1  # in the picture
+
+
+def seen(label: Side, x: float, score: float = 0.95) -> SeenHand:
+    """A hand whose palm is a tenth of the picture long, ``x`` from its left edge."""
+    picture = np.zeros((21, 3))
+    picture[:, 0] = x
+    picture[:, 1] = 0.5
+    picture[[5, 9, 13, 17], 1] -= PALM
+    return SeenHand(label, score, np.zeros((21, 3)), picture, np.ones(21, bool))
+
+
+def feed(pictures: list[list[SeenHand]]) -> list[dict[Side, float]]:
+    """Side -> x of the hand that it got, for each picture."""
+    out, tracks = [], Tracks()
+    for i, hands in enumerate(pictures):
+        found, tracks = assign_sides(hands, tracks, i * PERIOD)
+        out.append({side: float(hand.picture[0, 0]) for side, hand in found.items()})
+    return out
+
+
+BOTH = [seen("right", 0.2), seen("left", 0.8)]
+
+
+def test_two_hands_keep_their_labels() -> None:
+    assert feed([BOTH, BOTH]) == [{"right": 0.2, "left": 0.8}] * 2
+
+
+def test_the_order_in_which_they_are_found_does_not_matter() -> None:
+    assert feed([BOTH, BOTH[::-1]])[1] == {"right": 0.2, "left": 0.8}
+
+
+def test_a_label_that_flips_for_a_moment_is_overruled() -> None:
+    flipped = [seen("left", 0.21, 0.99)]
+    assert feed([[seen("right", 0.2)], flipped, flipped, [seen("right", 0.22)]]) == [
+        {"right": 0.2},
+        {"right": 0.21},
+        {"right": 0.21},
+        {"right": 0.22},
+    ]
+
+
+def test_a_label_that_insists_is_believed() -> None:
+    """Or the first guess, if it was wrong, would hold for ever."""
+    out = feed([[seen("right", 0.2)]] + [[seen("left", 0.2)]] * (PATIENCE + 3))
+    sides = [next(iter(found)) for found in out]
+    assert sides == ["right"] * PATIENCE + ["left"] * 4
+
+
+def test_labels_that_swap_for_a_moment_move_no_hand() -> None:
+    swapped = [seen("left", 0.2), seen("right", 0.8)]
+    assert feed([BOTH, swapped, swapped, BOTH]) == [{"right": 0.2, "left": 0.8}] * 4
+
+
+def test_hands_that_cross_keep_their_labels() -> None:
+    """Where both were near, the label decides."""
+    steps = np.linspace(-0.2, 0.2, 15)
+    out = feed([[seen("right", 0.5 + x), seen("left", 0.5 - x)] for x in steps])
+    for x, found in zip(steps, out, strict=True):
+        assert found.get("right", 0.5 + x) == pytest.approx(0.5 + x)
+        assert found.get("left", 0.5 - x) == pytest.approx(0.5 - x)
+    assert set(out[-1]) == {"right", "left"}
+
+
+def test_of_two_hands_with_one_label_the_surer_one_counts_and_none_is_guessed() -> None:
+    assert feed([[seen("right", 0.2, 0.7), seen("right", 0.8, 0.9)]]) == [{"right": 0.8}]
+
+
+def test_of_two_hands_with_one_label_the_one_that_was_there_counts() -> None:
+    strangers = [seen("right", 0.2, 0.7), seen("right", 0.8, 0.99)]
+    assert feed([[seen("right", 0.2)], strangers])[1] == {"right": 0.2}
+
+
+def test_two_hands_get_one_label_for_a_moment() -> None:
+    confused = [seen("right", 0.2, 0.8), seen("right", 0.8, 0.9)]
+    assert feed([BOTH, confused])[1] == {"right": 0.2, "left": 0.8}
+
+
+def test_one_hand_found_twice_is_one_hand() -> None:
+    twice = [seen("left", 0.2 + 0.3 * PALM, 0.6), seen("right", 0.2, 0.9)]
+    assert feed([twice]) == [{"right": 0.2}]
+
+
+def test_what_was_long_ago_is_forgotten() -> None:
+    wait = int(MEMORY_S / PERIOD) + 2
+    assert feed([[seen("right", 0.2)]] + [[]] * wait + [[seen("left", 0.2)]])[-1] == {"left": 0.2}
+
+
+def test_time_that_goes_back_forgets_all() -> None:
+    _, tracks = assign_sides([seen("right", 0.2)], Tracks(), 20.0)
+    found, _ = assign_sides([seen("left", 0.2)], tracks, 0.0)
+    assert list(found) == ["left"]
+
+
+def test_a_hand_may_move_fast_but_not_jump() -> None:
+    assert feed([[seen("right", 0.2)], [seen("left", 0.2 + 1.4 * PALM)]])[1] == {
+        "right": pytest.approx(0.34)
+    }
+    assert feed([[seen("right", 0.2)], [seen("left", 0.2 + 1.6 * PALM)]])[1] == {
+        "left": pytest.approx(0.36)
+    }
+
+
+def test_points_of_the_picture_get_the_size_of_those_in_metres() -> None:
+    rng = np.random.default_rng(1)
+    world = rng.normal(scale=0.04, size=(21, 3))
+    picture = (world - world.mean(axis=0)) * 2.7 + (0.3, 0.6, 0.0)
+    hand = dataclasses.replace(seen("right", 0.5), world=world, picture=picture)
+    np.testing.assert_allclose(
+        landmarks_of(hand, "picture"), world - world.mean(axis=0), atol=1e-12
+    )
+    np.testing.assert_array_equal(landmarks_of(hand, "world"), world)
+
+
+RATE = 30.0
+
+
+def run(points: np.ndarray, gain: float = 20.0) -> np.ndarray:
+    state: OneEuroState | None = None
+    out = []
+    for i, frame in enumerate(points):
+        state = one_euro(state, frame, i / RATE, OneEuroConfig(gain=gain))
+        out.append(state.points)
+    return np.array(out)
+
+
+def test_noise_at_rest_is_more_than_halved() -> None:
+    noise = np.random.default_rng(0).normal(scale=1e-3, size=(400, 21, 3))
+    filtered = run(noise)
+    assert np.std(filtered[50:]) < 0.65 * np.std(noise)
+    jitter = [np.mean(np.sum(np.diff(x, 2, axis=0) ** 2, axis=-1)) for x in (filtered, noise)]
+    assert jitter[0] < 0.2 * jitter[1]
+
+
+def test_a_moving_hand_is_followed_within_a_frame() -> None:
+    t = np.arange(90) / RATE
+    truth = np.zeros((90, 21, 3))
+    truth[..., 0] = 0.08 * np.sin(2 * np.pi * 0.7 * t)[:, None]  # up to 0.35 m/s
+    filtered = run(truth)
+    speed = np.abs(np.diff(truth[:, 0, 0])).max() * RATE
+    behind = np.abs(filtered - truth)[30:, 0, 0].max() / speed
+    assert behind < 1.0 / RATE
+    constant = np.abs(run(truth, gain=0.0) - truth)[30:, 0, 0].max() / speed
+    assert behind < 0.75 * constant  # it is the speed that makes it quick
+
+
+def test_no_direction_is_preferred() -> None:
+    """Motion that is turned in space is answered by the answer, turned alike."""
+    rng = np.random.default_rng(1)
+    points = np.cumsum(rng.normal(scale=0.01, size=(60, 21, 3)), axis=0)
+    turn, _ = np.linalg.qr(rng.standard_normal((3, 3)))
+    np.testing.assert_allclose(run(points @ turn), run(points) @ turn, atol=1e-12)
+
+
+def test_a_lost_landmark_stays_lost_and_comes_back_clean() -> None:
+    points = np.full((6, 2, 3), 0.1)
+    points[2:4, 1] = np.nan
+    points[4:, 1] = 0.3
+    filtered = run(points)
+    assert np.isnan(filtered[2:4, 1]).all()
+    np.testing.assert_allclose(filtered[4:, 1], 0.3)
+    np.testing.assert_allclose(filtered[:, 0], 0.1)
+
+
+@pytest.mark.parametrize("stamp", [0.5, 0.0, -1.0])
+def test_it_begins_anew_after_a_gap_and_when_stamps_go_back(stamp: float) -> None:
+    first = one_euro(None, np.zeros((1, 3)), 0.0)
+    again = one_euro(first, np.ones((1, 3)), stamp)
+    np.testing.assert_array_equal(again.points, 1.0)
+    np.testing.assert_array_equal(again.velocity, 0.0)
+
+
+@pytest.mark.parametrize("settings", [{"cutoff": 0.0}, {"gain": -1.0}, {"gap": float("nan")}])
+def test_settings_are_checked(settings: dict[str, float]) -> None:
+    with pytest.raises(ConfigError):
+        OneEuroConfig(**settings)

@@ -29,10 +29,9 @@ from smooth_operator.errors import (
 )
 from smooth_operator.formats.checks import check_units
 from smooth_operator.landmarks import BONES, FINGER_COLORS, FROM_WEBXR_25, METACARPALS_WEBXR_25
+from smooth_operator.teleop.components import build_source
 from smooth_operator.teleop.sources.live import Arrival, Mailbox
-from smooth_operator.teleop.sources.registry import build_source
 from smooth_operator.teleop.sources.webxr import WebXr, server
-from smooth_operator.teleop.sources.webxr.certificate import SWITCH, VALID, get_certificate
 from smooth_operator.teleop.sources.webxr.link import (
     HEADER,
     IN_ALL,
@@ -43,6 +42,7 @@ from smooth_operator.teleop.sources.webxr.link import (
     Pairing,
     read_packet,
 )
+from smooth_operator.teleop.sources.webxr.server import SWITCH, VALID, get_certificate
 from smooth_operator.teleop.sources.webxr.source import describe
 from smooth_operator.types import Side
 from smooth_operator.web import addresses

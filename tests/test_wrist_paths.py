@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from glove_simulator import write_manus
 from protobuf_log import decoded
 from ticks import make_tick
 
@@ -27,7 +28,7 @@ from smooth_operator.teleop.sinks.record import RecordSink
 from smooth_operator.teleop.sinks.tick import WristCommand
 from smooth_operator.teleop.sinks.zmq_sink import command_message, encode
 from smooth_operator.teleop.sources.live import Arrival, Mailbox
-from smooth_operator.teleop.sources.manus_gloves import read_manus, write_manus
+from smooth_operator.teleop.sources.manus_gloves import read_manus
 from smooth_operator.teleop.sources.payload import read_payload
 from smooth_operator.teleop.sources.replay import Replay
 from smooth_operator.teleop.sources.synthetic_live import SyntheticSource

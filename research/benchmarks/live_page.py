@@ -21,6 +21,7 @@ from pathlib import Path
 
 from smooth_operator.compilation.start import build_retargeter
 from smooth_operator.planning import make_request, resolve
+from smooth_operator.teleop.components import build_source
 from smooth_operator.teleop.pages.live.live_page import LivePage, PageSetup
 from smooth_operator.teleop.pages.live.live_session import LiveSession
 from smooth_operator.teleop.runtime.loop import TeleopLoop
@@ -28,7 +29,6 @@ from smooth_operator.teleop.runtime.pipeline import HandPipeline
 from smooth_operator.teleop.runtime.priority import low_jitter
 from smooth_operator.teleop.runtime.settings import LoopConfig
 from smooth_operator.teleop.sinks.runner import SinkRunner
-from smooth_operator.teleop.sources.registry import build_source
 
 _VISIT = """
 import shutil, sys, time

@@ -17,7 +17,7 @@ from smooth_operator.errors import require
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.signals import ended_by_signals
 from smooth_operator.teleop.arm.settings import read_arm
-from smooth_operator.teleop.sinks.registry import build_sink
+from smooth_operator.teleop.components import build_sink
 from smooth_operator.teleop.sinks.sink import Sink
 from smooth_operator.types import Side, as_side
 

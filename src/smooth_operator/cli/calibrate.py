@@ -103,7 +103,7 @@ def calibrate_recording(options: Calibrate) -> None:
     from smooth_operator.hands.selection import parse_fingers
     from smooth_operator.lab.offline.calibration_picture import draw_calibration
     from smooth_operator.planning import PROGRAM
-    from smooth_operator.teleop.sources.registry import build_source
+    from smooth_operator.teleop.components import build_source
 
     progress = Progressing(options.quiet)
     if options.source is not None and options.recording is not None:

@@ -61,7 +61,7 @@ def latency(options: Latency) -> None:
     """
     from smooth_operator.formats.jsonable import to_json
     from smooth_operator.teleop.recording import read_log
-    from smooth_operator.teleop.runtime.log_timing import log_timing
+    from smooth_operator.teleop.runtime.statistics import log_timing
 
     if not options.logs:
         raise ConfigError("name one log or more: smooth-operator latency take.mcap")
@@ -111,7 +111,7 @@ def _figure(logs: Mapping[Path, Log]) -> Figure:
     import numpy as np
     from matplotlib.figure import Figure
 
-    from smooth_operator.teleop.runtime.log_timing import added_latency
+    from smooth_operator.teleop.runtime.statistics import added_latency
 
     figure = Figure(figsize=(10, 3.6), layout="constrained")
     over_time, spread = figure.subplots(1, 2, width_ratios=(2, 1))

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
+from inspect import signature
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
@@ -12,9 +13,8 @@ from tyro.conf import arg
 from smooth_operator.cli.common_options import METHOD_HELP, Common, Meshes, Page
 from smooth_operator.errors import ConfigError
 from smooth_operator.methods.default import DEFAULT_METHOD
+from smooth_operator.teleop.components import SINKS, SOURCES
 from smooth_operator.teleop.runtime.settings import LimitsConfig, SafetyConfig, WristConfig
-from smooth_operator.teleop.sinks.registry import SINKS
-from smooth_operator.teleop.sources.registry import SOURCES
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,8 +155,7 @@ def teleop(options: Teleop) -> None:
         KeyboardInterrupt: a signal; everything is closed and what it came to is printed.
     """
     from smooth_operator.cli.console import Progressing
-    from smooth_operator.teleop.run import teleoperate
-    from smooth_operator.teleop.run_page import PageSettings
+    from smooth_operator.teleop.run import PageSettings, teleoperate
 
     if options.no_view and options.model is not None:
         raise ConfigError(
@@ -169,31 +168,11 @@ def teleop(options: Teleop) -> None:
         model=options.model,
         meshes=not options.no_meshes,
     )
+    shared = signature(teleoperate).parameters.keys() & {each.name for each in fields(options)}
     summary = teleoperate(
-        options.source,
-        options.sink,
-        hand=options.hand,
-        side=options.side,
-        method=options.method,
-        preset=options.preset,
-        seed=options.seed,
-        scale=options.scale,
-        fingers=options.fingers,
-        operator=options.operator,
-        rate=options.rate,
-        duration=options.duration,
-        safety=options.safety,
-        limits=options.limits,
-        wrist=options.wrist,
-        priority=options.priority,
-        methods=options.methods,
-        control=options.control,
-        estop=options.estop,
+        **{name: getattr(options, name) for name in shared},
+        sinks=options.sink,
         page=None if options.no_view else page,
-        blind=options.blind,
-        task=options.task,
-        trials=options.trials,
-        arm=options.arm,
         keys=True,
         reporter=Progressing(options.quiet),
     )

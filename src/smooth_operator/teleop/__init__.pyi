@@ -1,6 +1,6 @@
 from smooth_operator.teleop.recording.log_reader import read_log as read_log
+from smooth_operator.teleop.run import PageSettings as PageSettings
 from smooth_operator.teleop.run import teleoperate as teleoperate
-from smooth_operator.teleop.run_page import PageSettings as PageSettings
 from smooth_operator.teleop.runtime.loop import TeleopLoop as TeleopLoop
 from smooth_operator.teleop.runtime.pipeline import HandPipeline as HandPipeline
 from smooth_operator.teleop.runtime.remote_client import RemoteTeleop as RemoteTeleop

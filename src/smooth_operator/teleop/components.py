@@ -9,10 +9,25 @@ from __future__ import annotations
 import dataclasses
 import types
 from pathlib import Path
-from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    Final,
+    Literal,
+    Union,
+    cast,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 from smooth_operator.errors import ConfigError, UnknownNameError
-from smooth_operator.plugins import Registry
+from smooth_operator.plugins import Entry, Registry
+
+if TYPE_CHECKING:
+    from smooth_operator.teleop.sinks.sink import Sink
+    from smooth_operator.teleop.sources.live import LiveSource
+    from smooth_operator.teleop.sources.stream import Hands
 
 _TRUE, _FALSE = ("true", "yes", "on", "1"), ("false", "no", "off", "0")
 
@@ -21,11 +36,11 @@ def build_component(registry: Registry, text: str) -> Any:
     """Make what a text asks for.
 
     Args:
-        registry: the parts by name, dataclasses whose first field is the argument.
+        registry: the parts by name, dataclasses whose first positional field is the argument.
         text: ``NAME``, ``NAME:ARGUMENT`` or ``NAME:ARGUMENT,setting=value,...``; the argument is
-            the value of the class's first field, and may be left out where that has a default.
-            In place of a name, ``package.module:Class``; settings alone may follow it after a
-            comma.
+            the value of the class's first positional field, and may be left out where that has a
+            default. In place of a name, ``package.module:Class``; settings alone may follow it
+            after a comma.
 
     Raises:
         UnknownNameError: there is no such name, or the class has no such setting.
@@ -64,7 +79,8 @@ def settings_from_text(settings_class: type[Any], text: str, kind: str, word: st
     for position, part in enumerate(text.split(",") if text else ()):
         name, sign, value = part.partition("=")
         if position == 0 and not (sign and name.isidentifier()):  # an address may hold a '='
-            name, value = next(iter(fields), ""), part
+            positional = (name for name, field in fields.items() if not field.kw_only)
+            name, value = next(positional, ""), part
         if name not in fields:
             raise UnknownNameError(f"setting of {kind} {word!r}:", name, fields)
         if name in values:
@@ -121,3 +137,138 @@ def _named(hint: Any) -> str:
         return " or ".join(map(str, get_args(hint)))
     names = {int: "a whole number", float: "a number", bool: "true or false", Path: "a path"}
     return names.get(hint, "a text")
+
+
+_SOURCES: Final = "smooth_operator.teleop.sources"
+
+SOURCES: Final = Registry(
+    "source",
+    {
+        "replay": Entry(f"{_SOURCES}.replay:Replay", "a recording at its own rate: replay:FILE"),
+        "synthetic": Entry(
+            f"{_SOURCES}.synthetic_live:SyntheticSource", "the built-in operator; needs no tracker"
+        ),
+        "webcam": Entry(
+            f"{_SOURCES}.webcam.webcam_source:Webcam", "a camera, by MediaPipe (extra webcam)"
+        ),
+        "video": Entry(
+            f"{_SOURCES}.webcam.webcam_source:Video", "a video file, by MediaPipe: video:FILE"
+        ),
+        "webxr": Entry(
+            f"{_SOURCES}.webxr:WebXr", "a headset's browser: Quest, Vision Pro, PICO (extra webxr)"
+        ),
+        "hts": Entry(
+            f"{_SOURCES}.headset_apps:HtsSource",
+            "the Quest app Hand Tracking Streamer: hts:0.0.0.0",
+        ),
+        "avp": Entry(
+            f"{_SOURCES}.headset_apps:AvpSource",
+            "the Vision Pro app Tracking Streamer: avp:ADDRESS (extra avp)",
+        ),
+        "pico": Entry(
+            f"{_SOURCES}.headset_apps:PicoSource", "the PICO app XRoboToolkit: pico:0.0.0.0"
+        ),
+        "manus": Entry(
+            f"{_SOURCES}.manus_gloves:ManusStream",
+            "the ZeroMQ stream of glove bridges (extra zmq)",
+        ),
+        "zmq": Entry(f"{_SOURCES}.landmark_streams:ZmqSource", "landmarks over ZeroMQ (extra zmq)"),
+        "ros2": Entry(
+            "smooth_operator.teleop.ros2.source:Ros2Source",
+            "hand poses from ROS 2 topics, without a ROS 2 installation too (extra ros2)",
+        ),
+        "udp": Entry(f"{_SOURCES}.landmark_streams:UdpSource", "landmarks over UDP: udp:PORT"),
+    },
+    needs=("label", "start", "stop", "health"),
+)
+"""Name -> source, a dataclass of its settings (``LiveSource``)."""
+
+
+def build_source(text: str, hands: Hands | None = None) -> LiveSource:
+    """A source from its text, such as ``replay:glove.npz,speed=2``.
+
+    Args:
+        text: name and settings.
+        hands: which hands are wanted, for a source that has a setting for it which the text
+            leaves out.
+
+    Raises:
+        UnknownNameError: there is no such source or setting.
+        ConfigError: a setting can't be read, the text is the name of a file, or the class can't
+            be imported or is no source.
+    """
+    if text.partition(":")[0] not in SOURCES:
+        word = _word_for(Path(text.partition(",")[0]))
+        if word is not None:
+            raise ConfigError(
+                f"{text!r} is a file, and a source is a word and what it takes: write {word}:{text}"
+            )
+    source = build_component(SOURCES, text)
+    if hands is not None and _takes_hands(source):
+        settings = SOURCES.split(text)[1].split(",")
+        if not any(part.startswith("side=") for part in settings):
+            source = dataclasses.replace(source, side=hands)
+    return cast("LiveSource", source)
+
+
+def _takes_hands(source: object) -> bool:
+    from smooth_operator.teleop.sources.stream import Hands
+
+    return bool(get_type_hints(type(source)).get("side") == Hands)
+
+
+def _word_for(path: Path) -> str | None:
+    """The source that a file is for, by its name."""
+    from smooth_operator.formats.registry import recording_suffixes
+    from smooth_operator.teleop.sources.webcam.camera import is_video
+
+    if is_video(path):
+        return "video"
+    return "replay" if path.suffix.lower() in recording_suffixes() else None
+
+
+_SINKS: Final = "smooth_operator.teleop.sinks"
+_DRIVERS: Final = "smooth_operator.teleop.hardware.drivers"
+
+SINKS: Final = Registry(
+    "sink",
+    {
+        "mujoco": Entry(
+            f"{_SINKS}.simulation:Simulation", "physics with position actuators, seen in the page"
+        ),
+        "zmq": Entry(f"{_SINKS}.zmq_sink:ZmqSink", "commands over ZeroMQ (extra zmq)"),
+        "ros2": Entry(
+            "smooth_operator.teleop.ros2.sink:Ros2Sink",
+            "ROS 2 topics, without a ROS 2 installation too (extra ros2)",
+        ),
+        "record": Entry(f"{_SINKS}.record:RecordSink", "an MCAP log: record:FILE"),
+        "table": Entry(f"{_SINKS}.table:TableSink", "a table in the terminal"),
+        "dynamixel": Entry(
+            f"{_DRIVERS}.dynamixel:DynamixelSink",
+            "a hand of Dynamixel servos, by a table (extra dynamixel)",
+        ),
+        "leap": Entry(f"{_DRIVERS}.dynamixel:LeapSink", "the LEAP hand (extra dynamixel)"),
+        "orca": Entry(f"{_DRIVERS}.orca:OrcaSink", "the ORCA hand (extra orca)"),
+        "inspire": Entry(f"{_DRIVERS}.inspire:InspireSink", "an Inspire RH56 hand (extra inspire)"),
+        "linker": Entry(f"{_DRIVERS}.linker:LinkerSink", "a LinkerHand L10 or L20 (extra linker)"),
+        "allegro": Entry(
+            f"{_DRIVERS}.allegro:AllegroSink", "an Allegro Hand V4 or V5 (extra allegro)"
+        ),
+        "ability": Entry(f"{_DRIVERS}.ability:AbilitySink", "an Ability Hand (extra ability)"),
+        "wuji": Entry(f"{_DRIVERS}.wuji:WujiSink", "a Wuji Hand (extra wuji)"),
+        "revo2": Entry(f"{_DRIVERS}.revo2:Revo2Sink", "a BrainCo Revo2 (extra revo2)"),
+    },
+    needs=("label", "open", "send", "stalled", "close", "simulation"),
+    advice="derive it from smooth_operator.teleop.Sink",
+)
+"""Name -> sink, a dataclass of its settings (``Sink``)."""
+
+
+def build_sink(text: str) -> Sink:
+    """A sink from its text, such as ``zmq:tcp://127.0.0.1:5556`` or ``mylab.driver:MySink,port=7``.
+
+    Raises:
+        UnknownNameError: there is no such sink or setting.
+        ConfigError: a setting can't be read, or the class can't be imported or is no sink.
+    """
+    return cast("Sink", build_component(SINKS, text))

@@ -8,13 +8,14 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
 
 from smooth_operator.compilation.start import dispatch_here
 from smooth_operator.errors import require
 from smooth_operator.hand_files.menagerie import drawn_on
+from smooth_operator.hand_files.spec_writer import temporary_spec
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import default_side
 from smooth_operator.hands.spec import HandSpec
@@ -31,12 +32,12 @@ from smooth_operator.planning import (
 )
 from smooth_operator.signals import ended_by_signals
 from smooth_operator.teleop.arm.settings import ArmSettings, read_arm
+from smooth_operator.teleop.components import build_sink, build_source
 from smooth_operator.teleop.control.keyboard import keyboard
 from smooth_operator.teleop.control.method_switcher import MethodSwitcher
 from smooth_operator.teleop.control.reporter import LoggingReporter, Reporter, summarise
 from smooth_operator.teleop.control.rpc_handlers import RpcHandlers
 from smooth_operator.teleop.control.task_trials import TaskTrials, with_task
-from smooth_operator.teleop.run_page import PageSettings, begun_page, show_page
 from smooth_operator.teleop.runtime.limiter import Limiter
 from smooth_operator.teleop.runtime.loop import TeleopLoop
 from smooth_operator.teleop.runtime.pipeline import HandPipeline
@@ -48,17 +49,17 @@ from smooth_operator.teleop.runtime.settings import (
     WristConfig,
 )
 from smooth_operator.teleop.runtime.stop_input import StopInput, stopped_by
-from smooth_operator.teleop.sinks.registry import build_sink
 from smooth_operator.teleop.sinks.runner import SinkRunner
 from smooth_operator.teleop.sinks.sink import Sink
 from smooth_operator.teleop.sinks.tick import Driver
 from smooth_operator.teleop.sources.live import LiveSource
-from smooth_operator.teleop.sources.registry import build_source
 from smooth_operator.teleop.sources.replay import Replay
 from smooth_operator.types import Side
+from smooth_operator.web.browser import open_page
 
 if TYPE_CHECKING:
     from smooth_operator.teleop.arm.controller import ArmOfHand
+    from smooth_operator.teleop.pages.live.live_page import LivePage
 
 Task: TypeAlias = Literal["card", "cube", "screwdriver"]
 """A task of the study."""
@@ -67,7 +68,7 @@ COMPILES: Final = "compile"
 """Name of the thread that compiles while the loop runs; a command does not wait for its end."""
 
 _ANNOUNCE_S: Final = 5.0
-"""How long a source may take to say how it is reached [s]."""
+"""Time that a source may take to say how it is reached [s]."""
 
 
 def teleoperate(
@@ -162,7 +163,7 @@ def teleoperate(
         SmoothOperatorError: a setting is wrong or something can't be opened; nothing has moved.
         KeyboardInterrupt: a signal came before the run began; nothing was opened.
     """
-    said = LoggingReporter() if reporter is None else reporter
+    reporter = LoggingReporter() if reporter is None else reporter
     parts = safety or SafetyConfig(), limits or LimitsConfig(), wrist or WristConfig()
     config = LoopConfig(rate, *parts)
     stop = StopInput(estop) if isinstance(estop, str) else estop
@@ -171,9 +172,9 @@ def teleoperate(
         side = default_side(described) if isinstance(described, str) else "right"
     if isinstance(source, str):
         source = build_source(source, side)
-    wanted = with_task(sinks, task)
-    acting = [build_sink(sink) if isinstance(sink, str) else sink for sink in wanted]
-    asked = make_request(
+    requested = with_task(sinks, task)
+    acting = [build_sink(sink) if isinstance(sink, str) else sink for sink in requested]
+    request = make_request(
         hand=described,
         method=method,
         preset=preset,
@@ -182,34 +183,34 @@ def teleoperate(
         fingers=fingers,
         operator=operator,
     )
-    others = [_with_method(asked, name) for text in methods for name in text.split(",")]
+    others = [_with_method(request, name) for text in methods for name in text.split(",")]
     sides: tuple[Side, ...] = ("right", "left") if side == "both" else (side,)
     runner = SinkRunner(acting)
     carrier = read_arm(arm) if isinstance(arm, str) else arm
-    settled, arms = _checked(asked, config, sides, source, runner, control, page, carrier)
+    settled, arms = _checked(request, config, sides, source, runner, control, page, carrier)
     with (
         ended_by_signals() as ending,
-        begun_page(page, asked, sides, acting, blind, carrier) as begun,
+        _begun_page(page, request, sides, acting, blind, carrier) as begun,
     ):
-        retargeters = _built(settled, asked, blind, said)
+        retargeters = _built(settled, request, blind, reporter)
         pipelines = {
             side: HandPipeline(
-                made,
+                retargeter,
                 config,
-                driver=Driver(asked.method, asked.preset, made.config),
+                driver=Driver(request.method, request.preset, retargeter.config),
                 arm=arms[side].controller if arms else None,
-                compiling=not made.compiled,
+                compiling=not retargeter.compiled,
             )
-            for side, made in retargeters.items()
+            for side, retargeter in retargeters.items()
         }
         loop = TeleopLoop(pipelines, source, runner, config)
-        switcher = MethodSwitcher(loop, asked)
+        switcher = MethodSwitcher(loop, request)
         recorded = live_configuration(
             "teleop",
-            asked,
-            {side: made.config for side, made in retargeters.items()},
+            request,
+            {side: retargeter.config for side, retargeter in retargeters.items()},
             source=source if dataclasses.is_dataclass(source) else source.label,
-            sinks=[sink if isinstance(sink, str) else sink.label for sink in wanted],
+            sinks=[sink if isinstance(sink, str) else sink.label for sink in requested],
             loop=config,
             arm=carrier,
         )
@@ -225,7 +226,7 @@ def teleoperate(
         tried = TaskTrials(
             acting,
             sides,
-            said,
+            reporter,
             task=task,
             folder=trials,
             controlled=control is not None,
@@ -234,10 +235,19 @@ def teleoperate(
             record=record,
         )
         if begun is not None and page is not None:
-            show_page(begun, page, loop, asked, acting, switcher, blind, said, tried.shown)
+            from smooth_operator.teleop.pages.live.live_session import LiveSession
+
+            session = LiveSession(
+                loop, request, acting, switcher=switcher, blind=blind, trial=tried.shown
+            )
+            loop.watch = session.watch
+            url = begun.serve(session)
+            reporter.note(f"page: {url}", matters=True)
+            if page.open_browser:
+                open_page(url)
         if others or task is not None or duration is not None or isinstance(source, Replay):
             switcher.building = "compiling"
-            _compile(settled, asked, others, blind, said)
+            _compile(settled, request, others, blind, reporter)
             switcher.building = ""
             for pipeline in pipelines.values():
                 pipeline.go_on()
@@ -246,16 +256,16 @@ def teleoperate(
         begin = time.perf_counter()
         ending.quit = loop.controls.quit
         where = ", ".join(sink.label for sink in runner.health()) or "no sink"
-        said.note(f"from {source.label} to {where}")
+        reporter.note(f"from {source.label} to {where}")
         with (
             contextlib.closing(switcher),
             low_jitter(),
-            keyboard(loop, said, tried.keys, tried.key_help)
+            keyboard(loop, reporter, tried.keys, tried.key_help)
             if attended
             else contextlib.nullcontext(),
-            _remote(loop, control, handlers, said),
+            _remote(loop, control, handlers, reporter),
             stopped_by(loop, stop),
-            _compiling(retargeters, loop, said),
+            _compiling(retargeters, loop, reporter),
             contextlib.ExitStack() as first,
         ):
 
@@ -263,7 +273,7 @@ def teleoperate(
                 nonlocal granted
                 if priority == "high":
                     granted = first.enter_context(going_first())
-                first.enter_context(_announced(source, said))
+                first.enter_context(_announced(source, reporter))
                 tried.begin()
                 if started is not None:
                     started(loop)
@@ -272,11 +282,11 @@ def teleoperate(
         seconds = time.perf_counter() - begin
         tried.end()
         more = {"priority": granted, "interrupted": ending.came, **tried.summary()}
-        return summarise(loop, seconds, said, more)
+        return summarise(loop, seconds, reporter, more)
 
 
 def _checked(
-    asked: RetargetRequest,
+    request: RetargetRequest,
     config: LoopConfig,
     sides: Sequence[Side],
     source: LiveSource,
@@ -289,11 +299,8 @@ def _checked(
 
     Whatever is missing, taken or wrong is found here, in a second, and not after a compilation:
     extras, files, models, addresses, ports. The source is open afterwards.
-
-    Raises:
-        SmoothOperatorError: what is wrong.
     """
-    settled = {side: resolve(asked, side) for side in sides}
+    settled = {side: resolve(request, side) for side in sides}
     hands = {side: hand for side, (hand, _) in settled.items()}
     for hand in hands.values():
         Limiter(hand, config.limits)
@@ -310,7 +317,7 @@ def _checked(
 
         check_address(control)
     if page is not None:
-        from smooth_operator.teleop.pages.ports import free_port
+        from smooth_operator.teleop.pages.viser_server import free_port
 
         free_port(page.host, page.port)
         if page.model is not None:
@@ -322,64 +329,52 @@ def _checked(
 
 def _built(
     settled: Mapping[Side, tuple[Hand, MethodConfig]],
-    asked: RetargetRequest,
+    request: RetargetRequest,
     blind: bool,
-    said: Reporter,
+    reporter: Reporter,
 ) -> dict[Side, Retargeter]:
     """The hands' retargeters, not compiled yet."""
     retargeters: dict[Side, Retargeter] = {}
     for side, (hand, config) in settled.items():
         if not blind:
             for note in config.notes(hand):
-                said.note(note, matters=True)
+                reporter.note(note, matters=True)
         dispatch_here(one_thread=config.one_thread)
-        retargeters[side] = Retargeter(hand, config=config, seed=asked.seed)
+        retargeters[side] = Retargeter(hand, config=config, seed=request.seed)
     return retargeters
 
 
 def _compile(
     settled: Mapping[Side, tuple[Hand, MethodConfig]],
-    asked: RetargetRequest,
+    request: RetargetRequest,
     others: Sequence[RetargetRequest],
     blind: bool,
-    said: Reporter,
+    reporter: Reporter,
 ) -> None:
-    """Compiles the run's method and those of other requests, which the process then has.
-
-    Raises:
-        SmoothOperatorError: a method can't serve a hand.
-    """
+    """Compiles the run's method and those of other requests, which the process then has."""
     for side, (hand, own) in settled.items():
-        configs = [(asked.method, own)]
+        configs = [(request.method, own)]
         configs += [(each.method, resolve_config(each, hand)) for each in others]
         for name, config in configs:
             what = "the method" if blind else name
-            with said.waiting(f"compiling {what} for {hand.name} {side}"):
-                Retargeter(hand, config=config, seed=asked.seed).warm_up()
+            with reporter.waiting(f"compiling {what} for {hand.name} {side}"):
+                Retargeter(hand, config=config, seed=request.seed).warm_up()
 
 
-def _with_method(asked: RetargetRequest, text: str) -> RetargetRequest:
-    """The request with another method, ``METHOD`` or ``METHOD:PRESET``.
-
-    Raises:
-        UnknownNameError: there is no such method or preset.
-    """
+def _with_method(request: RetargetRequest, text: str) -> RetargetRequest:
+    """The request with another method, ``METHOD`` or ``METHOD:PRESET``."""
     name, _, preset = text.partition(":")
     if name not in method_names():  # package.module:attribute
         name, preset = text, ""
     preset = preset or default_preset(name)
-    return replace(asked, method=name, preset=preset, config=method_config(name, preset))
+    return replace(request, method=name, preset=preset, config=method_config(name, preset))
 
 
 @contextlib.contextmanager
 def _compiling(
-    retargeters: Mapping[Side, Retargeter], loop: TeleopLoop, said: Reporter
+    retargeters: Mapping[Side, Retargeter], loop: TeleopLoop, reporter: Reporter
 ) -> Iterator[None]:
-    """While the block runs: methods that are not compiled yet are, and their hands go on then.
-
-    Raises:
-        Exception: a method can't be compiled; the loop has ended.
-    """
+    """While the block runs: methods that are not compiled yet are, and their hands go on then."""
     waiting = {side: each for side, each in retargeters.items() if not each.compiled}
     errors: list[Exception] = []
 
@@ -388,7 +383,7 @@ def _compiling(
 
     def compile_all() -> None:
         for side, retargeter in waiting.items():
-            said.note(f"{side}: compiling the method; the robot holds", matters=True)
+            reporter.note(f"{side}: compiling the method; the robot holds", matters=True)
             try:
                 seconds = retargeter.warm_up()
             except Exception as error:  # raised on the loop's thread
@@ -396,7 +391,7 @@ def _compiling(
                 loop.controls.quit()
                 return
             let_go(side)
-            said.note(f"{side}: compiled after {seconds:.1f} s")
+            reporter.note(f"{side}: compiled after {seconds:.1f} s")
 
     if waiting:
         # Not a daemon: one that is inside XLA when the interpreter ends can abort the process.
@@ -407,8 +402,8 @@ def _compiling(
 
 
 @contextlib.contextmanager
-def _announced(source: LiveSource, said: Reporter) -> Iterator[None]:
-    """What the operator has to do before frames come: where to connect, with which code."""
+def _announced(source: LiveSource, reporter: Reporter) -> Iterator[None]:
+    """Reports how the operator connects: address and code."""
     over = threading.Event()
 
     def tell() -> None:
@@ -417,7 +412,7 @@ def _announced(source: LiveSource, said: Reporter) -> Iterator[None]:
             if over.wait(0.1):
                 return
         if health.detail:
-            said.note(f"{source.label}: {health.detail}", matters=health.state != "running")
+            reporter.note(f"{source.label}: {health.detail}", matters=health.state != "running")
 
     thread = threading.Thread(target=tell, name="announce", daemon=True)
     thread.start()
@@ -430,7 +425,7 @@ def _announced(source: LiveSource, said: Reporter) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _remote(
-    loop: TeleopLoop, address: str | None, handlers: RpcHandlers, said: Reporter
+    loop: TeleopLoop, address: str | None, handlers: RpcHandlers, reporter: Reporter
 ) -> Iterator[None]:
     """Commands of other programs, where they are to be listened to."""
     if address is None:
@@ -439,5 +434,57 @@ def _remote(
     from smooth_operator.teleop.runtime.rpc_server import remote
 
     with remote(loop, address, handlers.by_command, handlers.status) as bound:
-        said.note(f"switches at {bound}")
+        reporter.note(f"switches at {bound}")
         yield
+
+
+@dataclass(frozen=True)
+class PageSettings:
+    """Address and look of the live page. Needs the extra ``teleop``.
+
+    Attributes:
+        host: address to listen at; other than this machine's, a token in the page's address is
+            needed to open it.
+        port: first port to try; 0 for any free one.
+        open_browser: open it in the browser.
+        model: the vendor's MJCF or URDF to draw in place of simple shapes, or ``menagerie``.
+        meshes: draw meshes, where there are some; otherwise simple shapes.
+    """
+
+    host: str = "127.0.0.1"
+    port: int = 8080
+    open_browser: bool = True
+    model: Path | None = None
+    meshes: bool = True
+
+
+@contextlib.contextmanager
+def _begun_page(
+    page: PageSettings | None,
+    request: RetargetRequest,
+    sides: tuple[Side, ...],
+    acting: Sequence[Sink],
+    blind: bool,
+    arm: ArmSettings | None = None,
+) -> Iterator[LivePage | None]:
+    """The page's process, which gets ready while the method is compiled; None if it is left out."""
+    if page is None:
+        yield None
+        return
+    from smooth_operator.teleop.pages.live.live_page import LivePage, PageSetup
+
+    with temporary_spec(request.hand) as hand:
+        setup = PageSetup(
+            hand,
+            sides,
+            request.fingers,
+            page.host,
+            page.port,
+            any(sink.measures for sink in acting),
+            blind,
+            None if page.model is None else str(page.model),
+            page.meshes,
+            arm=arm,
+        )
+        with LivePage(setup) as begun:
+            yield begun

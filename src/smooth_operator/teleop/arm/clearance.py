@@ -24,10 +24,10 @@ _BRAKING: Final = 0.3
 """Share of what the joints can do to a distance that is counted on to stop before its end."""
 
 _FATTER: Final = 0.04
-"""How much fatter than two links their capsules are [m]."""
+"""Width by which capsules exceed two links [m]."""
 
 _LEEWAY: Final = 0.02
-"""Of what the joints can do to a distance in a step, what is left to other distances."""
+"""Share of a step's effect on a distance that is left to other distances."""
 
 _TINY: Final = 1e-12
 _NEXT, _AFTER = np.array([1, 2, 0]), np.array([2, 0, 1])
@@ -35,14 +35,14 @@ _NEXT, _AFTER = np.array([1, 2, 0]), np.array([2, 0, 1])
 
 @dataclass(frozen=True)
 class ClearanceConfig:
-    """How far parts stay apart.
+    """Distances that parts keep.
 
     Attributes:
         parts: between parts of the arm, and between arm and hand [m].
         table: between the table and the arm or the palm [m].
         fingers: between the table and the fingers, which may have to touch it [m].
         wall: between the wall and anything [m].
-        seen: pairs farther apart than this are free [m].
+        horizon: pairs farther apart than this are free [m].
         approach: a pair at a distance beyond its own least one comes nearer by this share of the
             rest in a second, at most [1/s].
     """
@@ -51,7 +51,7 @@ class ClearanceConfig:
     table: float = 0.02
     fingers: float = 0.0
     wall: float = 0.02
-    seen: float = 0.3
+    horizon: float = 0.3
     approach: float = 4.0
 
 
@@ -135,11 +135,11 @@ class Clearance(mink.Limit):
                       self._planes]  # fmt: skip
 
     def place_hand(self, middles: Float[np.ndarray, "c 3"], axes: Float[np.ndarray, "c 3"]) -> None:
-        """Where the hand's capsules are on the flange; see ``HandCapsules.at``."""
+        """Places the hand's capsules on the flange; see ``HandCapsules.at``."""
         self._placed[:, 0], self._placed[:, 1] = middles, axes
 
     def distances(self, data: mujoco.MjData) -> tuple[np.ndarray, ...]:
-        """What is near, for a model whose kinematics are up to date.
+        """Near pairs, for a model whose kinematics are up to date.
 
         Returns:
             (k,) distance beyond the least one allowed [m], (k, n) its derivative by the joints
@@ -149,7 +149,7 @@ class Clearance(mink.Limit):
         first, second = self._pairs.T
         reach = self._radius[first] + self._radius[second]
         apart = np.linalg.norm(middle[first] - middle[second], axis=1)
-        near = apart - self._length[first] - self._length[second] - reach < self.config.seen
+        near = apart - self._length[first] - self._length[second] - reach < self.config.horizon
         first, second, reach = first[near], second[near], reach[near]
         one, other = _nearest_points(middle[first], half[first], middle[second], half[second])
         line = other - one
@@ -172,7 +172,7 @@ class Clearance(mink.Limit):
             np.concatenate(part) for part in zip(*parts_near, strict=True)
         )
         spare = distance - least
-        nearest = np.flatnonzero(spare < self.config.seen)
+        nearest = np.flatnonzero(spare < self.config.horizon)
         if len(nearest) > _ROWS:
             nearest = nearest[np.argpartition(spare[nearest], _ROWS)[:_ROWS]]
         axis = data.xaxis[self._joint_ids]

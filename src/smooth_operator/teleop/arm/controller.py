@@ -35,12 +35,12 @@ _JUMP: Final = 3.0
 _HOME_STEPS: Final = 1000
 _HOME_STEP_S: Final = 0.01
 _HOME_NEAR: Final = (1e-3, 5e-3)
-"""How near the home pose has to be reached [m, rad]."""
+"""Distance at which the home pose counts as reached [m, rad]."""
 
 
 @dataclass(frozen=True)
 class ArmControlConfig:
-    """How an arm follows.
+    """Settings of an arm that follows.
 
     Attributes:
         speed: most of the wrist [m/s].
@@ -236,8 +236,8 @@ class ArmController:
         step = self._governed(now, goal, dt)
         aim = now.copy()
         aim[:3, 3] += step[:3]
-        aim[:3, :3] = _turned(step[3:], now[:3, :3])
-        self._task.set_target(mink.SE3(np.concatenate([_quaternion(aim), aim[:3, 3]])))
+        aim[:3, :3] = mink.SO3.exp(step[3:]).as_matrix() @ now[:3, :3]
+        self._task.set_target(mink.SE3.from_matrix(aim))
         low, high = self.limiter.bounds(dt)
         self._box.low, self._box.high = low, high
         self._clearance.low, self._clearance.high = low, high
@@ -258,7 +258,7 @@ class ArmController:
         return velocity, ""
 
     def _governed(self, now: Matrix, goal: Matrix, dt: float) -> Float[np.ndarray, "6"]:
-        """How far to go in this step: translation [m] and rotation vector [rad], in the base frame.
+        """The motion of this step: translation [m] and rotation vector [rad], in the base frame.
 
         The target's own motion, and of the distance to it as much as lets the wrist come to rest
         there.
@@ -358,30 +358,9 @@ def _approach(
 
 def _difference(one: Matrix, other: Matrix) -> Float[np.ndarray, "6"]:
     """Translation [m] and rotation vector [rad] from one pose to another, in the base frame."""
-    vector = np.zeros(3)
-    mujoco.mju_quat2Vel(vector, _quaternion_of(other[:3, :3] @ one[:3, :3].T), 1.0)
+    turn, vector = mink.SO3.from_matrix(other[:3, :3] @ one[:3, :3].T), np.zeros(3)
+    mujoco.mju_quat2Vel(vector, turn.wxyz, 1.0)  # mink's logarithm of half a turn is zero
     return np.concatenate([other[:3, 3] - one[:3, 3], vector])
-
-
-def _turned(vector: np.ndarray, rotation: np.ndarray) -> np.ndarray:
-    """A rotation (3, 3), turned further by a rotation vector [rad] of the base frame."""
-    angle = float(np.linalg.norm(vector))
-    if angle < 1e-12:
-        return rotation
-    quaternion, matrix = np.zeros(4), np.zeros(9)
-    mujoco.mju_axisAngle2Quat(quaternion, vector / angle, angle)
-    mujoco.mju_quat2Mat(matrix, quaternion)
-    return np.asarray(matrix.reshape(3, 3) @ rotation)
-
-
-def _quaternion(matrix: Matrix) -> np.ndarray:
-    return _quaternion_of(matrix[:3, :3])
-
-
-def _quaternion_of(rotation: np.ndarray) -> np.ndarray:
-    quaternion = np.zeros(4)
-    mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(rotation).ravel())
-    return quaternion
 
 
 @dataclass(frozen=True, eq=False)

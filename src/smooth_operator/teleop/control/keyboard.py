@@ -134,13 +134,13 @@ def keys(actions: Mapping[str, Callable[[], None]]) -> Iterator[bool]:
 
 
 def _nothing() -> None:
-    """What a key does that means nothing."""
+    """Does nothing, for a key without meaning."""
 
 
 @contextlib.contextmanager
 def _reader() -> Iterator[Callable[[float], str | None]]:
-    """How to wait a while for keys; the terminal hands them over one by one meanwhile. None where
-    the terminal was closed."""
+    """A function that waits a while for keys; the terminal hands them over one by one. None where
+    it was closed."""
     if sys.platform == "win32":
         import msvcrt
 

@@ -27,7 +27,7 @@ _DEBOUNCE_S: Final = 0.4
 
 @dataclass(frozen=True, eq=False)
 class DriverSpec:
-    """What the hands are, or should be, driven by.
+    """Method and configurations that drive the hands, or are to drive them.
 
     Attributes:
         method: its name.
@@ -47,7 +47,7 @@ class DriverSpec:
         return next(iter(self.configs.values()))
 
     def driver(self, side: Side) -> Driver:
-        """What a record of the run says of it."""
+        """The driver of one side, for records of the run."""
         return Driver(self.method, self.preset, self.configs[side])
 
 
@@ -60,23 +60,24 @@ class MethodSwitcher:
 
     Args:
         loop: whose hands they are for.
-        asked: what the run was begun with.
+        request: the request that the run was begun with.
 
     Attributes:
         used: what drives the hands.
-        wanted: what was asked for last; ``used`` if nothing is under way.
+        target: the last request; ``used`` if nothing is under way.
         error: why the last request failed; empty if it did not.
         refused: how many requests failed, so that a page knows to show the old values again.
     """
 
-    def __init__(self, loop: TeleopLoop, asked: RetargetRequest) -> None:
-        self._loop, self._asked = loop, asked
+    def __init__(self, loop: TeleopLoop, request: RetargetRequest) -> None:
+        self._loop, self._begun_with = loop, request
         self._hands = {side: p.retargeter.hand for side, p in loop.pipelines.items()}
         self.operators: dict[Side, OperatorProfile | None] = dict.fromkeys(
-            self._hands, asked.operator
+            self._hands, request.operator
         )
         configs = {side: p.retargeter.config for side, p in loop.pipelines.items()}
-        self.used = self.wanted = DriverSpec(asked.method, asked.preset, asked.config, configs)
+        self.used = DriverSpec(request.method, request.preset, request.config, configs)
+        self.target = self.used
         self.error = ""
         self.refused = 0
         self.building = ""
@@ -109,13 +110,13 @@ class MethodSwitcher:
             SmoothOperatorError: what ``change`` raises.
         """
         with self._changed:
-            wanted = self.wanted
+            target = self.target
             try:
-                configs = {side: change(config) for side, config in wanted.configs.items()}
+                configs = {side: change(config) for side, config in target.configs.items()}
             except SmoothOperatorError:
                 self.refused += 1
                 raise
-            return self._want(replace(wanted, configs=configs), _DEBOUNCE_S)
+            return self._want(replace(target, configs=configs), _DEBOUNCE_S)
 
     def operate(self, operators: Mapping[Side, OperatorProfile | None]) -> Future[DriverSpec]:
         """Ask for calibrations to be used; see ``choose``.
@@ -132,7 +133,7 @@ class MethodSwitcher:
             before = dict(self.operators)
             self.operators.update(operators)
             try:
-                return self._want(self._settled(self.wanted.method, self.wanted.preset), 0.0)
+                return self._want(self._settled(self.target.method, self.target.preset), 0.0)
             except SmoothOperatorError:
                 self.operators.update(before)
                 raise
@@ -147,9 +148,9 @@ class MethodSwitcher:
     def _settled(self, method: str, preset: str | None) -> DriverSpec:
         base = method_config(method, preset)
         preset = preset or default_preset(method)
-        asked = replace(self._asked, method=method, preset=preset, config=base)
+        request = replace(self._begun_with, method=method, preset=preset, config=base)
         configs = {
-            side: resolve_config(replace(asked, operator=self.operators[side]), hand)
+            side: resolve_config(replace(request, operator=self.operators[side]), hand)
             for side, hand in self._hands.items()
         }
         return DriverSpec(method, preset, base, configs)
@@ -157,7 +158,7 @@ class MethodSwitcher:
     def _want(self, spec: DriverSpec, after: float) -> Future[DriverSpec]:
         self._settle(ConfigError("something else was asked for meanwhile"))
         self._request = Future()
-        self.wanted, self.error = spec, ""
+        self.target, self.error = spec, ""
         self._due = time.monotonic() + after
         self._changed.notify_all()
         return self._request
@@ -169,24 +170,24 @@ class MethodSwitcher:
     def _run(self) -> None:
         while True:
             with self._changed:
-                self._changed.wait_for(lambda: self._ending or self.wanted is not self.used)
+                self._changed.wait_for(lambda: self._ending or self.target is not self.used)
                 while not self._ending and (rest := self._due - time.monotonic()) > 0:
                     self._changed.wait(rest)
                 if self._ending:
                     return
-                spec, used = self.wanted, self.used
+                spec, used = self.target, self.used
                 self.building = f"compiling {spec.method} {spec.preset}"
             try:
                 built = self._build(spec, used)
             except Exception as error:  # whatever it is, the old method goes on
-                known = isinstance(error, SmoothOperatorError)
-                self._fail(spec, error if known else ConfigError(_words(error)))
+                expected = isinstance(error, SmoothOperatorError)
+                self._fail(spec, error if expected else ConfigError(_words(error)))
             else:
                 self._hand_over(spec, built)
 
     def _build(self, spec: DriverSpec, used: DriverSpec) -> dict[Side, Retargeter]:
         built = {
-            side: Retargeter(self._hands[side], config=config, seed=self._asked.seed)
+            side: Retargeter(self._hands[side], config=config, seed=self._begun_with.seed)
             for side, config in spec.configs.items()
             if config != used.configs[side]
         }
@@ -206,7 +207,7 @@ class MethodSwitcher:
 
         with self._changed:
             self.building = ""
-            if spec is not self.wanted or self._ending:
+            if spec is not self.target or self._ending:
                 return
             self.used, request = spec, self._request
             self._loop.controls.change(switch)
@@ -216,8 +217,8 @@ class MethodSwitcher:
     def _fail(self, spec: DriverSpec, error: Exception) -> None:
         with self._changed:
             self.building = ""
-            if spec is self.wanted:
-                self.wanted, self.error = self.used, str(error)
+            if spec is self.target:
+                self.target, self.error = self.used, str(error)
                 self.refused += 1
                 self._loop.controls.change(lambda hand: hand.go_on())
                 self._settle(error)

@@ -63,11 +63,11 @@ if TYPE_CHECKING:  # physics, which a run without a task need not have
     from smooth_operator.simulation.tasks.trial_runner import TrialRunner
 
 _LOOK_S: Final = 0.5
-"""How often it is looked whether a run still goes on in which something is waited for [s]."""
+"""Interval of the checks that a run still goes on [s]."""
 
 
 class RpcHandlers:
-    """What other programs may have done to a running loop.
+    """Commands of other programs to a running loop.
 
     Args:
         loop: the loop.
@@ -100,7 +100,7 @@ class RpcHandlers:
         }
 
     def status(self) -> dict[str, Any]:
-        """What is known of the run without asking the loop."""
+        """Status of the run, without asking the loop."""
         loop, switcher, runner = self._loop, self._switcher, self._runner()
         used = switcher.used
         task = None if runner is None else runner.task
@@ -214,7 +214,7 @@ class RpcHandlers:
         return runner
 
     def _await(self, request: Future[DriverSpec]) -> DriverSpec:
-        """What was asked for, once the hands are driven by it."""
+        """The driver that was requested, once it drives the hands."""
         while True:
             try:
                 return request.result(_LOOK_S)

@@ -23,7 +23,7 @@ class TaskTrials:
     Args:
         sinks: among them the simulation, or not.
         sides: that are driven.
-        said: where outcomes are reported.
+        reporter: takes the outcomes.
         task: name of the task; None for the hand alone.
         folder: for a record of every trial; None for none.
         controlled: another program may begin trials.
@@ -40,7 +40,7 @@ class TaskTrials:
         self,
         sinks: Sequence[Sink],
         sides: Sequence[Side],
-        said: Reporter,
+        reporter: Reporter,
         *,
         task: str | None = None,
         folder: Path | None = None,
@@ -49,7 +49,7 @@ class TaskTrials:
         about: Callable[[], Mapping[str, Any]] = dict,
         record: Callable[[Side, str], None] = lambda side, text: None,
     ) -> None:
-        self._sinks, self._sides, self._said = sinks, sides, said
+        self._sinks, self._sides, self._reporter = sinks, sides, reporter
         self._task, self._folder = task, folder
         self._controlled, self._attended = controlled, attended
         self._about, self._record = about, record
@@ -68,7 +68,7 @@ class TaskTrials:
 
     @property
     def key_help(self) -> str:
-        """What the keys do."""
+        """Key -> action."""
         return "   g: go   r: reset the object   d: done" if self.keys else ""
 
     def begin(self) -> None:
@@ -84,7 +84,7 @@ class TaskTrials:
         if self._task is None or self.runner.task is None:
             return
         task = self.runner.task.task
-        self._said.note(f"{task.title}: {task.instruction}", matters=True)
+        self._reporter.note(f"{task.title}: {task.instruction}", matters=True)
         if not self._controlled and not self._attended:
             self._tried("go")
 
@@ -93,10 +93,10 @@ class TaskTrials:
         if self.runner is not None:
             self.runner.end()
             for failed in self.runner.failures:
-                self._said.note(failed, matters=True)
+                self._reporter.note(failed, matters=True)
 
     def shown(self) -> dict[str, Any] | None:
-        """What the operator sees of the trial: never its score. None without a task.
+        """The trial as the operator sees it, without its score. None without a task.
 
         Returns:
             ``title`` and ``instruction`` of the task; ``number`` of the trial, as who began it
@@ -129,7 +129,7 @@ class TaskTrials:
             return {}
         return {
             "task": self._task,
-            "trials": {side: [asdict(o) for o in found] for side, found in outcomes.items()},
+            "trials": {side: [asdict(o) for o in results] for side, results in outcomes.items()},
         }
 
     def _tried(self, word: str) -> None:
@@ -138,11 +138,11 @@ class TaskTrials:
         try:
             getattr(self.runner, word)()
         except SmoothOperatorError as error:
-            self._said.note(str(error), matters=True)
+            self._reporter.note(str(error), matters=True)
 
     def _tell(self, side: Side, outcome: Outcome) -> None:
         reset = ", after a reset" if outcome.resets else ""
-        self._said.note(
+        self._reporter.note(
             f"{side}: {outcome.score:g} after {outcome.seconds:.1f} s "
             f"({outcome.ended}: {outcome.reason}{reset})",
             matters=True,

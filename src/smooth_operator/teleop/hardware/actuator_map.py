@@ -20,10 +20,10 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.types import Side
 
 Rest: TypeAlias = Literal["hold", "relax"]
-"""What a hand does when nothing commands it: stand still under power, or give way."""
+"""Rest of a hand without a command: stand still under power, or give way."""
 
 _KNOWN: Final = 1e-6
-"""How far from one the share of a joint may be that the actuators determine."""
+"""Tolerance of the share of a joint that the actuators determine."""
 
 
 @dataclass(frozen=True)
@@ -200,7 +200,7 @@ class BoundMap:
         table: the table.
         names: (n,) names of the model's joints.
         ends: (a, 2) least and greatest command.
-        known: (n,) whether the actuators determine a joint, or it is coupled to one that they do.
+        determined: (n,) true where the actuators determine a joint, or one that it is coupled to.
 
     Raises:
         ConfigError: the table is that of another hand, with other joints.
@@ -236,7 +236,7 @@ class BoundMap:
         reduced = self._weights @ self._gears
         self._inverse = np.linalg.pinv(reduced)
         touched = (self._weights @ self._gears != 0).any(axis=0)
-        self.known: Bool[np.ndarray, " n"] = (np.abs(self._gears) @ ~touched < _KNOWN) & (
+        self.determined: Bool[np.ndarray, " n"] = (np.abs(self._gears) @ ~touched < _KNOWN) & (
             np.abs(self._gears).sum(axis=1) > 0
         )
 
@@ -281,7 +281,7 @@ class BoundMap:
     def _spread(self, angles: Float[np.ndarray, " a"]) -> Float[np.ndarray, " n"]:
         missing = ~np.isfinite(angles)
         spread: np.ndarray = self._gears @ (self._inverse @ np.where(missing, 0.0, angles))
-        unknown = ~self.known
+        unknown = ~self.determined
         if missing.any():
             lost = (np.abs(self._inverse[:, missing]) > _KNOWN).any(axis=1)
             unknown = unknown | ((np.abs(self._gears) @ lost) > 0)

@@ -147,9 +147,6 @@ def _open(path: Path) -> int:
 
     Linux may refuse ``O_CREAT`` for another user's file in a folder of all (its sysctl
     ``fs.protected_regular``).
-
-    Raises:
-        OSError: it can't be opened or made, or is no plain file.
     """
     try:
         file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | _FLAGS, 0o666)
@@ -168,11 +165,7 @@ def _open(path: Path) -> int:
 
 
 def _lock_file(file: int, sharer: str) -> None:
-    """Lock a file, without waiting; ``sharer`` does so together with those of other names.
-
-    Raises:
-        OSError: another program has it.
-    """
+    """Lock a file, without waiting; ``sharer`` does so together with those of other names."""
     if sys.platform == "win32":
         import msvcrt
 
@@ -187,7 +180,7 @@ def _lock_file(file: int, sharer: str) -> None:
 
 
 def is_serial(port: str) -> bool:
-    """Whether a name is one of a serial port, a path or ``COM3``, and not an address."""
+    """True if a name is one of a serial port, a path or ``COM3``, and not an address."""
     return "/" in port or bool(re.fullmatch(r"(\\\\\.\\)?COM\d+", port, re.IGNORECASE))
 
 

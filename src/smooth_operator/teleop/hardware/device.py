@@ -1,4 +1,4 @@
-"""What a driver of a real robot hand implements, and what it answers.
+"""Base of the drivers of real robot hands, and the readings that they answer.
 
 A driver speaks the hand's own protocol in the hand's own unit, and nothing more: limits, slow
 approach, watchdog and retries are those of ``HardwareSink``, which is the same for every hand.
@@ -6,15 +6,17 @@ approach, watchdog and retries are those of ``HardwareSink``, which is the same 
 
 from __future__ import annotations
 
+import contextlib
 import time
-from collections.abc import Callable, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import Any, ClassVar, Final
 
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.errors import SinkError
+from smooth_operator.errors import ConfigError, SinkError
 from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
 
 
@@ -31,7 +33,7 @@ class WrongAnswerError(SinkError):
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """What a hand answers, actuator by actuator, in the order of its table.
+    """An answer of a hand, actuator by actuator, in the order of its table.
 
     Attributes:
         positions: (a,) measured positions in the actuators' unit, that of ``HandDevice.write``;
@@ -67,13 +69,68 @@ class Setting:
     measured: Float[np.ndarray, " k"]
 
 
-class HandDevice(Protocol):
+class HandDevice(ABC):
     """A real hand on its bus. All methods are called from one thread and may wait for the bus.
 
     Each may raise ``DeviceLostError`` (it has to be opened again) or ``WrongAnswerError`` (this
     exchange failed). An ``OSError`` counts as a lost device.
+
+    A subclass sets ``driver``, ``name`` and ``motors``.
+
+    Args:
+        table: table of the hand's actuators.
+
+    Raises:
+        ConfigError: the table has another number of actuators.
     """
 
+    driver: ClassVar[str]
+    """Word of the driver, for messages."""
+    name: ClassVar[str]
+    """Name of the hand with its article, for messages."""
+    motors: ClassVar[int]
+    """Number of motors; 0 where the table says it."""
+
+    _limited = False
+    """True once the hand was given its limits since it was opened, or relaxed."""
+
+    def __init__(self, table: ActuatorMap) -> None:
+        if self.motors:
+            table.check_count(self.motors, self.name)
+        self._table = table
+
+    def _setting(self, name: str, default: float, low: float, high: float) -> Any:
+        """A number of the table's settings, a whole one if the default is."""
+        value = self._table.settings.get(name, default)
+        kinds = int if isinstance(default, int) else int | float
+        if not isinstance(value, kinds) or isinstance(value, bool) or not low <= value <= high:
+            number = "a whole number from " if isinstance(default, int) else ""
+            raise ConfigError(
+                f"{self._table.file}: {name} must be {number}{low:g} to {high:g}, not {value!r}"
+            )
+        return value
+
+    @contextlib.contextmanager
+    def _opening(self, advice: str) -> Iterator[None]:
+        """Closes the hand again where the block fails, with advice behind the reason."""
+        try:
+            yield
+        except SinkError as error:
+            self.close()
+            raise type(error)(f"{error}; {advice}") from error
+
+    def _check_side(self, side: str | None, hand: str = "the hand") -> None:
+        """Refuses a hand of the other side than its table's, with a SinkError."""
+        if side is not None and side != self._table.side:
+            raise SinkError(
+                f"{self.driver}: {hand} is a {side} one, and {self._table.file} is for a "
+                f"{self._table.side} one"
+            )
+
+    def _not_open(self) -> DeviceLostError:
+        return DeviceLostError(f"{self.driver}: the hand is not open")
+
+    @abstractmethod
     def open(self) -> None:
         """Connect, check that every actuator answers, set current limits. Nothing moves.
 
@@ -83,6 +140,7 @@ class HandDevice(Protocol):
             SinkError: it can't be opened; the message says what to do.
         """
 
+    @abstractmethod
     def read(self) -> Reading:
         """Ask where the hand is; once in every cycle, after ``write``.
 
@@ -92,6 +150,7 @@ class HandDevice(Protocol):
         by which the maker says that it has none; a single actuator without one is NaN.
         """
 
+    @abstractmethod
     def write(self, commands: Float[np.ndarray, " a"]) -> None:
         """Send position commands, in the actuators' unit and the order of the table.
 
@@ -105,20 +164,24 @@ class HandDevice(Protocol):
     def settings(self) -> Sequence[Setting]:
         """Read back what the hand forgets when it restarts, or a part of it that tells; about once
         a second (``SettingsWatch``). Empty where the protocol reads nothing back."""
+        return ()
 
     def relax(self) -> None:
         """Switch the motors' torque off. Called in every cycle while it lasts.
 
-        A hand that can't does nothing: it has just been given where it is as its command.
+        A hand that can't does nothing: it has just been given where it is as its command. The
+        next command follows its limits.
         """
+        self._limited = False
 
+    @abstractmethod
     def close(self) -> None:
         """Give the bus back. Must not raise, nor move anything, also when the device is gone; a
         second call does nothing."""
 
 
 _AGREE: Final = 0.15
-"""How far apart two readings may be [rad]: a fast finger moves so far between them, 10 rad/s for
+"""Largest difference of two readings [rad]: a fast finger moves so far between them, 10 rad/s for
 15 ms."""
 
 _APART_S: Final = 0.01
@@ -138,7 +201,7 @@ def apart(first: Reading, second: Reading, table: ActuatorMap) -> list[int]:
 
 
 def agreed_reading(read: Callable[[], Reading], table: ActuatorMap) -> Reading:
-    """Where the hand is, by two readings within 0.15 rad of each other; a third may decide.
+    """The position of the hand, by two readings within 0.15 rad; a third may decide.
 
     Args:
         read: one exchange with the hand; takes some ms.

@@ -16,22 +16,22 @@ from smooth_operator.teleop.hardware.actuator_map import BoundMap
 from smooth_operator.teleop.hardware.device import Reading
 
 _CAUGHT_UP: Final = 0.03
-"""How near to what is asked for a slow approach ends [rad]."""
+"""Distance from the target at which a slow approach ends [rad]."""
 
 _STALLED: Final = 0.3
 """Speed towards its command below which an actuator with a high current counts as blocked
 [rad/s]; a free one moves when it pulls as hard."""
 
 _BEYOND: Final = 0.35
-"""How far beyond an end of its table an actuator may be where a motion begins [rad]."""
+"""Angle beyond an end of its table at which an actuator may begin a motion [rad]."""
 
 _MARGIN: Final = 0.1
-"""How far beyond the measured position a command may stay that squeezes [rad]."""
+"""Angle beyond the measured position at which a squeezing command may stay [rad]."""
 
 
 @dataclass(frozen=True)
 class GuardSettings:
-    """How commands are limited.
+    """Settings of the guard of commands.
 
     Attributes:
         approach: speed of an actuator that is on its way to the operator's hand [rad/s].
@@ -136,12 +136,12 @@ class CommandGuard:
         self._loaded_s[:] = 0.0
 
     def step(
-        self, wanted: Float[np.ndarray, " n"], reading: Reading, seconds: float
+        self, target_positions: Float[np.ndarray, " n"], reading: Reading, seconds: float
     ) -> Float[np.ndarray, " a"]:
         """The next commands.
 
         Args:
-            wanted: (n,) joint positions [rad] that the loop asks for.
+            target_positions: (n,) joint positions [rad] that the loop asks for.
             reading: the hand's last answer; the same object again while there is no new one.
             seconds: since the last step [s].
 
@@ -153,7 +153,7 @@ class CommandGuard:
         """
         if self._at is None:
             raise SinkError("the guard has not been started with where the hand is")
-        target = self._map.clip(self._map.commands(self._map.angles(wanted)))
+        target = self._map.clip(self._map.commands(self._map.angles(target_positions)))
         angles = self._map.drive_angles(target)
         if reading is self._reading:
             seconds = 0.0  # nothing new is known of the hand
@@ -204,9 +204,9 @@ class CommandGuard:
         self.squeezing = np.where(gone, 0.0, self.squeezing)
 
     def _release(self, angles: Float[np.ndarray, " a"]) -> Float[np.ndarray, " a"]:
-        """What is asked for, without squeezing on; one who opens is followed immediately."""
+        """The target without more squeezing; opening is followed immediately."""
         opened = (self.squeezing != 0) & (self.squeezing * (angles - self._bound) < 0)
         self.squeezing = np.where(opened, 0.0, self.squeezing)
         self._loaded_s = np.where(opened, 0.0, self._loaded_s)
-        kept: np.ndarray = np.where(self.squeezing != 0, self._bound, angles)
-        return kept
+        bounded: np.ndarray = np.where(self.squeezing != 0, self._bound, angles)
+        return bounded

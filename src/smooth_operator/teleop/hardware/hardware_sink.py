@@ -95,7 +95,7 @@ class HardwareSink(Sink):
 
     @property
     def bus(self) -> str:
-        """What only one program may use at a time, in a form of ``bus_name``: here the port."""
+        """The bus that one program may use at a time, in a form of ``bus_name``: here the port."""
         return self.port or self.driver
 
     @property
@@ -105,7 +105,7 @@ class HardwareSink(Sink):
 
     @property
     def note(self) -> str:
-        """What the hand does, if it does not follow; errors, temperatures, counts."""
+        """State of a hand that does not follow; errors, temperatures, counts."""
         worker = self._worker
         return "" if worker is None else worker.note
 
@@ -174,7 +174,7 @@ class HardwareSink(Sink):
             worker.post(tick)
 
     def state(self, side: Side) -> HandState | None:
-        """Where the hand is, as it was last measured; safe from any thread."""
+        """The last measured state of the hand; safe from any thread."""
         worker = self._worker
         return worker.state if worker is not None and worker.side == side else None
 
@@ -208,5 +208,5 @@ def real_hand(sink: object) -> HardwareSink | None:
 
 
 def is_driver(kind: object) -> bool:
-    """Whether something is a class of sinks that move a real hand."""
+    """True if something is a class of sinks that move a real hand."""
     return isinstance(kind, type) and issubclass(kind, HardwareSink)

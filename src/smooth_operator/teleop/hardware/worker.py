@@ -30,10 +30,10 @@ from smooth_operator.types import JointCommand, Side
 _T = TypeVar("_T")
 
 _RETRY_S: Final = 1.0
-"""How long after a loss a device is opened again [s]."""
+"""Time after a loss until a device is opened again [s]."""
 
 _OPENING_S: Final = 15.0
-"""How long a device may take to open [s]; some boot their motors one by one."""
+"""Time that a device may take to open [s]; some boot their motors one by one."""
 
 _MISSED: Final = 3
 """Periods without a right answer, or ``_MISSED_S`` if that is longer, after which the hand is taken
@@ -43,10 +43,10 @@ _MISSED_S: Final = 0.05
 """The same in seconds: at high rates a machine that is late for a moment is no reason."""
 
 _TRIES: Final = 3
-"""How often at least a device is opened, and asked for its first answer, if answers are wrong."""
+"""Least number of tries to open a device and get its first answer, if answers are wrong."""
 
 _CLOSING_S: Final = 2.0
-"""How long closing waits for a bus that may hang [s]."""
+"""Time that closing waits for a bus that may hang [s]."""
 
 _MANY: Final = 0.05
 """Share of slow cycles from which the note has their number."""
@@ -57,7 +57,7 @@ _HANGS_S: Final = 0.5
 
 @dataclass(frozen=True)
 class WorkerSettings:
-    """How a worker treats its hand.
+    """Settings of a worker.
 
     Attributes:
         period: period of a cycle, at least [s].
@@ -187,7 +187,7 @@ class HandWorker:
 
     @property
     def note(self) -> str:
-        """What a person should know now; empty if all is well."""
+        """A note for a person; empty if all is well."""
         facts, since, reading = [], self._busy_since, self.reading
         if since is not None and (waited := time.perf_counter() - since) > _HANGS_S:
             facts.append(f"no answer from the bus for {waited:.1f} s")
@@ -301,11 +301,7 @@ class HandWorker:
             self.statistics.add(now() - cycle, self._settings.period)
 
     def _until_answered(self, action: Callable[[], _T]) -> _T:
-        """What an action on the bus returns, tried again while the answers are wrong.
-
-        Raises:
-            SinkError: no right answer came within ``lost_s``, nor in a few tries.
-        """
+        """The result of an action on the bus, repeated while the answers are wrong."""
         end, tries = time.perf_counter() + self._settings.lost_s, 0
         while True:
             try:
@@ -339,7 +335,7 @@ class HandWorker:
                 self._change.wait_for(lambda: self._ending or self._tick is not before, late)
 
     def _at_rest(self, newest: tuple[Tick, float] | None, now: float) -> Rest | None:
-        """How to rest, if nothing is to be followed; None while a command counts."""
+        """The kind of rest, if no command counts; None while one does."""
         if newest is None:
             return None
         if newest[0].mode is Mode.STOPPED:
@@ -420,7 +416,7 @@ _KEPT: Final = 20_000
 
 
 class BusStatistics:
-    """What happened on a bus; written by its worker, read by anyone.
+    """Counts and times of a bus; its worker writes, any thread reads.
 
     Attributes:
         cycles: how many there were.

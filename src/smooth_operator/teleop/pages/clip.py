@@ -15,8 +15,8 @@ from smooth_operator.atomic_files import atomic_write
 from smooth_operator.errors import ConfigError
 from smooth_operator.landmarks import BASES, BONES
 from smooth_operator.simulation.renderer import open_renderer
+from smooth_operator.teleop.pages.hand_view import HIGHLIGHT, PALM, Rgb, finger_colors
 from smooth_operator.teleop.pages.page_layout import FOV, camera_for, view_axes
-from smooth_operator.teleop.pages.palette import HIGHLIGHT, PALM, Rgb, finger_colors
 from smooth_operator.teleop.pages.playback import Playback, check_runs
 
 RATE_HZ: Final = 20.0
@@ -36,7 +36,6 @@ def save_clip(
     runs: Sequence[Playback],
     path: Path,
     *,
-    frames: slice = slice(None),
     track: Callable[[Iterable[int]], Iterable[int]] = iter,
 ) -> None:
     """Writes a GIF or WebP that loops.
@@ -44,7 +43,6 @@ def save_clip(
     Args:
         runs: what to draw: the human of the first, the robot of each.
         path: the file; ``.gif`` or ``.webp``.
-        frames: which frames; shown in real time, ``RATE_HZ`` of them a second.
         track: wraps the pictures' numbers, for a progress bar.
 
     Raises:
@@ -58,11 +56,8 @@ def save_clip(
     if path.suffix.lower() not in SUFFIXES:
         raise ConfigError(f"a clip is a {' or a '.join(SUFFIXES)}, not {path.name!r}")
     times = runs[0].times
-    chosen = np.arange(len(times))[frames]
-    if not len(chosen):
-        raise ConfigError("a clip needs a frame at least; the range that was named holds none")
-    due = np.arange(times[chosen[0]], times[chosen[-1]] + 1e-9, 1.0 / RATE_HZ)
-    rows = np.clip(np.searchsorted(times, due), chosen[0], chosen[-1])
+    due = np.arange(times[0], times[-1] + 1e-9, 1.0 / RATE_HZ)
+    rows = np.clip(np.searchsorted(times, due), 0, len(times) - 1)
     panes = [_Pane(runs[0], None), *(_Pane(run, run) for run in runs)]
     try:
         pictures = [
@@ -125,7 +120,7 @@ class _Pane:
         return picture
 
     def _empty(self, picture: UInt8[np.ndarray, "H W 3"]) -> Bool[np.ndarray, "H W"]:
-        """Where no hand is: there MuJoCo draws black, as some robots are."""
+        """The pixels without a hand: there MuJoCo draws black, as some robots are."""
         black = picture.max(axis=-1) == 0
         if not self._robot:
             return np.asarray(black)

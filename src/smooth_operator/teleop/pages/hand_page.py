@@ -6,14 +6,13 @@ import threading
 from typing import Any, Final
 
 import numpy as np
-import trimesh
 import viser
 from jaxtyping import Float
 
 from smooth_operator.hands.hand import Hand
 from smooth_operator.teleop.joint_rows import JointRow, joint_rows
-from smooth_operator.teleop.pages.hand_view import HandView
-from smooth_operator.teleop.pages.palette import PALM, finger_colors, linear
+from smooth_operator.teleop.pages.hand_view import PALM, HandView, finger_colors
+from smooth_operator.teleop.pages.human import add_balls
 from smooth_operator.teleop.pages.viser_server import PageServer, plain, serve_page
 
 _LANDMARK, _TIP = 0.003, 0.0045  # radii of the balls [m]
@@ -97,18 +96,9 @@ class HandPage(PageServer):
         shades = np.tile(np.array([[40, 40, 40]], np.uint8), (len(points), 1))
         for finger, _, end in bones:
             shades[end] = colors[finger]
-        ball = trimesh.creation.icosphere(subdivisions=2, radius=1.0)
         tips = np.isin(names, self.hand.tip_names)
-        self._balls = scene.add_batched_meshes_simple(
-            "/landmarks/points",
-            ball.vertices,
-            ball.faces,
-            batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (len(points), 1)),
-            batched_positions=points,
-            batched_scales=np.where(tips, _TIP, _LANDMARK),
-            batched_colors=linear(shades),
-            lod="off",
-        )
+        radii = np.where(tips, _TIP, _LANDMARK)
+        self._balls = add_balls(scene, "/landmarks/points", points, radii, shades)
         self._lines = scene.add_line_segments(
             "/landmarks/bones",
             np.zeros((len(bones), 2, 3)),

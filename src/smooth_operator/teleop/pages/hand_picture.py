@@ -16,8 +16,7 @@ from jaxtyping import Float
 from smooth_operator.atomic_files import atomic_write, output_error
 from smooth_operator.hands.hand import Hand
 from smooth_operator.teleop.joint_rows import joint_rows
-from smooth_operator.teleop.pages.hand_view import HandView
-from smooth_operator.teleop.pages.palette import PALM, finger_colors
+from smooth_operator.teleop.pages.hand_view import PALM, HandView, finger_colors
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -30,19 +29,16 @@ _DPI: Final = 110
 _COLORS: Final = 96  # of the PNG's palette: a fifth of the bytes, and no eye sees it
 
 
-def hand_figure(
-    hand: Hand, q: Float[np.ndarray, " m"] | None = None, *, simple: bool = False
-) -> Figure:
+def hand_figure(hand: Hand, *, simple: bool = False) -> Figure:
     """Draws a hand from the palm and from the thumb's side, and a list of its joints.
 
     Args:
         hand: the robot hand.
-        q: (m,) actuated joint positions [rad]; the neutral pose if left out.
         simple: draw simple shapes, though the model may have meshes.
     """
     from matplotlib.figure import Figure
 
-    pose = hand.neutral if q is None else np.asarray(q, float)
+    pose = hand.neutral
     view = HandView(hand, simple=simple)
     palmar, rows = view.axes, joint_rows(hand)
     side = 1.0 if hand.spec.side == "right" else -1.0

@@ -1,17 +1,18 @@
-"""What a page and a picture of a robot hand have in common: its axes, parts and joints."""
+"""Axes, parts, joints and colours of a robot hand, for pages and pictures."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from itertools import pairwise
-from typing import Any
+from typing import Any, Final
 
 import mujoco
 import numpy as np
 import trimesh
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, UInt8
 from trimesh.graph import smooth_shade
 
+from smooth_operator import landmarks
 from smooth_operator.hand_files.menagerie import has_meshes
 from smooth_operator.hands.collision import solid_shapes
 from smooth_operator.hands.hand import Hand
@@ -408,3 +409,46 @@ def coarser(mesh: trimesh.Trimesh, most: int = MOST_FACES) -> trimesh.Trimesh:
     coarse.update_faces(coarse.unique_faces())
     coarse.remove_unreferenced_vertices()
     return coarse
+
+
+Rgb = tuple[int, int, int]
+
+FINGER_COLORS: Final[tuple[Rgb, ...]] = tuple(
+    (int(code[1:3], 16), int(code[3:5], 16), int(code[5:7], 16)) for code in landmarks.FINGER_COLORS
+)
+"""One colour per finger, thumb first."""
+RUN_COLORS: Final[tuple[Rgb, ...]] = (
+    (255, 255, 255),
+    (178, 150, 255),
+    (188, 220, 90),
+    (255, 150, 170),
+    (120, 230, 220),
+)
+"""Colours of runs that are compared, in plots and tables; no finger has any of them."""
+HIGHLIGHT: Final[Rgb] = (240, 228, 66)
+"""A pinching fingertip."""
+SIMULATED: Final[Rgb] = (240, 228, 66)
+"""Colour of the second of two robot hands in one place, seen only where it differs."""
+PALM: Final[Rgb] = (205, 205, 212)
+"""Palm, wrist and whatever belongs to no finger."""
+
+
+def finger_colors(count: int) -> UInt8[np.ndarray, "F 3"]:
+    """(F, 3) colours of the first ``count`` fingers, repeating after five."""
+    return np.array([FINGER_COLORS[i % len(FINGER_COLORS)] for i in range(count)], np.uint8)
+
+
+def linear(colors: UInt8[np.ndarray, "*n 3"]) -> UInt8[np.ndarray, "*n 3"]:
+    """sRGB colours [0..255] in linear light, also [0..255].
+
+    viser's browser side takes per-instance and per-vertex colours for linear and per-node colours
+    for sRGB; only with this do both show the same colour.
+    """
+    value = np.asarray(colors, np.float64) / 255
+    light = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+    return np.asarray(np.rint(255 * light), np.uint8)  # IEC 61966-2-1
+
+
+def css(color: Rgb | UInt8[np.ndarray, "3"]) -> str:
+    """A colour as ``#rrggbb``."""
+    return "#{:02x}{:02x}{:02x}".format(*(int(channel) for channel in color))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -12,13 +13,34 @@ import viser
 from jaxtyping import Bool, Float, Int, UInt8
 
 from smooth_operator.landmarks import BASES, BONES, NUM_LANDMARKS, WRIST
-from smooth_operator.teleop.pages.palette import HIGHLIGHT, PALM, Rgb, finger_colors, linear
+from smooth_operator.teleop.pages.hand_view import HIGHLIGHT, PALM, Rgb, finger_colors, linear
 
 _JOINT, _WRIST, _TIP, _PINCHED = 0.0070, 0.0095, 0.0075, 0.0095  # sphere radii [m]
 _BONE, _PALM_BONE = 0.0052, 0.0062  # bone radii [m]
 # Across the knuckles: without them the palm is a fan of five rods and not a palm.
 _LINKS = (*BONES, *pairwise(BASES))
 _PARENTS, _CHILDREN = (np.array(column) for column in zip(*_LINKS, strict=True))
+
+
+def add_balls(
+    scene: viser.SceneApi,
+    name: str,
+    positions: Float[np.ndarray, "k 3"],
+    radii: Float[np.ndarray, " k"],
+    colors: UInt8[np.ndarray, "k 3"],
+) -> Any:
+    """Adds balls to a scene, which are drawn as one mesh; their node."""
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=1.0)
+    return scene.add_batched_meshes_simple(
+        name,
+        ball.vertices,
+        ball.faces,
+        batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (len(positions), 1)),
+        batched_positions=positions,
+        batched_scales=radii,
+        batched_colors=linear(colors),
+        lod="off",
+    )
 
 
 class HumanView:
@@ -44,17 +66,10 @@ class HumanView:
         bone_colors = np.where(palm[:, None], np.array(PALM, np.uint8), self._colors[_CHILDREN])
         self._bone_radii = np.where(palm, _PALM_BONE, _BONE)
 
-        ball = trimesh.creation.icosphere(subdivisions=2, radius=1.0)
         rod = trimesh.creation.cylinder(radius=1.0, height=1.0, sections=20, cap=False)
-        self._joints = scene.add_batched_meshes_simple(
-            f"{root}/joints",
-            ball.vertices,
-            ball.faces,
-            batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (NUM_LANDMARKS, 1)),
-            batched_positions=np.zeros((NUM_LANDMARKS, 3)),
-            batched_scales=np.zeros(NUM_LANDMARKS),
-            batched_colors=linear(self._colors),
-            lod="off",
+        none = np.zeros((NUM_LANDMARKS, 3))
+        self._joints = add_balls(
+            scene, f"{root}/joints", none, np.zeros(NUM_LANDMARKS), self._colors
         )
         self._bones = scene.add_batched_meshes_simple(
             f"{root}/bones",
@@ -168,7 +183,7 @@ class BodyNodes:
         }
 
     def place(self, qpos: Float[np.ndarray, " nq"]) -> None:
-        """Where the bodies are, without drawing them."""
+        """Places the bodies without drawing them."""
         self.data.qpos[:] = qpos
         mujoco.mj_kinematics(self._model, self.data)
 
@@ -201,17 +216,8 @@ class TipBalls:
 
     def __init__(self, scene: viser.SceneApi, count: int, name: str) -> None:
         self._palette = finger_colors(count)
-        ball = trimesh.creation.icosphere(subdivisions=2, radius=1.0)
-        self.node = scene.add_batched_meshes_simple(
-            name,
-            ball.vertices,
-            ball.faces,
-            batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)),
-            batched_positions=np.zeros((count, 3)),
-            batched_scales=np.full(count, _BALL),
-            batched_colors=linear(self._palette),
-            lod="off",
-        )
+        radii = np.full(count, _BALL)
+        self.node = add_balls(scene, name, np.zeros((count, 3)), radii, self._palette)
 
     def draw(self, tips: Float[np.ndarray, "F 3"], pinched: Bool[np.ndarray, " G"]) -> None:
         """Show tips [m], and which fingers pinch with the thumb."""

@@ -18,7 +18,7 @@ FOV = float(np.deg2rad(32.0))
 """Vertical field of view [rad]; narrow, so that the two hands are seen from the same side."""
 
 FOREARM = 0.03
-"""How much of what is below the wrist is drawn and framed [m]."""
+"""Length below the wrist that is drawn and framed [m]."""
 
 _MARGIN = 1.1
 _LABEL = 0.012  # label above the highest fingertip [m]

@@ -1,4 +1,4 @@
-"""What the browser page plays: one retargeted recording, human and robot, frame by frame."""
+"""Playback of one retargeted recording, human and robot, frame by frame."""
 
 from __future__ import annotations
 

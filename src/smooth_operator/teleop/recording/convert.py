@@ -27,7 +27,7 @@ from smooth_operator.formats.sniff import file_kind, is_dataset
 from smooth_operator.types import Side, as_side
 
 Format: TypeAlias = Literal["mcap", "npz", "hdf5", "lerobot"]
-"""What episodes can be written as."""
+"""Formats of episodes."""
 
 SUFFIXES: Final[dict[str, Format]] = {
     ".mcap": "mcap",
@@ -111,13 +111,13 @@ def read_episode(
     if kind == "hdf5":
         return read_hdf5_episode(path, rate=rate, side=side)
     if kind == "npz":
-        found = read_npz_episode(path, rate=rate, side=side, layout=layout)
+        result = read_npz_episode(path, rate=rate, side=side, layout=layout)
     else:
         recording = read_recording(path, rate=rate, side=side, layout=layout)
-        found = Episode(recording, name=recording.name)
-    if found.recording is None:
-        return found
-    return replace(found, notes=(*found.notes, *reading_notes(found.recording, str(path))))
+        result = Episode(recording, name=recording.name)
+    if result.recording is None:
+        return result
+    return replace(result, notes=(*result.notes, *reading_notes(result.recording, str(path))))
 
 
 def write_episode(path: str | os.PathLike[str], episode: Episode, to: Format | None = None) -> None:
@@ -150,7 +150,7 @@ def write_episode(path: str | os.PathLike[str], episode: Episode, to: Format | N
 
 
 def losses(episode: Episode, to: Format) -> list[str]:
-    """What a format can't hold of an episode, for a person."""
+    """Parts of an episode that a format can't hold, for a person."""
     lost: list[str] = _logs().log_losses(episode) if to == "mcap" else []
     return lost
 
@@ -202,24 +202,24 @@ def find_sources(
     sources: list[Source] = []
     skipped: list[Path] = []
     left = {path.resolve() for path in leave}
-    for given in inputs:
-        if is_dataset(given):
-            dataset = open_dataset(given)
+    for entry in inputs:
+        if is_dataset(entry):
+            dataset = open_dataset(entry)
             numbers = dataset.numbers
             if episode is not None:
                 dataset.row(episode)
                 numbers = [episode]
-            sources += [Source(given, Path(given.name), dataset, number) for number in numbers]
+            sources += [Source(entry, Path(entry.name), dataset, number) for number in numbers]
             continue
         if episode is not None:
-            raise ConfigError(f"{given}: --episode is of LeRobot datasets, and this is none")
-        if not given.is_dir():
-            file_kind(given)  # one that was named is not passed over in silence
-            sources.append(Source(given, Path(given.name)))
+            raise ConfigError(f"{entry}: --episode is of LeRobot datasets, and this is none")
+        if not entry.is_dir():
+            file_kind(entry)  # one that was named is not passed over in silence
+            sources.append(Source(entry, Path(entry.name)))
             continue
         before = len(sources)
-        for path in _walk(given, left):
-            relative = path.relative_to(given)
+        for path in _walk(entry, left):
+            relative = path.relative_to(entry)
             if path.is_dir():
                 dataset = open_dataset(path)
                 sources += [Source(path, relative, dataset, i) for i in dataset.numbers]
@@ -228,7 +228,7 @@ def find_sources(
             else:
                 skipped.append(path)
         if len(sources) == before:
-            raise RecordingError(f"{given}: no recording in this folder, nor in those below it")
+            raise RecordingError(f"{entry}: no recording in this folder, nor in those below it")
     notes = []
     if skipped:
         names = ", ".join(path.name for path in skipped[:5]) + (", …" if len(skipped) > 5 else "")
@@ -245,7 +245,7 @@ def check_target(path: Path, to: Format, inputs: Sequence[Path], overwrite: bool
     """
     if not os.path.lexists(path):
         return
-    if any(given.exists() and given.samefile(path) for given in inputs if path.exists()):
+    if any(entry.exists() and entry.samefile(path) for entry in inputs if path.exists()):
         raise OutputError(f"can't write {str(path)!r}: it is an input; choose another name")
     if to == "lerobot":
         if path.is_dir() and not any(path.iterdir()):

@@ -11,10 +11,12 @@ from collections.abc import Callable, Iterator, Sequence
 from itertools import groupby
 from typing import Any, Final, NamedTuple, TypeAlias
 
+import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.landmarks import BONES, WRIST
+from smooth_operator.hands.hand import Hand, landmark_points
+from smooth_operator.landmarks import BONES, LANDMARKS, WRIST
 from smooth_operator.teleop.recording.log_types import (
     FOXGLOVE,
     FRAMES,
@@ -89,8 +91,8 @@ class FoxgloveMessages:
         """
         assert frame.valid is not None  # filled in by HandFrame
         wrist = frame.T_world_wrist
-        known = wrist is not None and all(map(math.isfinite, wrist.tolist()))
-        if wrist is not None and known and self._is_due(HUMAN_WRIST, at):
+        finite = wrist is not None and all(map(math.isfinite, wrist.tolist()))
+        if wrist is not None and finite and self._is_due(HUMAN_WRIST, at):
             self._add_pose(HUMAN_WRIST, at, wrist, frame.world or "world")
         if not any(frame.valid.tolist()) or not self._is_due(HAND_SCENE, at):
             return
@@ -182,14 +184,14 @@ class _Scene:
     def __init__(self, topic: str, valid: bytes) -> None:
         self._topic = topic
         name, frame, colour = _LOOKS[topic]
-        self._known = np.frombuffer(valid, bool)
-        place = np.cumsum(self._known) - 1
-        ends = [place[i] for bone in BONES if self._known[list(bone)].all() for i in bone]
+        self._valid = np.frombuffer(valid, bool)
+        place = np.cumsum(self._valid) - 1
+        ends = [place[i] for bone in BONES if self._valid[list(bone)].all() for i in bone]
         line = {
             "type": _LINE_LIST,
             "pose": _pose(np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])),
             "thickness": _THICKNESS,
-            "points": [{}] * int(self._known.sum()),
+            "points": [{}] * int(self._valid.sum()),
             "color": dict(zip("rgba", colour, strict=True)),
             "indices": ends,
         }
@@ -202,7 +204,7 @@ class _Scene:
         self, times: Sequence[int], landmarks: Float[np.ndarray, "k 21 3"]
     ) -> Iterator[Message]:
         """The skeleton at some times [ns]."""
-        rows = landmarks[:, self._known].astype(np.float32)  # enough to draw, and packed better
+        rows = landmarks[:, self._valid].astype(np.float32)  # enough to draw, and packed better
         for at, row in zip(times, rows.tolist(), strict=True):
             _set_time(self._timestamp, at)
             for point, (x, y, z) in zip(self._points, row, strict=True):
@@ -230,3 +232,42 @@ def _pose(pose: Float[np.ndarray, "7"]) -> dict[str, dict[str, float]]:
         "position": dict(zip("xyz", values[:3], strict=True)),
         "orientation": dict(zip("wxyz", values[3:], strict=True)),
     }
+
+
+def landmark_keypoints(hand: Hand) -> Keypoints:
+    """Positions of a hand's landmarks, by MuJoCo: one pose takes some 10 us.
+
+    ``hand.tree`` gives the same, and is made for thousands of poses in one call.
+
+    Args:
+        hand: the robot hand.
+    """
+    model, data = hand.model, mujoco.MjData(hand.model)
+    points = {
+        LANDMARKS.index(name): point
+        for name, point in landmark_points(model, hand.spec).items()
+        if name in LANDMARKS
+    }
+    columns = list(points)
+    palm = model.body(hand.spec.palm).id
+    bodies = np.array([palm, *(body for body, _ in points.values())])
+    local = np.array([np.zeros(3), *(place for _, place in points.values())])
+
+    position, xpos, xmat = data.qpos, data.xpos, data.xmat  # views, which stay
+
+    def keypoints(q: Float[np.ndarray, "k n"]) -> Float[np.ndarray, "k 21 3"]:
+        places = np.empty((len(q), len(bodies), 3))
+        turns = np.empty((len(q), len(bodies), 9))
+        for qpos, place, turn in zip(hand.qpos(q), places, turns, strict=True):
+            position[:] = qpos
+            mujoco.mj_kinematics(model, data)
+            xpos.take(bodies, 0, place)
+            xmat.take(bodies, 0, turn)
+        matrices = turns.reshape(*turns.shape[:2], 3, 3)
+        places += (matrices @ local[:, :, None])[..., 0]
+        landmarks = np.full((len(q), len(LANDMARKS), 3), math.nan)
+        # in the palm's frame, whose body comes first
+        landmarks[:, columns] = (places[:, 1:] - places[:, :1]) @ matrices[:, 0]
+        return landmarks
+
+    return keypoints

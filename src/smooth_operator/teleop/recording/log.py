@@ -7,8 +7,10 @@ from the front without its index; so what a crash leaves is a recording and not 
 from __future__ import annotations
 
 import contextlib
+import functools
 import math
 import os
+import sys
 import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -39,14 +41,17 @@ from smooth_operator.teleop.recording.log_types import (
     VERSION,
     WRIST,
     LoopState,
+    mcap_writer,
     message_class,
     schema_data,
 )
-from smooth_operator.teleop.recording.mcap_writer import COMPRESSIONS, McapWriter
 from smooth_operator.teleop.sinks.tick import ArmCommand, HandState, WristCommand
 from smooth_operator.types import HandFrame, JointCommand, Side, Status
 
 _MAX_LOG_TIME: Final = 2**64 - 1
+_COMPRESSIONS: Final = ("zstd", "lz4", "none")
+_HEAD_BYTES: Final = 31
+"""Size of a message in a chunk without its data."""
 
 
 class LogWriter:
@@ -92,7 +97,7 @@ class LogWriter:
         flush_seconds: float = 1.0,
         keypoints: Keypoints | None = None,
     ) -> None:
-        if compression not in COMPRESSIONS:
+        if compression not in _COMPRESSIONS:
             raise ConfigError(f"compression must be zstd, lz4 or none, not {compression!r}")
         if not (chunk_bytes > 0 and flush_seconds > 0.0):
             raise ConfigError(
@@ -114,12 +119,19 @@ class LogWriter:
         self._foxglove = FoxgloveMessages(keypoints)
         self._log_time = 0
         self._stream: IO[bytes] | None = None
-        self._writer: Any = None  # McapWriter, once the file is open
+        self._writer: Any = None  # once the file is open
+        self._pending = 0  # bytes of the messages that are in no chunk yet
         self._channels: dict[str, int] = {}
         self._classes = {topic: message_class(name) for topic, name in SCHEMAS.items()}
         with self._writing():
             self._stream = self.path.open("wb" if overwrite else "xb")
-            self._writer = McapWriter(self._stream, compression, "smooth-operator")
+            self._writer = mcap_writer.Writer(
+                self._stream,
+                chunk_size=sys.maxsize,  # chunks end in _end_chunk alone
+                compression=mcap_writer.CompressionType[compression.upper()],
+            )
+            self._writer.start("", "smooth-operator")
+            self._schemas: dict[str, int] = {}
             for topic in SCHEMAS:
                 if topic not in LIVE:
                     self._channel(topic)
@@ -148,16 +160,9 @@ class LogWriter:
                 f"{self.path}: this is the log of a {self._side} hand, the frame is of a "
                 f"{frame.side} one; write each hand to its own log"
             )
-        message = self._classes[HAND](
-            stamp=stamp,
-            side=frame.side,
-            landmarks=_flat(frame.landmarks),
-            valid=_flat(frame.valid),
-            metacarpals=_flat(frame.metacarpals),
-            orientations=_flat(frame.orientations),
-            wrist=_flat(frame.T_world_wrist),
-            world=None if frame.T_world_wrist is None else frame.world,
-        )
+        wrist = frame.T_world_wrist
+        world = None if wrist is None else frame.world
+        message = _message(self._classes[HAND], stamp, frame, wrist=wrist, world=world)
         at = _nanoseconds(stamp)
         self._foxglove.hand(frame, at)
         self._append(at, (HAND, message))
@@ -213,11 +218,13 @@ class LogWriter:
             (STATUS, new[STATUS](stamp=stamp, status=int(status), reason=status.reason)),
         ]
         if loop is not None:
-            messages.append((LOOP, _loop(new[LOOP], stamp, loop)))
+            times = {name: _known(getattr(loop, name)) for name in ("received", "tracker_stamp")}
+            messages.append((LOOP, _message(new[LOOP], stamp, loop, **times)))
         if wrist is not None:
-            messages.append((WRIST, _wrist(new[WRIST], stamp, wrist)))
+            messages.append((WRIST, _message(new[WRIST], stamp, wrist)))
         if arm is not None:
-            messages.append((ARM, _arm(new[ARM], stamp, arm)))
+            rows = {"names": arm.joint_names, "velocities": arm.velocity}
+            messages.append((ARM, _message(new[ARM], stamp, arm, **rows)))
         message = new[COMMAND](stamp=stamp, names=names, positions=positions.tolist())
         messages.append((COMMAND, message))
         at = _nanoseconds(stamp)
@@ -233,16 +240,7 @@ class LogWriter:
         Raises:
             OutputError: as for the class.
         """
-        message = self._classes[STATE](
-            stamp=state.stamp,
-            names=state.names,
-            positions=_flat(state.positions),
-            velocities=_flat(state.velocities),
-            actuators=state.actuators,
-            currents=_flat(state.currents),
-            temperatures=_flat(state.temperatures),
-            touch=_flat(state.touch),
-        )
+        message = _message(self._classes[STATE], state.stamp, state)
         self._append(_nanoseconds(state.stamp), (STATE, message))
 
     def write_config(self, config: Mapping[str, Any]) -> None:
@@ -357,7 +355,7 @@ class LogWriter:
         if self._waiting_since is None:
             self._waiting_since = now
         late = now - self._waiting_since >= self._flush_seconds
-        if late or self._writer.pending >= self._chunk_bytes:
+        if late or self._pending >= self._chunk_bytes:
             with self._writing():
                 self._end_chunk()
 
@@ -368,7 +366,8 @@ class LogWriter:
             channel = self._channels.get(topic) or self._channel(topic)
             # The status and the like of a command have its number, by which the reader joins them.
             number = command if topic in OF_COMMANDS else sequence[topic]
-            self._writer.add(channel, number, at, data)
+            self._writer.add_message(channel, at, data, at, number)
+            self._pending += _HEAD_BYTES + len(data)
             sequence[topic] += 1
 
     def _add_config(self) -> None:
@@ -381,7 +380,8 @@ class LogWriter:
         assert self._stream is not None
         for topic, at, data in self._foxglove.take():
             self._add(at, (topic, data))
-        self._writer.end_chunk()
+        self._writer.flush()
+        self._pending = 0
         if sync:
             os.fsync(self._stream.fileno())
         self._waiting_since = None
@@ -391,7 +391,12 @@ class LogWriter:
     def _channel(self, topic: str) -> int:
         """Registers a topic; its channel."""
         name = SCHEMAS.get(topic) or FOXGLOVE[topic]
-        channel: int = self._writer.register(topic, name, schema_data(name), {"version": VERSION})
+        if name not in self._schemas:
+            data = schema_data(name)
+            self._schemas[name] = self._writer.register_schema(name, "protobuf", data)
+        channel: int = self._writer.register_channel(
+            topic, "protobuf", self._schemas[name], {"version": VERSION}
+        )
         self._channels[topic] = channel
         return channel
 
@@ -423,11 +428,6 @@ def _nanoseconds(stamp: float) -> int:
     return min(round(min(max(stamp * 1e9, 0.0), float(_MAX_LOG_TIME))), _MAX_LOG_TIME)
 
 
-def _flat(values: np.ndarray | None) -> list[Any]:
-    """The numbers of an array of any shape in a row; none where it is None."""
-    return [] if values is None else np.asarray(values).ravel().tolist()
-
-
 def _known(value: float | None) -> float:
     return math.nan if value is None else float(value)
 
@@ -439,40 +439,22 @@ def _timing(new: Any, stamp: float, latency_ms: float | None, stages: Mapping[st
     return message
 
 
-def _loop(new: Any, stamp: float, loop: LoopState) -> Any:
-    return new(
-        stamp=stamp,
-        number=loop.number,
-        mode=loop.mode,
-        time=loop.time,
-        received=_known(loop.received),
-        tracker_stamp=_known(loop.tracker_stamp),
-        session=loop.session,
-        tracking_loss=loop.tracking_loss,
-        scale=loop.scale,
-        events=loop.events,
-    )
+def _message(kind: Any, stamp: float, values: object, **other: Any) -> Any:
+    """A message whose fields are the attributes of an object, and others by name.
+
+    Arrays become rows of numbers; a field without a value is left out.
+    """
+    fields: dict[str, Any] = {}
+    for name in _names(kind):
+        value = other[name] if name in other else getattr(values, name, None)
+        if value is not None:
+            fields[name] = value.ravel().tolist() if isinstance(value, np.ndarray) else value
+    return kind(**{**fields, "stamp": stamp})
 
 
-def _wrist(new: Any, stamp: float, wrist: WristCommand) -> Any:
-    pose = wrist.pose.tolist()
-    return new(stamp=stamp, pose=pose, engaged=wrist.engaged, valid=wrist.valid, world=wrist.world)
-
-
-def _arm(new: Any, stamp: float, arm: ArmCommand) -> Any:
-    return new(
-        stamp=stamp,
-        name=arm.name,
-        names=arm.joint_names,
-        positions=_flat(arm.positions),
-        velocities=_flat(arm.velocity),
-        measured=_flat(arm.measured),
-        pose=_flat(arm.pose),
-        state=arm.state,
-        clearance=arm.clearance,
-        position_error=arm.position_error,
-        rotation_error=arm.rotation_error,
-    )
+@functools.cache
+def _names(kind: Any) -> tuple[str, ...]:
+    return tuple(kind.DESCRIPTOR.fields_by_name)
 
 
 def _close_at(stream: IO[bytes], size: int) -> None:

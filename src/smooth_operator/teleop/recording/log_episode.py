@@ -148,7 +148,7 @@ def _states(states: StateTrajectory, recording: HandRecording | None) -> tuple[H
 
 
 def log_losses(episode: Episode) -> list[str]:
-    """What a log can't hold of an episode: a number that is not finite is not known."""
+    """Values of an episode that a log can't hold: infinite ones become unknown."""
     parts: list[tuple[str, np.ndarray | None]] = []
     if episode.recording is not None:
         recording = episode.recording

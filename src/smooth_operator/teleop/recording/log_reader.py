@@ -77,7 +77,7 @@ class DamagedError(Exception):
 
 @dataclass(frozen=True, eq=False)
 class MethodUse:
-    """What drove a hand from some time on.
+    """The method that drove a hand from some time on.
 
     Attributes:
         stamp: of the first command that it gave [s].
@@ -94,7 +94,7 @@ class MethodUse:
 
 @dataclass(frozen=True, eq=False)
 class Log:
-    """What a log holds.
+    """Content of a log.
 
     Attributes:
         recording: the hand frames, or None if there are none.
@@ -240,14 +240,7 @@ class _WholeReads:
 
 
 def _read_records(path: Path) -> Iterator[Any]:
-    """The channels, metadata and messages of a log, in order.
-
-    Raises:
-        RecordingError: a chunk's compression is not known here, or it unpacks to more than a file
-            of this size may.
-        DamagedError: the records stop before their end.
-        OSError: the file can't be read.
-    """
+    """The channels, metadata and messages of a log, in order."""
     size = path.stat().st_size
     allowance = Allowance.of(path, size, LOG_RATIO)
     unpacked = 0
@@ -386,11 +379,7 @@ class _Table:
         return len(self.messages)
 
     def add(self, record: Any, path: Path) -> None:
-        """Take a message.
-
-        Raises:
-            RecordingError: it is damaged, or too long.
-        """
+        """Take a message."""
         topic, size = self._topic, len(record.data)
         if size > _MOST_BYTES and topic != CONFIG:
             wrong = f"a message on {topic} has {size} bytes, more than {_MOST_BYTES}"
@@ -411,11 +400,7 @@ class _Table:
         return _finite(np.array(self.column(name), np.float64))
 
     def stamps(self) -> Float[np.ndarray, " T"]:
-        """The stamps.
-
-        Raises:
-            ValueError: one is not finite.
-        """
+        """The stamps."""
         stamps = np.array(self.column("stamp"), np.float64)
         if not np.isfinite(stamps).all():
             raise ValueError("a stamp is not finite")
@@ -427,9 +412,6 @@ class _Table:
         Args:
             name: name of the field.
             shape: shape of each message's numbers; rows of messages that have none are NaN.
-
-        Raises:
-            ValueError: one has another number of numbers.
         """
         rows, size = self.column(name), math.prod(shape)
         for row in rows:
@@ -446,11 +428,7 @@ class _Table:
         return self.matrix(name, *shape) if any(map(len, self.column(name))) else None
 
     def present(self, name: str, *shape: int) -> Float[np.ndarray, "T ..."]:
-        """The same, of a list that each message must have.
-
-        Raises:
-            ValueError: one has none, or another number of numbers.
-        """
+        """The same, of a list that each message must have."""
         if all(shape) and not all(map(len, self.column(name))):
             raise ValueError(f"a message has no {name}")
         return self.matrix(name, *shape)
@@ -461,9 +439,6 @@ class _Table:
         Args:
             name: name of the field.
             what: its description, for the error.
-
-        Raises:
-            ValueError: it changes.
         """
         values = self.column(name)
         other = next((value for value in values if value != values[0]), None)
@@ -504,11 +479,7 @@ def _finite(values: np.ndarray) -> np.ndarray:
 
 
 def _read_hands(table: _Table, path: Path, truncated: bool) -> HandRecording | None:
-    """The hand frames; None where there is none.
-
-    Raises:
-        ValueError: a field is wrong.
-    """
+    """The hand frames; None where there is none."""
     if not table:
         return None
     side, _ = check_side(set(table.column("side")), None, str(path))
@@ -543,11 +514,7 @@ def _world_wrists(table: _Table) -> dict[str, Any]:
 def _read_commands(
     table: _Table, timings: _Table, statuses: _Table
 ) -> tuple[CommandTrajectory | None, dict[str, np.ndarray]]:
-    """The commands, and the stages of those that have a timing with the same sequence number.
-
-    Raises:
-        ValueError: a field is wrong, or the joints change.
-    """
+    """The commands, and the stages of those that have a timing with the same sequence number."""
     if not table:
         return None, {}
     names = table.same("names", "the list of joint names")
@@ -589,9 +556,6 @@ def _read_wrist_track(commands: Sequence[int], table: _Table) -> WristTrack | No
     Args:
         commands: sequence numbers of the commands.
         table: of ``/wrist``.
-
-    Raises:
-        ValueError: a field is wrong, or the frame changes.
     """
     if not table:
         return None
@@ -605,11 +569,7 @@ def _read_wrist_track(commands: Sequence[int], table: _Table) -> WristTrack | No
 
 
 def _read_arm_track(commands: Sequence[int], table: _Table) -> ArmTrack | None:
-    """The commands of the arm at each command of the hand; None where there is no message.
-
-    Raises:
-        ValueError: a field is wrong, or the arm changes.
-    """
+    """The commands of the arm at each command of the hand; None where there is no message."""
     if not table:
         return None
     name = table.same("name", "the arm")
@@ -627,11 +587,7 @@ def _read_arm_track(commands: Sequence[int], table: _Table) -> ArmTrack | None:
 
 
 def _read_states(table: _Table) -> StateTrajectory | None:
-    """The measured joints; None where there is no message.
-
-    Raises:
-        ValueError: a field is wrong, or the names change.
-    """
+    """The measured joints; None where there is no message."""
     if not table:
         return None
     names = table.same("names", "the list of measured joints")
@@ -659,9 +615,6 @@ def _read_loop_track(commands: Sequence[int], table: _Table) -> LoopTrack | None
 
     Returns:
         None where there is no message: the log is not of a live loop.
-
-    Raises:
-        ValueError, OverflowError: a field is wrong.
     """
     if not table:
         return None

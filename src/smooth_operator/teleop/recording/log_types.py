@@ -31,13 +31,12 @@ try:
     from mcap import reader as mcap_reader
     from mcap import records as mcap_records
     from mcap import stream_reader as mcap_stream
-    from mcap.data_stream import RecordBuilder as RecordBuilder
+    from mcap import writer as mcap_writer
     from mcap.exceptions import McapError as McapError
-    from mcap.opcode import Opcode as Opcode
 except ModuleNotFoundError as error:
     raise MissingExtraError("an MCAP log", "teleop") from error
 
-__all__ = ["lz4_frame", "mcap_reader", "mcap_records", "mcap_stream"]
+__all__ = ["lz4_frame", "mcap_reader", "mcap_records", "mcap_stream", "mcap_writer"]
 
 VERSION: Final = "3"
 """Version of the messages, in the metadata of every channel; raised when a reader must change."""

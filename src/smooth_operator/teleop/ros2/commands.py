@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
-from typing import Final, Literal, Protocol, TypeAlias
+from typing import Final, Literal, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -78,24 +78,10 @@ def joint_message(
 
 
 Unit: TypeAlias = Literal["rad", "deg"]
-"""Of joint angles."""
+"""Unit of joint angles."""
 
 UNITS: Final[dict[Unit, float]] = {"rad": 1.0, "deg": 180.0 / math.pi}
-"""How many of a unit make a radian."""
-
-
-class Layout(Protocol):
-    """Joints as a driver wants them."""
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """(k,) what the driver calls them."""
-
-    def values(self, positions: Float[np.ndarray, " n"]) -> list[float]:
-        """(k,) what is sent for joint positions [rad]."""
-
-    def rates(self, velocities: Float[np.ndarray, " n"]) -> list[float]:
-        """(k,) what is sent for joint velocities [rad/s]; empty for nothing."""
+"""Units in a radian."""
 
 
 @dataclass(frozen=True)
@@ -150,6 +136,10 @@ class TableLayout:
         """None: drivers with a unit of their own take ``velocity`` for something else."""
         del velocities
         return []
+
+
+Layout: TypeAlias = JointLayout | TableLayout
+"""Joints as a driver wants them."""
 
 
 def table_layout(hand: Hand, table: str) -> TableLayout:

@@ -27,7 +27,7 @@ Kind: TypeAlias = Literal["pose_array", "json", "manus_glove"]
 """The message: ``geometry_msgs/PoseArray``, ``std_msgs/String`` with JSON, or
 ``manus_ros2_msgs/ManusGlove``."""
 Frame: TypeAlias = Literal["world", "wrist", "camera"]
-"""What poses are relative to: ``world``, fixed and z up; ``wrist``, which moves with the hand; or
+"""Frame of the poses: ``world``, fixed and z up; ``wrist``, which moves with the hand; or
 ``camera``, anything else."""
 
 KINDS: Final[Mapping[Kind, type[Message]]] = {

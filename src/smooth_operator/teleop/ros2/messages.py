@@ -1,318 +1,247 @@
-"""ROS 2 messages that are sent and read here, as dataclasses that need no ROS 2.
+"""ROS 2 messages that are sent and read here, as classes of CycloneDDS; they need no ROS 2.
 
 Fields are those of the public interface definitions (builtin_interfaces, std_msgs, geometry_msgs,
-sensor_msgs, trajectory_msgs, tf2_msgs), the same from Humble to Rolling, and of manus_ros2_msgs. A
-class knows the name of its type; ``to_foreign`` and ``from_foreign`` change to and from the classes
-of a library.
+sensor_msgs, trajectory_msgs, tf2_msgs), the same from Humble to Rolling, and of manus_ros2_msgs.
+The type ``std_msgs/msg/String`` is ``std_msgs::msg::dds_::String_`` in DDS. Without
+``annotations`` from the future: CycloneDDS evaluates them.
 """
 
-from __future__ import annotations
-
-import dataclasses
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Annotated, Any, ClassVar, TypeAlias, TypeVar, get_args, get_type_hints
+from typing import TYPE_CHECKING, TypeVar, dataclass_transform
 
-Int32: TypeAlias = Annotated[int, "int32"]
-UInt32: TypeAlias = Annotated[int, "uint32"]
-Float32: TypeAlias = Annotated[float, "float32"]
-Float64: TypeAlias = Annotated[float, "float64"]
+from cyclonedds.idl import IdlStruct
+from cyclonedds.idl.annotations import final
+from cyclonedds.idl.types import float32, float64, int32, uint32
 
+if TYPE_CHECKING:
+    from builtins import list as sequence
+else:
+    from cyclonedds.idl.types import sequence
 
-@dataclass
-class Message:
-    """A message.
+Message = IdlStruct
+"""A message of ROS 2."""
 
-    Attributes:
-        type_name: its type in ROS 2: ``sensor_msgs/msg/JointState``.
-    """
-
-    type_name: ClassVar[str]
+M = TypeVar("M", bound=Message)
 
 
-@dataclass
-class Time(Message):
+@dataclass_transform(field_specifiers=(field,))
+def _message(kind: type[M]) -> type[M]:
+    return dataclass(final(kind))
+
+
+def type_name(kind: type[Message]) -> str:
+    """The type of a message in ROS 2: ``sensor_msgs/msg/JointState``."""
+    name: str = kind.__idl_typename__
+    return name.replace(".msg.dds_.", "/msg/").removesuffix("_")
+
+
+@_message
+class Time(IdlStruct, typename="builtin_interfaces.msg.dds_.Time_"):
     """A point in time: seconds and nanoseconds since 1970."""
 
-    type_name = "builtin_interfaces/msg/Time"
-    sec: Int32 = 0
-    nanosec: UInt32 = 0
+    sec: int32 = 0
+    nanosec: uint32 = 0
 
     @property
     def seconds(self) -> float:
-        """As one number [s]."""
-        return self.sec + 1e-9 * self.nanosec
+        """The time as one number [s]."""
+        return float(self.sec + 1e-9 * self.nanosec)
 
     @property
     def nanoseconds(self) -> int:
-        """As one whole number [ns]."""
-        return 1_000_000_000 * self.sec + self.nanosec
+        """The time as one whole number [ns]."""
+        return int(1_000_000_000 * self.sec + self.nanosec)
 
     @staticmethod
-    def of(nanoseconds: int) -> Time:
+    def of(nanoseconds: int) -> "Time":
         """The time so many nanoseconds after 1970."""
         return Time(*divmod(nanoseconds, 1_000_000_000))
 
 
-@dataclass
-class Duration(Message):
+@_message
+class Duration(IdlStruct, typename="builtin_interfaces.msg.dds_.Duration_"):
     """A length of time."""
 
-    type_name = "builtin_interfaces/msg/Duration"
-    sec: Int32 = 0
-    nanosec: UInt32 = 0
+    sec: int32 = 0
+    nanosec: uint32 = 0
 
 
-@dataclass
-class Header(Message):
+@_message
+class Header(IdlStruct, typename="std_msgs.msg.dds_.Header_"):
     """Stamp, and name of the frame that positions are in."""
 
-    type_name = "std_msgs/msg/Header"
     stamp: Time = field(default_factory=Time)
     frame_id: str = ""
 
 
-@dataclass
-class String(Message):
+@_message
+class String(IdlStruct, typename="std_msgs.msg.dds_.String_"):
     """A text."""
 
-    type_name = "std_msgs/msg/String"
     data: str = ""
 
 
-@dataclass
-class MultiArrayDimension(Message):
+@_message
+class MultiArrayDimension(IdlStruct, typename="std_msgs.msg.dds_.MultiArrayDimension_"):
     """One dimension of an array."""
 
-    type_name = "std_msgs/msg/MultiArrayDimension"
     label: str = ""
-    size: UInt32 = 0
-    stride: UInt32 = 0
+    size: uint32 = 0
+    stride: uint32 = 0
 
 
-@dataclass
-class MultiArrayLayout(Message):
+@_message
+class MultiArrayLayout(IdlStruct, typename="std_msgs.msg.dds_.MultiArrayLayout_"):
     """Dimensions of an array; none for a plain list."""
 
-    type_name = "std_msgs/msg/MultiArrayLayout"
-    dim: list[MultiArrayDimension] = field(default_factory=list)
-    data_offset: UInt32 = 0
+    dim: sequence[MultiArrayDimension] = field(default_factory=list)
+    data_offset: uint32 = 0
 
 
-@dataclass
-class Float64MultiArray(Message):
+@_message
+class Float64MultiArray(IdlStruct, typename="std_msgs.msg.dds_.Float64MultiArray_"):
     """Numbers without names."""
 
-    type_name = "std_msgs/msg/Float64MultiArray"
     layout: MultiArrayLayout = field(default_factory=MultiArrayLayout)
-    data: list[Float64] = field(default_factory=list)
+    data: sequence[float64] = field(default_factory=list)
 
 
-@dataclass
-class Point(Message):
+@_message
+class Point(IdlStruct, typename="geometry_msgs.msg.dds_.Point_"):
     """A position [m]."""
 
-    type_name = "geometry_msgs/msg/Point"
-    x: Float64 = 0.0
-    y: Float64 = 0.0
-    z: Float64 = 0.0
+    x: float64 = 0.0
+    y: float64 = 0.0
+    z: float64 = 0.0
 
 
-@dataclass
-class Vector3(Message):
+@_message
+class Vector3(IdlStruct, typename="geometry_msgs.msg.dds_.Vector3_"):
     """A vector."""
 
-    type_name = "geometry_msgs/msg/Vector3"
-    x: Float64 = 0.0
-    y: Float64 = 0.0
-    z: Float64 = 0.0
+    x: float64 = 0.0
+    y: float64 = 0.0
+    z: float64 = 0.0
 
 
-@dataclass
-class Quaternion(Message):
+@_message
+class Quaternion(IdlStruct, typename="geometry_msgs.msg.dds_.Quaternion_"):
     """A rotation; ROS 2 writes w last."""
 
-    type_name = "geometry_msgs/msg/Quaternion"
-    x: Float64 = 0.0
-    y: Float64 = 0.0
-    z: Float64 = 0.0
-    w: Float64 = 1.0
+    x: float64 = 0.0
+    y: float64 = 0.0
+    z: float64 = 0.0
+    w: float64 = 1.0
 
 
-@dataclass
-class Pose(Message):
-    """Position and rotation."""
+@_message
+class Pose(IdlStruct, typename="geometry_msgs.msg.dds_.Pose_"):
+    """Position and orientation."""
 
-    type_name = "geometry_msgs/msg/Pose"
     position: Point = field(default_factory=Point)
     orientation: Quaternion = field(default_factory=Quaternion)
 
 
-@dataclass
-class PoseStamped(Message):
-    """A pose in a named frame at a time."""
+@_message
+class PoseStamped(IdlStruct, typename="geometry_msgs.msg.dds_.PoseStamped_"):
+    """A pose at a time, in a frame."""
 
-    type_name = "geometry_msgs/msg/PoseStamped"
     header: Header = field(default_factory=Header)
     pose: Pose = field(default_factory=Pose)
 
 
-@dataclass
-class PoseArray(Message):
-    """Poses in a named frame at a time."""
+@_message
+class PoseArray(IdlStruct, typename="geometry_msgs.msg.dds_.PoseArray_"):
+    """Poses at a time, in a frame."""
 
-    type_name = "geometry_msgs/msg/PoseArray"
     header: Header = field(default_factory=Header)
-    poses: list[Pose] = field(default_factory=list)
+    poses: sequence[Pose] = field(default_factory=list)
 
 
-@dataclass
-class Transform(Message):
-    """Translation and rotation between two frames."""
+@_message
+class Transform(IdlStruct, typename="geometry_msgs.msg.dds_.Transform_"):
+    """From a child's frame to its parent's."""
 
-    type_name = "geometry_msgs/msg/Transform"
     translation: Vector3 = field(default_factory=Vector3)
     rotation: Quaternion = field(default_factory=Quaternion)
 
 
-@dataclass
-class TransformStamped(Message):
-    """Where the frame ``child_frame_id`` is in the frame of the header."""
+@_message
+class TransformStamped(IdlStruct, typename="geometry_msgs.msg.dds_.TransformStamped_"):
+    """A transform at a time; its header names the parent."""
 
-    type_name = "geometry_msgs/msg/TransformStamped"
     header: Header = field(default_factory=Header)
     child_frame_id: str = ""
     transform: Transform = field(default_factory=Transform)
 
 
-@dataclass
-class TFMessage(Message):
-    """Transforms, as on ``/tf``."""
+@_message
+class TFMessage(IdlStruct, typename="tf2_msgs.msg.dds_.TFMessage_"):
+    """Transforms of the topic ``/tf``."""
 
-    type_name = "tf2_msgs/msg/TFMessage"
-    transforms: list[TransformStamped] = field(default_factory=list)
+    transforms: sequence[TransformStamped] = field(default_factory=list)
 
 
-@dataclass
-class JointState(Message):
-    """Positions, velocities and efforts of named joints; a list may be empty."""
+@_message
+class JointState(IdlStruct, typename="sensor_msgs.msg.dds_.JointState_"):
+    """Positions [rad], velocities [rad/s] and efforts of joints."""
 
-    type_name = "sensor_msgs/msg/JointState"
     header: Header = field(default_factory=Header)
-    name: list[str] = field(default_factory=list)
-    position: list[Float64] = field(default_factory=list)
-    velocity: list[Float64] = field(default_factory=list)
-    effort: list[Float64] = field(default_factory=list)
+    name: sequence[str] = field(default_factory=list)
+    position: sequence[float64] = field(default_factory=list)
+    velocity: sequence[float64] = field(default_factory=list)
+    effort: sequence[float64] = field(default_factory=list)
 
 
-@dataclass
-class JointTrajectoryPoint(Message):
-    """Where the joints are to be so long after the stamp."""
+@_message
+class JointTrajectoryPoint(IdlStruct, typename="trajectory_msgs.msg.dds_.JointTrajectoryPoint_"):
+    """Targets of joints at a time after the begin."""
 
-    type_name = "trajectory_msgs/msg/JointTrajectoryPoint"
-    positions: list[Float64] = field(default_factory=list)
-    velocities: list[Float64] = field(default_factory=list)
-    accelerations: list[Float64] = field(default_factory=list)
-    effort: list[Float64] = field(default_factory=list)
+    positions: sequence[float64] = field(default_factory=list)
+    velocities: sequence[float64] = field(default_factory=list)
+    accelerations: sequence[float64] = field(default_factory=list)
+    effort: sequence[float64] = field(default_factory=list)
     time_from_start: Duration = field(default_factory=Duration)
 
 
-@dataclass
-class JointTrajectory(Message):
-    """Points of a motion of named joints; a stamp of zero means "from now on"."""
+@_message
+class JointTrajectory(IdlStruct, typename="trajectory_msgs.msg.dds_.JointTrajectory_"):
+    """A motion of joints."""
 
-    type_name = "trajectory_msgs/msg/JointTrajectory"
     header: Header = field(default_factory=Header)
-    joint_names: list[str] = field(default_factory=list)
-    points: list[JointTrajectoryPoint] = field(default_factory=list)
+    joint_names: sequence[str] = field(default_factory=list)
+    points: sequence[JointTrajectoryPoint] = field(default_factory=list)
 
 
-M = TypeVar("M", bound=Message)
+@_message
+class ManusRawNode(IdlStruct, typename="manus_ros2_msgs.msg.dds_.ManusRawNode_"):
+    """One node of a glove's skeleton."""
 
-_FIELDS: dict[type[Message], dict[str, tuple[Any, bool]]] = {}
-
-
-@dataclass
-class ManusRawNode(Message):
-    """A node of the skeleton of a MANUS glove."""
-
-    type_name = "manus_ros2_msgs/msg/ManusRawNode"
-    node_id: Int32 = 0
-    parent_node_id: Int32 = 0
+    node_id: int32 = 0
+    parent_node_id: int32 = 0
     joint_type: str = ""
     chain_type: str = ""
     pose: Pose = field(default_factory=Pose)
 
 
-@dataclass
-class ManusErgonomics(Message):
-    """A joint angle of a MANUS glove."""
+@_message
+class ManusErgonomics(IdlStruct, typename="manus_ros2_msgs.msg.dds_.ManusErgonomics_"):
+    """One joint angle of a glove."""
 
-    type_name = "manus_ros2_msgs/msg/ManusErgonomics"
     type: str = ""
-    value: Float32 = 0.0
+    value: float32 = 0.0
 
 
-@dataclass
-class ManusGlove(Message):
-    """A MANUS glove; its raw nodes are 25."""
+@_message
+class ManusGlove(IdlStruct, typename="manus_ros2_msgs.msg.dds_.ManusGlove_"):
+    """One glove, as MANUS's ROS 2 package publishes it."""
 
-    type_name = "manus_ros2_msgs/msg/ManusGlove"
-    glove_id: Int32 = 0
+    glove_id: int32 = 0
     side: str = ""
-    raw_node_count: Int32 = 0
-    raw_nodes: list[ManusRawNode] = field(default_factory=list)
-    ergonomics_count: Int32 = 0
-    ergonomics: list[ManusErgonomics] = field(default_factory=list)
+    raw_node_count: int32 = 0
+    raw_nodes: sequence[ManusRawNode] = field(default_factory=list)
+    ergonomics_count: int32 = 0
+    ergonomics: sequence[ManusErgonomics] = field(default_factory=list)
     raw_sensor_orientation: Quaternion = field(default_factory=Quaternion)
-    raw_sensor_count: Int32 = 0
-    raw_sensor: list[Pose] = field(default_factory=list)
-
-
-def field_types(kind: type[Message]) -> dict[str, tuple[Any, bool]]:
-    """Fields of a message in their order: name -> type, and whether there is a list of it.
-
-    A type is a message, ``str``, or the name of a number: ``"int32"``, ``"uint32"``, ``"float32"``,
-    ``"float64"``.
-    """
-    if kind in _FIELDS:
-        return _FIELDS[kind]
-    hints = get_type_hints(kind, include_extras=True)
-    types: dict[str, tuple[Any, bool]] = {}
-    for each in dataclasses.fields(kind):
-        hint, many = hints[each.name], False
-        if getattr(hint, "__origin__", None) is list:
-            (hint,), many = get_args(hint), True
-        number = getattr(hint, "__metadata__", None)
-        types[each.name] = (hint if number is None else number[0], many)
-    _FIELDS[kind] = types
-    return types
-
-
-def to_foreign(message: Message, find: Callable[[type[Message]], Any]) -> Any:
-    """A message as an object of a library.
-
-    Args:
-        message: the message.
-        find: the library's class for one of ours.
-    """
-    values: dict[str, Any] = {}
-    for name, (kind, many) in field_types(type(message)).items():
-        value = getattr(message, name)
-        if isinstance(kind, type) and issubclass(kind, Message):
-            value = [to_foreign(v, find) for v in value] if many else to_foreign(value, find)
-        values[name] = value
-    return find(type(message))(**values)
-
-
-def from_foreign(value: Any, kind: type[M]) -> M:
-    """An object of a library with the fields of a message, as that message."""
-    values: dict[str, Any] = {}
-    for name, (inner, many) in field_types(kind).items():
-        item: Any = getattr(value, name)
-        if isinstance(inner, type) and issubclass(inner, Message):
-            read: Sequence[Any] = [from_foreign(v, inner) for v in (item if many else [item])]
-            values[name] = read if many else read[0]
-        else:
-            values[name] = list(item) if many else item
-    return kind(**values)
+    raw_sensor_count: int32 = 0
+    raw_sensor: sequence[Pose] = field(default_factory=list)

@@ -12,7 +12,6 @@ import numpy as np
 
 from smooth_operator.errors import ConfigError, SinkError
 from smooth_operator.hands.hand import Hand
-from smooth_operator.teleop.ros2 import open_transport
 from smooth_operator.teleop.ros2.commands import (
     KINDS,
     UNITS,
@@ -149,7 +148,7 @@ class Ros2Sink(ThreadedSink):
         if len({each["topic"] for each in topics.values()}) < len(topics):
             raise SinkError(f"ros2: two hands on one topic {self.topic!r}; put {{side}} into it")
         layouts = {side: self._layout(hand) for side, hand in hands.items()}
-        transport = open_transport(self._endpoint())
+        transport = Transport(self._endpoint())
         try:
             link = _Publisher(self, transport, topics, layouts)
         except BaseException:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from smooth_operator.errors import ConfigError, SourceError
 from smooth_operator.io.anatomy import layout_order
-from smooth_operator.teleop.ros2 import open_transport
 from smooth_operator.teleop.ros2.hand_poses import KINDS, Frame, HandPoseReader, Kind
 from smooth_operator.teleop.ros2.messages import PoseStamped
 from smooth_operator.teleop.ros2.transport import (
@@ -16,9 +15,9 @@ from smooth_operator.teleop.ros2.transport import (
     Transport,
     topic_name,
 )
-from smooth_operator.teleop.sources.message_receiver import Message
-from smooth_operator.teleop.sources.payload import Reading
-from smooth_operator.teleop.sources.stream import KEPT, Hands, StreamSource, only_side
+from smooth_operator.teleop.sources.inboxes import NEWEST, Inbox, Message
+from smooth_operator.teleop.sources.manus_gloves import glove_sides
+from smooth_operator.teleop.sources.stream import Hands, Reader, StreamSource, only_side
 from smooth_operator.types import Side
 
 
@@ -74,41 +73,33 @@ class Ros2Source(StreamSource):
             raise ConfigError("ros2: two hands need two wrists: put {side} into wrist")
         if (self.wrist is not None) != (self.frame == "wrist"):
             raise ConfigError("ros2: wrist=TOPIC and frame=wrist go together: give both or none")
-        if self.right_glove is not None and self.right_glove == self.left_glove:
-            raise ConfigError(f"right_glove and left_glove are both {self.right_glove!r}")
+        glove_sides(self.right_glove, self.left_glove)
 
     @property
     def label(self) -> str:
-        """What it is, in a few words."""
+        """The source in a few words."""
         return f"ROS 2 {self.topic}"
 
-    def connect(self) -> Ros2Inbox:
+    def connect(self) -> Inbox:
         """Open the transport and its subscriptions."""
         topics, wrists = self._topics(), self._wrist_topics()
-        transport = open_transport(self._endpoint())
+        transport = Transport(self._endpoint())
         try:
             for topic in topics:
-                transport.subscribe(KINDS[self.message], topic, KEPT)
+                transport.subscribe(KINDS[self.message], topic, NEWEST)
             for topic in wrists:
-                transport.subscribe(PoseStamped, topic, KEPT)
+                transport.subscribe(PoseStamped, topic, NEWEST)
         except BaseException:
             transport.close()
             raise
-        gloves: dict[str, Side] = {}
-        if self.right_glove is not None:
-            gloves[self.right_glove.lower()] = "right"
-        if self.left_glove is not None:
-            gloves[self.left_glove.lower()] = "left"
-        reader = HandPoseReader(topics, wrists, self.frame, self.layout, gloves)
-        # The settings are frozen, but wrist poses are kept from one message to the next.
-        object.__setattr__(self, "_reader", reader)
         return Ros2Inbox(transport, f"{', '.join(topics)} ({transport.label})")
 
-    def read(self, message: Message, received: float) -> Sequence[Reading]:
-        """The hands of a message: its topic, and what came."""
-        reader: HandPoseReader = getattr(self, "_reader")  # noqa: B009  (set in connect())
-        topic, content = message
-        return reader.read(topic, content, received)
+    def reader(self) -> Reader:
+        """Reads the messages of the topics."""
+        gloves = glove_sides(self.right_glove, self.left_glove)
+        topics, wrists = self._topics(), self._wrist_topics()
+        hands = HandPoseReader(topics, wrists, self.frame, self.layout, gloves)
+        return lambda message, received: hands.read(message[0], message[1], received)
 
     def _endpoint(self) -> Endpoint:
         return Endpoint("the source 'ros2'", SourceError, self.domain, self.network)
@@ -129,7 +120,7 @@ class Ros2Source(StreamSource):
         return {topic_name(self.wrist, "ros2", side=side): side for side in self.sides}
 
 
-class Ros2Inbox:
+class Ros2Inbox(Inbox):
     """Open subscriptions: the newest messages of each topic.
 
     Args:
@@ -147,7 +138,7 @@ class Ros2Inbox:
         left: dict[str, int] = {}
         newest: list[Message] = []
         for topic, message in reversed(received):
-            left[topic] = left.get(topic, KEPT) - 1
+            left[topic] = left.get(topic, NEWEST) - 1
             if left[topic] >= 0:
                 newest.append((topic, message))
         return newest[::-1]

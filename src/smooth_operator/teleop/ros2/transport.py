@@ -1,20 +1,36 @@
-"""The way to other ROS 2 programs: settings, names of topics, and the protocol of a transport."""
+"""ROS 2 messages over DDS, by CycloneDDS's Python binding (extra ``ros2``); needs no ROS 2.
+
+A ROS 2 topic ``/a/b`` is the DDS topic ``rt/a/b``, and the samples are plain CDR (XCDR 1).
+"""
 
 from __future__ import annotations
 
 import os
 import re
+import threading
+import time
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
-from typing import Final, Literal, Protocol, TypeAlias
+from typing import Any, Final, Literal, TypeAlias
 
-from smooth_operator.errors import (
-    ConfigError,
-    RecordingError,
-    SinkError,
-    SourceError,
+from cyclonedds.core import (
+    DDSException,
+    InstanceState,
+    ReadCondition,
+    SampleState,
+    ViewState,
+    WaitSet,
 )
-from smooth_operator.teleop.ros2.messages import M, Message, Time
+from cyclonedds.domain import Domain, DomainParticipant
+from cyclonedds.internal import InvalidSample
+from cyclonedds.pub import DataWriter
+from cyclonedds.qos import Policy, Qos
+from cyclonedds.sub import DataReader
+from cyclonedds.topic import Topic
+from cyclonedds.util import duration
+
+from smooth_operator.errors import ConfigError, RecordingError, SinkError, SourceError
+from smooth_operator.teleop.ros2.messages import M, Message, Time, type_name
 
 Network: TypeAlias = Literal["localhost", "subnet"]
 """Who can be heard and hears: programs on this machine, or on the whole network."""
@@ -32,32 +48,182 @@ TF_DEPTH: Final = 100
 """Messages that are kept on ``/tf``."""
 
 _TOPIC = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
+Reach: TypeAlias = Literal["localhost", "subnet", "own"]
+"""``own``: what the user's file of settings for CycloneDDS says (``CYCLONEDDS_URI``)."""
+
+_CONFIG: Final = """<CycloneDDS><Domain id="any"><General>{general}</General><Discovery>
+<ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>32</MaxAutoParticipantIndex>
+<Peers><Peer address="127.0.0.1"/></Peers></Discovery><Internal><MaxSampleSize>128 kB
+</MaxSampleSize></Internal></Domain></CycloneDDS>"""
+# The loopback interface alone. Programs find each other by unicast to the first ports of the
+# domain, as those of ROS 2 do with localhost only.
+_GENERAL: Final[dict[Reach, str]] = {
+    "localhost": '<Interfaces><NetworkInterface address="127.0.0.1"/></Interfaces>',
+    "subnet": "",
+}
+_WHOM: Final[dict[Reach, str]] = {
+    "localhost": "this machine only",
+    "subnet": "the whole network",
+    "own": "as CYCLONEDDS_URI says",
+}
 
 
-class Transport(Protocol):
-    """An open way to other ROS 2 programs; for one thread."""
+class Transport:
+    """A participant of a DDS domain, for one thread.
 
-    label: str
-    """What it is, and whom it reaches, in a few words."""
+    Args:
+        endpoint: settings.
+
+    Raises:
+        SinkError, SourceError: the domain can't be joined.
+        ConfigError: a variable of the environment can't be read, or another part of this process
+            is in the domain with another network.
+    """
+
+    def __init__(self, endpoint: Endpoint) -> None:
+        number, reach = endpoint.domain_id(), reach_of(endpoint)
+        self._domain = _Domains.join(endpoint, number, reach)
+        try:
+            self._participant = DomainParticipant(number)
+            self._waitset = WaitSet(self._participant)
+        except DDSException as error:
+            _Domains.leave(number)
+            raise endpoint.error(_refused(number, error)) from error
+        self._number = number
+        self._readers: list[tuple[str, type[Message], DataReader[Any], ReadCondition]] = []
+        self._error = endpoint.error
+        self.label = f"CycloneDDS, domain {number}, {_WHOM[reach]}"
 
     def publisher(self, kind: type[M], topic: str, depth: int = DEPTH) -> Callable[[M], None]:
         """A function that publishes messages: reliable, volatile, the last ``depth`` are kept."""
+        # Never waits for a slow subscriber: what is kept beyond ``depth`` is overwritten.
+        qos = _qos(Policy.Reliability.Reliable(duration(milliseconds=100)), depth)
+        writer = DataWriter(self._participant, self._topic(kind, topic), qos=qos)
+        publish: Callable[[M], None] = writer.write
+        return publish
 
     def subscribe(self, kind: type[Message], topic: str, depth: int) -> None:
-        """Receive the messages of a topic from now on, best effort: from any publisher."""
+        """Receives the messages of a topic from now on, best effort: from any publisher."""
+        qos = _qos(Policy.Reliability.BestEffort, depth)
+        reader = DataReader(self._participant, self._topic(kind, topic), qos=qos)
+        condition = ReadCondition(reader, ViewState.Any | SampleState.Any | InstanceState.Any)
+        self._waitset.attach(condition)
+        self._readers.append((topic, kind, reader, condition))
 
     def receive(self, timeout: float) -> list[Received]:
-        """Wait up to ``timeout`` [s] for messages; all that are here.
+        """Waits up to ``timeout`` [s] for messages, and takes all that are here.
 
         Raises:
             SinkError, SourceError: the library gave up.
         """
+        received: list[Received] = []
+        try:
+            self._waitset.wait(duration(seconds=timeout))
+            for topic, kind, reader, condition in self._readers:
+                for _ in range(MANY):
+                    messages = _take(reader, condition, kind)
+                    if messages is None:
+                        break
+                    received += [(topic, message) for message in messages]
+        except DDSException as error:
+            raise self._error(f"DDS domain {self._number}: {describe(error)}") from error
+        return received
 
     def now(self) -> Time:
-        """The time that headers carry."""
+        """The time that headers carry, by this machine's clock."""
+        return Time.of(time.time_ns())
 
     def close(self) -> None:
-        """Give everything back."""
+        """Gives everything back."""
+        self._readers.clear()
+        del self._waitset, self._participant
+        _Domains.leave(self._number)
+
+    def _topic(self, kind: type[Message], topic: str) -> Topic[Any]:
+        return Topic(self._participant, f"rt/{topic.lstrip('/')}", kind)
+
+
+def reach_of(endpoint: Endpoint) -> Reach:
+    """Whom a participant reaches: its setting, else what the environment says, else localhost.
+
+    Raises:
+        ConfigError: a variable of ROS 2 has a value that it does not know.
+    """
+    if endpoint.network is not None:
+        return endpoint.network
+    if os.environ.get("CYCLONEDDS_URI"):
+        return "own"
+    discovery = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").upper()
+    reaches: dict[str, Reach] = {"LOCALHOST": "localhost", "SUBNET": "subnet", "": "localhost"}
+    if discovery not in reaches:
+        raise ConfigError(
+            f"{endpoint.feature}: ROS_AUTOMATIC_DISCOVERY_RANGE must be LOCALHOST or SUBNET, not "
+            f"{discovery!r}; or say network=localhost or network=subnet"
+        )
+    if not discovery and os.environ.get("ROS_LOCALHOST_ONLY") == "0":
+        return "subnet"  # said, not left out
+    return reaches[discovery]
+
+
+def _take(
+    reader: DataReader[Any], condition: ReadCondition, kind: type[Message]
+) -> list[Message | RecordingError] | None:
+    """The next message of a reader, none for a publisher's end; None when all are read."""
+    try:
+        samples = reader.take(1, condition)  # of several, one that is broken would lose all
+    except DDSException:
+        raise
+    except Exception as error:  # the bytes of a publisher: anything may be in them
+        return [RecordingError(f"a message of another type than {type_name(kind)}: {error}")]
+    if not samples:
+        return None
+    return [sample for sample in samples if not isinstance(sample, InvalidSample)]
+
+
+def _qos(reliability: Any, depth: int) -> Qos:
+    return Qos(
+        reliability,
+        Policy.Durability.Volatile,
+        Policy.History.KeepLast(depth),
+        Policy.DataRepresentation(use_cdrv0_representation=True),
+    )
+
+
+def _refused(number: int, error: Exception) -> str:
+    return (
+        f"DDS domain {number} can't be joined: {describe(error)}; is the network that "
+        "CYCLONEDDS_URI or the setting network names there?"
+    )
+
+
+class _Domains:
+    """Domains that this process is in; the settings of one hold for all of its participants."""
+
+    _lock = threading.Lock()
+    _joined: dict[int, tuple[Reach, Any, int]] = {}  # noqa: RUF012  (guarded by the lock)
+
+    @classmethod
+    def join(cls, endpoint: Endpoint, number: int, reach: Reach) -> None:
+        with cls._lock:
+            present, domain, users = cls._joined.get(number, (reach, None, 0))
+            if present != reach:
+                raise ConfigError(
+                    f"{endpoint.feature}: DDS domain {number} is in use here with network "
+                    f"{present!r}; use the same one, or another domain"
+                )
+            if not users and reach != "own":
+                try:
+                    domain = Domain(number, _CONFIG.format(general=_GENERAL[reach]))
+                except DDSException as error:
+                    raise endpoint.error(_refused(number, error)) from error
+            cls._joined[number] = reach, domain, users + 1
+
+    @classmethod
+    def leave(cls, number: int) -> None:
+        with cls._lock:
+            reach, domain, users = cls._joined.pop(number)
+            if users > 1:
+                cls._joined[number] = reach, domain, users - 1
 
 
 @dataclass(frozen=True)

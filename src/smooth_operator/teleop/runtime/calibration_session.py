@@ -20,7 +20,7 @@ SIGHT_S = 0.3
 
 @dataclass(frozen=True)
 class Moment:
-    """What to show an operator now.
+    """The prompt to show an operator now.
 
     Attributes:
         prompt: what is asked.
@@ -42,12 +42,12 @@ class CalibrationSession:
 
     Args:
         side: which hand.
-        asked: the prompts, in order.
+        prompts: the prompts, in order.
     """
 
-    def __init__(self, side: Side, asked: Sequence[Prompt]) -> None:
+    def __init__(self, side: Side, prompts: Sequence[Prompt]) -> None:
         self.side: Side = side
-        self.prompts = tuple(asked)
+        self.prompts = tuple(prompts)
         self._frames: list[Arrival] = []
         self._held: list[int | None] = []  # for each frame, the prompt that it holds
         self._holding: int | None = None
@@ -62,7 +62,7 @@ class CalibrationSession:
             self._held.append(self._holding)
 
     def at(self, now: float) -> Moment | None:
-        """What to show.
+        """The prompt to show.
 
         Args:
             now: by the clock of the arrivals; never earlier than at the last call [s].
@@ -112,7 +112,7 @@ class CalibrationSession:
         )
 
     def segments(self) -> list[Segment]:
-        """Where in the recording each prompt was held; what was asked is taken as done."""
+        """The span of the recording in which each prompt was held."""
         holds = []
         for number, prompt in enumerate(self.prompts):
             rows = [i for i, held in enumerate(self._held) if held == number]

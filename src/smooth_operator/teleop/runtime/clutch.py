@@ -26,7 +26,7 @@ FASTEST_RPS: Final = 25.0
 
 NEAR_M: Final = 0.02
 NEAR_RAD: Final = 0.1
-"""How far the measured arm may be from its last command for the clutch to engage there."""
+"""Distance of the measured arm from its last command at which the clutch still engages."""
 _APPROACH: Final = 0.2
 """Share of the velocity limits with which the command goes to an arm that is farther away."""
 _AHEAD_S: Final = 0.05
@@ -38,7 +38,7 @@ _SMOOTH: Final = 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class _Seen:
+class _Wrist:
     """A valid wrist: its pose turned to the robot's axes, its times and its velocity."""
 
     pose: Float[np.ndarray, "7"]
@@ -77,13 +77,13 @@ class Clutch:
         self.measured: Callable[[], Float[np.ndarray, "7"] | None] = lambda: None
         self.released = False
         self._engaged = self._begun = False
-        self._seen: _Seen | None = None
+        self._last: _Wrist | None = None
         self._anchor = self._home = poses.IDENTITY
-        self._told: list[str] = []
+        self._events: list[str] = []
 
     @property
     def engaged(self) -> bool:
-        """Whether the operator's wrist moves that of the robot; safe from any thread."""
+        """True if the operator's wrist moves that of the robot; safe from any thread."""
         return self._engaged
 
     def follow(self, on: bool) -> None:
@@ -95,13 +95,13 @@ class Clutch:
         old, new = self.config.wrist, config.wrist
         if (old.scale, old.yaw) != (new.scale, new.yaw):
             self._let_go("other settings")
-            self._seen = None  # it is in the old axes
+            self._last = None  # it is in the old axes
         self.config, self.limiter.config = config, new
 
     def events(self) -> list[str]:
-        """What has happened since the last call, a sentence each."""
-        told, self._told = self._told, []
-        return told
+        """Events since the last call, a sentence each."""
+        events_now, self._events = self._events, []
+        return events_now
 
     def step(
         self, mode: Mode, at: float, dt: float, arrival: Arrival | None
@@ -119,19 +119,19 @@ class Clutch:
         """
         if arrival is not None and poses.is_valid(arrival.frame.T_world_wrist):
             self._see(arrival)
-        seen, limiter = self._seen, self.limiter
+        wrist, limiter = self._last, self.limiter
         if not self._begun:
             place = self._measured()
-            if seen is None and place is None:
+            if wrist is None and place is None:
                 return None
             limiter.put(np.array(self.config.wrist.home) if place is None else place)
             self._begun = True
-        valid = seen is not None and at - seen.received <= self.config.safety.stale_s
-        if seen is None or not valid or not mode.moves or self.released:
+        valid = wrist is not None and at - wrist.received <= self.config.safety.stale_s
+        if wrist is None or not valid or not mode.moves or self.released:
             self._let_go("" if valid else "no valid wrist")
             limiter.rest(dt)
         elif self._engaged:
-            target, moving = self._target(seen, at)
+            target, moving = self._target(wrist, at)
             limiter.step(target, dt, moving)
         elif (place := self._measured()) is not None and not _near(place, limiter.pose):
             limiter.step(place, dt, share=_APPROACH)
@@ -139,13 +139,13 @@ class Clutch:
             stood = limiter.at_rest
             limiter.rest(dt)
             if stood:
-                self._engaged, self._anchor, self._home = True, seen.pose, limiter.pose
-                self._told.append("wrist engaged")
+                self._engaged, self._anchor, self._home = True, wrist.pose, limiter.pose
+                self._events.append("wrist engaged")
         return WristCommand(limiter.pose, self._engaged, valid)
 
     def _see(self, arrival: Arrival) -> None:
         """Take note of a valid wrist; lets go where it does not continue the one before."""
-        frame, yaw, last = arrival.frame, self.config.wrist.yaw, self._seen
+        frame, yaw, last = arrival.frame, self.config.wrist.yaw, self._last
         assert frame.T_world_wrist is not None
         turn = np.array([0, 0, 0, math.cos(yaw / 2), 0, 0, math.sin(yaw / 2)])
         pose, moving, gap = poses.compose(turn, frame.T_world_wrist), np.zeros(6), 0.0
@@ -159,14 +159,14 @@ class Clutch:
                 self._let_go("the wrist jumped")
             elif _SHORTEST_GAP_S < gap <= self.config.safety.stale_s:
                 moving = last.moving + _SMOOTH * (moved / gap - last.moving)
-        self._seen = _Seen(
+        self._last = _Wrist(
             pose, arrival.stamp, arrival.received, gap, moving, arrival.session, frame.world
         )
 
     def _target(
-        self, arrival: _Seen, at: float
+        self, arrival: _Wrist, at: float
     ) -> tuple[Float[np.ndarray, "7"], Float[np.ndarray, "6"] | None]:
-        """Where the wrist of the robot is to be at a time, and how that moves."""
+        """Target of the robot's wrist at a time, and its velocity."""
         scale, since = self.config.wrist.scale, max(at - arrival.received, 0.0)
         lead = min(arrival.gap, _AHEAD_S)
         ahead = arrival.moving * min(since, lead)
@@ -187,7 +187,7 @@ class Clutch:
     def _let_go(self, why: str) -> None:
         if self._engaged:
             self._engaged = False
-            self._told.append(f"wrist released: {why}" if why else "wrist released")
+            self._events.append(f"wrist released: {why}" if why else "wrist released")
 
 
 def _arc(a: Float[np.ndarray, "7"], b: Float[np.ndarray, "7"]) -> Float[np.ndarray, "3"]:

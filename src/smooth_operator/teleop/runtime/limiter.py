@@ -247,7 +247,7 @@ class PoseLimiter:
 
     @property
     def at_rest(self) -> bool:
-        """Whether it stands."""
+        """True if it stands."""
         return not (self.velocity.any() or self.turn.any())
 
     def put(self, pose: Float[np.ndarray, "7"]) -> None:
@@ -416,11 +416,11 @@ def _cut(vector: Float[np.ndarray, "3"], length: float) -> Float[np.ndarray, "3"
 SHORTEST: Final = 0.25
 """Shortest time between two commands, over the period."""
 BORROWED: Final = 1.0 - SHORTEST
-"""How much earlier than in an even pace a frame may be answered, over the period: its turn is taken
+"""Time by which a frame may be answered before its turn, over the period: its turn is taken
 from the commands after it. It keeps frames that come between two commands of the pace from
 waiting."""
 KEPT: Final = 0.5
-"""How much of the time that a command came late may be made up for, over the period: a frame that
+"""Share of a late command's delay that may be made up for, over the period: a frame that
 was late does not delay those after it."""
 WAITS: Final = 0.1
 """Longest wait of a frame for its turn, over the period: one that would wait for longer is replaced

@@ -5,14 +5,14 @@ from __future__ import annotations
 import contextlib
 import functools
 import threading
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.teleop.runtime.controls import Controls
 from smooth_operator.teleop.runtime.limiter import Limiter, RateLimiter
 from smooth_operator.teleop.runtime.pipeline import HandPipeline
 from smooth_operator.teleop.runtime.settings import LoopConfig
@@ -21,6 +21,9 @@ from smooth_operator.teleop.sinks.runner import SinkRunner
 from smooth_operator.teleop.sinks.tick import Tick
 from smooth_operator.teleop.sources.live import LiveSource, Mailbox
 from smooth_operator.types import Side
+
+if TYPE_CHECKING:
+    from smooth_operator.teleop.runtime.pipeline import HandPipeline
 
 
 class TeleopLoop:
@@ -67,7 +70,7 @@ class TeleopLoop:
             pipeline.clutch.measured = functools.partial(self._measured_wrist, side)
         self._beat = self.mailbox.clock()
         self._rate_limiters = {side: RateLimiter(config.period) for side in self.pipelines}
-        self._asked: set[Side] = set()  # hands that something was changed of
+        self._changed_sides: set[Side] = set()  # hands that something was changed of
         self._stopped: set[Side] = set()  # hands whose emergency stop the sinks don't know yet
 
     def run(
@@ -130,7 +133,7 @@ class TeleopLoop:
 
     @property
     def silent_s(self) -> float:
-        """How long ago the last command left [s]; since it was built before the first one."""
+        """Age of the last command [s]; that of the loop before the first one."""
         return self.mailbox.clock() - self._beat
 
     def _loop(self, duration: float | None) -> None:
@@ -172,7 +175,7 @@ class TeleopLoop:
         for change in self.controls.drain():
             for side, pipeline in self.pipelines.items():
                 change(pipeline)
-                self._asked.add(side)  # the sinks are to know as soon as the pace lets them
+                self._changed_sides.add(side)  # the sinks are to know as soon as the pace lets them
         self._stopped |= {side for side in free if self.pipelines[side].supervisor.stopped}
 
     def _due(self, side: Side, now: float) -> float:
@@ -180,7 +183,7 @@ class TeleopLoop:
         pace, following = self._rate_limiters[side], self.mailbox.following(side)
         if side in self._stopped:
             return now
-        if side in self._asked:
+        if side in self._changed_sides:
             return min(pace.opens, now)
         arrival = self.mailbox.newest(side)
         if arrival is None:
@@ -196,7 +199,7 @@ class TeleopLoop:
         if now < due:
             return
         arrival = self.mailbox.take(side)
-        self._asked.discard(side)
+        self._changed_sides.discard(side)
         self._stopped.discard(side)
         pace.take(now)
         tick = self.pipelines[side].step(now, arrival)
@@ -216,7 +219,7 @@ class TeleopLoop:
             self.watch(tick)
 
     def _measured_wrist(self, side: Side) -> Float[np.ndarray, "7"] | None:
-        """Where the arm of a hand is: as a sink measures it, or as it was last commanded."""
+        """Pose of the arm of a hand: as a sink measures it, or as it was last commanded."""
         measured, arm = self.sinks.measured_wrist(side), self.pipelines[side].arm
         return arm.pose if measured is None and arm is not None else measured
 
@@ -239,3 +242,80 @@ class TeleopLoop:
         finally:
             done.set()
             thread.join()
+
+
+Change: TypeAlias = Callable[["HandPipeline"], None]
+"""Something to be done to every hand, between two of its steps."""
+
+
+class Controls:
+    """Switches of a loop; safe to use from any thread and from a signal handler.
+
+    Each takes effect before the loop's next command, and wakes the loop for it.
+
+    Args:
+        mailbox: what the loop sleeps on.
+    """
+
+    def __init__(self, mailbox: Mailbox) -> None:
+        self._mailbox = mailbox
+        self._pending: deque[Change] = deque()
+        self._stops = 0  # how many there were: a release ends those that came before it, only
+        self._quit = threading.Event()
+
+    def pause(self) -> None:
+        """Release the clutch: the robot holds."""
+        self.change(lambda hand: hand.supervisor.pause())
+
+    def resume(self) -> None:
+        """Take the clutch: the robot goes over to where the operator's hand is now."""
+        self.change(lambda hand: hand.supervisor.resume())
+
+    def follow(self, on: bool) -> None:
+        """Take the clutch of the wrist, or release it: fingers go on, the wrist holds."""
+        self.change(lambda hand: hand.clutch.follow(on))
+
+    def stop(self) -> None:
+        """Emergency stop: the robot stands until a ``release`` that comes later."""
+        self._stops += 1
+        # before whatever else is waiting
+        self._pending.appendleft(lambda hand: hand.supervisor.stop())
+        self._mailbox.wake()
+
+    def release(self) -> None:
+        """End an emergency stop; one that comes before this has been done stays."""
+        stops = self._stops
+
+        def release(hand: HandPipeline) -> None:
+            if self._stops == stops:
+                hand.supervisor.release()
+
+        self.change(release)
+
+    def change(self, change: Change) -> None:
+        """Have something done to every hand, on the loop's thread; it must be quick."""
+        self._pending.append(change)
+        self._mailbox.wake()
+
+    def quit(self) -> None:
+        """End the loop."""
+        self._quit.set()
+        # A signal handler may run inside the mailbox, on the thread that holds its lock.
+        threading.Thread(target=self._mailbox.wake, daemon=True).start()
+
+    @property
+    def quitting(self) -> bool:
+        """True if the loop is to end."""
+        return self._quit.is_set()
+
+    @property
+    def waiting(self) -> bool:
+        """True if there is something to do."""
+        return bool(self._pending) or self.quitting
+
+    def drain(self) -> list[Change]:
+        """The changes to make now, in order; for the loop alone."""
+        changes = []
+        while self._pending:
+            changes.append(self._pending.popleft())
+        return changes

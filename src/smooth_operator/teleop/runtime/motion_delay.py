@@ -34,7 +34,7 @@ _AGAIN_S: Final = 1.0
 
 
 class Delay(NamedTuple):
-    """How late a hand moves.
+    """Delay between a command and the measured motion of a hand.
 
     Attributes:
         seconds: from the command's time to the measured motion [s].
@@ -80,7 +80,7 @@ class MotionDelay:
         self._commands: _Track | None = None
         self._states: _Track | None = None
         self._state: HandState | None = None
-        self._found: tuple[float, Delay | None] = (-np.inf, None)
+        self._newest: tuple[float, Delay | None] = (-np.inf, None)
 
     def add(self, tick: Tick) -> None:
         """Take note of a command, and of where the hand was measured; microseconds."""
@@ -101,10 +101,10 @@ class MotionDelay:
             None without a measured state, without motion, or where the measured motion does not
             resemble the command.
         """
-        at, delay = self._found
+        at, delay = self._newest
         if time.monotonic() - at > _AGAIN_S:
             delay = self._compute()
-            self._found = (time.monotonic(), delay)
+            self._newest = (time.monotonic(), delay)
         return delay
 
     def _compute(self) -> Delay | None:
@@ -186,5 +186,5 @@ class TrackerDelay:
 
 
 def _difference(arrival: Arrival) -> float:
-    """Of the two clocks at an arrival, and the delay [s]."""
+    """Difference of the two clocks at an arrival, and the delay [s]."""
     return arrival.received - arrival.stamp / arrival.speed

@@ -47,7 +47,7 @@ class HandPipeline:
         supervisor: mode and policies.
         limiter: what was last commanded.
         clutch: moves the wrist, where the tracker has one.
-        seen: the last frame that was not refused, in a pause or an emergency stop, too.
+        latest: the last frame that was not refused, in a pause or an emergency stop, too.
     """
 
     def __init__(
@@ -69,20 +69,20 @@ class HandPipeline:
         self.side: Side = retargeter.hand.spec.side
         self._clock = clock
         self._state = retargeter.init()
-        self._wanted = self.limiter.q  # what the operator asked for last
+        self._target = self.limiter.q  # what the operator asked for last
         self._from = self.limiter.q  # where a blend began
         self._delay = TrackerDelay()
         self._session = SessionCheck(self.side)
         self._last: float | None = None
         self._number = 0
-        self.seen: Arrival | None = None
-        self._told: list[str] = []  # events of the next step
+        self.latest: Arrival | None = None
+        self._next_events: list[str] = []  # events of the next step
         if compiling:
             self.hold()
 
     @property
     def mode_now(self) -> Mode:
-        """What the next tick does, if no frame comes."""
+        """Mode of the next tick, if no frame comes."""
         return self.supervisor.preview(self._clock())
 
     def switch(self, retargeter: Retargeter, driver: Driver | None = None) -> None:
@@ -111,7 +111,7 @@ class HandPipeline:
 
     def note(self, text: str) -> None:
         """Have something stand among the events of the next step, and so in the record."""
-        self._told.append(text)
+        self._next_events.append(text)
 
     def configure(self, config: LoopConfig) -> None:
         """Go on with other policies and limits, from the last command.
@@ -142,7 +142,7 @@ class HandPipeline:
             arrival: the newest frame, if one has come since the last step.
         """
         before = self.supervisor.mode
-        events, self._told = self._told, []
+        events, self._next_events = self._next_events, []
         stages: dict[str, float] = {}
         result: Result | None = None
         self.supervisor.update(now)  # what the operator switched since the last step
@@ -159,9 +159,9 @@ class HandPipeline:
                 events.append(f"frame refused: {why}")
                 arrival = None
             elif not self.supervisor.listens:
-                self.seen, arrival = arrival, None
+                self.latest, arrival = arrival, None
             else:
-                self.seen = arrival
+                self.latest = arrival
                 result, stages = self._answer(arrival, now)
                 if result.status != Status.OK:
                     events.append(f"frame not used: {result.status.reason}")
@@ -227,7 +227,7 @@ class HandPipeline:
                 self._from = self.limiter.q
             self.supervisor.usable(now)
             self._state = state
-            self._wanted = result.command.positions[list(self.retargeter.hand.actuated)]
+            self._target = result.command.positions[list(self.retargeter.hand.actuated)]
         return result, {
             "tracker": self._delay.above_fastest(arrival) * 1e3,
             "receive": (start - arrival.received) * 1e3,
@@ -235,12 +235,12 @@ class HandPipeline:
         }
 
     def _follow(self, mode: Mode, now: float, dt: float) -> np.ndarray:
-        """What the limits let the robot do in this mode in the time since the last command."""
+        """Joint positions that the limits allow in this mode since the last command."""
         if mode is Mode.TRACKING:
-            return self.limiter.step(self._wanted, dt)
+            return self.limiter.step(self._target, dt)
         if mode is Mode.BLENDING:
             share = self.supervisor.blend(now)
-            return self.limiter.step(self._from + share * (self._wanted - self._from), dt)
+            return self.limiter.step(self._from + share * (self._target - self._from), dt)
         if mode is Mode.EASING:
             return self.limiter.step(
                 self.retargeter.hand.neutral, dt, self.config.safety.ease_velocity

@@ -57,7 +57,7 @@ def implausible(frame: HandFrame) -> str | None:
 
 
 class SessionCheck:
-    """Whether the frames of a tracker are of the side and in the order that they should be.
+    """True if the frames of a tracker are of the side and in the order that they should be.
 
     Each start of a tracker is judged by itself: over its first frames, and then occasionally.
 
@@ -71,7 +71,7 @@ class SessionCheck:
         self._check = HandCheck(side)
 
     def doubt(self, arrival: Arrival) -> Doubt | None:
-        """What is wrong with the frames up to this one; None if nothing is."""
+        """The doubt about the frames up to this one; None without any."""
         if arrival.session != self._session:
             self._session, self._check = arrival.session, HandCheck(self._side)
         frame = arrival.frame
@@ -80,7 +80,7 @@ class SessionCheck:
 
 
 def finger_curl(landmarks: Float[np.ndarray, "21 3"], side: Side) -> float:
-    """How far the fingertips are in front of the palm, as share of the fingers' length.
+    """Distance of the fingertips in front of the palm, as share of the fingers' length.
 
     A rule for a single frame, where ``chirality`` of
     ``smooth_operator.io.anatomy`` needs the mean of several.

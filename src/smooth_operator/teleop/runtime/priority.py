@@ -28,7 +28,7 @@ _PYTHON: Final = 2
 _NATIVE: Final = 1
 """Those of libraries, which compile, too, if another method is asked for while the loop runs."""
 _SWITCH_S: Final = 5e-4
-"""How long another thread may keep the interpreter before the loop gets it [s]."""
+"""Time that another thread may keep the interpreter before the loop gets it [s]."""
 
 
 @contextlib.contextmanager

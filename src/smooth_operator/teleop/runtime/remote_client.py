@@ -83,7 +83,7 @@ class RemoteTeleop:
         return answer
 
     def _still_busy(self) -> bool:
-        """Whether a teleoperation is there, and says that something takes long."""
+        """True if a teleoperation is there, and says that something takes long."""
         return bool(self._exchange(_BUSY, lambda: False).get("busy"))
 
     def _exchange(self, message: bytes, patient: Callable[[], bool]) -> dict[str, Any]:

@@ -22,13 +22,13 @@ from smooth_operator.teleop.runtime.loop import TeleopLoop
 from smooth_operator.terminal import print_note
 
 RpcHandler: TypeAlias = Callable[[Mapping[str, Any]], Mapping[str, Any]]
-"""What is done for a command: from the message's fields to the answer's; errors of the family are
+"""Carries out a command: from the message's fields to the answer's; errors of the family are
 answered, too."""
 Reply: TypeAlias = Callable[[bytes], None]
 """Takes an answer, from any thread."""
 
 _PATIENCE_S: Final = 0.5
-"""How long an answer waits for the loop to have done what it was asked for [s]."""
+"""Time that an answer waits for the loop to have carried out a command [s]."""
 _AT_ONCE: Final = 16
 """Commands that may be under way; more are refused."""
 _QUEUED: Final = 4096
@@ -94,12 +94,12 @@ class RpcServer:
 
     @property
     def queued(self) -> bool:
-        """Whether a message waits for its ``turn``."""
+        """True if a message waits for its ``turn``."""
         return bool(self._waiting)
 
     @property
     def idle(self) -> bool:
-        """Whether nothing waits, neither a message nor the answer to a switch."""
+        """True if nothing waits, neither a message nor the answer to a switch."""
         return not self._waiting and not self._unconfirmed
 
     def hear(self, message: bytes, reply: Reply) -> None:

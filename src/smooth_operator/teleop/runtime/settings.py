@@ -12,7 +12,7 @@ from smooth_operator.errors import ConfigError
 
 @dataclass(frozen=True)
 class SafetyConfig:
-    """What happens when the tracker fails, and how the operator comes back.
+    """Behaviour when the tracker fails, and when the operator comes back.
 
     Attributes:
         stale_s: A hand whose last usable frame is older than this is held [s].

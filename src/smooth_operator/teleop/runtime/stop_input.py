@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 _POLL_S: Final = 0.005
 _BEAT_S: Final = 0.3
-"""How long a heartbeat counts [s]."""
+"""Time for which a heartbeat counts [s]."""
 
 FORMS: Final = "file:PATH, serial:PORT or udp:PORT"
 
@@ -56,7 +56,7 @@ class StopInput:
             raise ConfigError(f"an emergency stop is {FORMS}, not {text!r}")
 
     def __call__(self) -> bool:
-        """Whether it is pressed, or can't be asked."""
+        """True if it is pressed, or can't be asked."""
         try:
             return not self._released()
         except Exception:  # of a file or adapter that is gone

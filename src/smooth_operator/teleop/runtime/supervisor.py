@@ -33,7 +33,7 @@ class Supervisor:
     _stopped: bool = False
 
     def admits(self, arrival: Arrival, now: float) -> str | None:
-        """Whether a frame is newer than all before it; if not, why it is refused."""
+        """True if a frame is newer than all before it; if not, why it is refused."""
         stamp, session = arrival.stamp, arrival.session
         if now - arrival.received > self.config.stale_s:
             return self.refuse("too late")
@@ -53,7 +53,7 @@ class Supervisor:
 
     @property
     def starts_again(self) -> bool:
-        """Whether the operator is new to the robot: what a method remembers means nothing then."""
+        """True if the operator is new to the robot: what a method remembers means nothing then."""
         return not self.mode.moves and self.mode is not Mode.HOLDING
 
     def usable(self, now: float) -> None:
@@ -108,12 +108,12 @@ class Supervisor:
 
     @property
     def stopped(self) -> bool:
-        """Whether an emergency stop holds the robot; safe from any thread."""
+        """True if an emergency stop holds the robot; safe from any thread."""
         return self._stopped
 
     @property
     def paused(self) -> bool:
-        """Whether the clutch is released, in an emergency stop, too; safe from any thread."""
+        """True if the clutch is released, in an emergency stop, too; safe from any thread."""
         return self._paused
 
     @property

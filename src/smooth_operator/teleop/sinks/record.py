@@ -18,8 +18,8 @@ from smooth_operator.atomic_files import output_error
 from smooth_operator.errors import ConfigError, OutputError, SinkError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.teleop.recording import LogWriter
+from smooth_operator.teleop.recording.foxglove import landmark_keypoints
 from smooth_operator.teleop.recording.log_types import LoopState
-from smooth_operator.teleop.recording.robot_points import landmark_keypoints
 from smooth_operator.teleop.sinks.sink import Sink
 from smooth_operator.teleop.sinks.tick import Driver, HandState, StampMap, Tick
 from smooth_operator.types import JointCommand, Side, Status
@@ -79,7 +79,7 @@ class RecordSink(Sink):
 
     @property
     def note(self) -> str:
-        """What a person should know: ticks that are missing from the files."""
+        """A note on ticks that are missing from the files."""
         lost = self._lost + (0 if self._recorder is None else self._recorder.dropped)
         if not lost:
             return ""
@@ -154,14 +154,14 @@ class RecordSink(Sink):
 
 _CHUNK_BYTES: Final = 256 * 1024
 _PERIOD_S: Final = 0.5
-"""How often ticks are written, at least [s]; a thread that wakes for each takes time from the
+"""Longest interval at which ticks are written [s]; a thread that wakes for each takes time from the
 loop."""
 _AT_ONCE: Final = 200
 """Ticks that are written before that time is over."""
 _TURN: Final = 4
-"""Ticks that are encoded before the loop gets the interpreter, should it wait: 0.1 ms."""
+"""Ticks that are encoded before the loop gets the interpreter, should it wait: 0.6 ms."""
 _END_S: Final = 20.0
-"""How long the end of a recording may take: a buffer to write, two files to end [s]."""
+"""Time that the end of a recording may take: a buffer to write, two files to end [s]."""
 
 
 class Recorder:
@@ -200,7 +200,7 @@ class Recorder:
         self._lot = max(1, min(_AT_ONCE, buffer // 2))
         self._waiting: deque[Tick] = deque()
         self._events: list[str] = []
-        self._taken = 0  # ticks that went into the buffer
+        self._buffered = 0  # ticks that went into the buffer
         self._failed = False
         self._missed = 0  # since the last tick that found room
         self._stalled = 0.0
@@ -244,7 +244,7 @@ class Recorder:
                 self._events.append(f"no command for {self._stalled:.2f} s: the loop stood still")
                 self._stalled = 0.0
             self._waiting.append(tick)
-            self._taken += 1
+            self._buffered += 1
             if len(self._waiting) >= self._lot:
                 self._change.notify_all()
 
@@ -283,7 +283,7 @@ class Recorder:
             self.empty += [log.path for log in logs if not log.give_up()]
             with self._change:
                 # those that wait, those that were being written, those in a chunk that was lost
-                self.dropped += self._taken - sum(log.kept for log in logs)
+                self.dropped += self._buffered - sum(log.kept for log in logs)
                 self._waiting.clear()
                 self._error = error
 
@@ -404,7 +404,7 @@ SUFFIX = ".mcap"
 
 
 def is_folder(path: Path) -> bool:
-    """Whether a path means a folder of takes: it is one, or has no suffix.
+    """True if a path means a folder of takes: it is one, or has no suffix.
 
     Raises:
         ConfigError: it has another suffix than a log's.
@@ -447,7 +447,7 @@ def take_paths(path: Path, sides: Sequence[Side], *, overwrite: bool) -> dict[Si
 
 
 def next_part(path: Path, sides: Sequence[Side]) -> dict[Side, Path]:
-    """Where a recording goes on that broke off: the next take, or ``NAME.part2.mcap``."""
+    """Files in which a recording goes on that broke off: the next take, or ``NAME.part2.mcap``."""
     if is_folder(path):
         return take_paths(path, sides, overwrite=False)
     return _first_free(path.with_name(f"{path.stem}.part{{}}{path.suffix}"), sides, 2)

@@ -28,12 +28,12 @@ SinkState: TypeAlias = Literal["closed", "open", "failed"]
 """``failed``: it raised, and is opened again after a while."""
 
 _PATIENCE: Final = 1.0
-"""How long closing waits for a call that is still inside the sink [s]."""
+"""Time that closing waits for a call that is still inside the sink [s]."""
 
 
 @dataclass(frozen=True)
 class SinkHealth:
-    """How a sink is, or was.
+    """Health of a sink, now or at its end.
 
     Attributes:
         label: what it is.
@@ -142,7 +142,7 @@ class SinkRunner:
                 entry.missed += 1
 
     def state(self, side: Side) -> HandState | None:
-        """Where a hand is, as it was last measured: by a real one, else by a simulated one."""
+        """The last measured state of a hand: of a real one, else of a simulated one."""
         first: HandState | None = None
         for entry in self._entries:
             if entry.state == "open" and (measured := entry.sink.state(side)) is not None:
@@ -160,7 +160,7 @@ class SinkRunner:
             entry.call(lambda sink: sink.stalled(seconds))
 
     def measured_wrist(self, side: Side) -> Float[np.ndarray, "7"] | None:
-        """Where an arm has the wrist of a hand: that of the first open sink that knows it."""
+        """Pose of the wrist of a hand, from the first open sink that measures it."""
         poses: list[Float[np.ndarray, "7"] | None] = [None]
         for entry in self._entries:
             entry.call(lambda sink: poses.append(sink.measured_wrist(side)))
@@ -169,7 +169,7 @@ class SinkRunner:
         return poses[-1]
 
     def measured_arm(self, side: Side) -> Float[np.ndarray, " n"] | None:
-        """Where the joints of an arm are [rad]: by the first open sink that knows it."""
+        """Joint positions of an arm [rad], from the first open sink that measures them."""
         for entry in self._entries:
             if entry.state == "open" and (positions := entry.sink.measured_arm(side)) is not None:
                 return positions
@@ -208,7 +208,7 @@ class SinkRunner:
             entry.end()
 
     def health(self) -> list[SinkHealth]:
-        """How each of the sinks is now, in their order."""
+        """Health of each sink now, in their order."""
         return [entry.health() for entry in self._entries]
 
     def report(self) -> list[SinkHealth]:
@@ -300,7 +300,7 @@ class _Entry:
                     self.state = "open"
 
     def health(self) -> SinkHealth:
-        """How it is; what the sink itself has to say comes first."""
+        """Health of the sink; its own note comes first."""
         detail = "; ".join(part for part in (self.sink.note, self._error) if part)
         return SinkHealth(
             self.sink.label,

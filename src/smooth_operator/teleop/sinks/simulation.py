@@ -72,7 +72,7 @@ class Simulation(Sink):
 
     @property
     def note(self) -> str:
-        """What went wrong in the physics, if anything did."""
+        """Faults of the physics, if there were any."""
         return "; ".join(self._events)
 
     @property
@@ -82,7 +82,7 @@ class Simulation(Sink):
 
     @property
     def task_now(self) -> str:
-        """What the hands work on now; ``none`` for nothing."""
+        """The task that the hands work on now, or ``none``."""
         return self.task if self._task is None else self._task
 
     @property
@@ -139,39 +139,39 @@ class Simulation(Sink):
             self._world.hold()
 
     def state(self, side: Side) -> HandState | None:
-        """Where a hand is now; safe from any thread.
+        """The state of a hand now; safe from any thread.
 
         Returns:
             None while the simulation is closed, or if it has no such hand.
         """
         world = self._world
-        return None if world is None else world.seen.get(side)
+        return None if world is None else world.states.get(side)
 
     def use_arms(self, arms: Mapping[Side, CarriedHand]) -> None:
         """The arms that carry the hands; see ``Sink``."""
         self._arms.update(arms)
 
     def measured_arm(self, side: Side) -> Float[np.ndarray, " n"] | None:
-        """Where the joints of an arm are [rad]; see ``Sink``."""
+        """Joint positions of an arm [rad]; see ``Sink``."""
         world = self._world
         return None if world is None else world.arms.get(side)
 
     def measured_wrist(self, side: Side) -> Float[np.ndarray, "7"] | None:
-        """Where an arm has the wrist of a hand, in its base frame; see ``Sink``."""
+        """Pose of the wrist of a hand in the base frame of its arm; see ``Sink``."""
         world = self._world
         if world is None or (arm := world.arms.get(side)) is None:
             return None
         return world.kinematics[side].wrist(arm)
 
     def arm_base(self, side: Side) -> Matrix | None:
-        """Where an arm stands in the scene of a task; see ``LiveSimulation``."""
+        """Pose of an arm's base in the scene of a task; see ``LiveSimulation``."""
         physics = None if self._world is None else self._world.physics.get(side)
         if not isinstance(physics, ScenePhysics) or physics.carried is None:
             return None
         return physics.carried.base
 
     def scene_of(self, side: Side) -> Scene:
-        """What is around a hand.
+        """The scene around a hand.
 
         Raises:
             SinkError: the simulation is closed, has no such hand, or no task.
@@ -187,7 +187,7 @@ class Simulation(Sink):
         return self._scene(side).parts()
 
     def scene_state(self, side: Side) -> SceneState | None:
-        """Where the object is now; safe from any thread.
+        """The state of the scene now; safe from any thread.
 
         Returns:
             None while the simulation is closed, or without a task or such a hand.
@@ -201,9 +201,7 @@ class Simulation(Sink):
         Raises:
             SinkError: as ``scene_of``.
         """
-        self._scene(side)
-        assert self._world is not None  # it has a scene
-        self._world.watch(side, watcher)
+        self._open_world(side).watch(side, watcher)
 
     def reset_object(self, side: Side) -> int:
         """Have the object put back to its start, with the next step; raises as ``scene_of``.
@@ -211,24 +209,18 @@ class Simulation(Sink):
         Returns:
             ``SceneState.starts`` of the states that come after it.
         """
-        physics = self._scene(side)
-        assert self._world is not None  # it has a scene
-        return self._world.reset_object(side, physics)
+        return self._open_world(side).reset_object(side, self._scene(side))
 
     def put_away(self, side: Side) -> None:
         """Have no object from the next step on, until it is put back; raises as ``scene_of``."""
-        self._scene(side)
-        assert self._world is not None  # it has a scene
-        self._world.put_away(side)
+        self._open_world(side).put_away(side)
 
     def freeze(self, side: Side, frozen: bool) -> None:
         """Have hand and scene stand still, their clock included, or go on; raises as ``scene_of``.
 
         Commands are heard meanwhile; the hand goes to the newest one when it goes on.
         """
-        self._scene(side)
-        assert self._world is not None  # it has a scene
-        self._world.freeze(side, frozen)
+        self._open_world(side).freeze(side, frozen)
 
     def _built(self, hand: Hand, task: str) -> HandPhysics:
         step, arm = 1.0 / self.rate, self._arms.get(hand.spec.side)
@@ -240,6 +232,11 @@ class Simulation(Sink):
 
     def _set(self, name: str, value: object) -> None:
         object.__setattr__(self, name, value)
+
+    def _open_world(self, side: Side) -> World:
+        self._scene(side)  # which refuses a hand without one
+        assert self._world is not None
+        return self._world
 
     def _scene(self, side: Side) -> ScenePhysics:
         world = self._world
@@ -261,7 +258,7 @@ class Simulation(Sink):
 
 
 _WAKE_S: Final = 0.004
-"""How often the thread wakes for several steps; waking costs more than a step."""
+"""Interval at which the thread wakes for several steps [s]; waking costs more than a step."""
 
 _SLICE_S: Final = 0.01
 """Longest that the physics goes on without a look at commands, and at what happened [s]."""
@@ -298,7 +295,7 @@ class World:
             side: arm for side, p in physics.items() if (arm := p.arm_positions) is not None
         }
         self.number = next(_NUMBERS)
-        self.seen = {side: _measured(side, p, now) for side, p in physics.items()}
+        self.states = {side: _measured(side, p, now) for side, p in physics.items()}
         self.physics, self._events = physics, events
         self.scenes: dict[Side, SceneState] = {
             side: p.observe() for side, p in physics.items() if isinstance(p, ScenePhysics)
@@ -398,7 +395,7 @@ class World:
             with self._changed:
                 frozen, there = side in self._frozen, side in self._there
             if frozen:
-                self.seen[side] = _measured(side, physics, now)
+                self.states[side] = _measured(side, physics, now)
                 if there and isinstance(physics, ScenePhysics):
                     self._show(side, physics)  # the object may be put back meanwhile
                 continue
@@ -406,7 +403,7 @@ class World:
                 text = f"the physics of the {side} hand came apart and was set back"
                 resets = f"{text} ({physics.resets} times)" if physics.resets > 1 else text
                 self._events[:] = [e for e in self._events if not e.startswith(text)] + [resets]
-            self.seen[side] = _measured(side, physics, now)
+            self.states[side] = _measured(side, physics, now)
             if (arm := physics.arm_positions) is not None:
                 self.arms[side] = arm
             if isinstance(physics, ScenePhysics):
@@ -425,6 +422,6 @@ class World:
 
 
 def _measured(side: Side, physics: HandPhysics, now: float) -> HandState:
-    """What encoders in the joints would say."""
+    """The state as encoders in the joints measure it."""
     hand = physics.hand
     return HandState(side, hand.name, now, hand.joint_names, physics.positions)

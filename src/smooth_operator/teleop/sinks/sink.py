@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class Sink(ABC):
-    """Where commands go: a robot, a simulation, a file, a bus.
+    """Takes commands: a robot, a simulation, a file, a bus.
 
     Subclasses are dataclasses of settings. The loop calls ``send`` from one thread and never waits
     for the far side: a sink that may have to wait keeps the newest command for its own thread.
@@ -30,17 +30,17 @@ class Sink(ABC):
     """
 
     observes: ClassVar[bool] = False
-    """Whether the sink only looks on and moves nothing, as a log or a table. It then gets its ticks
+    """True if the sink only looks on and moves nothing, as a log or a table. It then gets its ticks
     after the others, with the time that those took among the stages."""
 
     @property
     @abstractmethod
     def label(self) -> str:
-        """What it is, in a few words."""
+        """Name for a person, in a few words."""
 
     @property
     def note(self) -> str:
-        """What a person should know of it now, such as a warning; empty for nothing."""
+        """A note for a person, such as a warning; empty for none."""
         return ""
 
     @property
@@ -59,7 +59,7 @@ class Sink(ABC):
         return self.simulation is not None
 
     def state(self, side: Side) -> HandState | None:
-        """Where the hand that it moves was when that was last measured; safe from any thread.
+        """The last measured state of a hand; safe from any thread.
 
         None, as by default, if it measures nothing, is not open, or has no such hand.
         """
@@ -67,7 +67,7 @@ class Sink(ABC):
         return None
 
     def measured_wrist(self, side: Side) -> Float[np.ndarray, "7"] | None:
-        """Where the arm that it moves has the wrist of a hand, when that was last measured.
+        """The last measured pose of the wrist of a hand, by the arm that it moves.
 
         In the frame of the robot's base: x y z [m], unit quaternion w x y z. Called on the loop's
         thread, so it must be quick. None, as by default, if it moves no arm or is not open.
@@ -76,7 +76,7 @@ class Sink(ABC):
         return None
 
     def measured_arm(self, side: Side) -> Float[np.ndarray, " n"] | None:
-        """Where the joints of the arm of a hand were, when they were last measured [rad].
+        """The last measured joint positions of the arm of a hand [rad].
 
         In the order of ``ArmCommand.joint_names``; safe from any thread. None, as by default, if it
         moves no arm or is not open.
@@ -143,7 +143,7 @@ def simulated_hands(sinks: Iterable[Sink]) -> LiveSimulation | None:
 
 
 _PATIENCE: Final = 3.0
-"""How long closing waits for the thread [s]."""
+"""Time that closing waits for the thread [s]."""
 
 
 class Link(Protocol):
@@ -169,7 +169,7 @@ class ThreadedSink(Sink):
     @property
     @abstractmethod
     def label(self) -> str:
-        """What it is, in a few words."""
+        """Name for a person, in a few words."""
 
     @abstractmethod
     def connect(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> Link:

@@ -84,7 +84,7 @@ class TableSink(Sink):
 
 
 class HandPanel:
-    """What is shown of one hand; ``see`` is called by the loop, the rest by who draws."""
+    """Table of one hand; the loop calls ``see``, the drawing thread the rest."""
 
     def __init__(self, side: Side, hand: Hand) -> None:
         self.title = f"{hand.name} {side}"

@@ -17,7 +17,7 @@ from smooth_operator.types import HandFrame, JointCommand, Side, Status
 
 @dataclass(frozen=True)
 class Driver:
-    """What a hand is driven by.
+    """The method that drives a hand.
 
     Attributes:
         method: its name.
@@ -31,7 +31,7 @@ class Driver:
 
 
 class Mode(enum.Enum):
-    """What the loop is doing with a hand."""
+    """Mode of the loop for a hand."""
 
     WAITING = "waiting"
     """No frame has come yet: the robot stays where it starts."""
@@ -50,13 +50,13 @@ class Mode(enum.Enum):
 
     @property
     def moves(self) -> bool:
-        """Whether the operator moves the robot."""
+        """True if the operator moves the robot."""
         return self in (Mode.TRACKING, Mode.BLENDING)
 
 
 @dataclass(frozen=True, eq=False)
 class WristCommand:
-    """Where the wrist of a robot hand is to be, after the clutch.
+    """Target of a robot hand's wrist, after the clutch.
 
     Attributes:
         pose: (7,) of the robot hand's wrist frame in ``world``: x y z [m], unit quaternion w x y z;
@@ -156,7 +156,7 @@ class Tick:
 
 @dataclass(frozen=True, eq=False)
 class HandState:
-    """Where a robot hand is, real or simulated, and what its actuators feel.
+    """Measured state of a robot hand, real or simulated.
 
     Attributes:
         side: which hand.
@@ -190,10 +190,10 @@ class HandState:
 
 
 _STEP: Final = 2e-6
-"""What separates stamps that would be the same or go back [s]."""
+"""Least distance of stamps that would be the same or go back [s]."""
 
 _FORGET: Final = 0.9995
-"""How much of the latest lateness is remembered from one frame to the next."""
+"""Share of the latest lateness that is remembered from one frame to the next."""
 
 
 class StampMap:

@@ -24,7 +24,7 @@ _WAITING_MESSAGES: Final = 4
 """Messages that wait for a subscriber that does not keep up; older ones would do it no good."""
 
 _LINGER_MS: Final = 1000
-"""How long closing waits for what a subscriber has not got yet, such as the message of the end."""
+"""Time that closing waits for what a subscriber has not got yet, such as the message of the end."""
 
 
 @dataclass(frozen=True)

@@ -128,7 +128,7 @@ class Mailbox:
             return self._newest.pop(side, None)
 
     def newest(self, side: Side) -> Arrival | None:
-        """What ``take`` would give, left where it is."""
+        """The arrival that ``take`` would give; it stays there."""
         with self._arrived:
             return self._newest.get(side)
 
@@ -139,16 +139,16 @@ class Mailbox:
             gaps = self._gaps.get(side)
             return self._latest[side] + median(gaps) if gaps else None
 
-    def sleep(self, timeout: float, seen: int | None = None) -> None:
+    def sleep(self, timeout: float, received: int | None = None) -> None:
         """Sleep for so many seconds at most, until ``wake``, or until a frame is posted.
 
         Args:
             timeout: [s].
-            seen: ``received`` at a time from which on frames end it; None if none does.
+            received: ``received`` at a time from which on frames end it; None if none does.
         """
         with self._arrived:
             self._arrived.wait_for(
-                lambda: self._woken or (seen is not None and self.received != seen),
+                lambda: self._woken or (received is not None and self.received != received),
                 max(timeout, 0.0),
             )
             self._woken = False
@@ -201,7 +201,7 @@ class _Sessions:
 
 @dataclass(frozen=True)
 class SourceHealth:
-    """How a source is.
+    """Health of a source.
 
     Attributes:
         state: ``waiting`` for its tracker; ``running``; ``ended``, there is nothing more to come;
@@ -218,7 +218,7 @@ class LiveSource(Protocol):
 
     @property
     def label(self) -> str:
-        """What it is, in a few words."""
+        """Name for a person, in a few words."""
 
     def prepare(self) -> None:
         """Get hold of all that ``start`` needs, before anything slow is done; may be left out.
@@ -239,7 +239,7 @@ class LiveSource(Protocol):
         """Post nothing more and give everything back; a second call does nothing."""
 
     def health(self) -> SourceHealth:
-        """How it is; may be asked at any time, from any thread."""
+        """Health of the source, at any time, from any thread."""
 
 
 class ThreadedSource(ABC):
@@ -251,7 +251,7 @@ class ThreadedSource(ABC):
     @property
     @abstractmethod
     def label(self) -> str:
-        """What it is, in a few words."""
+        """Name for a person, in a few words."""
 
     @abstractmethod
     def run(self, running: Running) -> None:
@@ -284,7 +284,7 @@ class ThreadedSource(ABC):
             running.end()
 
     def health(self) -> SourceHealth:
-        """How it is; see ``LiveSource``."""
+        """Health of the source; see ``LiveSource``."""
         running: Running | None = getattr(self, "_running", None)
         return SourceHealth("waiting", "not started") if running is None else running.health
 
@@ -336,18 +336,8 @@ class Running:
 _Item = TypeVar("_Item")
 
 
-class Stopping(Protocol):
-    """What may end a wait: ``threading.Event``."""
-
-    def wait(self, timeout: float) -> bool:
-        """Wait up to ``timeout`` [s]; whether it is set."""
-
-    def is_set(self) -> bool:
-        """Whether it is set."""
-
-
 def on_time(
-    due: Iterable[tuple[float, _Item]], clock: Clock, stopping: Stopping
+    due: Iterable[tuple[float, _Item]], clock: Clock, stopping: threading.Event
 ) -> Iterator[tuple[float, _Item]]:
     """Items when they are due; those that are late already come immediately, in order.
 

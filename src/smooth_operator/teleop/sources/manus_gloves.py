@@ -1,6 +1,6 @@
 """Messages of MANUS glove bridges: the 25 nodes of a raw skeleton, in the forms that are about.
 
-Written and read is what ``ManusZmqBridge`` publishes (the program that the MANUS recordings were
+Read is what ``ManusZmqBridge`` publishes (the program that the MANUS recordings were
 made with), with three fields more::
 
     RIGHT {"glove_id": 3064964832, "side": "right", "session": "a1", "stamp": 12.505,
@@ -14,7 +14,6 @@ the Bidex bridge pushes them. ``docs/how-to/manus.md`` has an example of each.
 
 from __future__ import annotations
 
-import functools
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -24,8 +23,7 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError, RecordingError
-from smooth_operator.landmarks import FROM_MANUS_25, METACARPALS_MANUS_25
-from smooth_operator.teleop.sources.message_receiver import Message
+from smooth_operator.teleop.sources.inboxes import Inbox, Message, Pattern, ZmqInbox
 from smooth_operator.teleop.sources.payload import (
     Reading,
     check_size,
@@ -37,9 +35,14 @@ from smooth_operator.teleop.sources.payload import (
     read_stamp,
     read_wrist,
 )
-from smooth_operator.teleop.sources.stream import Hands, StreamSource, only_side, sides_of
-from smooth_operator.teleop.sources.zmq_stream import Pattern, ZmqInbox
-from smooth_operator.types import HandFrame, Side
+from smooth_operator.teleop.sources.stream import (
+    Hands,
+    Reader,
+    StreamSource,
+    only_side,
+    sides_of,
+)
+from smooth_operator.types import Side
 
 NODES: Final = 25
 
@@ -76,42 +79,6 @@ def read_manus(
     expected: Side | None = topic if topic in ("right", "left") else side  # type: ignore[assignment]
     message = parse_json(data[topic_match.end() :])
     return tuple(read_glove(hand, gloves, expected, received) for hand in _hands(message))
-
-
-def write_manus(frame: HandFrame) -> bytes:
-    """The nodes of a hand as JSON, without what is around them.
-
-    Metacarpal bases have no orientation here, and what is missing is null.
-
-    Returns:
-        a list of 25 ``{"id", "pos", "quat"}``.
-    """
-    positions = np.full((NODES, 3), np.nan)
-    positions[list(FROM_MANUS_25)] = frame.landmarks
-    if frame.metacarpals is not None:
-        positions[list(METACARPALS_MANUS_25)] = frame.metacarpals
-    quaternions = np.full((NODES, 4), np.nan)
-    if frame.orientations is not None:
-        quaternions[list(FROM_MANUS_25)] = frame.orientations
-    present = np.isfinite(positions).all(axis=1), np.isfinite(quaternions).all(axis=1)
-    numbers = np.hstack([positions, quaternions])[np.repeat(np.stack(present, 1), (3, 4), axis=1)]
-    return (
-        _template(*(tuple(flags.tolist()) for flags in present)) % tuple(numbers.tolist())
-    ).encode()
-
-
-@functools.lru_cache(maxsize=64)
-def _template(placed: tuple[bool, ...], turned: tuple[bool, ...]) -> str:
-    """The text of a hand with these positions and quaternions, to be filled with the numbers.
-
-    Numbers go to the micrometre; the gloves' own, float32, are no finer.
-    """
-    nodes = (
-        f'{{"id":{i},"pos":{"[%.6f,%.6f,%.6f]" if p else "null"},'
-        f'"quat":{"[%.6f,%.6f,%.6f,%.6f]" if q else "null"}}}'
-        for i, (p, q) in enumerate(zip(placed, turned, strict=True))
-    )
-    return f"[{','.join(nodes)}]"
 
 
 def _hands(message: Any) -> list[Mapping[str, Any]]:
@@ -199,14 +166,14 @@ def _read_nodes(
     if ids == _IN_ORDER:
         return _split(rows)
     places = [i for i, node in enumerate(ids) if 0 <= node < NODES]
-    wanted = [ids[i] for i in places]
-    if len(set(wanted)) != len(wanted):
+    targets = [ids[i] for i in places]
+    if len(set(targets)) != len(targets):
         raise RecordingError(f"'{key}' holds a node more than once: {ids}")
-    if len(wanted) < NODES:
-        missing = sorted(set(range(NODES)) - set(wanted))
+    if len(targets) < NODES:
+        missing = sorted(set(range(NODES)) - set(targets))
         raise RecordingError(f"'{key}' must hold the nodes 0 to {NODES - 1}, but lacks {missing}")
     sorted_rows = np.empty((NODES, rows.shape[1]))
-    sorted_rows[wanted] = rows[places]
+    sorted_rows[targets] = rows[places]
     return _split(sorted_rows)
 
 
@@ -269,6 +236,18 @@ def _read_csv(
     return tuple(readings)
 
 
+def glove_sides(right: str | None, left: str | None) -> dict[str, Side]:
+    """Glove id, in small letters -> side, for the gloves whose side the user names.
+
+    Raises:
+        ConfigError: both are one glove.
+    """
+    if right is not None and right == left:
+        raise ConfigError(f"right_glove and left_glove are both {right!r}")
+    gloves: tuple[tuple[str | None, Side], ...] = ((right, "right"), (left, "left"))
+    return {glove.lower(): side for glove, side in gloves if glove is not None}
+
+
 @dataclass(frozen=True)
 class ManusStream(StreamSource):
     """Each message a hand or two, as ``smooth_operator.teleop.sources.manus_gloves`` says.
@@ -295,30 +274,22 @@ class ManusStream(StreamSource):
 
     def __post_init__(self) -> None:
         sides_of(self.side)
-        if self.right_glove is not None and self.right_glove == self.left_glove:
-            raise ConfigError(f"right_glove and left_glove are both {self.right_glove!r}")
+        glove_sides(self.right_glove, self.left_glove)
 
     @property
     def label(self) -> str:
-        """What it is, in a few words."""
+        """Name for a person, in a few words."""
         return f"MANUS gloves at {self.address}"
 
-    @property
-    def gloves(self) -> dict[str, Side]:
-        """Glove id -> side, where known."""
-        named: dict[str, Side] = {}
-        if self.right_glove is not None:
-            named[self.right_glove.lower()] = "right"
-        if self.left_glove is not None:
-            named[self.left_glove.lower()] = "left"
-        return named
-
-    def connect(self) -> ZmqInbox:
+    def connect(self) -> Inbox:
         """Open the socket."""
         return ZmqInbox("the source 'manus'", self.address, bind=self.bind, pattern=self.pattern)
 
-    def read(self, message: Message, received: float) -> Sequence[Reading]:
-        """The hands of a message."""
-        return read_manus(
-            b" ".join(message), gloves=self.gloves, side=only_side(self.side), received=received
-        )
+    def reader(self) -> Reader:
+        """Reads the messages of a bridge."""
+        gloves, side = glove_sides(self.right_glove, self.left_glove), only_side(self.side)
+
+        def read(message: Message, received: float) -> Sequence[Reading]:
+            return read_manus(b" ".join(message), gloves=gloves, side=side, received=received)
+
+        return read

@@ -65,7 +65,7 @@ class Reading:
 
 @dataclass(frozen=True)
 class Forms:
-    """What a message can't say by itself.
+    """Format of a message, as far as it can't say so itself.
 
     Attributes:
         layout: order of the landmarks in a message of 21; None for the project's own.
@@ -112,25 +112,22 @@ def read_payload(
     *,
     side: Side | None,
     received: float,
-    layout: str | None = None,
-    stamp_unit: StampUnit = "s",
-    quaternion: QuaternionOrder = "wxyz",
-    matrix: MatrixOrder = "auto",
+    **forms: Any,
 ) -> tuple[Reading, ...]:
-    """Read a message.
+    """Reads a message.
 
     Args:
         data: the message.
         side: which hand it is where it does not say; None refuses a message that does not say.
         received: when it came, the stamp where it has none [s].
-        layout, stamp_unit, quaternion, matrix: see ``Forms``.
+        forms: the fields of ``Forms``.
 
     Raises:
         RecordingError: it can't be read: too long, of no known size, broken JSON, a wrong shape,
             an impossible stamp, no side, landmarks in another unit (with the likely factor).
     """
     check_size(data)
-    forms = Forms(layout, stamp_unit, quaternion, matrix)
+    settings = Forms(**forms)
     binary = _BINARY.get(len(data))
     if data[:1] in (b"{", b"["):
         try:
@@ -139,7 +136,7 @@ def read_payload(
             if binary is None:  # of 128 messages of numbers, one starts with such a byte
                 raise
         else:
-            return _read_json(message, side, received, forms)
+            return _read_json(message, side, received, settings)
     if binary is None:
         sizes = ", ".join(str(size) for size in _BINARY)
         raise RecordingError(
@@ -148,7 +145,7 @@ def read_payload(
         )
     count, dtype = binary
     points = np.frombuffer(data, dtype).reshape(count, 3).astype(np.float64)
-    frame = hand_frame(points, stamp=received, side=_known(side), layout=layout)
+    frame = hand_frame(points, stamp=received, side=_known(side), layout=settings.layout)
     return (Reading(frame),)
 
 
@@ -246,7 +243,7 @@ def read_side(label: Any, otherwise: Side | None) -> Side:
 
 
 def read_session(message: Mapping[str, Any]) -> str | None:
-    """What a message calls the tracker's present start."""
+    """A message's name for the tracker's present start."""
     session = message.get("session")
     return None if session is None else str(session)[:64]
 
@@ -268,12 +265,12 @@ def _read_json(
 def _read_hand(
     message: Mapping[str, Any], side: Side | None, received: float, forms: Forms
 ) -> Reading:
-    found = next((key for key in ("landmarks", "joints") if key in message), None)
-    if found is None:
+    field_name = next((key for key in ("landmarks", "joints") if key in message), None)
+    if field_name is None:
         keys = ", ".join(map(short, list(message)[:8])) or "nothing"
         raise RecordingError(f"{_WHERE} has no 'landmarks', but {keys}")
     points, turned = read_points(
-        message[found], f"'{found}'", quaternion=forms.quaternion, matrix=forms.matrix
+        message[field_name], f"'{field_name}'", quaternion=forms.quaternion, matrix=forms.matrix
     )
     orientations = _beside(message, "orientations", (len(points), 4))
     stamp = read_stamp(message, forms.stamp_unit)
@@ -345,7 +342,7 @@ def _unit(quaternions: Float[np.ndarray, "n 4"]) -> Float[np.ndarray, "n 4"]:
 QuaternionOrder: TypeAlias = Literal["wxyz", "xyzw"]
 """Order of the quaternion in a row of 7, after x y z."""
 MatrixOrder: TypeAlias = Literal["auto", "rows", "columns"]
-"""How a 4 x 4 matrix is written: row by row (the row 0 0 0 1 last) or column by column."""
+"""Order of a 4 x 4 matrix: row by row (the row 0 0 0 1 last) or column by column."""
 
 _AXES: Final = ("x", "y", "z")
 _LAST: Final = np.array([0.0, 0.0, 0.0, 1.0])

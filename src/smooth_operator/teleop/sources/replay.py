@@ -55,7 +55,7 @@ class Replay(ThreadedSource):
 
     @property
     def label(self) -> str:
-        """What it is, in a few words."""
+        """Name for a person, in a few words."""
         return f"replay of {self.path.name}"
 
     def open(self) -> None:

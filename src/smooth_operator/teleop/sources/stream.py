@@ -1,24 +1,26 @@
-"""Sources that receive messages: what UDP, ZeroMQ and gloves have in common."""
+"""Sources that receive messages: their base, and the way from messages to the mailbox."""
 
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Collection, Sequence
-from typing import Final, Literal, Protocol, TypeAlias
+from collections.abc import Callable, Collection, Sequence
+from typing import Final, Literal, TypeAlias
 
-from smooth_operator.errors import ConfigError
-from smooth_operator.teleop.sources.live import Running, ThreadedSource
-from smooth_operator.teleop.sources.message_receiver import Message, MessageReceiver
+from smooth_operator.errors import ConfigError, RecordingError, SmoothOperatorError
+from smooth_operator.teleop.sources.inboxes import Inbox, Message
+from smooth_operator.teleop.sources.live import Running, SourceHealth, ThreadedSource
 from smooth_operator.teleop.sources.payload import Reading
 from smooth_operator.types import Side
 
 Hands: TypeAlias = Literal["right", "left", "both"]
 """Which hands a source takes."""
 
-KEPT: Final = 8
-"""Messages that are read when more have come together, the newest. Two hands, their both
-alternating, and a broken one between, leave each hand its newest frame."""
+Reader: TypeAlias = Callable[[Message, float], Sequence[Reading]]
+"""Reads the hands of a message that came at a time by the loop's clock [s]."""
 
+SILENCE_S: Final = 1.0
+"""Without a message for so long, a source waits for its tracker again [s]."""
+_MAX_REASON = 300
 _APART_S = 1e-6
 _POLL_S = 0.1  # how long a source that hears nothing needs to notice that it is to stop
 _SIDES: Final[dict[str, tuple[Side, ...]]] = {
@@ -55,24 +57,6 @@ def check_port(port: int | None) -> None:
         raise ConfigError(f"port must be 0 to 65535, not {port}")
 
 
-class Inbox(Protocol):
-    """An open socket."""
-
-    @property
-    def address(self) -> str:
-        """Where it listens or what it is connected to; an asked-for port 0 is the real one."""
-
-    def receive(self, timeout: float) -> Sequence[Message]:
-        """Wait for messages up to ``timeout`` [s]; of all that are here, the newest few in order.
-
-        Raises:
-            SourceError: the socket gave up.
-        """
-
-    def close(self) -> None:
-        """Give it back."""
-
-
 class StreamSource(ThreadedSource):
     """A source with an inbox; subclasses open it and read its messages.
 
@@ -84,7 +68,7 @@ class StreamSource(ThreadedSource):
 
     @abstractmethod
     def connect(self) -> Inbox:
-        """Open the inbox.
+        """Opens the inbox.
 
         Raises:
             SourceError: it can't be opened.
@@ -92,12 +76,8 @@ class StreamSource(ThreadedSource):
         """
 
     @abstractmethod
-    def read(self, message: Message, received: float) -> Sequence[Reading]:
-        """The hands of a message.
-
-        Raises:
-            RecordingError: it can't be read.
-        """
+    def reader(self) -> Reader:
+        """A function that reads the messages of one run; it raises RecordingError."""
 
     @property
     def sides(self) -> Collection[Side]:
@@ -106,28 +86,25 @@ class StreamSource(ThreadedSource):
 
     @property
     def hint(self) -> str:
-        """What to look at while nothing has come: a clause that begins with a sign, or nothing."""
-        return ""
-
-    def problem(self, inbox: Inbox) -> str:
-        """Why nothing can come, for an inbox that connects; empty where nothing is wrong."""
+        """Advice while nothing has come: a clause that begins with a sign, or nothing."""
         return ""
 
     @property
     def endpoint(self) -> str | None:
-        """What it listens to, an asked-for free port being a real one; None before its start."""
+        """The address that it listens to, with the real port; None before its start."""
         inbox: Inbox | None = getattr(self, "_inbox", None)
         return None if inbox is None else inbox.address
 
     def open(self) -> None:
-        """Open the inbox here, where its errors reach the caller."""
+        """Opens the inbox here, where its errors reach the caller."""
         object.__setattr__(self, "_inbox", self.connect())
 
     def run(self, running: Running) -> None:
-        """Take messages until it is to stop."""
+        """Takes messages until it is to stop."""
         inbox: Inbox = getattr(self, "_inbox")  # noqa: B009  (set in open(), past the frozen fields)
+        read = self.reader()
         try:
-            receiver = MessageReceiver(running, inbox.address, self.sides, self.read, self.hint)
+            receiver = MessageReceiver(running, inbox.address, self.sides, read, self.hint)
             while not running.stopping.is_set():
                 messages = inbox.receive(_POLL_S)
                 received = running.mailbox.clock()
@@ -136,6 +113,144 @@ class StreamSource(ThreadedSource):
                     # must increase, or the loop takes the newest frame for a repeated one.
                     receiver.take(message, received + number * _APART_S)
                 if not messages:
-                    receiver.silent(self.problem(inbox))
+                    receiver.silent(inbox.problem)
         finally:
             inbox.close()
+
+
+class MessageReceiver:
+    """Reads messages and posts what is in them.
+
+    A message that can't be read is counted, and the health has the last reason; it never ends
+    the source. A hand's session goes up by one when its tracker was started again: it says a new
+    ``session``, or it begins or ceases to stamp. The mailbox finds jumps of the stamps, and the
+    loop refuses stamps that repeat or go back a little.
+
+    Args:
+        running: the started source.
+        where: what it listens to, for the health.
+        sides: the hands that are wanted.
+        read: reads a message.
+        hint: what to look at while nothing has come, for the health.
+    """
+
+    def __init__(
+        self,
+        running: Running,
+        where: str,
+        sides: Collection[Side],
+        read: Reader,
+        hint: str = "",
+    ) -> None:
+        self.messages = 0
+        self.unreadable = 0
+        self.refused = 0
+        self._running = running
+        self._where = where
+        self._sides = frozenset(sides)
+        self._read = read
+        self._reason = ""
+        self._refusal = ""
+        self._accepted = 0
+        self._other_side = 0
+        self._last: float | None = None
+        self._sessions: dict[Side, tuple[int, tuple[bool, str | None]]] = {}
+        running.health = SourceHealth("waiting", f"listening on {where}{hint}")
+
+    def take(self, message: Message, received: float) -> None:
+        """Reads a message and posts its hands.
+
+        Args:
+            message: as it came.
+            received: when, by the loop's clock [s].
+        """
+        if isinstance(message[0], RecordingError):
+            self.refused += 1
+            self._refusal = str(message[0])[:_MAX_REASON]
+            self._running.health = SourceHealth(self._running.health.state, self._detail())
+            self.silent()  # which such a connection does not end
+            return
+        self.messages += 1
+        self._last = received
+        try:
+            readings = self._read(message, received)
+        except SmoothOperatorError as error:
+            self.unreadable += 1
+            self._reason = str(error)[:_MAX_REASON]
+        else:
+            for reading in readings:
+                self._post(reading, received)
+        self._running.health = SourceHealth(
+            "running" if self._accepted else "waiting", self._detail()
+        )
+
+    def silent(self, problem: str = "") -> None:
+        """Reports if no message has come for a while, or why none can come."""
+        if problem:
+            self._running.health = SourceHealth("waiting", problem)
+            return
+        if self._last is None:
+            return
+        silence = self._running.mailbox.clock() - self._last
+        if silence > SILENCE_S:
+            facts = [f"no message on {self._where} for {silence:.0f} s", *self._refusals()]
+            self._running.health = SourceHealth("waiting", "; ".join(facts))
+
+    def _post(self, reading: Reading, received: float) -> None:
+        side = reading.frame.side
+        if side not in self._sides:
+            self._other_side += 1
+            return
+        start = (reading.stamped, reading.session)
+        session, before = self._sessions.get(side, (0, start))
+        session += start != before
+        self._sessions[side] = session, start
+        self._accepted += 1
+        self._running.mailbox.post(reading.frame, received=received, session=session)
+
+    def _detail(self) -> str:
+        facts = self._refusals()
+        if self.unreadable:
+            facts.append(
+                f"{self.unreadable} of {self.messages} messages could not be read: {self._reason}"
+            )
+        if self._other_side and not self._accepted:
+            facts.append(
+                f"{self._other_side} frames were of the other hand, this source takes the "
+                f"{' and '.join(sorted(self._sides))}"
+            )
+        return "; ".join(facts) or f"receiving on {self._where}"
+
+    def _refusals(self) -> list[str]:
+        if not self.refused:
+            return []
+        return [f"connections closed: {self.refused}; {self._refusal}"]
+
+
+class OneSender:
+    """The first address that sends is listened to, until it has been silent for a second.
+
+    Programs at one address count as one sender: an app may open a socket for each hand.
+    """
+
+    def __init__(self) -> None:
+        self._host: bytes | None = None
+        self._last = 0.0
+
+    def check(self, host: bytes, received: float) -> None:
+        """Notes the sender of a message.
+
+        Args:
+            host: the address that it came from.
+            received: when it came [s].
+
+        Raises:
+            RecordingError: it is from another address than the one that is listened to.
+        """
+        if self._host not in (None, host) and received - self._last <= SILENCE_S:
+            heard = (self._host or b"").decode()
+            raise RecordingError(
+                f"{host.decode()} sends too, and is not used while {heard} does; stop one of "
+                "them, or give each a port of its own"
+            )
+        self._host, self._last = host, received

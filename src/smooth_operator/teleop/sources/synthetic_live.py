@@ -71,7 +71,7 @@ class SyntheticSource(ThreadedSource):
 
     @property
     def label(self) -> str:
-        """What it is, in a few words."""
+        """Name for a person, in a few words."""
         return "the built-in operator"
 
     def run(self, running: Running) -> None:

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import struct
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Final
 
@@ -25,8 +24,8 @@ from smooth_operator.errors import ConfigError, SinkError, require
 from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
 from smooth_operator.teleop.hardware.device import (
     DeviceLostError,
+    HandDevice,
     Reading,
-    Setting,
     WrongAnswerError,
 )
 from smooth_operator.teleop.hardware.hardware_sink import HardwareSink
@@ -42,7 +41,7 @@ _FRAME, _ESCAPE, _MASK = 0x7E, 0x7D, 0x20
 _ANSWER: Final = 72
 """Bytes of answer 0: header, 6 pairs, 45 of touch, heat, checksum."""
 _TIMEOUT: Final = 0.05
-"""How long an answer may take [s]."""
+"""Time that an answer may take [s]."""
 
 
 @dataclass(frozen=True)
@@ -74,11 +73,11 @@ class AbilitySink(HardwareSink):
 
     def device(self, actuators: ActuatorMap) -> AbilityDevice:
         """The hand, not yet open; see ``HardwareSink``."""
-        require("an Ability Hand", "ability", "serial")
+        require(AbilityDevice.name, "ability", "serial")
         return AbilityDevice(actuators, self.port, self.baud, self.address)
 
 
-class AbilityDevice:
+class AbilityDevice(HandDevice):
     """An Ability Hand on its line; see ``HandDevice``.
 
     The hand has no limit of current that can be set; ``limit`` [mA] is the contact guard's. So the
@@ -86,17 +85,13 @@ class AbilityDevice:
 
     Args:
         table: table of the hand.
-        port: a serial port.
-        baud: baud rate of the port.
-        address: address of the hand.
-
-    Raises:
-        ConfigError: the table has not six actuators.
     """
 
+    driver, name, motors = "ability", "an Ability Hand", MOTORS
+
     def __init__(self, table: ActuatorMap, port: str, baud: int, address: int) -> None:
-        table.check_count(MOTORS, "an Ability Hand")
-        self._table, self._port, self._baud, self._address = table, port, baud, address
+        super().__init__(table)
+        self._port, self._baud, self._address = port, baud, address
         self._line: Any = None
         self._expected = False
 
@@ -114,14 +109,11 @@ class AbilityDevice:
                 "that you may use the port (on Linux: group dialout)"
             ) from error
         self._expected = False
-        try:
+        with self._opening(
+            f"check the hand's power, that it is set to {self._baud} baud, and that byte stuffing "
+            "is on (We46 and We47 in the maker's app)"
+        ):
             self.read()
-        except SinkError as error:
-            self.close()
-            raise type(error)(
-                f"{error}; check the hand's power, that it is set to {self._baud} baud, and that "
-                "byte stuffing is on (We46 and We47 in the maker's app)"
-            ) from error
 
     def read(self) -> Reading:
         """The answer to the last command, or to a question; see ``HandDevice``."""
@@ -139,10 +131,6 @@ class AbilityDevice:
             errors=tuple(f"{name}: too hot" for name in hot),
             touch=np.stack([words & 0xFFF, words >> 12], axis=1).ravel().astype(float),
         )
-
-    def settings(self) -> Sequence[Setting]:
-        """None: the driver sets nothing in the hand."""
-        return ()
 
     def write(self, commands: Float[np.ndarray, " 6"]) -> None:
         """Send the positions [deg]; see ``HandDevice``."""
@@ -170,11 +158,7 @@ class AbilityDevice:
         self._expected = True
 
     def _answer(self) -> bytes:
-        """The next right answer of the hand.
-
-        Raises:
-            WrongAnswerError: none comes in time.
-        """
+        """The next right answer of the hand."""
         deadline, frame, wrong = time.perf_counter() + _TIMEOUT, bytearray(), ""
         while time.perf_counter() < deadline:
             for byte in self._on_line("read", max(1, self._on_line("in_waiting"))):
@@ -193,7 +177,7 @@ class AbilityDevice:
         import serial
 
         if self._line is None:
-            raise DeviceLostError("ability: the hand is not open")
+            raise self._not_open()
         try:
             member = getattr(self._line, what)
             return member(*values) if callable(member) else member
@@ -212,7 +196,7 @@ def framed(body: bytes) -> bytes:
 
 
 def unstuffed(frame: bytes) -> bytes:
-    """What stood between two tildes, without escapes."""
+    """The bytes between two tildes, without escapes."""
     out, escaped = bytearray(), False
     for byte in frame:
         if byte == _ESCAPE:

@@ -15,7 +15,6 @@ import math
 import struct
 import threading
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Final
 
@@ -26,8 +25,8 @@ from smooth_operator.errors import ConfigError, SinkError, require
 from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
 from smooth_operator.teleop.hardware.device import (
     DeviceLostError,
+    HandDevice,
     Reading,
-    Setting,
     WrongAnswerError,
 )
 from smooth_operator.teleop.hardware.drivers.can_bus import CanBus, can_port
@@ -38,10 +37,10 @@ _ON, _OFF, _TORQUE, _PERIOD = 0x40, 0x41, 0x60, 0x81
 _ANGLES, _HEAT, _INFORMATION, _SERIAL, _ERROR = 0x20, 0x38, 0x80, 0x88, 0xEE
 
 _OPENING_S: Final = 1.0
-"""How long the first angles may take [s]."""
+"""Time that the first angles may take [s]."""
 
 _ASK_S: Final = 1.0
-"""How often temperatures and status are asked for [s]."""
+"""Interval of the requests for temperatures and status [s]."""
 
 _STANDS: Final = 0.3
 """Slower than this a joint stands [rad/s]."""
@@ -61,7 +60,7 @@ _FLAGS: Final = {0: "input voltage", 2: "too hot", 4: "electrical shock", 5: "ov
 
 @dataclass(frozen=True)
 class Version:
-    """What differs between two versions of the hand.
+    """Figures of one version of the hand.
 
     Attributes:
         angle: angle of one count [rad].
@@ -111,11 +110,11 @@ class AllegroSink(HardwareSink):
 
     def device(self, actuators: ActuatorMap) -> AllegroDevice:
         """The hand, not yet open; see ``HardwareSink``."""
-        require("an Allegro Hand", "allegro", "can")
+        require(AllegroDevice.name, "allegro", "can")
         return AllegroDevice(actuators, self.port)
 
 
-class AllegroDevice:
+class AllegroDevice(HandDevice):
     """An Allegro Hand on its bus; see ``HandDevice``.
 
     A thread of its own answers each set of angles with torques, as often as the hand reports.
@@ -130,23 +129,17 @@ class AllegroDevice:
         table: table of the hand. Its settings have ``version`` (``v4`` or ``v5``) and may have
             ``gain``, a factor on the stiffness (1.0), and ``period_ms`` of the hand's reports (3).
             ``limit`` is the most duty or current.
-        port: port of the CAN bus.
-
-    Raises:
-        ConfigError: the table has not 16 actuators, or a setting is out of range.
     """
 
+    driver, name, motors = "allegro", "an Allegro Hand", MOTORS
+
     def __init__(self, table: ActuatorMap, port: str) -> None:
-        table.check_count(MOTORS, "an Allegro Hand")
+        super().__init__(table)
         version = table.settings.get("version")
         if version not in VERSIONS:
             raise ConfigError(f"{table.file}: version must be v4 or v5, not {version!r}")
-        gain, period = table.settings.get("gain", 1.0), table.settings.get("period_ms", 3)
-        if not isinstance(gain, int | float) or not 0.05 <= gain <= 3.0:
-            raise ConfigError(f"{table.file}: gain must be 0.05 to 3, not {gain!r}")
-        if not isinstance(period, int) or not 2 <= period <= 20:
-            raise ConfigError(f"{table.file}: period_ms must be 2 to 20, not {period!r}")
-        self._table, self._port, self._period = table, port, period
+        gain = self._setting("gain", 1.0, 0.05, 3)
+        self._port, self._period = port, self._setting("period_ms", 3, 2, 20)
         figures = VERSIONS[version]
         limits = np.nan_to_num(table.limits, nan=float(figures.most))
         if (limits > figures.most).any() or (limits <= 0).any():
@@ -163,27 +156,18 @@ class AllegroDevice:
         ``HandDevice``."""
         bus = CanBus(self._port, "allegro")
         self._control = _Control(bus, VERSIONS[self._version].angle, self._law, self._period)
-        try:
+        with self._opening(
+            "check its power switch, the wiring of CAN high and low, and the version in "
+            f"{self._table.file} ({self._version})"
+        ):
             self._control.begin()
-            self._check_side(self._control)
-        except SinkError as error:
-            self.close()
-            raise type(error)(
-                f"{error}; check its power switch, the wiring of CAN high and low, and the version "
-                f"in {self._table.file} ({self._version})"
-            ) from error
+            self._check_side(self._side(self._control), f"the hand {self._control.serial}")
 
-    def _check_side(self, control: _Control) -> None:
+    def _side(self, control: _Control) -> str | None:
         """V5 says in its serial number which hand it is, V4 in its information."""
         if self._version == "v5":
-            side = {"R": "right", "L": "left"}.get(control.serial[3:4])
-        else:
-            side = {0: "right", 1: "left"}.get(int.from_bytes(control.information[4:5] or b"\xff"))
-        if side is not None and side != self._table.side:
-            raise SinkError(
-                f"allegro: the hand {control.serial} is a {side} one, and {self._table.file} is "
-                f"for a {self._table.side} one"
-            )
+            return {"R": "right", "L": "left"}.get(control.serial[3:4])
+        return {0: "right", 1: "left"}.get(int.from_bytes(control.information[4:5] or b"\xff"))
 
     def read(self) -> Reading:
         """The newest angles [rad] and torques; see ``HandDevice``."""
@@ -208,10 +192,6 @@ class AllegroDevice:
             f"hand: {text}" for b, text in _STATUS.items() if status and status[0] >> b & 1
         )
 
-    def settings(self) -> Sequence[Setting]:
-        """None: a hand that restarted ends its reports, which is noticed sooner."""
-        return ()
-
     def write(self, commands: Float[np.ndarray, " 16"]) -> None:
         """Aim the controller [rad]; the first call switches the motors on. See ``HandDevice``."""
         self._running().aim(np.array(commands, float))
@@ -229,7 +209,7 @@ class AllegroDevice:
 
     def _running(self) -> _Control:
         if self._control is None:
-            raise DeviceLostError("allegro: the hand is not open")
+            raise self._not_open()
         self._control.raise_error()
         return self._control
 
@@ -248,19 +228,15 @@ class _Control:
         self._position, self._velocity = np.zeros(MOTORS), np.zeros(MOTORS)
         self._torque, self._before = np.zeros(MOTORS), np.zeros(MOTORS)
         self._target: np.ndarray | None = None
-        self._seen: set[int] = set()
+        self._fingers: set[int] = set()
         self._stamp: float | None = None
-        self._asked = 0.0
+        self._last_request = 0.0
         self._error: SinkError | None = None
         self._ready, self._ending = threading.Event(), False
         self._thread = threading.Thread(target=self._run, name="allegro control", daemon=True)
 
     def begin(self) -> None:
-        """Ask for reports, and wait until all fingers have reported.
-
-        Raises:
-            SinkError: the hand says nothing.
-        """
+        """Ask for reports, and wait until all fingers have reported."""
         for number in (_INFORMATION, _SERIAL):
             self._bus.send(number << 2, remote=True)
         self._bus.send(_OFF << 2)
@@ -276,11 +252,7 @@ class _Control:
             raise self._error
 
     def look(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(16,) angles [rad], velocities [rad/s] and torques in the hand's unit.
-
-        Raises:
-            WrongAnswerError: the newest angles are old.
-        """
+        """(16,) angles [rad], velocities [rad/s] and torques in the hand's unit."""
         with self._lock:
             age = time.perf_counter() - (self._stamp or 0.0)
             if age > _LATE_S:
@@ -343,9 +315,9 @@ class _Control:
             mine = slice(4 * finger, 4 * finger + 4)
             with self._lock:
                 self._position[mine] = np.array(struct.unpack("<4h", data), float) * self._angle
-            self._seen.add(finger)
-            if len(self._seen) == 4:
-                self._seen.clear()
+            self._fingers.add(finger)
+            if len(self._fingers) == 4:
+                self._fingers.clear()
                 self._answer()
         elif 0 <= number - _HEAT < 4 and len(data) >= 4:
             self.temperatures[4 * (number - _HEAT) :][:4] = list(data[:4])
@@ -377,8 +349,8 @@ class _Control:
             for finger in range(4):
                 data = struct.pack("<4h", *torque[4 * finger : 4 * finger + 4])
                 self._bus.send(_TORQUE + finger << 2, data)
-        if now - self._asked > _ASK_S:
-            self._asked = now
+        if now - self._last_request > _ASK_S:
+            self._last_request = now
             for request in (_INFORMATION, *range(_HEAT, _HEAT + 4)):
                 self._bus.send(request << 2, remote=True)
 

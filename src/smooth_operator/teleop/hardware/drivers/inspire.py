@@ -21,11 +21,12 @@ from typing import Any, ClassVar, Final
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.errors import ConfigError, SinkError, require
+from smooth_operator.errors import ConfigError, require
 from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
 from smooth_operator.teleop.hardware.bus_lock import is_serial
 from smooth_operator.teleop.hardware.device import (
     DeviceLostError,
+    HandDevice,
     Reading,
     Setting,
     WrongAnswerError,
@@ -42,7 +43,7 @@ _ANGLE_ACT, _FORCE_ACT, _CURRENT = 1546, 1582, 1594
 _ERROR, _STATUS, _TEMP = 1606, 1612, 1618
 
 _IN_TURNS: Final = (_CURRENT, _FORCE_ACT, _ERROR, _CURRENT, _FORCE_ACT, _STATUS, _CURRENT, _TEMP)
-"""What is read besides the angles, one in each cycle: a serial line has no time for more."""
+"""Registers read next to the angles, one a cycle: a serial line has no time for more."""
 
 _ERRORS: Final = (
     "rotor locked", "too hot", "too much current", "motor faulty", "motor does not answer",
@@ -53,10 +54,10 @@ _STATUSES: Final = {5: "stopped by its current limit", 6: "rotor locked", 7: "fa
 """Values of ``STATUS`` that mean that a motor stands against its will."""
 
 _TIMEOUT: Final = 0.2
-"""How long an answer may take [s]."""
+"""Time that an answer may take [s]."""
 
 _MARGIN: Final = 100
-"""How far from 0 to 1000 a measured angle may be."""
+"""Margin of a measured angle around 0 to 1000."""
 
 _NO_VALUE: Final = -1
 """A word of 0xFFFF: no angle, as "leave this motor" where angles are set."""
@@ -83,11 +84,11 @@ class InspireSink(HardwareSink):
 
     def device(self, actuators: ActuatorMap) -> InspireDevice:
         """The hand, not yet open; see ``HardwareSink``."""
-        require("an Inspire hand", "inspire", "pymodbus", "serial")
+        require(InspireDevice.name, "inspire", "pymodbus", "serial")
         return InspireDevice(actuators, self.port)
 
 
-class InspireDevice:
+class InspireDevice(HandDevice):
     """An Inspire RH56 hand on its bus; see ``HandDevice``.
 
     Its screws hold the fingers without current, so ``relax`` does nothing. ``Reading.currents`` is
@@ -96,25 +97,22 @@ class InspireDevice:
     Args:
         table: table of the hand. Its settings may have ``device_id`` (1), ``speed`` and ``force``,
             the hand's own limits: 0 to 1000, and 0 to 3000 g. ``limit`` is the most current [mA].
-        port: ``ADDRESS`` or ``ADDRESS:PORT`` for TCP; a serial port such as ``/dev/ttyUSB0``.
-
-    Raises:
-        ConfigError: the table has not six actuators, or a setting is out of range.
     """
 
+    driver, name, motors = "inspire", "an Inspire hand", MOTORS
+
     def __init__(self, table: ActuatorMap, port: str) -> None:
-        table.check_count(MOTORS, "an Inspire hand")
-        self._table, self._port = table, port
+        super().__init__(table)
+        self._port = port
         number = port.partition(":")[2]
         self._serial = is_serial(port)
         if not self._serial and number and not (number.isdigit() and int(number) < 65536):
             raise ConfigError(f"inspire: {port!r} is not ADDRESS, ADDRESS:PORT or a serial port")
-        self._device_id = _whole(table, "device_id", 1, 1, 254)
-        self._speed = _whole(table, "speed", 1000, 0, 1000)
-        self._force = _whole(table, "force", 500, 0, 3000)
+        self._device_id = self._setting("device_id", 1, 1, 254)
+        self._speed = self._setting("speed", 1000, 0, 1000)
+        self._force = self._setting("force", 500, 0, 3000)
         self._client: Any = None
         self._turn = 0
-        self._limited = False
         self._slow: dict[int, np.ndarray] = {}
 
     def open(self) -> None:
@@ -134,23 +132,18 @@ class InspireDevice:
             )
         self._turn, self._slow = 0, {}
         self._limited = False
-        try:
+        way = (
+            f"the adapter's port and the {BAUD} baud of the hand"
+            if self._serial
+            else "power, cable, and that this computer is in the hand's network"
+        )
+        with self._opening(f"check {way}, and that no other program has the hand"):
             if not self._client.connect():
                 raise DeviceLostError(f"inspire: nothing answers at {self._port}")
             self._angles()
             if _bytes(self._ask(_ERROR, 3)).any():
                 self._tell(_CLEAR_ERROR, [1])
             self._limit()
-        except SinkError as error:
-            self.close()
-            way = (
-                f"the adapter's port and the {BAUD} baud of the hand"
-                if self._serial
-                else "power, cable, and that this computer is in the hand's network"
-            )
-            raise type(error)(
-                f"{error}; check {way}, and that no other program has the hand"
-            ) from error
 
     def _limit(self) -> None:
         """Speed, force and current, which the hand forgets when it restarts."""
@@ -207,11 +200,6 @@ class InspireDevice:
             self._limited = True
         self._tell(_ANGLE_SET, np.clip(np.rint(commands), 0, 1000).astype(int).tolist())
 
-    def relax(self) -> None:
-        """Nothing on the bus: the screws can't be turned from outside. The next command follows the
-        limits; see ``HandDevice``."""
-        self._limited = False
-
     def close(self) -> None:
         """Give the line back; the hand keeps its last target. See ``HandDevice``."""
         client, self._client = self._client, None
@@ -247,7 +235,7 @@ class InspireDevice:
         from pymodbus.exceptions import ConnectionException, ModbusException
 
         if self._client is None:
-            raise DeviceLostError("inspire: the hand is not open")
+            raise self._not_open()
         try:
             answer = getattr(self._client, function)(*values, device_id=self._device_id, **named)
         except (ConnectionException, OSError) as error:
@@ -281,15 +269,6 @@ class InspireDevice:
                     return
         except OSError as error:
             raise DeviceLostError(f"inspire: {self._port} is gone ({error})") from error
-
-
-def _whole(table: ActuatorMap, name: str, default: int, low: int, high: int) -> int:
-    value = table.settings.get(name, default)
-    if not isinstance(value, int) or not low <= value <= high:
-        raise ConfigError(
-            f"{table.file}: {name} must be a whole number from {low} to {high}, not {value!r}"
-        )
-    return value
 
 
 def _signed(words: list[int]) -> np.ndarray:

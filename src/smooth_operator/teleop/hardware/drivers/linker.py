@@ -19,10 +19,10 @@ from typing import ClassVar, Final, Literal
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.errors import ConfigError, SinkError, require
+from smooth_operator.errors import ConfigError, require
 from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
 from smooth_operator.teleop.hardware.device import (
-    DeviceLostError,
+    HandDevice,
     Reading,
     Setting,
     WrongAnswerError,
@@ -53,7 +53,7 @@ class Model:
 
     @property
     def motors(self) -> int:
-        """How many it has."""
+        """Number of motors."""
         return sum(self.positions.values())
 
 
@@ -72,7 +72,7 @@ _SPEED: Final = 250
 one is noticed."""
 
 _TIMEOUT: Final = 0.05
-"""How long an answer may take [s]."""
+"""Time that an answer may take [s]."""
 
 
 @dataclass(frozen=True)
@@ -101,11 +101,11 @@ class LinkerSink(HardwareSink):
 
     def device(self, actuators: ActuatorMap) -> LinkerDevice:
         """The hand, not yet open; see ``HardwareSink``."""
-        require("a LinkerHand", "linker", "can")
+        require(LinkerDevice.name, "linker", "can")
         return LinkerDevice(actuators, self.port, self.model)
 
 
-class LinkerDevice:
+class LinkerDevice(HandDevice):
     """A LinkerHand on its bus; see ``HandDevice``.
 
     The hand has no command that switches its motors off, so ``relax`` does nothing. It does not
@@ -114,26 +114,19 @@ class LinkerDevice:
     Args:
         table: table of the hand. ``limit`` is the hand's torque (L10) or current (L20), 0 to 255.
             Its settings may have ``speed`` (0 to 255) and ``gap_ms``, the time between two frames.
-        port: port of the CAN bus.
-        model: ``l10`` or ``l20``.
-
-    Raises:
-        ConfigError: the table has another number of actuators, or a setting is out of range.
     """
 
+    driver, name, motors = "linker", "a LinkerHand", 0
+
     def __init__(self, table: ActuatorMap, port: str, model: str) -> None:
+        super().__init__(table)
         self._model = MODELS[model]
         table.check_count(self._model.motors, f"a LinkerHand {model.upper()}")
-        speed, gap = table.settings.get("speed", _SPEED), table.settings.get("gap_ms", 1.0)
-        if not isinstance(speed, int) or not 1 <= speed <= 255:
-            raise ConfigError(f"{table.file}: speed must be 1 to 255, not {speed!r}")
-        if not isinstance(gap, int | float) or not 0.0 <= gap <= 20.0:
-            raise ConfigError(f"{table.file}: gap_ms must be 0 to 20, not {gap!r}")
+        speed = self._setting("speed", _SPEED, 1, 255)
         if (table.limits > 255).any() or (table.limits < 1).any():
             raise ConfigError(f"{table.file}: limit must be 1 to 255, the hand's own unit")
-        self._table, self._port, self._name = table, port, model.upper()
-        self._identifier = _IDENTIFIERS[table.side]
-        self._gap = float(gap) / 1000
+        self._port, self._identifier = port, _IDENTIFIERS[table.side]
+        self._gap = self._setting("gap_ms", 1.0, 0, 20) / 1000
         self._settings = {kind: [speed] * 5 for kind in self._model.speeds}
         if np.isfinite(table.limits).any():
             limits = np.nan_to_num(table.limits, nan=255.0).astype(int).tolist()
@@ -142,7 +135,6 @@ class LinkerDevice:
         self._bus: CanBus | None = None
         self._answers: dict[int, bytes] = {}
         self._turn = 0
-        self._limited = False
         self._sent = 0.0
 
     def open(self) -> None:
@@ -150,15 +142,12 @@ class LinkerDevice:
         self._bus = CanBus(self._port, "linker")
         self._answers, self._turn = {}, 0
         self._limited = False
-        try:
+        other = "left" if self._table.side == "right" else "right"
+        with self._opening(
+            f"check power and cable, and that it is not a {other} hand, whose identifier is "
+            f"0x{_IDENTIFIERS[other]:X}"
+        ):
             self.read()
-        except SinkError as error:
-            self.close()
-            other = "left" if self._table.side == "right" else "right"
-            raise type(error)(
-                f"{error}; check power and cable, and that it is not a {other} hand, whose "
-                f"identifier is 0x{_IDENTIFIERS[other]:X}"
-            ) from error
         self._limit()
 
     def _limit(self) -> None:
@@ -167,7 +156,7 @@ class LinkerDevice:
             self._send(kind, values)
 
     def settings(self) -> Sequence[Setting]:
-        """What the hand answers of speed, and torque or current; see ``HandDevice``.
+        """Speed, and torque or current, as the hand answers; see ``HandDevice``.
 
         Raises:
             WrongAnswerError: it answers nothing of them.
@@ -258,11 +247,6 @@ class LinkerDevice:
             mine, values = values[:motors], values[motors:]
             self._send(kind, mine + [0] * (self._model.width[kind] - motors))
 
-    def relax(self) -> None:
-        """Nothing on the bus: the hand has no command for it. The next command follows the
-        limits; see ``HandDevice``."""
-        self._limited = False
-
     def close(self) -> None:
         """Give the bus back; the hand keeps its last target. See ``HandDevice``."""
         bus, self._bus = self._bus, None
@@ -271,7 +255,7 @@ class LinkerDevice:
 
     def _open_bus(self) -> CanBus:
         if self._bus is None:
-            raise DeviceLostError("linker: the hand is not open")
+            raise self._not_open()
         return self._bus
 
     def _send(self, kind: int, values: list[int]) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, ClassVar, Final
 
@@ -15,8 +15,8 @@ from smooth_operator.errors import ConfigError, MissingExtraError, SinkError
 from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
 from smooth_operator.teleop.hardware.device import (
     DeviceLostError,
+    HandDevice,
     Reading,
-    Setting,
     WrongAnswerError,
 )
 from smooth_operator.teleop.hardware.hardware_sink import HardwareSink
@@ -53,27 +53,23 @@ class OrcaSink(HardwareSink):
         return OrcaDevice(actuators, self.port, self.config, self.mock)
 
 
-class OrcaDevice:
+class OrcaDevice(HandDevice):
     """A hand of orca-core, as ``HandDevice``. Commands are degrees, by joint name.
 
     Args:
         actuators: the table; its actuators are named as orca-core names joints.
-        port: serial port; empty to have orca-core find it.
-        config: path of a ``config.yaml``; empty for the table's model.
-        mock: without hardware.
-
-    Raises:
-        MissingExtraError: orca-core is not installed.
-        ConfigError: a setting is not known, or the model has no such joint.
     """
 
+    driver, name, motors = "orca", "the ORCA hand", 0
+
     def __init__(self, actuators: ActuatorMap, port: str, config: str, mock: bool) -> None:
+        super().__init__(actuators)
         try:
             import orca_core
         except ImportError as error:
             raise MissingExtraError("the ORCA hand", "orca") from error
         self._core: Any = orca_core
-        self._table, self._port = actuators, port
+        self._port = port
         for name in actuators.settings:
             if name not in _SETTINGS:
                 raise ConfigError(
@@ -168,11 +164,6 @@ class OrcaDevice:
         silent = hand.enable_torque()
         if silent:
             raise WrongAnswerError(f"orca: the motors {silent} do not switch on")
-
-    def settings(self) -> Sequence[Setting]:
-        """None: orca-core reads no setting back. A motor that restarted is without torque until the
-        hand is switched on again, and gets its limit before that."""
-        return ()
 
     def relax(self) -> None:
         """Torque off."""

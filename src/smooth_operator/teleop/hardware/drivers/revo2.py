@@ -20,6 +20,7 @@ from smooth_operator.errors import ConfigError, SinkError, require
 from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
 from smooth_operator.teleop.hardware.device import (
     DeviceLostError,
+    HandDevice,
     Reading,
     Setting,
     WrongAnswerError,
@@ -30,7 +31,7 @@ MOTORS: Final = 6
 _NUMBERS: Final = {"left": 0x7E, "right": 0x7F}
 _BAUDS: Final = (19200, 57600, 115200, 460800, 1_000_000, 2_000_000, 5_000_000)
 _TIMEOUT: Final = 0.2
-"""How long an answer may take [s]."""
+"""Time that an answer may take [s]."""
 _OPENING: Final = 5.0
 _CLOSING: Final = 0.05
 
@@ -65,7 +66,7 @@ class Revo2Sink(HardwareSink):
         return Revo2Device(actuators, self.port, self.baud)
 
 
-class Revo2Device:
+class Revo2Device(HandDevice):
     """A Revo2 on its line; see ``HandDevice``.
 
     The package is asynchronous; each method here runs its calls to their end on a loop of its own.
@@ -74,26 +75,18 @@ class Revo2Device:
 
     Args:
         table: table of the hand. Its settings may have ``speed`` (1 to 1000) and ``device_id``.
-        port: a serial port.
-        baud: baud rate of the port.
-
-    Raises:
-        ConfigError: the table has not six actuators, or a setting is out of range.
     """
 
+    driver, name, motors = "revo2", "a Revo2", MOTORS
+
     def __init__(self, table: ActuatorMap, port: str, baud: int) -> None:
-        table.check_count(MOTORS, "a Revo2")
-        speed = table.settings.get("speed", 1000)
-        number = table.settings.get("device_id", _NUMBERS[table.side])
-        for what, value, low, high in (("speed", speed, 1, 1000), ("device_id", number, 1, 255)):
-            if not isinstance(value, int) or not low <= value <= high:
-                raise ConfigError(f"{table.file}: {what} must be {low} to {high}, not {value!r}")
-        self._table, self._port, self._baud = table, port, baud
-        self._number, self._speeds = number, [speed] * MOTORS
+        super().__init__(table)
+        self._port, self._baud = port, baud
+        self._number = self._setting("device_id", _NUMBERS[table.side], 1, 255)
+        self._speeds = [self._setting("speed", 1000, 1, 1000)] * MOTORS
         self._sdk: Any = None
         self._context: Any = None
         self._loop: asyncio.AbstractEventLoop | None = None
-        self._limited = False
 
     def open(self) -> None:
         """Open the port, check the hand's side, set the unit; see ``HandDevice``."""
@@ -101,7 +94,10 @@ class Revo2Device:
 
         self._sdk, self._limited = main_mod, False
         self._loop = asyncio.new_event_loop()
-        try:
+        with self._opening(
+            f"check the hand's power, the wires A and B, the port {self._port} and that the hand "
+            f"is number {self._number:#x} at {self._baud} baud"
+        ):
             baud = getattr(main_mod.Baudrate, _baud_name(self._baud))
             self._context = self._run(
                 lambda: main_mod.modbus_open(self._port, baud), _OPENING, "opening"
@@ -109,23 +105,10 @@ class Revo2Device:
             information = self._call("get_device_info")
             if not information.uses_revo2_motor_api():
                 raise SinkError(f"revo2: the hand is a {information.hardware_type}, not a Revo2")
-            self._check_side(information.hand_type)
+            left = information.hand_type == main_mod.HandType.Left
+            self._check_side("left" if left else "right")
             self._set_unit()
             self.read()
-        except SinkError as error:
-            self.close()
-            raise type(error)(
-                f"{error}; check the hand's power, the wires A and B, the port {self._port} and "
-                f"that the hand is number {self._number:#x} at {self._baud} baud"
-            ) from error
-
-    def _check_side(self, kind: Any) -> None:
-        side = "left" if kind == self._sdk.HandType.Left else "right"
-        if side != self._table.side:
-            raise SinkError(
-                f"revo2: the hand is a {side} one, and {self._table.file} is for a "
-                f"{self._table.side} one"
-            )
 
     def read(self) -> Reading:
         """Positions, currents and states of the motors; see ``HandDevice``."""
@@ -169,11 +152,6 @@ class Revo2Device:
         target = np.clip(np.rint(commands), 0, 1000).astype(int).tolist()
         self._call("set_finger_positions_and_speeds", target, self._speeds)
 
-    def relax(self) -> None:
-        """Nothing on the bus: the hand has no command for it. The next command follows the
-        unit; see ``HandDevice``."""
-        self._limited = False
-
     def close(self) -> None:
         """Give the port back; the hand keeps its last target. See ``HandDevice``."""
         context, self._context = self._context, None
@@ -193,12 +171,12 @@ class Revo2Device:
     def _call(self, name: str, *values: Any) -> Any:
         context = self._context
         if context is None:
-            raise DeviceLostError("revo2: the hand is not open")
+            raise self._not_open()
         return self._run(lambda: getattr(context, name)(self._number, *values), _TIMEOUT, name)
 
     def _run(self, call: Callable[[], Awaitable[_T]], seconds: float, what: str) -> _T:
         if self._loop is None:
-            raise DeviceLostError("revo2: the hand is not open")
+            raise self._not_open()
         try:
             return self._loop.run_until_complete(asyncio.wait_for(_awaited(call), seconds))
         except TimeoutError as error:
@@ -216,5 +194,5 @@ async def _awaited(call: Callable[[], Awaitable[_T]]) -> _T:
 
 
 def _baud_name(baud: int) -> str:
-    """What the package calls a baud rate: ``Baud460800``, ``Baud1Mbps``."""
+    """The package's name of a baud rate: ``Baud460800``, ``Baud1Mbps``."""
     return f"Baud{baud}" if baud < 1_000_000 else f"Baud{baud // 1_000_000}Mbps"

@@ -22,6 +22,7 @@ from smooth_operator.errors import ConfigError, SinkError, require
 from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
 from smooth_operator.teleop.hardware.device import (
     DeviceLostError,
+    HandDevice,
     Reading,
     Setting,
     WrongAnswerError,
@@ -64,25 +65,22 @@ class WujiSink(HardwareSink):
 
     def device(self, actuators: ActuatorMap) -> WujiDevice:
         """The hand, not yet open; see ``HardwareSink``."""
-        require("a Wuji Hand", "wuji", "wujihandpy")
+        require(WujiDevice.name, "wuji", "wujihandpy")
         return WujiDevice(actuators, self.port, self.cutoff)
 
 
-class WujiDevice:
+class WujiDevice(HandDevice):
     """A Wuji Hand on USB; see ``HandDevice``.
 
     Args:
         table: table of the hand; ``limit`` is the current [mA] of each joint.
-        port: serial number of the hand, or empty.
-        cutoff: cutoff of the filter [Hz].
-
-    Raises:
-        ConfigError: the table has not 20 actuators.
     """
 
+    driver, name, motors = "wuji", "a Wuji Hand", MOTORS
+
     def __init__(self, table: ActuatorMap, port: str, cutoff: float) -> None:
-        table.check_count(MOTORS, "a Wuji Hand")
-        self._table, self._port, self._cutoff = table, port, cutoff
+        super().__init__(table)
+        self._port, self._cutoff = port, cutoff
         self._hand: Any = None
         self._controller: Any = None
         self._cycle = 0
@@ -98,7 +96,8 @@ class WujiDevice:
         self._cycle, self._temperatures = 0, None
         try:
             self._hand = wujihandpy.Hand(serial_number=self._port or None)
-            self._check_side(int(self._hand.read_handedness()))
+            side = {0: "right", 1: "left"}.get(int(self._hand.read_handedness()))
+            self._check_side(side, "the hand that is plugged in")
             self._limits, missing = self._table.limits, ~np.isfinite(self._table.limits)
             if missing.any():  # the hand's own
                 own = 1000.0 * _flat(self._hand.read_joint_effort_limit())
@@ -125,14 +124,6 @@ class WujiDevice:
         with _Speaking(self._hand):
             measured = 1000.0 * _flat(self._hand.read_joint_effort_limit())
         return (Setting("limit of current", self._limits, measured),)
-
-    def _check_side(self, handedness: int) -> None:
-        side = ("right", "left")[handedness] if handedness in (0, 1) else None
-        if side is not None and side != self._table.side:
-            raise SinkError(
-                f"wuji: the hand that is plugged in is a {side} one, and {self._table.file} is for "
-                f"a {self._table.side} one"
-            )
 
     def read(self) -> Reading:
         """Positions [rad] and efforts; temperatures and errors in turns. See ``HandDevice``."""

@@ -26,12 +26,12 @@ from smooth_operator.types import Side
 
 _MODULE: Final = "smooth_operator.teleop.pages.live.process"
 _END_S: Final = 3.0
-"""How long the page may take to end when it is asked to [s]."""
+"""Time that the page may take to end [s]."""
 
 
 @dataclass(frozen=True)
 class PageSetup:
-    """What a page has to know before there is anything to show.
+    """Settings of a page before there is anything to show.
 
     Attributes:
         hand: name of the robot hand, or the path of its description.

@@ -187,7 +187,7 @@ class LivePanel:
     # -- showing ------------------------------------------------------------------------------
 
     def _toggle_pause(self) -> None:
-        """What the button says; in an emergency stop nothing, which only a release ends."""
+        """Pauses or resumes; does nothing in an emergency stop, which only a release ends."""
         if not self._stopped:
             self._do("resume" if self._paused else "pause")
 

@@ -24,7 +24,7 @@ from smooth_operator.human.palm_axes import human_palm_axes
 from smooth_operator.landmarks import FINGERS, TIPS
 from smooth_operator.teleop.arm.settings import ArmSettings
 from smooth_operator.teleop.opencv import opencv
-from smooth_operator.teleop.pages.hand_view import HandView
+from smooth_operator.teleop.pages.hand_view import SIMULATED, HandView, Rgb
 from smooth_operator.teleop.pages.human import (
     BodyNodes,
     HumanView,
@@ -32,10 +32,8 @@ from smooth_operator.teleop.pages.human import (
     keyvector_colors,
     thumb_lines,
 )
-from smooth_operator.teleop.pages.live.arm_room import ArmRoom
-from smooth_operator.teleop.pages.live.scenery_nodes import SceneryNodes
+from smooth_operator.teleop.pages.live.arm_room import ArmRoom, SceneryNodes
 from smooth_operator.teleop.pages.page_layout import FOREARM, GAP, Aiming, upright
-from smooth_operator.teleop.pages.palette import SIMULATED, Rgb
 from smooth_operator.types import Side
 
 _LINE: Final = 0.0022  # thickness of a keyvector [m]
@@ -138,7 +136,7 @@ class LiveScene:
 
     @property
     def has_task(self) -> bool:
-        """Whether a hand works on the object of a task."""
+        """True if a hand works on the object of a task."""
         return any(view.scenery.there for view in self._sides.values())
 
     def draw(self, hands: Mapping[Side, Mapping[str, Any]]) -> None:
@@ -275,7 +273,7 @@ class _SideView:
 
     @property
     def _robot(self) -> RobotBodies:
-        """What is drawn."""
+        """The bodies that are drawn."""
         return self._meshes if self._meshes and self._want_meshes else self._simple
 
     def add_meshes(self, view: HandView) -> None:
@@ -298,7 +296,7 @@ class _SideView:
         self._with_human = self._roots["human"].visible = visible
 
     def put(self, human: Float[np.ndarray, "2"], robot: Float[np.ndarray, "2"]) -> None:
-        """Where the two stand when they don't stand in each other: right and up [m]."""
+        """Places of the two when they don't overlap: right and up [m]."""
         here, there = (np.array([*place, 0.0]) @ _VIEW for place in (human, robot))
         self._places = (here, there)
         self.set_overlay(self._overlaid)

@@ -47,7 +47,7 @@ _TELLING: Final = ("solve", "total")
 
 
 class LiveSession:
-    """What a page knows and may do of a loop. Its methods are for the page's thread, but for
+    """State and actions of a loop for a page. Its methods are for the page's thread, but for
     ``watch``, which is for the loop's.
 
     Args:
@@ -77,7 +77,7 @@ class LiveSession:
         self.switcher = MethodSwitcher(loop, request) if switcher is None else switcher
         self.blind = blind
         self.recordings = Recordings(loop.sinks, folder / "takes", self._configuration)
-        self._asked, self._folder = request, folder
+        self._request, self._folder = request, folder
         self._simulation = simulated_hands(sinks)
         self._scenery = None if self._simulation is None else Scenery(self._simulation)
         self._ticks: dict[Side, Tick] = {}
@@ -105,7 +105,7 @@ class LiveSession:
     def watch(self, tick: Tick) -> None:
         """Take note of a tick; called by the loop after its sinks."""
         self._ticks[tick.side] = tick
-        arrival = self.loop.pipelines[tick.side].seen
+        arrival = self.loop.pipelines[tick.side].latest
         if arrival is not None and arrival is not self._arrivals.get(tick.side):
             self._arrivals[tick.side] = arrival
         if tick.events:
@@ -147,7 +147,7 @@ class LiveSession:
     @property
     def settings_number(self) -> int:
         """Changes when the page has to update its settings: another method, a value refused."""
-        shown = self.switcher.wanted
+        shown = self.switcher.target
         return hash((shown.method, shown.preset, self.switcher.refused, self._settings_changed))
 
     def configuration(self) -> str:
@@ -155,7 +155,7 @@ class LiveSession:
         if self.blind:
             return ""
         used = self.switcher.used
-        content = live_configuration("teleop", self._asked, used.configs, loop=self.loop.config,
+        content = live_configuration("teleop", self._request, used.configs, loop=self.loop.config,
                                      source=self.loop.source)  # fmt: skip
         return to_json({**content, **self._configuration()}, indent=2) + "\n"
 
@@ -235,11 +235,11 @@ class LiveSession:
     def _controls(self, shown_number: int) -> dict[str, Any]:
         switcher = self.switcher
         supervisors = [pipeline.supervisor for pipeline in self.loop.pipelines.values()]
-        shown, number = switcher.wanted, self.settings_number
+        shown, number = switcher.target, self.settings_number
         controls: dict[str, Any] = {
-            "building": self._told(switcher.building, "getting ready"),
+            "building": self._masked(switcher.building, "getting ready"),
             "message": self._message
-            or self._told(switcher.error, "that could not be done; the experimenter knows why")
+            or self._masked(switcher.error, "that could not be done; the experimenter knows why")
             or self.recordings.error,
             "stopped": any(supervisor.stopped for supervisor in supervisors),
             "paused": any(supervisor.paused for supervisor in supervisors),
@@ -259,8 +259,8 @@ class LiveSession:
             controls["loop_settings"] = values(self.loop.config, LOOP_SETTINGS)
         return controls
 
-    def _told(self, words: str, blind: str) -> str:
-        """What may name a method, or what is said in its place."""
+    def _masked(self, words: str, blind: str) -> str:
+        """A text that may name a method, or its substitute on a blind page."""
         return blind if words and self.blind else words
 
     def _choose(self, method: str, preset: str | None = None) -> None:
@@ -419,7 +419,7 @@ class Scenery:
         self._simulation = simulation
 
     def look(self, sides: Sequence[Side], shown_number: int) -> dict[str, Any]:
-        """What to draw.
+        """The scenery to draw.
 
         Args:
             sides: the hands.

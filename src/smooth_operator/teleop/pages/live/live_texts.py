@@ -6,7 +6,7 @@ import html
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from smooth_operator.teleop.pages.palette import PALM, SIMULATED, css, finger_colors
+from smooth_operator.teleop.pages.hand_view import PALM, SIMULATED, css, finger_colors
 
 # Okabe and Ito's colours; the sign and the word say the same to who can't distinguish them.
 _MODES: Final[dict[str, tuple[str, str, str]]] = {
@@ -41,7 +41,7 @@ _CELL: Final = "padding:0 0.9em 0 0;text-align:right"
 
 
 def modes(hands: Mapping[str, Mapping[str, Any]]) -> str:
-    """What the loop does with each hand; latched fingers where the method has latches."""
+    """Mode of each hand; latched fingers where the method has latches."""
     rows = []
     for side, state in hands.items():
         sign, words, color = _MODES[state["mode"]]
@@ -63,7 +63,7 @@ def modes(hands: Mapping[str, Mapping[str, Any]]) -> str:
 
 
 def _wrist(wrist: Mapping[str, Any] | None) -> str:
-    """Whether the tracker has a wrist, and whether that moves the robot's."""
+    """True if the tracker has a wrist, and whether that moves the robot's."""
     if wrist is None:
         return "wrist: not tracked"
     what = (
@@ -79,7 +79,7 @@ def _wrist(wrist: Mapping[str, Any] | None) -> str:
 
 
 def _arm(arm: Mapping[str, Any]) -> str:
-    """What an arm does, how far its wrist is off, and how near it is to something."""
+    """State of an arm, the error of its wrist, and its clearance."""
     facts = [_ARM_STATES.get(arm["state"], html.escape(arm["state"]))]
     error, clearance = arm["position_error"], arm["clearance"]
     if error is not None and error > _OFF:  # False for NaN
@@ -156,7 +156,7 @@ def slow(delay: float) -> str:
 
 
 def notice(controls: Mapping[str, Any]) -> str:
-    """What is under way, and what went wrong."""
+    """Work under way, and the last error."""
     parts = []
     if controls["building"]:
         parts.append(f"<b>⏳ {html.escape(controls['building'])}…</b>")
@@ -168,7 +168,7 @@ def notice(controls: Mapping[str, Any]) -> str:
 
 
 def legend(fingers: Sequence[str], simulated: bool, task: bool) -> str:
-    """What is drawn, each with its sign: the hands, and the colours of the fingers.
+    """Legend of the picture: the hands, and the colours of the fingers.
 
     Args:
         fingers: fingers of the robot hand, thumb first.
@@ -197,7 +197,7 @@ def _chip(sign: str, color: str, text: str) -> str:
 
 
 def _rates(rates: Mapping[str, float | None]) -> str:
-    """Of each hand, the slow ones with a decimal."""
+    """Rates of the hands, the slow ones with a decimal."""
     words = ["–" if r is None else f"{r:.0f}" if r >= 10 or r == 0 else f"{r:.1f}"
              for r in rates.values()]  # fmt: skip
     return " / ".join(words if len(set(words)) > 1 else words[:1])

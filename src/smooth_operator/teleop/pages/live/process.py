@@ -83,7 +83,7 @@ class _Page:
         self._server.on_client_connect(self._greet)
         self._server.on_client_disconnect(self._forget)
         self._pace = Pace(self._server)
-        self._found: tuple[dict[Side, HandView], str] | None = None
+        self._drawn: tuple[dict[Side, HandView], str] | None = None
         if setup["meshes"]:
             threading.Thread(
                 target=self._find_meshes, args=(hands, setup["model"]), name="meshes", daemon=True
@@ -123,15 +123,15 @@ class _Page:
         try:
             there = {side: hand_with_meshes(hand, model) for side, hand in hands.items()}
             views = {side: HandView(hand) for side, hand in there.items() if hand is not None}
-            self._found = views, ""
+            self._drawn = views, ""
         except (SmoothOperatorError, ValueError, IndexError, ArithmeticError) as error:
-            self._found = {}, f"simple shapes are drawn: {error}"
+            self._drawn = {}, f"simple shapes are drawn: {error}"
         self._wake.set()
 
     def _show_meshes(self) -> None:
         """Draw the meshes from now on, when they are read."""
-        if self._found is not None:
-            (views, note), self._found = self._found, None
+        if self._drawn is not None:
+            (views, note), self._drawn = self._drawn, None
             with self._server.atomic():
                 self._scene.add_meshes(views)
                 self._panel.show_meshes(bool(views), note)
@@ -258,7 +258,7 @@ class Pace:
 
     @property
     def slow(self) -> bool:
-        """Whether what belongs together has to be sent in two steps, with a ``wait`` between
+        """True if what belongs together has to be sent in two steps, with a ``wait`` between
         them."""
         return self.delay >= _LATE_S
 

@@ -26,7 +26,7 @@ Capture: TypeAlias = Any
 
 @dataclass(frozen=True)
 class CameraMode:
-    """What a camera is asked for; it may give something else.
+    """Mode that a camera is asked for; it may give another.
 
     Attributes:
         width: [pixels].
@@ -144,7 +144,7 @@ def open_camera(name: int | str, mode: CameraMode) -> Capture:
 
 
 def _advice(cv2: Any, name: int | str) -> str:
-    """What was tried, and what there is."""
+    """Advice on a camera that does not open: interfaces and devices here."""
     backends = cv2.videoio_registry.getCameraBackends()
     tried = ", ".join(cv2.videoio_registry.getBackendName(b) for b in backends)
     advice = f"Tried through {tried or 'no interface at all'}."
@@ -167,11 +167,11 @@ def _advice(cv2: Any, name: int | str) -> str:
 
 
 SUFFIXES: Final = (".mp4", ".m4v", ".mov", ".avi", ".mkv", ".webm")
-"""Of files that are taken for videos by their name."""
+"""Suffixes of files that are taken for videos."""
 
 
 def is_video(path: Path) -> bool:
-    """Whether a file is a video, by its name."""
+    """True if a file is a video, by its name."""
     return path.suffix.lower() in SUFFIXES
 
 

@@ -17,26 +17,13 @@ from smooth_operator.formats.checks import check_recording
 from smooth_operator.landmarks import NUM_LANDMARKS
 from smooth_operator.teleop.sources.live import Running, SourceHealth, ThreadedSource
 from smooth_operator.teleop.sources.webcam.camera import Camera, CameraMode, VideoFile
-from smooth_operator.teleop.sources.webcam.picture_tracker import (
-    PictureConfig,
-    PictureTracker,
-    Points,
-)
+from smooth_operator.teleop.sources.webcam.picture_tracker import PictureConfig, PictureTracker
 from smooth_operator.types import HandFrame, HandRecording, Side
 
 
-class _Pictures(ThreadedSource):
-    """What a camera and a video share: how hands are looked for, and how it ends.
-
-    Both are dataclasses with the fields of ``PictureConfig``.
-    """
-
-    mirrored: bool
-    max_hands: int
-    confidence: float
-    points: Points
-    smoothing: float
-    model: Path | None
+@dataclass(frozen=True)
+class _Pictures(PictureConfig, ThreadedSource):
+    """A camera or a video with the settings of its tracker."""
 
     def stop(self) -> None:
         """Stop; see ``LiveSource``."""
@@ -49,50 +36,28 @@ class _Pictures(ThreadedSource):
         object.__setattr__(self, "_opened", (pictures, tracker))
         atexit.register(self.stop)  # a thread in native code must not meet the interpreter's end
 
-    def _config(self) -> PictureConfig:
-        return PictureConfig(
-            mirrored=self.mirrored,
-            max_hands=self.max_hands,
-            confidence=self.confidence,
-            points=self.points,
-            smoothing=self.smoothing,
-            model=self.model,
-        )
-
 
 @dataclass(frozen=True)
 class Webcam(_Pictures):
     """A camera.
 
     A stamp is the time when its picture was read, by the clock of the loop; a frame counts as
-    received when its hand is found.
+    received when its hand is found. Further settings are those of ``PictureConfig``.
 
     Attributes:
         camera: its number, counted from 0; or a device, or an address such as ``rtsp://...``.
-        mirrored: its pictures are mirrored, as those of some virtual cameras are.
-        max_hands: how many hands are looked for, 1 or 2; one is found in less time.
-        confidence: how sure the tracker must be that there is a hand, 0 to 1.
-        points: ``world`` or ``picture``, see ``PictureConfig``.
-        smoothing: cutoff of a filter for a hand at rest [Hz]; 0 filters nothing, 4 is mild.
         width: width of the picture that is asked for [pixels].
         height: height of the picture that is asked for [pixels].
         rate: pictures per second that are asked for [Hz].
-        model: the hand-landmarker file; fetched once if left out.
     """
 
     camera: int | str = 0
-    mirrored: bool = False
-    max_hands: int = 2
-    confidence: float = 0.5
-    points: Points = "world"
-    smoothing: float = 0.0
     width: int = 640
     height: int = 480
     rate: float = 30.0
-    model: Path | None = None
 
     def __post_init__(self) -> None:
-        self._config()  # checks
+        super().__post_init__()
         if isinstance(self.camera, int) and self.camera < 0:
             raise ConfigError(f"camera must not be negative, but is {self.camera}")
         for name in ("width", "height", "rate"):
@@ -101,12 +66,12 @@ class Webcam(_Pictures):
 
     @property
     def label(self) -> str:
-        """What it is, in a few words."""
+        """Name for a person, in a few words."""
         return f"camera {self.camera}"
 
     def open(self) -> None:
         """Load the model and open the camera; errors reach the caller."""
-        tracker = PictureTracker(self._config())
+        tracker = PictureTracker(self)
         try:
             camera = Camera(self.camera, CameraMode(self.width, self.height, self.rate))
         except BaseException:
@@ -136,47 +101,35 @@ class Video(_Pictures):
     """A video file, as if it were a camera.
 
     A stamp is the time of its picture in the video. A picture that is due before the last one is
-    done with is left out, as with a camera.
+    done with is left out, as with a camera. Further settings are those of ``PictureConfig``.
 
     Attributes:
         path: the file.
         speed: how many times as fast as it was taken.
         every: leave no picture out, and rather fall behind.
         loop: begin again at the end.
-        mirrored: it is mirrored, as selfie views are.
-        max_hands: how many hands are looked for, 1 or 2; one is found in less time.
-        confidence: how sure the tracker must be that there is a hand, 0 to 1.
-        points: ``world`` or ``picture``, see ``PictureConfig``.
-        smoothing: cutoff of a filter for a hand at rest [Hz]; 0 filters nothing, 4 is mild.
-        model: the hand-landmarker file; fetched once if left out.
     """
 
     path: Path
     speed: float = 1.0
     every: bool = False
     loop: bool = False
-    mirrored: bool = False
-    max_hands: int = 2
-    confidence: float = 0.5
-    points: Points = "world"
-    smoothing: float = 0.0
-    model: Path | None = None
 
     def __post_init__(self) -> None:
-        self._config()  # checks
+        super().__post_init__()
         if not 0.01 <= self.speed <= 100.0:
             raise ConfigError(f"speed must be between 0.01 and 100, not {self.speed}")
 
     @property
     def label(self) -> str:
-        """What it is, in a few words."""
+        """Name for a person, in a few words."""
         return f"video {self.path.name}"
 
     def open(self) -> None:
         """Open the file and load the model; errors reach the caller."""
         video = VideoFile(self.path)
         try:
-            tracker = PictureTracker(self._config())
+            tracker = PictureTracker(self)
         except BaseException:
             video.close()
             raise
@@ -227,7 +180,7 @@ class Video(_Pictures):
 
 @dataclass
 class Counts:
-    """What was found in a video's pictures.
+    """Counts of a video's pictures.
 
     Attributes:
         pictures: how many there were.

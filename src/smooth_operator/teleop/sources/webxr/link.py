@@ -58,7 +58,7 @@ _RATE_OVER: Final = 1.0
 
 @dataclass(frozen=True)
 class LinkState:
-    """How the link to the headset is.
+    """State of the link to the headset.
 
     Attributes:
         address: address of the headset; None if none is connected.
@@ -110,7 +110,7 @@ class Link:
 
     @property
     def state(self) -> LinkState:
-        """How it is; may be asked from any thread."""
+        """State of the link, from any thread."""
         return LinkState(
             self._address,
             self._session,
@@ -155,7 +155,7 @@ class Link:
                 self._received.clear()
 
     async def _paired(self, connection: ServerConnection, address: str) -> bool:
-        """Whether the first message is a greeting with the right code; if not, it is closed."""
+        """True if the first message is a greeting with the right code; if not, it is closed."""
         try:
             hello = await asyncio.wait_for(connection.recv(), _HELLO_WITHIN)
         except TimeoutError:
@@ -344,7 +344,7 @@ class Pairing:
         return " ".join(self.code[i : i + 3] for i in range(0, len(self.code), 3))
 
     def check(self, code: str, address: str) -> Verdict:
-        """Whether a client at this address may try."""
+        """True if a client at this address may try."""
         now = self._clock()
         while self._wrong and now - self._wrong[0][0] > WINDOW:
             self._wrong.popleft()

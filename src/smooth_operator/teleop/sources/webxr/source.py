@@ -11,13 +11,15 @@ from dataclasses import dataclass, field
 from smooth_operator.errors import MissingExtraError
 from smooth_operator.synthetic.settings import check_range
 from smooth_operator.teleop.sources.live import Running, SourceHealth, ThreadedSource
-from smooth_operator.teleop.sources.webxr.certificate import (
+from smooth_operator.teleop.sources.webxr.link import Link, LinkState, Pairing, check_code
+from smooth_operator.teleop.sources.webxr.server import (
     Certificate,
     certificate_folder,
     get_certificate,
+    listen,
+    secure_context,
+    serve,
 )
-from smooth_operator.teleop.sources.webxr.link import Link, LinkState, Pairing, check_code
-from smooth_operator.teleop.sources.webxr.server import listen, secure_context, serve
 from smooth_operator.web.addresses import names_of, page_addresses
 from smooth_operator.web.listening import LimitedListener
 
@@ -51,7 +53,7 @@ class WebXr(ThreadedSource):
 
     @property
     def label(self) -> str:
-        """Where it listens."""
+        """Host and port that it listens on."""
         return f"webxr {self.host}:{self.port}"
 
     @property
@@ -68,7 +70,7 @@ class WebXr(ThreadedSource):
 
     @property
     def link(self) -> LinkState:
-        """How the link is; may be asked at any time, from any thread."""
+        """State of the link, at any time, from any thread."""
         link: Link | None = getattr(self, "_link", None)
         return LinkState() if link is None else link.state
 
@@ -106,7 +108,7 @@ class WebXr(ThreadedSource):
 
 @dataclass(frozen=True)
 class _Opened:
-    """What a started source holds."""
+    """Resources of a started source."""
 
     listening: LimitedListener
     certificate: Certificate

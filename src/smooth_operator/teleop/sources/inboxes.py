@@ -1,0 +1,486 @@
+"""Sockets that sources receive messages from: UDP, TCP, ZeroMQ and gRPC.
+
+A web page may connect to any port of its user's computer and send what it likes after the header of
+an HTTP request, so a TCP connection whose first bytes are not of the protocol is closed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import select
+import socket
+import threading
+import time
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import Any, Final, Literal, TypeAlias
+
+from smooth_operator.errors import MissingExtraError, RecordingError, SourceError, brief
+from smooth_operator.teleop.sources.payload import MAX_BYTES
+from smooth_operator.web.listening import listen
+
+Message: TypeAlias = tuple[Any, ...]
+"""A message as it came, in one part or several: bytes, or what its library makes of them. Or an
+error alone, for a connection that the inbox has closed since it speaks another protocol."""
+
+NEWEST: Final = 8
+"""Messages that are read when more have come together, the newest. Two hands, their both
+alternating, and a broken one between, leave each hand its newest frame."""
+
+_AT_ONCE: Final = 10_000
+"""Messages that are emptied in one go, so that a flood can't keep a source from stopping."""
+
+
+class Inbox(ABC):
+    """An open socket.
+
+    Attributes:
+        address: where it listens or what it is connected to; an asked-for port 0 is the real one.
+        problem: why nothing can come, for an inbox that connects; empty where nothing is wrong.
+    """
+
+    address: str
+    problem = ""
+
+    def sockets(self) -> list[socket.socket]:
+        """The sockets that ``receive`` waits for, where they can be waited for with others."""
+        return []
+
+    @abstractmethod
+    def receive(self, timeout: float) -> list[Message]:
+        """Waits for messages up to ``timeout`` [s]; of all that are here, the newest few in order.
+
+        Raises:
+            SourceError: the socket gave up.
+        """
+
+    @abstractmethod
+    def close(self) -> None:
+        """Gives the socket back."""
+
+
+class UdpInbox(Inbox):
+    """A bound UDP socket. A message is its bytes and the address that it came from.
+
+    Args:
+        host: address to listen on.
+        port: to listen on; 0 for any free one.
+        choose: how to name another port, for messages.
+
+    Raises:
+        SourceError: the port is taken, or the address is not of this machine.
+    """
+
+    def __init__(self, host: str, port: int, choose: str = "udp:PORT") -> None:
+        try:
+            family, kind, protocol, _, where = socket.getaddrinfo(
+                host, port, type=socket.SOCK_DGRAM, flags=socket.AI_PASSIVE
+            )[0]
+            self._socket = socket.socket(family, kind, protocol)
+        except OSError as error:
+            raise SourceError(f"UDP address {host!r} can't be used: {error}") from error
+        try:
+            self._socket.bind(where)
+        except OSError as error:
+            self._socket.close()
+            raise SourceError(
+                f"UDP port {port} on {host} can't be listened on ({error}); is another program "
+                f"using it? Choose another: {choose}"
+            ) from error
+        self._socket.setblocking(False)
+        name, bound = self._socket.getsockname()[:2]
+        self.address = f"udp://{name}:{bound}"
+
+    def sockets(self) -> list[socket.socket]:
+        """The one socket."""
+        return [self._socket]
+
+    def receive(self, timeout: float) -> list[Message]:
+        """Returns the newest messages; see ``Inbox``."""
+        if not select.select([self._socket], [], [], timeout)[0]:
+            return []
+        newest: deque[Message] = deque(maxlen=NEWEST)
+        for _ in range(_AT_ONCE):
+            try:
+                # One byte more than is read, so that what is cut off is seen to be too long.
+                data, where = self._socket.recvfrom(MAX_BYTES + 1)
+                newest.append((data, str(where[0]).encode()))
+            except (BlockingIOError, InterruptedError):
+                break
+            except ConnectionError:  # Windows: an earlier peer is gone, which is nothing to us
+                continue
+            except OSError as error:
+                raise SourceError(f"{self.address} can't be received from: {error}") from error
+        return list(newest)
+
+    def close(self) -> None:
+        """Gives the port back."""
+        self._socket.close()
+
+
+Split: TypeAlias = Callable[[bytearray], Sequence[bytes]]
+"""Takes whole messages from the front of a buffer, which keeps the rest."""
+Begins: TypeAlias = Callable[[bytearray], bool]
+"""True where what has come on a connection so far can be the begin of its first message."""
+
+_CONNECTIONS: Final = 8  # at a time; beyond, the one that has been silent for the longest is closed
+_CHUNK: Final = 65_536
+_READS: Final = 64  # reads of one connection in one go, so that a flood can't hold the others up
+_NEWEST_PARTS: Final = 16
+"""Messages that are read when more have come together: both hands of a few frames, in parts."""
+
+
+class TcpInbox(Inbox):
+    """A listening socket and the connections to it.
+
+    A message is its bytes, the address that it came from, and the number of the connection; or, for
+    a connection that was closed since it speaks another protocol, the error that says so.
+
+    Args:
+        host: address to listen on.
+        port: to listen on; 0 for any free one.
+        split: takes messages out of what came.
+        begins: tells the protocol from others by the first bytes of a connection, however few.
+        source: the word of the source, for messages.
+
+    Raises:
+        SourceError: the port is taken, or the address is not of this machine.
+    """
+
+    def __init__(self, host: str, port: int, split: Split, begins: Begins, source: str) -> None:
+        self._split, self._begins = split, begins
+        self._clients: dict[socket.socket, _Client] = {}
+        self._opened = 0
+        try:
+            self._listening = listening = listen(host, port)
+        except OSError as error:
+            raise SourceError(
+                f"TCP port {port} on {host} can't be listened on ({error}); is another program "
+                f"using it? Choose another: {source}:port=PORT"
+            ) from error
+        listening.setblocking(False)
+        name, bound = listening.getsockname()[:2]
+        self.address = f"tcp://{name}:{bound}"
+
+    def sockets(self) -> list[socket.socket]:
+        """The listening socket and the connections."""
+        return [self._listening, *self._clients]
+
+    def receive(self, timeout: float) -> list[Message]:
+        """Returns the newest messages; see ``Inbox``."""
+        ready = select.select(self.sockets(), [], [], timeout)[0]
+        newest: deque[Message] = deque(maxlen=_NEWEST_PARTS)
+        refusals: list[Message] = []
+        if self._listening in ready:
+            self._accept()
+        for connection in ready:
+            client = self._clients.get(connection)
+            if client is not None:
+                try:
+                    newest.extend(self._read(connection, client))
+                except RecordingError as error:
+                    self._drop(connection)
+                    refusals.append((error,))
+        return [*refusals, *newest]
+
+    def close(self) -> None:
+        """Closes all connections and gives the port back."""
+        for connection in list(self._clients):
+            self._drop(connection)
+        self._listening.close()
+
+    def _accept(self) -> None:
+        with contextlib.suppress(OSError):  # it is gone already
+            connection, where = self._listening.accept()
+            connection.setblocking(False)
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+            self._opened += 1
+            self._clients[connection] = _Client(str(where[0]), self._opened)
+        if len(self._clients) > _CONNECTIONS:
+            # A headset that slept leaves connections that never end.
+            self._drop(next(iter(self._clients)))
+
+    def _read(self, connection: socket.socket, client: _Client) -> list[Message]:
+        messages: list[Message] = []
+        # The order in the table is that of the last word, for the one to close.
+        self._clients[connection] = self._clients.pop(connection)
+        for _ in range(_READS):
+            try:
+                chunk = connection.recv(_CHUNK)
+            except (BlockingIOError, InterruptedError):
+                break
+            except OSError:
+                chunk = b""
+            if not chunk:
+                self._drop(connection)
+                break
+            client.buffer += chunk
+            if client.new and not self._begins(client.buffer):
+                raise RecordingError(
+                    f"a web page or another program at {client.mark[0].decode()} connected to this "
+                    f"port, closed: {brief(bytes(client.buffer[:24]))} begins no message of this "
+                    "source"
+                )
+            messages += [(data, *client.mark) for data in self._split(client.buffer)]
+            client.new = client.new and not messages
+            if len(client.buffer) > MAX_BYTES:
+                # No message ends: it is another protocol. What has come is refused where it is
+                # read, with its first bytes.
+                messages.append((bytes(client.buffer[: MAX_BYTES + 1]), *client.mark))
+                self._drop(connection)
+                break
+        return messages
+
+    def _drop(self, connection: socket.socket) -> None:
+        self._clients.pop(connection, None)
+        connection.close()
+
+
+class _Client:
+    """A connection: where it is from, its next message so far, and whether that is the first."""
+
+    def __init__(self, host: str, number: int) -> None:
+        self.mark = (host.encode(), str(number).encode())
+        self.buffer = bytearray()
+        self.new = True
+
+
+class Together(Inbox):
+    """Several inboxes as one."""
+
+    def __init__(self, inboxes: Sequence[Inbox]) -> None:
+        self._inboxes = inboxes
+        self.address = " and ".join(inbox.address for inbox in inboxes)
+
+    def receive(self, timeout: float) -> list[Message]:
+        """Returns the newest messages; see ``Inbox``."""
+        waited = [one for inbox in self._inboxes for one in inbox.sockets()]
+        if not select.select(waited, [], [], timeout)[0]:
+            return []
+        return [message for inbox in self._inboxes for message in inbox.receive(0.0)]
+
+    def close(self) -> None:
+        """Closes them all."""
+        for inbox in self._inboxes:
+            inbox.close()
+
+
+def split_lines(buffer: bytearray) -> list[bytes]:
+    """Whole lines, without empty ones."""
+    end = buffer.rfind(b"\n") + 1
+    lines = bytes(buffer[:end]).split(b"\n")
+    del buffer[:end]
+    return [line for line in lines if line.strip()]
+
+
+Pattern: TypeAlias = Literal["sub", "pull"]
+"""The socket: ``sub`` for publishers (PUB), ``pull`` for those that push (PUSH)."""
+
+# What is not read for a while piles up to here; beyond, the sender's messages are dropped. Fewer
+# would be worse: the rest then waits, older and older, in the network's own buffers.
+_QUEUE: Final = 256
+_LARGEST: Final = 1 << 17  # a sender of more is disconnected before it fills the memory [bytes]
+_RECONNECT_MS: Final = (50, 500)  # first and longest wait for a publisher that is not there
+
+
+class ZmqInbox(Inbox):
+    """An open ZeroMQ socket with its own context.
+
+    Connecting needs no publisher: it may start later, and start again.
+
+    Args:
+        feature: what needs it, for the message where pyzmq is missing.
+        address: such as ``tcp://127.0.0.1:5557``; ``tcp://127.0.0.1:*`` binds any free port.
+        bind: listen there, in place of connecting.
+        pattern: kind of socket.
+        topic: what messages start with, for ``sub``.
+
+    Raises:
+        MissingExtraError: pyzmq is not installed.
+        SourceError: the address can't be used.
+    """
+
+    def __init__(
+        self,
+        feature: str,
+        address: str,
+        *,
+        bind: bool = False,
+        pattern: Pattern = "sub",
+        topic: str = "",
+    ) -> None:
+        self._zmq = zmq = load_zmq(feature)
+        self._context = zmq.Context()
+        self._socket = self._context.socket(zmq.SUB if pattern == "sub" else zmq.PULL)
+        try:
+            self._set_up(pattern, topic)
+            (self._socket.bind if bind else self._socket.connect)(address)
+        except zmq.ZMQError as error:
+            self.close()
+            raise SourceError(
+                f"ZeroMQ can't {'listen on' if bind else 'connect to'} {address!r} ({error}); an "
+                "address looks like tcp://127.0.0.1:5557"
+            ) from error
+        endpoint = self._socket.getsockopt(zmq.LAST_ENDPOINT).rstrip(b"\0").decode()
+        self.address = endpoint if bind and endpoint else address
+
+    def _set_up(self, pattern: Pattern, topic: str) -> None:
+        zmq = self._zmq
+        self._socket.setsockopt(zmq.LINGER, 0)
+        self._socket.setsockopt(zmq.RCVHWM, _QUEUE)
+        self._socket.setsockopt(zmq.MAXMSGSIZE, _LARGEST)
+        self._socket.setsockopt(zmq.RECONNECT_IVL, _RECONNECT_MS[0])
+        self._socket.setsockopt(zmq.RECONNECT_IVL_MAX, _RECONNECT_MS[1])
+        # Without this a publisher whose machine or cable died is waited for in vain.
+        self._socket.setsockopt(zmq.TCP_KEEPALIVE, 1)
+        if pattern == "sub":
+            self._socket.setsockopt_string(zmq.SUBSCRIBE, topic)
+
+    def receive(self, timeout: float) -> list[Message]:
+        """Returns the newest messages; see ``Inbox``."""
+        zmq = self._zmq
+        newest: deque[Message] = deque(maxlen=NEWEST)
+        try:
+            if not self._socket.poll(round(timeout * 1e3), zmq.POLLIN):
+                return []
+            for _ in range(_AT_ONCE):
+                newest.append(tuple(self._socket.recv_multipart(zmq.NOBLOCK)))
+        except zmq.Again:
+            pass
+        except zmq.ZMQError as error:
+            raise SourceError(f"{self.address} can't be received from: {error}") from error
+        return list(newest)
+
+    def close(self) -> None:
+        """Closes the socket without waiting."""
+        self._socket.close(linger=0)
+        self._context.term()
+
+
+def load_zmq(feature: str) -> Any:
+    """The module ``zmq``.
+
+    Raises:
+        MissingExtraError: pyzmq is not installed.
+    """
+    try:
+        import zmq
+    except ImportError as error:
+        raise MissingExtraError(feature, "zmq") from error
+    return zmq
+
+
+_RETRY_S: Final = (0.2, 2.0)  # first and longest wait before another try
+_SILENT_S: Final = 3.0  # a stream that says nothing for so long is begun again: the headset slept
+_WORDS: Final = 200
+
+
+class GrpcInbox(Inbox):
+    """A stream of encoded messages from a method with an empty request.
+
+    A message is its bytes and the number of the connection. Nothing is decoded, so no generated
+    code is needed.
+
+    Args:
+        feature: what needs it, for the message where grpcio is missing.
+        extra: the extra that has grpcio.
+        address: HOST:PORT of the server, which need not be there yet.
+        method: path of the method: ``/package.Service/Method``.
+        longest: messages beyond are refused [bytes].
+
+    Attributes:
+        address: as it was given.
+        problem: why there is no stream; empty while there is one.
+
+    Raises:
+        MissingExtraError: grpcio is not installed.
+    """
+
+    def __init__(self, feature: str, extra: str, address: str, method: str, longest: int) -> None:
+        try:
+            import grpc
+        except ImportError as error:
+            raise MissingExtraError(feature, extra) from error
+        self._grpc = grpc
+        self.address = address
+        self.problem = ""
+        self._method = method
+        self._longest = longest
+        self._newest: deque[Message] = deque(maxlen=NEWEST)
+        self._arrived = threading.Condition()
+        self._closing = threading.Event()
+        self._last = time.monotonic()
+        self._call: Any = None
+        self._thread = threading.Thread(target=self._run, name=f"gRPC {address}", daemon=True)
+        self._thread.start()
+
+    def receive(self, timeout: float) -> list[Message]:
+        """Returns the newest messages; see ``Inbox``."""
+        with self._arrived:
+            self._arrived.wait_for(lambda: self._newest, timeout)
+            messages = list(self._newest)
+            self._newest.clear()
+        call = self._call
+        if not messages and call is not None and time.monotonic() - self._last > _SILENT_S:
+            call.cancel()
+        return messages
+
+    def close(self) -> None:
+        """Ends the stream and waits for its thread a while."""
+        self._closing.set()
+        call = self._call
+        if call is not None:
+            call.cancel()
+        self._thread.join(5.0)
+
+    def _run(self) -> None:
+        connection, wait = 0, _RETRY_S[0]
+        while not self._closing.is_set():
+            connection += 1
+            if self._listen(str(connection).encode()):
+                wait = _RETRY_S[0]
+            self._closing.wait(wait)
+            wait = min(2.0 * wait, _RETRY_S[1])
+
+    def _listen(self, connection: bytes) -> bool:
+        """Receives one stream until it ends; true if a message came."""
+        grpc, heard = self._grpc, False
+        options = [
+            ("grpc.max_receive_message_length", self._longest),
+            ("grpc.enable_retries", 0),
+            # Without this, channels of one process share a connection that broke.
+            ("grpc.use_local_subchannel_pool", 1),
+        ]
+        try:
+            with grpc.insecure_channel(self.address, options=options) as channel:
+                self._last = time.monotonic()
+                self._call = call = channel.unary_stream(self._method)(b"")
+                if self._closing.is_set():  # close() came before there was a call to cancel
+                    call.cancel()
+                for data in call:
+                    heard, self._last = True, time.monotonic()
+                    with self._arrived:
+                        self.problem = ""
+                        self._newest.append((data, connection))
+                        self._arrived.notify_all()
+            self.problem = f"{self.address} ended the stream; connecting again"
+        except grpc.RpcError as error:
+            self.problem = self._words(error)
+        finally:
+            self._call = None
+        return heard
+
+    def _words(self, error: Any) -> str:
+        code = error.code().name if callable(getattr(error, "code", None)) else "error"
+        if code == "CANCELLED":
+            return f"{self.address} sends nothing; connecting again"
+        if code == "UNIMPLEMENTED":
+            return f"{self.address} is a gRPC server, but has no hand tracking: another program"
+        if code == "RESOURCE_EXHAUSTED":
+            return f"{self.address} sends messages longer than {self._longest} bytes"
+        text = " ".join(str(error.details() or "").split())[:_WORDS]
+        return (
+            f"can't connect to {self.address} ({code}: {text}); is the app started, the address "
+            "the one that it shows, and the headset on this network? Trying again"
+        )
