@@ -232,12 +232,12 @@ def new_study(options: New) -> None:
         )
     if options.from_ is not None:
         plan = read_plan(options.from_)
-        if _given(options):
+        if _has_options(options):
             raise ConfigError("--from takes all from the file; change it there, or leave it out")
     else:
         protocol = _protocol(options)
         asking = sys.stdin.isatty() and sys.stdout.isatty()
-        if asking and not options.no_wizard and not _given(options):
+        if asking and not options.no_wizard and not _has_options(options):
             protocol = ask_protocol(protocol, open_console())
         plan = make_plan(protocol)
     with folder_for(folder):
@@ -270,7 +270,7 @@ def enrol_operator(options: Enrol) -> None:
         print(printable(f"{options.operator}, task {task}: {order}"))
 
 
-def _given(options: New) -> bool:
+def _has_options(options: New) -> bool:
     """True if an option says what the study is to be."""
     others = ("folder", "from_", "no_wizard", "overwrite")
     return any(

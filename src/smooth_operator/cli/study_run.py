@@ -54,7 +54,7 @@ def run_study(options: Run) -> None:
             blind=options.blind,
             teleop=teleop,
             words=_words(store.plan, folder),
-            enrolled=lambda plan: _kept(plan, folder),
+            enrolled=lambda plan: _keep_plan(plan, folder),
             changed=lambda: console.changed(),
             report=_say,
         )
@@ -105,10 +105,10 @@ def _opened(options: Run) -> StudyStore:
             )
         return open_study(folder, name=options.name)
     plan = read_plan(file)
-    return _found(options.store or folder, plan)
+    return _open_store(options.store or folder, plan)
 
 
-def _found(target: str | Path, plan: Plan) -> StudyStore:
+def _open_store(target: str | Path, plan: Plan) -> StudyStore:
     """The store of a plan: made if it is not there, brought up to date if it is."""
     try:
         store = open_study(target, name=plan.protocol.name)
@@ -138,7 +138,7 @@ def _folder(study: str) -> Path:
     return path if path.is_dir() else path.parent
 
 
-def _kept(plan: Plan, folder: Path) -> None:
+def _keep_plan(plan: Plan, folder: Path) -> None:
     """The files of a plan that was changed on a page."""
     if (folder / NAME).is_file():
         write_plan_files(plan, folder)

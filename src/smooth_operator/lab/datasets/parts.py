@@ -93,13 +93,13 @@ def in_frame(clip: Clip, frame: Frame | None) -> Clip:
             "camera's frame; give --frame world, or leave it out"
         )
 
-    def seen(pose: np.ndarray) -> np.ndarray:
+    def measured(pose: np.ndarray) -> np.ndarray:
         return poses.relative(camera, pose)
 
     hands = {
         side: hand
         if hand.T_world_wrist is None
-        else replace(hand, T_world_wrist=seen(hand.T_world_wrist), world=CAMERA)
+        else replace(hand, T_world_wrist=measured(hand.T_world_wrist), world=CAMERA)
         for side, hand in clip.hands.items()
     }
     return replace(
@@ -107,7 +107,7 @@ def in_frame(clip: Clip, frame: Frame | None) -> Clip:
         hands=hands,
         T_world_camera=np.where(poses.is_valid(camera)[:, None], poses.IDENTITY, np.nan),
         objects=tuple(
-            replace(each, T_world_object=seen(each.T_world_object)) for each in clip.objects
+            replace(each, T_world_object=measured(each.T_world_object)) for each in clip.objects
         ),
     )
 

@@ -182,7 +182,7 @@ def _prepared(clip: Clip, recipe: Recipe) -> _Prepared | SmoothOperatorError:
         plans = {
             side: plan(clip.hands[side], recipe.request)
             for side in SIDES
-            if side in clip.hands and _seen(clip.hands[side])
+            if side in clip.hands and _has_frames(clip.hands[side])
         }
         if not plans:
             raise RecordingError(f"{clip.name}: no hand is seen in any frame")
@@ -191,7 +191,7 @@ def _prepared(clip: Clip, recipe: Recipe) -> _Prepared | SmoothOperatorError:
     return _Prepared(clip, plans)
 
 
-def _seen(hand: HandRecording) -> bool:
+def _has_frames(hand: HandRecording) -> bool:
     assert hand.valid is not None  # filled in on construction
     return bool(hand.valid.any())
 

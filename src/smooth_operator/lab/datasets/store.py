@@ -96,7 +96,7 @@ class Store:
                     for position, item in enumerate(pack.index["items"]):
                         files = tuple(SourceFile(**file) for file in item["files"])
                         if accept(item["item"], item["asked"], files) and _shown(item["clips"]):
-                            packs[item["item"]] = _kept(path, position, item["clips"])
+                            packs[item["item"]] = _pack_entry(path, position, item["clips"])
             except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile):
                 with contextlib.suppress(OSError):
                     path.unlink()
@@ -169,7 +169,7 @@ def write_pack(folder: Path, items: Sequence[Finished]) -> dict[str, Kept]:
             )
         content = to_json({"items": index, "configs": [*configs]})
         pack.writestr(zipfile.ZipInfo(INDEX, _DATE), content)
-    return {each["item"]: _kept(path, at, each["clips"]) for at, each in enumerate(index)}
+    return {each["item"]: _pack_entry(path, at, each["clips"]) for at, each in enumerate(index)}
 
 
 def clear_unfinished(folder: Path) -> int:
@@ -215,7 +215,7 @@ class _Pack:
         return replace(decoded(arrays, document), config=config)
 
 
-def _kept(path: Path, position: int, clips: Sequence[Mapping[str, Any]]) -> Kept:
+def _pack_entry(path: Path, position: int, clips: Sequence[Mapping[str, Any]]) -> Kept:
     keys = [str(clip["key"]) for clip in clips]
     sides: set[Side] = {side for clip in clips for side in clip["commands"]}
     return Kept(

@@ -152,7 +152,7 @@ def read_item(item: Item, recipe: Recipe) -> Iterator[ReadClip]:
     if item.ref is not None:
         reader = DATASETS.load(item.ref.layout)
         clip = reader.read(item.ref, own.reading)
-        yield _taken(item, item.ref, clip, item.name, recipe)
+        yield _read_clip(item, item.ref, clip, item.name, recipe)
         return
     with ExitStack() as stack:
         path = stack.enter_context(fetched(item.address))
@@ -167,10 +167,10 @@ def read_item(item: Item, recipe: Recipe) -> Iterator[ReadClip]:
         for ref in refs[:_MOST_CLIPS]:
             stem = item.name.rsplit(".", 1)[0]
             name = stem if len(refs) == 1 else f"{stem}/{ref.name}"
-            yield _taken(item, ref, reader.read(ref, own.reading), name, recipe)
+            yield _read_clip(item, ref, reader.read(ref, own.reading), name, recipe)
 
 
-def _taken(item: Item, ref: ClipRef, clip: Clip, name: str, recipe: Recipe) -> ReadClip:
+def _read_clip(item: Item, ref: ClipRef, clip: Clip, name: str, recipe: Recipe) -> ReadClip:
     """A clip with its name, its files and its key."""
     meshes = [track.mesh for track in clip.objects if recipe.with_objects and track.mesh]
     paths = [path for path in (*(clip.source or (ref.path,)), *meshes) if path.is_file()]

@@ -48,7 +48,9 @@ ITERATIONS: Final = 80
 """Newton steps at most: contacts bend the cost more than landmarks do."""
 
 _KEPT: Final = 4
-_known: OrderedDict[tuple[str, TrajectoryMethodConfig, int], ObjectAwareRetargeter] = OrderedDict()
+_RETARGETERS: OrderedDict[tuple[str, TrajectoryMethodConfig, int], ObjectAwareRetargeter] = (
+    OrderedDict()
+)
 
 
 class ObjectAware(NamedTuple):
@@ -211,12 +213,12 @@ def object_aware(clip: Clip, side: Side, plan: Plan) -> ObjectAware:
 def _retargeter(hand: Hand, config: TrajectoryMethodConfig, seed: int) -> ObjectAwareRetargeter:
     """Programs are compiled once for a hand and a configuration."""
     key = (fingerprint(hand), config, seed)
-    retargeter = _known.pop(key, None)
+    retargeter = _RETARGETERS.pop(key, None)
     if retargeter is None:
         dispatch_here()
         with jax_cache():
             retargeter = ObjectAwareRetargeter(hand, config, seed=seed)
-    _known[key] = retargeter
-    while len(_known) > _KEPT:
-        _known.popitem(last=False)
+    _RETARGETERS[key] = retargeter
+    while len(_RETARGETERS) > _KEPT:
+        _RETARGETERS.popitem(last=False)
     return retargeter

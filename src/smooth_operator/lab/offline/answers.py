@@ -44,11 +44,11 @@ def answers(plans: Sequence[Plan], *, keep: bool = True) -> list[Answer]:
     """
     dispatch_here()
     with jax_cache():  # the first batch compiles
-        retargeter = _kept(plans[0]) if keep else runner(plans[0])
+        retargeter = _runner(plans[0]) if keep else runner(plans[0])
         return retargeter.batch([each.recording for each in plans])
 
 
-def _kept(todo: Plan) -> Runner:
+def _runner(todo: Plan) -> Runner:
     key = tools_of(todo)
     if key not in _SHELF:
         _SHELF[key] = runner(todo)

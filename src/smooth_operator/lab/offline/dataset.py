@@ -98,7 +98,7 @@ def survey(
                 failed = Entry(item.name, item.output, "failed", item.frames, reason=reason)
                 settled.append(failed)
             elif config is not None:
-                settled.append(_kept(item, config))
+                settled.append(_finished_entry(item, config))
             else:
                 jobs.append(Job(item, path, request))
                 remade += path.exists()
@@ -176,7 +176,7 @@ def _refusal(path: Path, output: Path) -> str | None:
     return foreign(path)
 
 
-def _kept(item: Found, config: dict[str, Any]) -> Entry:
+def _finished_entry(item: Found, config: dict[str, Any]) -> Entry:
     commands = config["commands"]
     return Entry(
         item.name,

@@ -96,13 +96,13 @@ class TrajectoryRetargeter:
 
             return jax.lax.scan(one, memory, (points, usable))
 
-        def costs(q: Array, goal: FrameGoal, seen: Array) -> tuple[Array, Array, Array, Array]:
+        def costs(q: Array, goal: FrameGoal, valid: Array) -> tuple[Array, Array, Array, Array]:
             cost, gradient, hessian = jax.vmap(objective.value_grad_hess)(q, goal)
             tracking = cost - jax.vmap(objective.regularisation)(q, goal)
             return (
-                jnp.where(seen, cost, 0.0),
-                jnp.where(seen[:, None], gradient, 0.0),
-                jnp.where(seen[:, None, None], hessian, 0.0),
+                jnp.where(valid, cost, 0.0),
+                jnp.where(valid[:, None], gradient, 0.0),
+                jnp.where(valid[:, None, None], hessian, 0.0),
                 tracking,
             )
 
@@ -192,22 +192,22 @@ class TrajectoryRetargeter:
     ) -> tuple[CommandTrajectory, Float[np.ndarray, " T"]]:
         """One recording, from the first answers to it."""
         count, hand = len(recording), self.hand
-        seen = first.status == Status.OK
+        valid = first.status == Status.OK
         q, limits = np.asarray(first.joint_positions)[:, list(hand.actuated)], hand.limits
         neutral, joints = hand.neutral, len(hand.limits)
         if extra is not None:
             q = np.concatenate([q, extra.start], axis=1)
             limits = np.concatenate([limits, extra.limits])
             neutral = np.concatenate([neutral, np.zeros(len(extra.limits))])
-        stretches = segments(seen, recording.stamps, self.config.bridge)
-        goals, reaches = self._goals(recording, seen, stretches)
+        stretches = segments(valid, recording.stamps, self.config.bridge)
+        goals, reaches = self._goals(recording, valid, stretches)
         loss = np.full(count, np.nan)
         done = 0
         for stretch in stretches:
-            for keep, found, tracking in self._solved(
-                recording, stretch, q, limits, (goals, reaches), seen, extra
+            for keep, poses, tracking in self._solved(
+                recording, stretch, q, limits, (goals, reaches), valid, extra
             ):
-                q[keep], loss[keep] = found, tracking
+                q[keep], loss[keep] = poses, tracking
                 advance(keep.stop - done)
                 done = keep.stop
         advance(count - done)
@@ -223,10 +223,10 @@ class TrajectoryRetargeter:
             np.full(count, np.nan),
             first.status,
         )
-        return commands, np.where(seen, loss, np.nan)
+        return commands, np.where(valid, loss, np.nan)
 
     def _goals(
-        self, recording: HandRecording, seen: Bool[np.ndarray, " T"], stretches: list[slice]
+        self, recording: HandRecording, tracked: Bool[np.ndarray, " T"], stretches: list[slice]
     ) -> tuple[FrameGoal, Float[np.ndarray, "T F 3"]]:
         """What each frame asks, and the human's wrist to fingertip vectors [m]."""
         landmarks, valid = self.causal.program_landmarks(recording.landmarks), recording.valid
@@ -240,12 +240,12 @@ class TrajectoryRetargeter:
         points = np.concatenate(aligned)[:count]
         needs = list(self.causal.shared.method.needs)
         for stretch in stretches:
-            noise = tracker_noise(points[stretch][:, needs], seen[stretch])
+            noise = tracker_noise(points[stretch][:, needs], tracked[stretch])
             jump = self.config.jump + self.config.noise * noise
-            points[stretch] = without_jumps(points[stretch], seen[stretch], jump)
+            points[stretch] = without_jumps(points[stretch], tracked[stretch], jump)
         memory, parts = self._begin(), []
         for part in chunks:
-            memory, goal = self._follow(memory, _filled(points[part]), _filled(seen[part]))
+            memory, goal = self._follow(memory, _filled(points[part]), _filled(tracked[part]))
             parts.append(goal)
         goals, reaches = jax.tree.map(lambda values: values[:count], _stacked(parts))
         return goals, reaches
@@ -256,8 +256,8 @@ class TrajectoryRetargeter:
         stretch: slice,
         start: Float[np.ndarray, "T v"],
         limits: Float[np.ndarray, "v 2"],
-        asked: tuple[FrameGoal, Float[np.ndarray, "T F 3"]],
-        seen: Bool[np.ndarray, " T"],
+        goals_and_reaches: tuple[FrameGoal, Float[np.ndarray, "T F 3"]],
+        valid: Bool[np.ndarray, " T"],
         extra: ExtraTerms | None,
     ) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
         """Frames that are settled, with their poses and tracking losses."""
@@ -265,47 +265,49 @@ class TrajectoryRetargeter:
         period = stamps[1] if len(stamps) > 1 else 1.0
         ahead = int(np.ceil(AHEAD_S / period)) if period > 0 else 0
         settled = np.empty((0, start.shape[1]))
-        goals, reaches = asked
+        goals, reaches = goals_and_reaches
         joints, more = len(self.hand.limits), len(limits) - len(self.hand.limits)
         for begin, keep, end in windows(len(stamps), WINDOW, ahead):
-            known = settled[-ORDERS:]
-            before = begin - len(known)
+            before_window = settled[-ORDERS:]
+            before = begin - len(before_window)
             part = slice(stretch.start + before, stretch.start + end)
-            wanted = jax.tree.map(lambda values, part=part: values[part], goals)
-            guess = np.concatenate([known, start[part][len(known) :]])
+            window_goals = jax.tree.map(lambda values, part=part: values[part], goals)
+            guess = np.concatenate([before_window, start[part][len(before_window) :]])
             tracking = np.empty(0)
 
-            def costs(q: np.ndarray, wanted: FrameGoal = wanted, part: slice = part) -> FrameBlocks:
+            def costs(
+                q: np.ndarray, own: FrameGoal = window_goals, part: slice = part
+            ) -> FrameBlocks:
                 nonlocal tracking
-                *found, tracking = self._all_costs(q[:, :joints], wanted, seen[part])
+                *blocks, tracking = self._all_costs(q[:, :joints], own, valid[part])
                 if extra is None:
-                    return found[0], found[1], found[2]
+                    return blocks[0], blocks[1], blocks[2]
                 widths = ((0, 0), (0, more), (0, more))
-                wide = [np.pad(v, widths[: v.ndim]) for v in found]
+                wide = [np.pad(v, widths[: v.ndim]) for v in blocks]
                 added = extra.costs(q, part)
                 return wide[0] + added[0], wide[1] + added[1], wide[2] + added[2]
 
-            led = self._led(reaches[part], stamps[before:end], seen[part])
-            found = smooth_trajectory(
+            led = self._led(reaches[part], stamps[before:end], valid[part])
+            trajectory = smooth_trajectory(
                 costs,
                 guess,
                 stamps[before:end],
                 limits,
                 self.config.future,
-                len(known),
+                len(before_window),
                 led,
             ).q
-            costs(found)
-            new = slice(len(known), len(known) + keep - begin)
-            settled = found[: new.stop]
+            costs(trajectory)
+            new = slice(len(before_window), len(before_window) + keep - begin)
+            settled = trajectory[: new.stop]
             at = slice(stretch.start + begin, stretch.start + keep)
-            yield at, found[new], tracking[new]
+            yield at, trajectory[new], tracking[new]
 
     def _led(
         self,
         reaches: Float[np.ndarray, "T F 3"],
         stamps: Float[np.ndarray, " T"],
-        seen: Bool[np.ndarray, " T"],
+        valid: Bool[np.ndarray, " T"],
     ) -> Led | None:
         """Fingertips moving as the human's, where two frames in turn were seen."""
         future = self.config.future
@@ -317,7 +319,7 @@ class TrajectoryRetargeter:
         if future.motion_speed:
             speed = np.linalg.norm(steps, axis=-1) / period[:, None]
             weights = weights / (1 + (speed / future.motion_speed) ** 2)
-        weights = np.where((seen[1:] & seen[:-1])[:, None], weights, 0.0)
+        weights = np.where((valid[1:] & valid[:-1])[:, None], weights, 0.0)
 
         def points(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             joints = len(self.hand.limits)
@@ -335,14 +337,14 @@ class TrajectoryRetargeter:
         return Led(points, steps.reshape(len(steps), -1), np.repeat(weights, 3, axis=1))
 
     def _all_costs(
-        self, q: np.ndarray, goals: FrameGoal, seen: np.ndarray
+        self, q: np.ndarray, goals: FrameGoal, valid: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         parts = []
         for start in range(0, len(q), CHUNK):
             part = slice(start, start + CHUNK)
             goal = jax.tree.map(lambda values, part=part: _filled(values[part]), goals)
             parts.append(
-                self._costs(_filled(q[part].astype(np.float32)), goal, _filled(seen[part]))
+                self._costs(_filled(q[part].astype(np.float32)), goal, _filled(valid[part]))
             )
         cost, gradient, hessian, tracking = (
             np.concatenate([np.asarray(p, np.float64) for p in column])[: len(q)]

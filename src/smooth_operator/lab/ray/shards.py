@@ -115,7 +115,7 @@ class ShardWorker:
         if self._trouble:
             return ShardReport(shard, error=self._trouble, **own)
         try:
-            counts = self._finished(shard) or self._made(shard)
+            counts = self._finished(shard) or self._state_of(shard)
         except SmoothOperatorError as error:
             # A second attempt, by a worker that was taken for dead, may have finished it meanwhile.
             counts = self._finished(shard) or {"error": describe(error)}
@@ -129,7 +129,7 @@ class ShardWorker:
         content = read_report(self._run, shard)
         return None if content is None else {**content["counts"], "kept": True}
 
-    def _made(self, shard: int) -> dict[str, Any]:
+    def _state_of(self, shard: int) -> dict[str, Any]:
         began = time.perf_counter()
         items = {item.name: item for item in shard_items(self._run.clips, shard)}
         folder = self._run.packs(shard)

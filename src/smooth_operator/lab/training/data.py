@@ -121,7 +121,7 @@ def training_data(
         held if held.counts.min() > 0 else None,
         _reach(hand, settings.seed, points, settings.margin),
         names,
-        {"train": _seen(train), "validation": _seen(validation)},
+        {"train": _count_finite(train), "validation": _count_finite(validation)},
     )
 
 
@@ -136,7 +136,7 @@ def _tips(
     return align_recording(recording, hand, alignment)[:, list(human_tips(hand))]
 
 
-def _seen(tips: Float[np.ndarray, "T F 3"]) -> int:
+def _count_finite(tips: Float[np.ndarray, "T F 3"]) -> int:
     return int(np.isfinite(tips).all(axis=-1).any(axis=-1).sum())
 
 

@@ -66,14 +66,14 @@ class TracedRun:
         count, lacking = len(recording), -len(recording) % CHUNK
         frames = [np.concatenate([each, np.repeat(each[-1:], lacking, 0)]) for each in frames]
         frames[1][count:] = False
-        given = jnp.asarray([values[path] for path in self._paths], jnp.float32)
-        state, found, status = retargeter.init().trees, [], []
+        parameters = jnp.asarray([values[path] for path in self._paths], jnp.float32)
+        state, poses, status = retargeter.init().trees, [], []
         for start in range(0, count, CHUNK):
             part = slice(start, start + CHUNK)
-            state, answer = self._chunk(given, state, *(each[part] for each in frames))
-            found.append(np.asarray(answer.q, float))
+            state, answer = self._chunk(parameters, state, *(each[part] for each in frames))
+            poses.append(np.asarray(answer.q, float))
             status.append(np.asarray(answer.status))
-        q = np.clip(np.concatenate(found)[:count], hand.limits[:, 0], hand.limits[:, 1])
+        q = np.clip(np.concatenate(poses)[:count], hand.limits[:, 0], hand.limits[:, 1])
         return CommandTrajectory(
             hand.full_configuration(q),
             hand.joint_names,

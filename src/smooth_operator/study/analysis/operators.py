@@ -109,7 +109,7 @@ def flow_text(flow: Flow) -> str:
         parts.append(f"{len(flow.started)} started")
         parts.append(f"{len(flow.completed)} completed all blocks")
     left = [
-        f"{code} withdrew ({', '.join(filter(None, (one.reason, _kept(one.keep))))})"
+        f"{code} withdrew ({', '.join(filter(None, (one.reason, _keep_text(one.keep))))})"
         for code, one in flow.withdrawn.items()
     ]
     left += [f"{code} took the place of {before}" for code, before in flow.replaces.items()]
@@ -118,7 +118,7 @@ def flow_text(flow: Flow) -> str:
     return f"{text}; {len(flow.analysed)} were analysed." if text else ""
 
 
-def _kept(keep: bool) -> str:
+def _keep_text(keep: bool) -> str:
     return "data kept" if keep else "data left out"
 
 

@@ -339,7 +339,7 @@ def step_view(progress: Progress, named: Named, words: TlxWords = ENGLISH) -> di
     if (last := progress.undoable) is not None:
         view["undoable"] = {
             "number": last.number,
-            "text": last.event.in_words(named, sums=_known(progress, last)),
+            "text": last.event.in_words(named, sums=_is_known(progress, last)),
         }
     if step.block is None:
         return view
@@ -423,14 +423,14 @@ def log_view(progress: Progress, named: Named) -> list[dict[str, Any]]:
             "at": _milliseconds(record.at),
             "author": record.author,
             "kind": record.event.kind,
-            "text": record.event.in_words(named, sums=_known(progress, record)),
+            "text": record.event.in_words(named, sums=_is_known(progress, record)),
             "undone": record.number in undone,
         }
         for record in reversed(progress.records[-_LONGEST_LOG:])
     ]
 
 
-def _known(progress: Progress, record: Record) -> bool:
+def _is_known(progress: Progress, record: Record) -> bool:
     """True if who scores may know the workload of an event: not before its block is over."""
     event = record.event
     return not isinstance(event, QuestionnaireAnswered) or any(

@@ -342,8 +342,8 @@ class Console:
         with contextlib.suppress(SmoothOperatorError):
             self._service.propose(operator)
 
-    def _in_thread(self, job: Callable[..., Any], *given: Any) -> asyncio.Future[Any]:
-        return asyncio.get_running_loop().run_in_executor(self._threads, job, *given)
+    def _in_thread(self, job: Callable[..., Any], *arguments: Any) -> asyncio.Future[Any]:
+        return asyncio.get_running_loop().run_in_executor(self._threads, job, *arguments)
 
 
 def _role_of(path: str) -> Role:

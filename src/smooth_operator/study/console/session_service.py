@@ -384,7 +384,9 @@ class SessionService:
         with store_failures():
             version, counts = self._store.newest()
             plan = self._store.plan
-            everyone = [self._seen(code, (version, counts.get(code, 0))) for code in plan.codes]
+            everyone = [
+                self._progress_at(code, (version, counts.get(code, 0))) for code in plan.codes
+            ]
         current = next((p for p in everyone if p.operator == self.operator), None)
         view = experimenter_view(plan, everyone, current, self._blind, self._words)
         view["teleop"] = None if self._hand is None else self._hand.view(current)
@@ -400,14 +402,14 @@ class SessionService:
             version, counts = self._store.newest()
             return (self.operator, version, *sorted(counts.items()))
 
-    def _seen(self, operator: str, mark: tuple[int, int]) -> Progress:
+    def _progress_at(self, operator: str, mark: tuple[int, int]) -> Progress:
         """An operator's progress, read again only where something was written."""
         cached = self._known_progress.get(operator)
         if cached is None or cached[0] != mark:
             cached = self._known_progress[operator] = (mark, self._store.progress(operator))
         return cached[1]
 
-    def _known(self, command: Command) -> int | None:
+    def _known_number(self, command: Command) -> int | None:
         """Number of the event that this very command has caused already."""
         written = self._store.recorded(command.token)
         if written is None:
@@ -426,7 +428,7 @@ class SessionService:
         more: Mapping[str, Any] | None = None,
     ) -> int:
         with self._lock:
-            if (number := self._known(command)) is not None:
+            if (number := self._known_number(command)) is not None:
                 return number
             progress = self._due(command)
             elapsed = self._elapsed(progress, at)
@@ -437,7 +439,7 @@ class SessionService:
                 ).number
             except StudyError:
                 # A connection that was lost may have committed what it did not acknowledge.
-                if (number := self._known(command)) is None:
+                if (number := self._known_number(command)) is None:
                     raise
             if isinstance(event, TrialScored) and elapsed is not None and measured_s is None:
                 self._note_doubt(command, progress, elapsed)
@@ -470,7 +472,7 @@ class SessionService:
         with self._switching if starts else nullcontext():
             if starts:
                 self._check_hand_is_free()
-            if (number := self._known(command)) is not None:
+            if (number := self._known_number(command)) is not None:
                 return number
             with self._lock:
                 progress = self._due(command)

@@ -161,9 +161,9 @@ class Switch:
             right = running == target
             state: State = "ready" if right else "unknown"
             if not right and self.heard.state == "refused":
-                self._hear(_seen(status, "refused", self.heard.detail))
+                self._hear(_state_of(status, "refused", self.heard.detail))
             else:
-                self._hear(_seen(status, state))
+                self._hear(_state_of(status, state))
             return right
 
     def remember(self, condition: Condition, answered: tuple[str, str | None] | None) -> None:
@@ -175,7 +175,7 @@ class Switch:
         """Sees whether it answers, where nothing particular has to run. Never raises."""
         with self._turn:
             try:
-                self._hear(_seen(self.ask("status"), "ready"))
+                self._hear(_state_of(self.ask("status"), "ready"))
             except StudyError:
                 return
 
@@ -252,7 +252,7 @@ def _default_preset(running: tuple[str, str | None]) -> str | None:
         return running[1]
 
 
-def _seen(status: Mapping[str, Any], state: State, detail: str = "") -> Heard:
+def _state_of(status: Mapping[str, Any], state: State, detail: str = "") -> Heard:
     task, operators = status.get("task"), status.get("operators")
     sources = operators.items() if isinstance(operators, Mapping) else ()
     rate, there = status.get("rate"), status.get("object")
@@ -287,7 +287,7 @@ class SceneTrials:
         self._switch = switch
         self._simulated = False  # whether there was ever a scene
         self._given_up = threading.Event()
-        self._seen: object = None  # start of the logged trial that the simulation ran
+        self._state_of: object = None  # start of the logged trial that the simulation ran
 
     @property
     def waiting(self) -> bool:
@@ -443,19 +443,19 @@ class SceneTrials:
                 trial = self._switch.follow()
         if trial is None or not same_trial(trial.about, progress):
             return None
-        self._seen = running.started
+        self._state_of = running.started
         right = trial.phase in ("running", "done") and trial.resets == running.resets
         return trial if right else None
 
     def lost(self, progress: Progress) -> str:
         """A note, once, where the simulation no longer runs the trial that it ran."""
         running, heard = progress.running, self._switch.heard
-        if running is None or heard.state == "gone" or self._seen != running.started:
+        if running is None or heard.state == "gone" or self._state_of != running.started:
             return ""
         trial = heard.trial
         if self.in_scene(running.block) and trial and same_trial(trial.about, progress):
             return ""
-        self._seen = None
+        self._state_of = None
         return (
             f"the simulation no longer runs trial {running.number}, but has {_named(heard.task)}: "
             "void it, or score what was seen"

@@ -28,16 +28,16 @@ def shuffled(items: Iterable[str], seed: int, what: str) -> list[str]:
     return sorted(items, key=lambda item: lot(seed, what, item))
 
 
-def blind_labels(names: Sequence[str], taken: Collection[str], seed: int) -> dict[str, str]:
+def blind_labels(names: Sequence[str], used: Collection[str], seed: int) -> dict[str, str]:
     """Names of trees for conditions, drawn so that none shows which condition it is.
 
     Args:
         names: of the conditions.
-        taken: labels that can't be used.
+        used: labels that can't be used.
         seed: of the draw.
     """
-    free = [tree for tree in shuffled(_TREES, seed, "label") if tree not in taken]
-    free += [f"Tree-{k}" for k in range(1, len(names) + 1) if f"Tree-{k}" not in taken]
+    free = [tree for tree in shuffled(_TREES, seed, "label") if tree not in used]
+    free += [f"Tree-{k}" for k in range(1, len(names) + 1) if f"Tree-{k}" not in used]
     return dict(zip(shuffled(names, seed, "labelled"), free, strict=False))
 
 

@@ -31,7 +31,7 @@ def status_line(runs: Sequence[Playback], frame: int) -> str:
         f"<b>frame {frame}</b>/{len(times) - 1}",
         f"<b>{times[frame]:.2f}</b>/{times[-1]:.2f} s",
     )
-    lines = [_said(run, frame, named=len(runs) > 1) for run in runs]
+    lines = [_status_text(run, frame, named=len(runs) > 1) for run in runs]
     return (
         f'<div id="playback-status" data-frame="{frame}" role="status" '
         'style="padding:0.4em 0.8em;font-size:0.875em;font-variant-numeric:tabular-nums">'
@@ -39,7 +39,7 @@ def status_line(runs: Sequence[Playback], frame: int) -> str:
     )
 
 
-def _said(run: Playback, frame: int, named: bool) -> str:
+def _status_text(run: Playback, frame: int, named: bool) -> str:
     try:
         status = Status(int(run.status[frame]))
         reason, good = status.reason, status is Status.OK

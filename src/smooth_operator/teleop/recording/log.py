@@ -218,7 +218,7 @@ class LogWriter:
             (STATUS, new[STATUS](stamp=stamp, status=int(status), reason=status.reason)),
         ]
         if loop is not None:
-            times = {name: _known(getattr(loop, name)) for name in ("received", "tracker_stamp")}
+            times = {name: _or_nan(getattr(loop, name)) for name in ("received", "tracker_stamp")}
             messages.append((LOOP, _message(new[LOOP], stamp, loop, **times)))
         if wrist is not None:
             messages.append((WRIST, _message(new[WRIST], stamp, wrist)))
@@ -428,14 +428,14 @@ def _nanoseconds(stamp: float) -> int:
     return min(round(min(max(stamp * 1e9, 0.0), float(_MAX_LOG_TIME))), _MAX_LOG_TIME)
 
 
-def _known(value: float | None) -> float:
+def _or_nan(value: float | None) -> float:
     return math.nan if value is None else float(value)
 
 
 def _timing(new: Any, stamp: float, latency_ms: float | None, stages: Mapping[str, Any]) -> Any:
-    message = new(stamp=stamp, latency_ms=_known(latency_ms))
+    message = new(stamp=stamp, latency_ms=_or_nan(latency_ms))
     for name, ms in stages.items():
-        message.stages.add(name=name, ms=_known(ms))
+        message.stages.add(name=name, ms=_or_nan(ms))
     return message
 
 

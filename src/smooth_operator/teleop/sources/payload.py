@@ -145,7 +145,7 @@ def read_payload(
         )
     count, dtype = binary
     points = np.frombuffer(data, dtype).reshape(count, 3).astype(np.float64)
-    frame = hand_frame(points, stamp=received, side=_known(side), layout=settings.layout)
+    frame = hand_frame(points, stamp=received, side=_checked_side(side), layout=settings.layout)
     return (Reading(frame),)
 
 
@@ -235,7 +235,7 @@ def read_side(label: Any, otherwise: Side | None) -> Side:
         RecordingError: it names another, or none where none is known.
     """
     if label is None:
-        return _known(otherwise)
+        return _checked_side(otherwise)
     try:
         return as_side(str(label))
     except ConfigError:
@@ -315,7 +315,7 @@ def _beside(message: Mapping[str, Any], key: str, shape: tuple[int, ...]) -> np.
     return value
 
 
-def _known(side: Side | None) -> Side:
+def _checked_side(side: Side | None) -> Side:
     if side is None:
         raise RecordingError(
             f"{_WHERE} does not say which hand it is; send JSON with 'side', or take one hand only "

@@ -186,13 +186,13 @@ def comparison_tables(comparison: Comparison) -> Html:
                 for change in changed
             ]
             inside = table([escape(h) for h in ("metric", "before", "now", "difference")], rows)
-            parts.append(details(f"All differences: {_said(cell.key)}", inside))
+            parts.append(details(f"All differences: {_key_text(cell.key)}", inside))
     for title, keys in (
         ("Only in this benchmark", comparison.only_here),
         ("Only in the other", comparison.only_there),
     ):
         if keys:
-            listed = join(element("li", escape(_said(key))) for key in keys)
+            listed = join(element("li", escape(_key_text(key))) for key in keys)
             many = f"{title}: {len(keys)} cell{'s' if len(keys) > 1 else ''}"
             parts.append(details(many, element("ul", listed)))
     return join(parts)
@@ -257,7 +257,7 @@ def _change(change: Change | None) -> Html:
     return element("td", Html(f"{text}{mark}"), **({"class_": css} if css else {}))
 
 
-def _said(key: Sequence[str]) -> str:
+def _key_text(key: Sequence[str]) -> str:
     recording, hand, side, method, preset = key
     return f"{recording} on {hand} {side}, {method_label(method, preset)}"
 

@@ -249,7 +249,7 @@ def _collect(collected: _Found, value: Any, expects: str) -> None:
     )
 
 
-def _given(value: Any) -> bool:
+def _is_present(value: Any) -> bool:
     """Whether there is something: None and an empty list stand for no hand."""
     return value is not None and not (isinstance(value, list | tuple) and not value)
 
@@ -264,7 +264,7 @@ def _of_frames(collected: _Found, frames: Iterable[tuple[Any, Any]]) -> None:
             number = collected.frame(frame_name, position)
             if "left_pos" in frame or "right_pos" in frame:
                 for side in SIDES:
-                    if _given(frame.get(f"{side}_pos")):
+                    if _is_present(frame.get(f"{side}_pos")):
                         points = _numbers(collected, frame[f"{side}_pos"], (21, 3), f"{side}_pos")
                         collected.add(number, side, points, np.zeros(3))
                 continue
@@ -288,7 +288,7 @@ def _of_hand(collected: _Found, frame: int, hand: Any) -> None:
     inner = hand.get("wilor_preds", hand)
     if not isinstance(inner, dict):
         return  # WiLoR-mini finds a hand and says no more of it
-    key = next((key for key in (*_POINTS, "joints_cam") if _given(inner.get(key))), None)
+    key = next((key for key in (*_POINTS, "joints_cam") if _is_present(inner.get(key))), None)
     if key is None:
         return
     points = _numbers(collected, inner[key], (21, 3), key)
@@ -359,7 +359,7 @@ def _of_arrays(collected: _Found, arrays: Mapping[Side, Any]) -> None:
 
 def _of_sides(collected: _Found, tables: Mapping[Side, Any]) -> None:
     for side, table in tables.items():
-        if not isinstance(table, dict) or not _given(table.get("joints_cam")):
+        if not isinstance(table, dict) or not _is_present(table.get("joints_cam")):
             continue
         points = _numbers(collected, table["joints_cam"], (None, 21, 3), f"{side}/joints_cam")
         ids = _numbers(collected, table.get("frame_ids"), (len(points),), f"{side}/frame_ids")

@@ -398,7 +398,7 @@ class HandLandmarker:
         except (RuntimeError, ValueError) as error:
             raise SourceError(f"MediaPipe failed on a picture: {error}") from error
         return [
-            _seen(label[0], world, flat, height / width)
+            _seen_hand(label[0], world, flat, height / width)
             for label, world, flat in zip(
                 result.handedness, result.hand_world_landmarks, result.hand_landmarks, strict=True
             )
@@ -412,7 +412,7 @@ class HandLandmarker:
             self._landmarker._handle = None  # or it would try again, and complain
 
 
-def _seen(label: Any, world: Any, flat: Any, aspect: float) -> SeenHand:
+def _seen_hand(label: Any, world: Any, flat: Any, aspect: float) -> SeenHand:
     at = np.array([(p.x, p.y, p.z) for p in flat])  # shares of the width, height and width
     inside = np.asarray(((at[:, :2] >= 0.0) & (at[:, :2] <= 1.0)).all(axis=1))
     return SeenHand(
