@@ -12,9 +12,12 @@ rounding.
 
 from __future__ import annotations
 
+import heapq
+import itertools
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Any, Final, TypeAlias
 
@@ -25,7 +28,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from smooth_operator.compilation.compiled_program import CompiledProgram
-from smooth_operator.hands.hand import Hand
+from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.landmarks import NUM_LANDMARKS
 from smooth_operator.methods.method import Method, MethodConfig
@@ -48,38 +51,56 @@ Progress: TypeAlias = Callable[[Iterable[int]], Iterable[int]]
 
 @dataclass(frozen=True, eq=False)
 class Answers:
-    """What came of one recording.
+    """Commands for the frames of ``Tracks``.
 
     Attributes:
-        q: (T, m) commands of the actuated joints [rad], as the program gave them.
-        status: (T,) ``Status`` values.
-        loss: (T,) tracking losses.
+        q: (S, m) commands of the actuated joints [rad], as the program gave them.
+        status: (S,) ``Status`` values.
+        loss: (S,) tracking losses.
     """
 
-    q: Float[np.ndarray, "T m"]
+    q: Float[np.ndarray, "S m"]
     status: np.ndarray
-    loss: Float[np.ndarray, " T"]
+    loss: Float[np.ndarray, " S"]
 
 
 @dataclass(frozen=True, eq=False)
-class Track:
-    """One recording as the program takes it.
+class Tracks:
+    """Recordings as the program takes them: the frames of all, one recording after the other.
 
     Attributes:
-        landmarks: (T, 21, 3) float32 [m].
-        valid: (T, 21) which of them are known.
-        ticks: (T,) stamps in microseconds modulo 2^32.
+        landmarks: (S, 21, 3) float32 [m].
+        valid: (S, 21) which of them are known.
+        ticks: (S,) stamps in microseconds modulo 2^32.
+        lengths: frames of each recording; their sum is S.
     """
 
-    landmarks: Float[np.ndarray, "T 21 3"]
+    landmarks: Float[np.ndarray, "S 21 3"]
     valid: np.ndarray
     ticks: np.ndarray
+    lengths: Sequence[int]
 
-    @classmethod
-    def of(cls, recording: HandRecording, landmarks: Float[np.ndarray, "T 21 3"]) -> Track:
-        """A recording with its landmarks as the program takes them."""
-        assert recording.valid is not None  # filled in on construction
-        return cls(landmarks, recording.valid, ticks_of(recording.stamps))
+    @property
+    def slices(self) -> list[slice]:
+        """The frames of each recording."""
+        ends = np.cumsum([0, *self.lengths]).tolist()
+        return [slice(*pair) for pair in itertools.pairwise(ends)]
+
+
+@dataclass(frozen=True, eq=False)
+class BatchArrays:
+    """What ``Retargeter.batch_arrays`` returns.
+
+    Attributes:
+        q: (R, T, m) float32 commands of the actuated joints, within their limits [rad];
+            ``Hand.full_configuration`` gives the positions of all joints.
+        status: (R, T) ``Status`` values.
+        tracking_loss: (R, T) tracking losses; NaN where a command was held.
+    """
+
+    q: Float[np.ndarray, "R T m"]
+    status: np.ndarray
+    tracking_loss: Float[np.ndarray, "R T"]
 
 
 def progressing(total: int, track: Progress | None) -> Callable[[int], None]:
@@ -93,6 +114,8 @@ def progressing(total: int, track: Progress | None) -> Callable[[int], None]:
 
     def advance(count: int) -> None:
         nonlocal left
+        if track is None:
+            return
         left -= count
         for _ in range(count + (left == 0)):  # once more at the end, so that a bar knows it
             next(steps, None)
@@ -170,34 +193,45 @@ class LaneProgram:
         )
 
     def run(
-        self, initial: RetargetState, tracks: Sequence[Track], track: Progress | None = None
-    ) -> list[Answers]:
+        self, initial: RetargetState, tracks: Tracks, track: Progress | None = None
+    ) -> Answers:
         """Every recording, each from the same state.
+
+        While the device works on a block, a thread lays out the inputs of the next.
 
         Args:
             initial: the state before a first frame.
             tracks: the recordings.
             track: wraps the iteration over all frames, for a progress bar.
-
-        Returns:
-            the answers, in the order of the recordings.
         """
-        start = jax.tree.map(self._everywhere, initial.unpacked()._replace(stamp=None))
-        answers = [self._empty(len(one.ticks), initial) for one in tracks]
-        queues = _shared_out([len(one.ticks) for one in tracks], self.lanes)
-        length = max((sum(len(tracks[i].ticks) for i in queue) for queue in queues), default=0)
-        advance = progressing(sum(len(one.ticks) for one in tracks), track)
-        state = start
-        for begin in range(0, length, BLOCK):
-            taken = list(_pieces(queues, tracks, begin, begin + BLOCK))
-            state, (q, status, loss) = self._block(start, state, *self._filled(tracks, taken))
-            q, status, loss = (np.asarray(each) for each in (q, status, loss))
-            for lane, which, source, at in taken:
-                answers[which].q[source] = q[at, lane]
-                answers[which].status[source] = status[at, lane]
-                answers[which].loss[source] = loss[at, lane]
-                advance(source.stop - source.start)
-        return answers
+        frames = _frames_of_lanes(tracks, self.lanes)
+        total = len(tracks.ticks)
+        advance = progressing(total, track)
+        # one row more, for what lanes without a recording give
+        q = np.empty((total + 1, len(initial.q)), np.float32)
+        status, loss = np.empty(total + 1, np.int8), np.empty(total + 1, np.float32)
+        blocks = [frames[at : at + BLOCK] for at in range(0, len(frames), BLOCK)]
+        state = start = jax.tree.map(self._everywhere, initial.unpacked()._replace(stamp=None))
+        waiting: list[tuple[np.ndarray, tuple[Any, ...]]] = []
+
+        def store() -> None:
+            at, parts = waiting.pop()
+            for whole, part in zip((q, status, loss), parts, strict=True):
+                whole[at] = np.asarray(part)
+            advance(np.count_nonzero(at < total))
+
+        with ThreadPoolExecutor(1) as thread:
+            inputs = [thread.submit(_filled, tracks, block) for block in blocks[:1]]
+            for i, block in enumerate(blocks):
+                filled = inputs.pop().result()
+                inputs = [thread.submit(_filled, tracks, next) for next in blocks[i + 1 : i + 2]]
+                state, parts = self._block(start, state, *filled)
+                if waiting:
+                    store()
+                waiting.append((block, parts))
+            if waiting:
+                store()
+        return Answers(q[:-1], status[:-1], loss[:-1])
 
     def _everywhere(self, leaf: Any) -> jax.Array:
         one = jnp.asarray(leaf)
@@ -206,29 +240,6 @@ class LaneProgram:
             jnp.broadcast_to(one, (self.lanes, *one.shape)), one.device
         )
         return placed
-
-    def _empty(self, count: int, initial: RetargetState) -> Answers:
-        size = len(initial.q)
-        q, loss = (np.empty(shape, np.float32) for shape in ((count, size), count))
-        return Answers(q, np.empty(count, np.int8), loss)
-
-    def _filled(self, tracks: Sequence[Track], taken: Sequence[Piece]) -> tuple[np.ndarray, ...]:
-        """The inputs of a block; lanes that have nothing left see no hand."""
-        shape = (BLOCK, self.lanes, NUM_LANDMARKS, 3)
-        landmarks = np.full(shape, np.nan, np.float32)
-        valid = np.zeros((BLOCK, self.lanes, NUM_LANDMARKS), bool)
-        ticks = np.zeros((BLOCK, self.lanes), np.uint32)
-        new = np.zeros((BLOCK, self.lanes), bool)
-        for lane, which, source, at in taken:
-            landmarks[at, lane] = tracks[which].landmarks[source]
-            valid[at, lane] = tracks[which].valid[source]
-            ticks[at, lane] = tracks[which].ticks[source]
-            new[at.start, lane] |= source.start == 0
-        return landmarks, valid, ticks, new
-
-
-Piece: TypeAlias = tuple[int, int, slice, slice]
-"""A lane, a recording, frames of it, and where they are in a block."""
 
 
 def _chosen(which: Bool[Array, " L"], new: Any, old: Any) -> Any:
@@ -240,34 +251,44 @@ def _chosen(which: Bool[Array, " L"], new: Any, old: Any) -> Any:
     return jax.tree.map(one, new, old)
 
 
-def _shared_out(lengths: Sequence[int], lanes: int) -> list[list[int]]:
-    """Which recordings each lane takes: the longest first, to the lane that ends first."""
-    queues: list[list[int]] = [[] for _ in range(lanes)]
-    filled = [0] * lanes
-    for which in sorted(range(len(lengths)), key=lambda i: (-lengths[i], i)):
-        lane = filled.index(min(filled))
-        queues[lane].append(which)
-        filled[lane] += lengths[which]
-    return queues
+def _frames_of_lanes(tracks: Tracks, lanes: int) -> np.ndarray:
+    """(B, lanes) which frame each lane takes when; one past the last where it has none.
 
-
-def _pieces(
-    queues: Sequence[Sequence[int]], tracks: Sequence[Track], begin: int, end: int
-) -> Iterable[Piece]:
-    """What the lanes hold between two places of their queues."""
+    B is a multiple of ``BLOCK``.
+    """
+    queues, slices = _shared_out(tracks.lengths, lanes), tracks.slices
+    length = max((sum(tracks.lengths[i] for i in queue) for queue in queues), default=0)
+    rows = -(-length // BLOCK) * BLOCK
+    frames = np.full((lanes, rows), len(tracks.ticks), np.int64)
     for lane, queue in enumerate(queues):
         first = 0
         for which in queue:
-            last = first + len(tracks[which].ticks)
-            low, high = max(first, begin), min(last, end)
-            if low < high:
-                yield (
-                    lane,
-                    which,
-                    slice(low - first, high - first),
-                    slice(low - begin, high - begin),
-                )
+            part = slices[which]
+            last = first + part.stop - part.start
+            frames[lane, first:last] = np.arange(part.start, part.stop)
             first = last
+    return np.ascontiguousarray(frames.T)
+
+
+def _shared_out(lengths: Sequence[int], lanes: int) -> list[list[int]]:
+    """Which recordings each lane takes: the longest first, to the lane that ends first."""
+    queues: list[list[int]] = [[] for _ in range(lanes)]
+    ends = [(0, lane) for lane in range(lanes)]
+    for which in sorted(range(len(lengths)), key=lambda i: (-lengths[i], i)):
+        filled, lane = ends[0]
+        queues[lane].append(which)
+        heapq.heapreplace(ends, (filled + lengths[which], lane))
+    return queues
+
+
+def _filled(tracks: Tracks, block: np.ndarray) -> tuple[np.ndarray, ...]:
+    """The inputs of a block; lanes that have nothing left see no hand."""
+    there = block < len(tracks.ticks)
+    at = np.where(there, block, 0)
+    valid = tracks.valid[at] & there[..., None]
+    starts = np.zeros(len(tracks.ticks), bool)
+    starts[[part.start for part in tracks.slices if part.stop > part.start]] = True
+    return tracks.landmarks[at], valid, tracks.ticks[at], starts[at] & there
 
 
 _KEPT: Final = 8
@@ -310,17 +331,67 @@ def retarget_batch(
             found.append((replace(commands, latency_ms=none), loss))
             advance(len(recording))
         return found
-    tracks = [Track.of(r, retargeter.program_landmarks(r.landmarks)) for r in recordings]
     program = lane_program(method, retargeter.config, lanes, retargeter.cache)
+    tracks = _tracks(retargeter, recordings)
     answers = program.run(retargeter.init(seed), tracks, track)
-    return [_trajectory(retargeter.hand, *each) for each in zip(recordings, answers, strict=True)]
+    low, high = retargeter.hand.limits.T
+    q = np.clip(answers.q.astype(float), low, high)
+    loss = np.where(answers.status == Status.OK, answers.loss.astype(float), np.nan)
+    return [
+        (
+            CommandTrajectory(
+                retargeter.hand.full_configuration(q[part]),
+                retargeter.hand.joint_names,
+                recording.stamps,
+                np.full(len(recording), np.nan),
+                answers.status[part],
+            ),
+            loss[part],
+        )
+        for recording, part in zip(recordings, tracks.slices, strict=True)
+    ]
 
 
-def _trajectory(
-    hand: Hand, recording: HandRecording, answers: Answers
-) -> tuple[CommandTrajectory, Float[np.ndarray, " T"]]:
-    none = np.full(len(recording), np.nan)
-    q = np.clip(answers.q.astype(float), hand.limits[:, 0], hand.limits[:, 1])
-    full = hand.full_configuration(q)
-    commands = CommandTrajectory(full, hand.joint_names, recording.stamps, none, answers.status)
-    return commands, np.where(answers.status == Status.OK, answers.loss.astype(float), np.nan)
+def _tracks(retargeter: Retargeter, recordings: Sequence[HandRecording]) -> Tracks:
+    if not recordings:
+        none = np.empty((0, NUM_LANDMARKS, 3), np.float32)
+        return Tracks(none, none[..., 0] > 0, np.empty(0, np.uint32), [])
+    landmarks, valid, stamps = (
+        np.concatenate([getattr(recording, name) for recording in recordings], dtype=kind)
+        for name, kind in (("landmarks", None), ("valid", bool), ("stamps", float))
+    )
+    lengths = [len(recording) for recording in recordings]
+    return Tracks(retargeter.program_landmarks(landmarks), valid, ticks_of(stamps), lengths)
+
+
+def retarget_arrays(
+    retargeter: Retargeter,
+    landmarks: Float[np.ndarray, "R T 21 3"],
+    stamps: Float[np.ndarray, "R T"],
+    seed: int | None = None,
+    lanes: int | None = None,
+) -> BatchArrays:
+    """See ``Retargeter.batch_arrays``."""
+    method = retargeter.shared.method
+    count, length = np.shape(landmarks)[:2] if np.ndim(landmarks) == 4 else (-1, -1)
+    if np.shape(landmarks) != (count, length, NUM_LANDMARKS, 3):
+        raise RecordingError(f"landmarks must be (R, T, 21, 3), not {np.shape(landmarks)}")
+    stamps = np.asarray(stamps, float)
+    if stamps.shape not in ((length,), (count, length)):
+        raise RecordingError(
+            f"stamps must be (R, T) or (T,), as {count} recordings of {length} frames have them, "
+            f"not {stamps.shape}"
+        )
+    if method.host is not None:
+        raise ConfigError("this method's solver runs on the host, frame by frame: use batch()")
+    ticks = np.broadcast_to(ticks_of(stamps), (count, length)).reshape(-1)
+    points = retargeter.program_landmarks(np.asarray(landmarks).reshape(-1, NUM_LANDMARKS, 3))
+    known = np.ones((len(ticks), NUM_LANDMARKS), bool)
+    tracks = Tracks(points, known, ticks, [length] * count)
+    program = lane_program(method, retargeter.config, lanes, retargeter.cache)
+    answers = program.run(retargeter.init(seed), tracks)
+    low, high = retargeter.hand.limits.T.astype(np.float32)
+    q = np.clip(answers.q, low, high, out=answers.q).reshape(count, length, -1)
+    loss = np.where(answers.status == Status.OK, answers.loss, np.float32(np.nan))
+    shape = count, length
+    return BatchArrays(q, answers.status.reshape(shape), loss.reshape(shape))

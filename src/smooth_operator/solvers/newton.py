@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from smooth_operator.errors import ConfigError
+from smooth_operator.solvers.gpu_kernels import solve_small
 
 ValueGradHess: TypeAlias = Callable[[Array], tuple[Array, Array, Array]]
 """(c, m) candidates to their costs (c,), gradients (c, m) and Hessians (c, m, m); or one point
@@ -93,9 +94,7 @@ def newton_candidates(
     held = (under & (gradient > 0)) | (over & (gradient < 0))
     matrices = jnp.where(held[:, None] | held[None, :], identity, hessian) + damping * identity
     right = jnp.broadcast_to(jnp.where(held, 0.0, gradient), (len(damping), len(limits)))
-    factor = jnp.linalg.cholesky(matrices)
-    moves = jax.scipy.linalg.cho_solve((factor, True), right[..., None])[..., 0]
-    return jnp.clip(q - moves, low, high)
+    return jnp.clip(q - solve_small(matrices, right), low, high)
 
 
 def _best(costs: Float[Array, " c"]) -> tuple[Array, Array]:

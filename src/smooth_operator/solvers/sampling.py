@@ -17,6 +17,8 @@ from jax import lax
 from jaxtyping import Array, Float, Int, UInt32
 
 from smooth_operator.errors import ConfigError
+from smooth_operator.solvers.gpu_kernels import MOST_SAMPLES as MOST_OF_KERNEL
+from smooth_operator.solvers.gpu_kernels import kernels_available, next_gaussian
 from smooth_operator.solvers.normals import (
     counter_normal_matrix,
     counter_normals,
@@ -118,10 +120,14 @@ def sample_minimise(
     mean = start.astype(dtype)
     chol = jnp.sqrt(deviation**2 + config.jitter) * jnp.eye(size, dtype=dtype)
     epsilon = config.jitter * jnp.eye(size, dtype=dtype)
+    in_kernel = kernels_available() and config.samples <= MOST_OF_KERNEL
 
     def cycle(mean: Array, chol: Array, cycle_key: Array) -> tuple[Array, Array]:
         # Line 4: draw the candidates. Line 5: compute their costs
         costs = cost(gaussian.draw_all(mean, chol, cycle_key))
+        if in_kernel:
+            shape = config.elites, config.temperature, config.jitter
+            return next_gaussian(costs, mean, chol, cycle_key, gaussian.base, limits, *shape)
         # Line 7: the M elites, best first
         rewards, index = largest(-costs, config.elites)
         elites = gaussian.draw(mean, chol, cycle_key, index)
