@@ -17,8 +17,9 @@ import itertools
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Final, TypeAlias
 
 import jax
@@ -79,6 +80,13 @@ class Tracks:
     valid: np.ndarray
     ticks: np.ndarray
     lengths: Sequence[int]
+
+    @cached_property
+    def starts(self) -> np.ndarray:
+        """(S,) which frames are the first of a recording."""
+        starts = np.zeros(len(self.ticks), bool)
+        starts[[part.start for part in self.slices if part.stop > part.start]] = True
+        return starts
 
     @property
     def slices(self) -> list[slice]:
@@ -197,7 +205,8 @@ class LaneProgram:
     ) -> Answers:
         """Every recording, each from the same state.
 
-        While the device works on a block, a thread lays out the inputs of the next.
+        While the device works on a block, a thread lays out the inputs of the next, and puts the
+        results of the last in their places.
 
         Args:
             initial: the state before a first frame.
@@ -212,25 +221,25 @@ class LaneProgram:
         status, loss = np.empty(total + 1, np.int8), np.empty(total + 1, np.float32)
         blocks = [frames[at : at + BLOCK] for at in range(0, len(frames), BLOCK)]
         state = start = jax.tree.map(self._everywhere, initial.unpacked()._replace(stamp=None))
-        waiting: list[tuple[np.ndarray, tuple[Any, ...]]] = []
 
-        def store() -> None:
-            at, parts = waiting.pop()
+        def store(at: np.ndarray, parts: tuple[Any, ...]) -> int:
             for whole, part in zip((q, status, loss), parts, strict=True):
                 whole[at] = np.asarray(part)
-            advance(np.count_nonzero(at < total))
+            return int(np.count_nonzero(at < total))
 
         with ThreadPoolExecutor(1) as thread:
-            inputs = [thread.submit(_filled, tracks, block) for block in blocks[:1]]
-            for i, block in enumerate(blocks):
-                filled = inputs.pop().result()
-                inputs = [thread.submit(_filled, tracks, next) for next in blocks[i + 1 : i + 2]]
-                state, parts = self._block(start, state, *filled)
-                if waiting:
-                    store()
-                waiting.append((block, parts))
-            if waiting:
-                store()
+            stored: list[Future[int]] = []
+            filled = [thread.submit(_filled, tracks, block) for block in blocks[:1]]
+            for block, next in itertools.zip_longest(blocks, blocks[1:]):
+                inputs = filled.pop().result()
+                if next is not None:
+                    filled.append(thread.submit(_filled, tracks, next))
+                state, parts = self._block(start, state, *inputs)
+                stored.append(thread.submit(store, block, parts))
+                if len(stored) > 1:
+                    advance(stored.pop(0).result())
+            for each in stored:
+                advance(each.result())
         return Answers(q[:-1], status[:-1], loss[:-1])
 
     def _everywhere(self, leaf: Any) -> jax.Array:
@@ -286,9 +295,7 @@ def _filled(tracks: Tracks, block: np.ndarray) -> tuple[np.ndarray, ...]:
     there = block < len(tracks.ticks)
     at = np.where(there, block, 0)
     valid = tracks.valid[at] & there[..., None]
-    starts = np.zeros(len(tracks.ticks), bool)
-    starts[[part.start for part in tracks.slices if part.stop > part.start]] = True
-    return tracks.landmarks[at], valid, tracks.ticks[at], starts[at] & there
+    return tracks.landmarks[at], valid, tracks.ticks[at], tracks.starts[at] & there
 
 
 _KEPT: Final = 8

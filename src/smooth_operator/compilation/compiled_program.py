@@ -25,6 +25,7 @@ import numpy as np
 
 from smooth_operator.compilation.cache import LOGGER, ProgramCache, jax_cache, program_cache
 from smooth_operator.formats.jsonable import to_json
+from smooth_operator.geometry import on_gpu
 from smooth_operator.hands.hand import Hand
 from smooth_operator.methods.method import MethodConfig
 from smooth_operator.methods.shared import fingerprint
@@ -44,6 +45,12 @@ _SETTINGS: Final = (
 
 _NARROW: Final = {"xla_cpu_use_fusion_emitters": False, "xla_cpu_experimental_ynn_fusion_type": ""}
 _WIDE: Final = {**_NARROW, "xla_cpu_prefer_vector_width": 512}
+_GRAPHS: Final = {
+    "xla_gpu_enable_command_buffer": "FUSION,CUBLAS,CUBLASLT,CUDNN,CUSTOM_CALL,"
+    "DYNAMIC_SLICE_FUSION,CONDITIONAL,WHILE",
+    "xla_gpu_graph_min_graph_size": 1,
+}
+"""Loops and branches run on the GPU too; XLA's default starts their kernels from the host."""
 
 _Signature: TypeAlias = tuple[Any, tuple[tuple[tuple[int, ...], str], ...], str]
 """Structure, shapes and kinds of the arguments, and the platform that they are on."""
@@ -73,11 +80,14 @@ def _compiler_options(wide: bool) -> dict[str, Any] | None:
 
 
 def _options(wide: bool) -> list[dict[str, Any]]:
-    """Options for a CPU, with which a program starts sooner and its loops suit the processor.
+    """Options with which a program starts sooner on a CPU and its loops suit the processor, and
+    with which a GPU is not waited for.
 
     XLA's newer emitter of fused loops takes 1.6 s longer over this program, and the program is no
     faster for it. The options are XLA's own and may go: where one is unknown, the next are tried.
     """
+    if on_gpu():
+        return [dict(_GRAPHS)]
     if jax.default_backend() != "cpu":
         return []
     return [dict(each) for each in ((_WIDE, _NARROW) if wide else (_NARROW,))]

@@ -188,7 +188,7 @@ class Retargeter:
         """Landmarks as the program takes them [m]: in its precision, reflected if it is the mirror
         image's."""
         with np.errstate(over="ignore"):  # what overflows is not finite, and has its status
-            taken = landmarks.astype(np.float32)
+            taken = landmarks.astype(np.float32, copy=False)
         return taken * _REFLECTION if self.shared.reflects else taken
 
     def __call__(self, frame: HandFrame | ArrayLike) -> Result:

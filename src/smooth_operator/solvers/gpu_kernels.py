@@ -18,20 +18,17 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, UInt32
 
+from smooth_operator.geometry import on_gpu
 from smooth_operator.solvers.normals import pair_of_normals
 
 MOST_SAMPLES: Final = 1 << 14
 """Most costs that one block of threads holds in its registers."""
 
+WARPS: Final = 8
+"""Groups of 32 threads that search for the elites."""
+
 _BLOCK: Final = 16
 """Least size of a matrix product in Triton."""
-
-
-def on_gpu() -> bool:
-    """Programs that are traced now are for a GPU."""
-    config: Any = jax.config  # its attributes are made at run time
-    device = config.jax_default_device
-    return (getattr(device, "platform", device) or jax.default_backend()) in ("gpu", "cuda", "rocm")
 
 
 def kernels_available() -> bool:
@@ -124,16 +121,17 @@ def solve_positive_definite(
     pallas, triton = _pallas()
 
     def kernel(matrices: Any, right: Any, x: Any) -> None:
-        lane = jnp.arange(_power_of_two(count))
-        which = jnp.minimum(lane, count - 1)
-        rows = [[triton.load(matrices.at[which, i, j]) for j in range(i + 1)] for i in range(size)]
-        sides = [triton.load(right.at[which, i]) for i in range(size)]
+        # Numbers, not vectors of them: Triton compiles those in 3 s, vectors of 8 in 30 s
+        which = pallas.program_id(0)
+        rows = [[matrices[which, i, j] for j in range(i + 1)] for i in range(size)]
+        sides = [right[which, i] for i in range(size)]
         for i, entry in enumerate(_solved(cholesky_rows(rows), sides)):
-            triton.store(x.at[lane, i], entry, mask=lane < count)
+            x[which, i] = entry
 
     solution: Array = pallas.pallas_call(
         kernel,
         jax.ShapeDtypeStruct(right.shape, right.dtype),
+        grid=(count,),
         interpret=interpret,
         compiler_params=None if interpret else triton.CompilerParams(num_warps=1),
     )(matrices, right)
@@ -241,8 +239,9 @@ def next_gaussian(
             like((places,), jnp.int32),
             like((side, side), jnp.float32),
         ],
+        input_output_aliases={1: 0, 2: 1},  # or a loop copies them in every turn
         interpret=interpret,
-        compiler_params=None if interpret else triton.CompilerParams(num_warps=8),
+        compiler_params=None if interpret else triton.CompilerParams(num_warps=WARPS),
     )(*arguments, *([] if base is None else [base]))
     return new_mean, new_chol
 
@@ -254,21 +253,24 @@ def _lowest(keys: Array, inside: Array, count: int) -> tuple[Array, Array]:
         low, high, reached = carry
         return (low + 1 < high) & (reached != count)
 
-    def halved(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+    def narrowed(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         low, high, reached = carry
-        middle = (low & high) + ((low ^ high) >> 1)  # their sum may not fit
-        below = jnp.sum((keys <= middle).astype(jnp.int32))
-        enough = below >= count
-        return (
-            jnp.where(enough, low, middle),
-            jnp.where(enough, middle, high),
-            jnp.where(enough, below, reached),
-        )
+        width = lax.bitcast_convert_type(high - low, jnp.uint32) // 3
+        third = jnp.maximum(lax.bitcast_convert_type(width, jnp.int32), 1)
+        one, two = low + third, high - third
+        # both counts in one sum, which takes most of a turn
+        both = (keys <= one).astype(jnp.int32) + ((keys <= two).astype(jnp.int32) << 15)
+        sums = jnp.sum(both)
+        up_to_one, up_to_two = sums & 0x7FFF, sums >> 15
+        first, second = up_to_one >= count, up_to_two >= count
+        low = jnp.where(first, low, jnp.where(second, one, two))
+        high = jnp.where(first, one, jnp.where(second, two, high))
+        return low, high, jnp.where(first, up_to_one, jnp.where(second, up_to_two, reached))
 
     start = (jnp.min(keys) - 1, jnp.max(keys), jnp.int32(len(keys)))
-    _, threshold, _ = lax.while_loop(searching, halved, start)
+    _, threshold, _ = lax.while_loop(searching, narrowed, start)
     below, equal = keys < threshold, (keys == threshold) & inside
-    # both counts in one sum: those below in the upper half of the word
+    # as above: those below in the upper half of the word
     sums = jnp.cumsum((below.astype(jnp.int32) << 16) + equal.astype(jnp.int32))
     room = count - jnp.sum(below.astype(jnp.int32))
     so_far = sums & 0xFFFF

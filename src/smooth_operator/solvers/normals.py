@@ -69,6 +69,12 @@ def random_words(key: UInt32[Array, "2"], count: int) -> UInt32[Array, "count 2"
     return mix(mix(counter + key[0]) ^ key[1])
 
 
+def random_words_at(key: UInt32[Array, "2"], which: Array) -> UInt32[Array, "2"]:
+    """One row of ``random_words``."""
+    counter = 2 * which.astype(jnp.uint32) + jnp.arange(2, dtype=jnp.uint32)
+    return mix(mix(counter + key[0]) ^ key[1])
+
+
 def pair_of_normals(
     counter: UInt32[Array, "*n"], words: UInt32[Array, "2"] | tuple[Array, Array]
 ) -> tuple[Array, Array]:

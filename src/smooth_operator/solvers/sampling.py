@@ -24,6 +24,7 @@ from smooth_operator.solvers.normals import (
     counter_normals,
     fixed_normals,
     random_words,
+    random_words_at,
 )
 from smooth_operator.solvers.selection import largest
 
@@ -143,7 +144,13 @@ def sample_minimise(
         return mean, lax.linalg.cholesky(covariance, symmetrize_input=False)
 
     # Lines 3-13: L - 1 cycles
-    if cycles is None:
+    if in_kernel:
+        # each key is made where it is used: a graph of kernels can't hold a slice at a loop's count
+        count = config.cycles if cycles is None else cycles
+        mean, _ = lax.fori_loop(
+            0, count - 1, lambda i, carry: cycle(*carry, random_words_at(key, i)), (mean, chol)
+        )
+    elif cycles is None:
         (mean, _), _ = lax.scan(lambda carry, k: (cycle(*carry, k), None), (mean, chol), cycle_keys)
     else:
         mean, _ = lax.fori_loop(
