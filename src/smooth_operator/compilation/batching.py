@@ -198,11 +198,10 @@ class LaneProgram:
             BLOCK,
             constants=method.constants,
             cached=cached,
+            graphs=True,
         )
 
-    def run(
-        self, initial: RetargetState, tracks: Tracks, track: Progress | None = None
-    ) -> Answers:
+    def run(self, initial: RetargetState, tracks: Tracks, track: Progress | None = None) -> Answers:
         """Every recording, each from the same state.
 
         While the device works on a block, a thread lays out the inputs of the next, and puts the

@@ -79,7 +79,7 @@ def _compiler_options(wide: bool) -> dict[str, Any] | None:
     return None
 
 
-def _options(wide: bool) -> list[dict[str, Any]]:
+def _options(wide: bool, graphs: bool = False) -> list[dict[str, Any]]:
     """Options with which a program starts sooner on a CPU and its loops suit the processor, and
     with which a GPU is not waited for.
 
@@ -87,7 +87,7 @@ def _options(wide: bool) -> list[dict[str, Any]]:
     faster for it. The options are XLA's own and may go: where one is unknown, the next are tried.
     """
     if on_gpu():
-        return [dict(_GRAPHS)]
+        return [dict(_GRAPHS)] if graphs else []
     if jax.default_backend() != "cpu":
         return []
     return [dict(each) for each in ((_WIDE, _NARROW) if wide else (_NARROW,))]
@@ -129,6 +129,8 @@ class CompiledProgram:
         more: what else the function depends on, as JSON.
         constants: ``Method.constants``.
         cached: it is read from the user's cache, and written there.
+        graphs: on a GPU its loops run there (``_GRAPHS``): more frames a second where a loop has
+            long turns; a frame alone takes a tenth longer.
     """
 
     def __init__(
@@ -139,8 +141,10 @@ class CompiledProgram:
         *more: object,
         constants: Any = None,
         cached: bool = True,
+        graphs: bool = False,
     ) -> None:
         self._function, self._cached, self._wide = function, cached, not config.one_thread
+        self._graphs = graphs
         self._key = functools.partial(program_key, hand, config, *more, constants=constants)
         self._run: Callable[..., Any] | None = None
         self._programs: dict[_Signature, Callable[..., Any]] = {}
@@ -183,7 +187,7 @@ class CompiledProgram:
             except Exception as error:  # a program that can't be exported is still a program
                 LOGGER.info("a program can't be kept: %s", error)
         with jax_cache() if function is not self._function else contextlib.nullcontext():
-            for options in _options(self._wide):
+            for options in _options(self._wide, self._graphs):
                 with contextlib.suppress(Exception):  # as in ``_compiler_options``
                     run = jax.jit(function, compiler_options=options).lower(*arguments).compile()
                     return run, run(*arguments)

@@ -19,12 +19,12 @@ from jax import lax
 from jaxtyping import Array, Float, UInt32
 
 from smooth_operator.geometry import on_gpu
-from smooth_operator.solvers.normals import pair_of_normals
+from smooth_operator.solvers.normals import pair_of_normals, random_word_at
 
 MOST_SAMPLES: Final = 1 << 14
 """Most costs that one block of threads holds in its registers."""
 
-WARPS: Final = 8
+WARPS: Final = 4
 """Groups of 32 threads that search for the elites."""
 
 _BLOCK: Final = 16
@@ -67,9 +67,8 @@ def cholesky_rows(matrix: Sequence[Sequence[Array]]) -> list[list[Array]]:
         pivot = given[i]
         for k in range(i):
             pivot = pivot - row[k] * row[k]
-        root = jnp.sqrt(pivot)
-        rows.append([*row, root])
-        inverse.append(1 / root)
+        inverse.append(lax.rsqrt(pivot))
+        rows.append([*row, pivot * inverse[i]])
     return rows
 
 
@@ -143,14 +142,15 @@ def next_gaussian(
     mean: Float[Array, " m"],
     chol: Float[Array, "m m"],
     words: UInt32[Array, "2"],
+    following: tuple[UInt32[Array, "2"], Array],
     base: Float[Array, "m n"] | None,
     limits: Float[np.ndarray, "m 2"] | Float[Array, "m 2"],
     elites: int,
     temperature: float,
     jitter: float,
     interpret: bool = False,
-) -> tuple[Float[Array, " m"], Float[Array, "m m"]]:
-    """Mean and Cholesky factor of the next cycle, from the costs of this one's candidates.
+) -> tuple[Float[Array, " m"], Float[Array, "m m"], UInt32[Array, "2"]]:
+    """Mean, Cholesky factor and key of the next cycle, from the costs of this one's candidates.
 
     The elites are drawn again from their indices. Of equal costs those of lower index are taken;
     NaN counts as infinite.
@@ -159,6 +159,7 @@ def next_gaussian(
         costs: (n,), n up to ``MOST_SAMPLES``.
         mean, chol: of this cycle's Gaussian.
         words: the key of this cycle's normals.
+        following: the frame's key, and the number of the next cycle: see ``random_words_at``.
         base: (m, n) the normals, if they are fixed; None for those of the key.
         limits: (m, 2) bounds that draws are clipped to.
         elites: how many.
@@ -175,8 +176,9 @@ def next_gaussian(
             triton.debug_barrier()
 
     def kernel(*refs: Any) -> None:
-        costs, mean, chol, words, limits, *rest = refs
-        *fixed, new_mean, new_chol, chosen, covariance = rest
+        costs, mean, chol, words, key, number, limits, *rest = refs
+        *fixed, new_mean, new_chol, new_words, chosen, covariance = rest
+        one, two = words[0], words[1]
         which = jnp.arange(_power_of_two(count))
         inside = which < count
         values = triton.load(costs.at[which], mask=inside, other=jnp.inf)
@@ -205,7 +207,7 @@ def next_gaussian(
             second = joint >= pairs
             pair = jnp.where(second, joint - pairs, joint).astype(jnp.uint32)
             counter = index.astype(jnp.uint32)[None, :] * jnp.uint32(pairs) + pair[:, None]
-            first_half, second_half = pair_of_normals(counter, (words[0], words[1]))
+            first_half, second_half = pair_of_normals(counter, (one, two))
             normals = jnp.where(second[:, None], second_half, first_half)
         lower = used[:, None] & (row[None, :] <= row[:, None])
         factor = triton.load(chol.at[joint[:, None], joint[None, :]], mask=lower, other=0.0)
@@ -224,26 +226,30 @@ def next_gaussian(
         triton.store(covariance.at[row[:, None], row[None, :]], square)
         barrier()
 
+        for half in range(2):
+            new_words[half] = random_word_at((key[0], key[1]), number[0], half)
         entries = [[covariance[i, j] for j in range(i + 1)] for i in range(size)]
         for i, entry in enumerate(cholesky_rows(entries)):
-            for j in range(size):
-                new_chol[i, j] = entry[j] if j <= i else jnp.float32(0)
+            for j, value in enumerate(entry):
+                new_chol[i, j] = value  # above the diagonal are the zeros of ``chol``
 
     like = jax.ShapeDtypeStruct
-    arguments = [costs, mean, chol, words, jnp.asarray(limits, jnp.float32)]
-    new_mean, new_chol, *_ = pallas.pallas_call(
+    key, number = following
+    arguments = [costs, mean, chol, words, key, number.reshape(1), jnp.asarray(limits, jnp.float32)]
+    new_mean, new_chol, new_words, *_ = pallas.pallas_call(
         kernel,
         [
             like((size,), jnp.float32),
             like((size, size), jnp.float32),
+            like((2,), jnp.uint32),
             like((places,), jnp.int32),
             like((side, side), jnp.float32),
         ],
-        input_output_aliases={1: 0, 2: 1},  # or a loop copies them in every turn
+        input_output_aliases={1: 0, 2: 1, 3: 2},  # or a loop copies them in every turn
         interpret=interpret,
         compiler_params=None if interpret else triton.CompilerParams(num_warps=WARPS),
     )(*arguments, *([] if base is None else [base]))
-    return new_mean, new_chol
+    return new_mean, new_chol, new_words
 
 
 def _lowest(keys: Array, inside: Array, count: int) -> tuple[Array, Array]:

@@ -69,9 +69,11 @@ def random_words(key: UInt32[Array, "2"], count: int) -> UInt32[Array, "count 2"
     return mix(mix(counter + key[0]) ^ key[1])
 
 
-def random_words_at(key: UInt32[Array, "2"], which: Array) -> UInt32[Array, "2"]:
-    """One row of ``random_words``."""
-    counter = 2 * which.astype(jnp.uint32) + jnp.arange(2, dtype=jnp.uint32)
+def random_word_at(
+    key: UInt32[Array, "2"] | tuple[Array, Array], which: Array, half: int
+) -> UInt32[Array, ""]:
+    """One number of ``random_words``: of a row, the first or the second."""
+    counter = 2 * which.astype(jnp.uint32) + jnp.uint32(half)
     return mix(mix(counter + key[0]) ^ key[1])
 
 

@@ -24,7 +24,6 @@ from smooth_operator.solvers.normals import (
     counter_normals,
     fixed_normals,
     random_words,
-    random_words_at,
 )
 from smooth_operator.solvers.selection import largest
 
@@ -126,9 +125,6 @@ def sample_minimise(
     def cycle(mean: Array, chol: Array, cycle_key: Array) -> tuple[Array, Array]:
         # Line 4: draw the candidates. Line 5: compute their costs
         costs = cost(gaussian.draw_all(mean, chol, cycle_key))
-        if in_kernel:
-            shape = config.elites, config.temperature, config.jitter
-            return next_gaussian(costs, mean, chol, cycle_key, gaussian.base, limits, *shape)
         # Line 7: the M elites, best first
         rewards, index = largest(-costs, config.elites)
         elites = gaussian.draw(mean, chol, cycle_key, index)
@@ -145,11 +141,22 @@ def sample_minimise(
 
     # Lines 3-13: L - 1 cycles
     if in_kernel:
-        # each key is made where it is used: a graph of kernels can't hold a slice at a loop's count
+
+        def cycle_in_kernel(i: Array, carry: tuple[Array, ...]) -> tuple[Array, ...]:
+            mean, chol, words = carry
+            return next_gaussian(
+                cost(gaussian.draw_all(mean, chol, words)),
+                *carry,
+                (key, i + 1),
+                gaussian.base,
+                limits,
+                config.elites,
+                config.temperature,
+                config.jitter,
+            )
+
         count = config.cycles if cycles is None else cycles
-        mean, _ = lax.fori_loop(
-            0, count - 1, lambda i, carry: cycle(*carry, random_words_at(key, i)), (mean, chol)
-        )
+        mean, *_ = lax.fori_loop(0, count - 1, cycle_in_kernel, (mean, chol, cycle_keys[0]))
     elif cycles is None:
         (mean, _), _ = lax.scan(lambda carry, k: (cycle(*carry, k), None), (mean, chol), cycle_keys)
     else:
