@@ -397,7 +397,7 @@ def retarget_arrays(
     program = lane_program(method, retargeter.config, lanes, retargeter.cache)
     answers = program.run(retargeter.init(seed), tracks)
     low, high = retargeter.hand.limits.T.astype(np.float32)
-    q = np.clip(answers.q, low, high, out=answers.q).reshape(count, length, -1)
+    q = np.clip(answers.q, low, high, out=answers.q).reshape(count, length, len(low))
     loss = np.where(answers.status == Status.OK, answers.loss, np.float32(np.nan))
     shape = count, length
     return BatchArrays(q, answers.status.reshape(shape), loss.reshape(shape))
