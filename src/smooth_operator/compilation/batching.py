@@ -18,7 +18,7 @@ import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final, TypeAlias
 
@@ -29,13 +29,11 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from smooth_operator.compilation.compiled_program import CompiledProgram
-from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.human.alignment import AlignmentConfig
-from smooth_operator.landmarks import NUM_LANDMARKS
 from smooth_operator.methods.method import Method, MethodConfig
-from smooth_operator.methods.program import RetargetState, align_frame, ticks_of
-from smooth_operator.methods.retargeter import Retargeter
-from smooth_operator.types import CommandTrajectory, HandRecording, Status
+from smooth_operator.methods.program import align_frame
+from smooth_operator.methods.state import FrameState, RetargetState
+from smooth_operator.types import Status
 
 LANES: Final = 8
 """Lanes on a CPU. More save little, and a step takes as long as the lane that takes longest."""
@@ -173,9 +171,9 @@ class LaneProgram:
                 which = jnp.where(active, jnp.arange(lanes), jnp.argmax(active))
                 work = jax.tree.map(lambda leaf: leaf[which], (state.method, points, ticks))
 
-                def solved() -> tuple[RetargetState, Array]:
+                def solved() -> tuple[FrameState, Array]:
                     after, output = jax.vmap(method.step)(*work)
-                    return RetargetState(after, output.q), jnp.asarray(
+                    return FrameState(after, output.q), jnp.asarray(
                         output.tracking_loss, jnp.float32
                     )
 
@@ -191,11 +189,11 @@ class LaneProgram:
 
         self._block = CompiledProgram(
             block,
-            method.hand,
-            config,
             "lanes",
             lanes,
             BLOCK,
+            hand=method.hand,
+            config=config,
             constants=method.constants,
             cached=cached,
             graphs=True,
@@ -219,11 +217,10 @@ class LaneProgram:
         q = np.empty((total + 1, len(initial.q)), np.float32)
         status, loss = np.empty(total + 1, np.int8), np.empty(total + 1, np.float32)
         blocks = [frames[at : at + BLOCK] for at in range(0, len(frames), BLOCK)]
-        state = start = jax.tree.map(self._everywhere, initial.unpacked()._replace(stamp=None))
+        state = start = jax.tree.map(self._everywhere, initial.trees)
 
         def store(at: np.ndarray, parts: tuple[Any, ...]) -> int:
-            for whole, part in zip((q, status, loss), parts, strict=True):
-                whole[at] = np.asarray(part)
+            q[at], status[at], loss[at] = (np.asarray(part) for part in parts)
             return int(np.count_nonzero(at < total))
 
         with ThreadPoolExecutor(1) as thread:
@@ -315,89 +312,3 @@ def lane_program(
         while len(_programs) > _KEPT:
             _programs.popitem(last=False)
     return made
-
-
-def retarget_batch(
-    retargeter: Retargeter,
-    recordings: Sequence[HandRecording],
-    seed: int | None = None,
-    track: Progress | None = None,
-    lanes: int | None = None,
-) -> list[tuple[CommandTrajectory, Float[np.ndarray, " T"]]]:
-    """What ``Retargeter.batch`` does, and says."""
-    for recording in recordings:
-        retargeter.check_side(recording.side)
-    method = retargeter.shared.method
-    if method.host is not None:
-        advance = progressing(sum(map(len, recordings)), track)
-        found = []
-        for recording in recordings:
-            commands, loss = retargeter.run(recording, seed=seed)
-            none = np.full(len(commands), np.nan)
-            found.append((replace(commands, latency_ms=none), loss))
-            advance(len(recording))
-        return found
-    program = lane_program(method, retargeter.config, lanes, retargeter.cache)
-    tracks = _tracks(retargeter, recordings)
-    answers = program.run(retargeter.init(seed), tracks, track)
-    low, high = retargeter.hand.limits.T
-    q = np.clip(answers.q.astype(float), low, high)
-    loss = np.where(answers.status == Status.OK, answers.loss.astype(float), np.nan)
-    return [
-        (
-            CommandTrajectory(
-                retargeter.hand.full_configuration(q[part]),
-                retargeter.hand.joint_names,
-                recording.stamps,
-                np.full(len(recording), np.nan),
-                answers.status[part],
-            ),
-            loss[part],
-        )
-        for recording, part in zip(recordings, tracks.slices, strict=True)
-    ]
-
-
-def _tracks(retargeter: Retargeter, recordings: Sequence[HandRecording]) -> Tracks:
-    if not recordings:
-        none = np.empty((0, NUM_LANDMARKS, 3), np.float32)
-        return Tracks(none, none[..., 0] > 0, np.empty(0, np.uint32), [])
-    landmarks, valid, stamps = (
-        np.concatenate([getattr(recording, name) for recording in recordings], dtype=kind)
-        for name, kind in (("landmarks", None), ("valid", bool), ("stamps", float))
-    )
-    lengths = [len(recording) for recording in recordings]
-    return Tracks(retargeter.program_landmarks(landmarks), valid, ticks_of(stamps), lengths)
-
-
-def retarget_arrays(
-    retargeter: Retargeter,
-    landmarks: Float[np.ndarray, "R T 21 3"],
-    stamps: Float[np.ndarray, "R T"],
-    seed: int | None = None,
-    lanes: int | None = None,
-) -> BatchArrays:
-    """See ``Retargeter.batch_arrays``."""
-    method = retargeter.shared.method
-    count, length = np.shape(landmarks)[:2] if np.ndim(landmarks) == 4 else (-1, -1)
-    if np.shape(landmarks) != (count, length, NUM_LANDMARKS, 3):
-        raise RecordingError(f"landmarks must be (R, T, 21, 3), not {np.shape(landmarks)}")
-    stamps = np.asarray(stamps, float)
-    if stamps.shape not in ((length,), (count, length)):
-        raise RecordingError(
-            f"stamps must be (R, T) or (T,), as {count} recordings of {length} frames have them, "
-            f"not {stamps.shape}"
-        )
-    if method.host is not None:
-        raise ConfigError("this method's solver runs on the host, frame by frame: use batch()")
-    ticks = np.broadcast_to(ticks_of(stamps), (count, length)).reshape(-1)
-    points = retargeter.program_landmarks(np.asarray(landmarks).reshape(-1, NUM_LANDMARKS, 3))
-    known = np.ones((len(ticks), NUM_LANDMARKS), bool)
-    tracks = Tracks(points, known, ticks, [length] * count)
-    program = lane_program(method, retargeter.config, lanes, retargeter.cache)
-    answers = program.run(retargeter.init(seed), tracks)
-    low, high = retargeter.hand.limits.T.astype(np.float32)
-    q = np.clip(answers.q, low, high, out=answers.q).reshape(count, length, len(low))
-    loss = np.where(answers.status == Status.OK, answers.loss, np.float32(np.nan))
-    shape = count, length
-    return BatchArrays(q, answers.status.reshape(shape), loss.reshape(shape))

@@ -6,12 +6,12 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
+from smooth_operator.compilation.batching import BatchArrays, Tracks, lane_program, progressing
 from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
@@ -22,10 +22,9 @@ from smooth_operator.landmarks import NUM_LANDMARKS
 from smooth_operator.methods.default import DEFAULT_METHOD
 from smooth_operator.methods.method import Method, MethodConfig
 from smooth_operator.methods.presets import default_preset, method_config
-from smooth_operator.methods.program import RetargetState as RetargetState
-from smooth_operator.methods.program import tick_of
+from smooth_operator.methods.program import tick_of, ticks_of
 from smooth_operator.methods.shared import shared_program
-from smooth_operator.plugins import Entry
+from smooth_operator.methods.state import FrameState, RetargetState
 from smooth_operator.settings import check_frame_rate
 from smooth_operator.types import (
     CommandTrajectory,
@@ -37,9 +36,6 @@ from smooth_operator.types import (
 )
 
 _REFLECTION = np.array([-1, 1, 1], np.float32)
-# imported when they are used
-_BATCH = Entry("smooth_operator.compilation.batching:retarget_batch")
-_BATCH_ARRAYS = Entry("smooth_operator.compilation.batching:retarget_arrays")
 
 
 class Retargeter:
@@ -132,8 +128,8 @@ class Retargeter:
     def init(self, seed: int | None = None) -> RetargetState:
         """The state before the first frame."""
         method = self.method.init(self.seed if seed is None else seed)
-        state = RetargetState(method, self.hand.neutral.astype(np.float32))
-        return state if self.method.host is not None else state.packed()
+        state = FrameState(method, self.hand.neutral.astype(np.float32))
+        return RetargetState.of(state, joined=self.method.host is None)
 
     def step(
         self, state: RetargetState, frame: HandFrame | ArrayLike
@@ -157,11 +153,10 @@ class Retargeter:
         stamp = self._stamp_of(state, frame)
         self.check_side(frame.side)
         assert frame.valid is not None  # filled in on construction
-        before = state if state.stamp is None else state._replace(stamp=None)
         landmarks = self.program_landmarks(frame.landmarks)
-        state, output = self.shared.run(before, landmarks, frame.valid, tick_of(stamp))
+        state, output = self.shared.run(state, landmarks, frame.valid, tick_of(stamp))
         if self.rate is not None:
-            state = state._replace(stamp=stamp)
+            state = replace(state, stamp=stamp)
         q, status = np.asarray(output.q, float), Status(int(output.status))
         # float32 may round a limit outwards: the last word is in float64
         q = self.hand.full_configuration(np.clip(q, self.hand.limits[:, 0], self.hand.limits[:, 1]))
@@ -315,8 +310,41 @@ class Retargeter:
             track: wraps the iteration over all frames, for a progress bar.
             lanes: recordings side by side; None for 8 on a CPU, 1024 on a GPU.
         """
-        answers: Any = _BATCH.load()(self, recordings, seed, track, lanes)
-        return list(answers)
+        for recording in recordings:
+            self.check_side(recording.side)
+        method = self.shared.method
+        if method.host is not None:
+            advance = progressing(sum(map(len, recordings)), track)
+            results = []
+            for recording in recordings:
+                commands, loss = self.run(recording, seed=seed)
+                none = np.full(len(commands), np.nan)
+                results.append((replace(commands, latency_ms=none), loss))
+                advance(len(recording))
+            return results
+        program = lane_program(method, self.config, lanes, self.cache)
+        tracks = self._tracks(recordings)
+        answers = program.run(self.init(seed), tracks, track)
+        q = np.clip(answers.q.astype(float), *self.hand.limits.T)
+        loss = np.where(answers.status == Status.OK, answers.loss.astype(float), np.nan)
+        names, full = self.hand.joint_names, self.hand.full_configuration
+        batch = []
+        for recording, part in zip(recordings, tracks.slices, strict=True):
+            none, status = np.full(len(recording), np.nan), answers.status[part]
+            commands = CommandTrajectory(full(q[part]), names, recording.stamps, none, status)
+            batch.append((commands, loss[part]))
+        return batch
+
+    def _tracks(self, recordings: Sequence[HandRecording]) -> Tracks:
+        if not recordings:
+            none = np.empty((0, NUM_LANDMARKS, 3), np.float32)
+            return Tracks(none, none[..., 0] > 0, np.empty(0, np.uint32), [])
+        landmarks, valid, stamps = (
+            np.concatenate([getattr(recording, name) for recording in recordings], dtype=kind)
+            for name, kind in (("landmarks", None), ("valid", bool), ("stamps", float))
+        )
+        lengths = [len(recording) for recording in recordings]
+        return Tracks(self.program_landmarks(landmarks), valid, ticks_of(stamps), lengths)
 
     def batch_arrays(
         self,
@@ -325,7 +353,7 @@ class Retargeter:
         *,
         seed: int | None = None,
         lanes: int | None = None,
-    ) -> Any:
+    ) -> BatchArrays:
         """Commands for recordings that lie in one array: ``batch`` without an object for each.
 
         On a GPU half of the time of ``batch`` is spent on those. Landmarks that are not known are
@@ -339,11 +367,31 @@ class Retargeter:
             lanes: recordings side by side; None for 8 on a CPU, 1024 on a GPU.
 
         Returns:
-            ``smooth_operator.compilation.batching.BatchArrays``: commands of the actuated joints,
-            status and tracking loss of every frame.
+            commands of the actuated joints, status and tracking loss of every frame.
 
         Raises:
             RecordingError: an array has another shape.
             ConfigError: the method's solver runs on the host.
         """
-        return _BATCH_ARRAYS.load()(self, landmarks, stamps, seed, lanes)
+        count, length = np.shape(landmarks)[:2] if np.ndim(landmarks) == 4 else (-1, -1)
+        if np.shape(landmarks) != (count, length, NUM_LANDMARKS, 3):
+            raise RecordingError(f"landmarks must be (R, T, 21, 3), not {np.shape(landmarks)}")
+        if np.shape(stamps) not in ((length,), (count, length)):
+            raise RecordingError(
+                f"stamps must be (R, T) or (T,), as {count} recordings of {length} frames have "
+                f"them, not {np.shape(stamps)}"
+            )
+        method = self.shared.method
+        if method.host is not None:
+            raise ConfigError("this method's solver runs on the host, frame by frame: use batch()")
+        ticks = np.broadcast_to(ticks_of(stamps), (count, length)).reshape(-1)
+        points = self.program_landmarks(np.asarray(landmarks).reshape(-1, NUM_LANDMARKS, 3))
+        known = np.ones((len(ticks), NUM_LANDMARKS), bool)
+        tracks = Tracks(points, known, ticks, [length] * count)
+        program = lane_program(method, self.config, lanes, self.cache)
+        answers = program.run(self.init(seed), tracks)
+        low, high = self.hand.limits.T.astype(np.float32)
+        q = np.clip(answers.q, low, high, out=answers.q).reshape(count, length, len(low))
+        loss = np.where(answers.status == Status.OK, answers.loss, np.float32(np.nan))
+        shape = count, length
+        return BatchArrays(q, answers.status.reshape(shape), loss.reshape(shape))

@@ -99,8 +99,8 @@ def solve_small(
         return solve_positive_definite(*few).reshape(right.shape)
     factor = jnp.linalg.cholesky(matrices)
     if right.ndim == 1:
-        return jax.scipy.linalg.cho_solve((factor, True), right)  # type: ignore[no-any-return]
-    return jax.scipy.linalg.cho_solve((factor, True), right[..., None])[..., 0]  # type: ignore
+        return jax.scipy.linalg.cho_solve((factor, True), right)
+    return jax.scipy.linalg.cho_solve((factor, True), right[..., None])[..., 0]
 
 
 def solve_positive_definite(
@@ -118,6 +118,7 @@ def solve_positive_definite(
     """
     count, size = right.shape
     pallas, triton = _pallas()
+    like: Any = jax.ShapeDtypeStruct
 
     def kernel(matrices: Any, right: Any, x: Any) -> None:
         # Numbers, not vectors of them: Triton compiles those in 3 s, vectors of 8 in 30 s
@@ -129,7 +130,7 @@ def solve_positive_definite(
 
     solution: Array = pallas.pallas_call(
         kernel,
-        jax.ShapeDtypeStruct(right.shape, right.dtype),
+        like(right.shape, right.dtype),
         grid=(count,),
         interpret=interpret,
         compiler_params=None if interpret else triton.CompilerParams(num_warps=1),
@@ -233,7 +234,7 @@ def next_gaussian(
             for j, value in enumerate(entry):
                 new_chol[i, j] = value  # above the diagonal are the zeros of ``chol``
 
-    like = jax.ShapeDtypeStruct
+    like: Any = jax.ShapeDtypeStruct
     key, number = following
     arguments = [costs, mean, chol, words, key, number.reshape(1), jnp.asarray(limits, jnp.float32)]
     new_mean, new_chol, new_words, *_ = pallas.pallas_call(

@@ -146,7 +146,9 @@ def sample_minimise(
             mean, chol, words = carry
             return next_gaussian(
                 cost(gaussian.draw_all(mean, chol, words)),
-                *carry,
+                mean,
+                chol,
+                words,
                 (key, i + 1),
                 gaussian.base,
                 limits,
