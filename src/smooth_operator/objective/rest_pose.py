@@ -21,7 +21,7 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS, TIPS
 from smooth_operator.objective.penalties import TINY_AREA
 from smooth_operator.settings import check_numbers, is_off
-from smooth_operator.solvers.gpu_kernels import solve_small
+from smooth_operator.solvers.newton import solve_small
 
 
 @dataclass(frozen=True)

@@ -31,10 +31,14 @@ _BLOCK: Final = 16
 """Least size of a matrix product in Triton."""
 
 
-def kernels_available() -> bool:
-    """Programs that are traced now may hold the kernels of this module."""
+def kernels_available(samples: int = 0) -> bool:
+    """Programs that are traced now may hold the kernels of this module.
+
+    Args:
+        samples: costs of a call of ``next_gaussian``.
+    """
     try:
-        return on_gpu() and hasattr(_pallas()[1], "debug_barrier")
+        return on_gpu() and samples <= MOST_SAMPLES and hasattr(_pallas()[1], "debug_barrier")
     except ImportError:
         return False
 
@@ -86,21 +90,6 @@ def _solved(factor: Sequence[Sequence[Array]], right: Sequence[Array]) -> list[A
             x[i] = x[i] - factor[k][i] * x[k]
         x[i] = x[i] * inverse[i]
     return x
-
-
-def solve_small(
-    matrices: Float[Array, "*c m m"], right: Float[Array, "*c m"]
-) -> Float[Array, "*c m"]:
-    """x of ``matrix @ x = right`` for one or a few small positive definite matrices, else NaN:
-    ``solve_positive_definite`` on a GPU, LAPACK on a CPU."""
-    if kernels_available():
-        size = right.shape[-1]
-        few = matrices.reshape(-1, size, size), right.reshape(-1, size)
-        return solve_positive_definite(*few).reshape(right.shape)
-    factor = jnp.linalg.cholesky(matrices)
-    if right.ndim == 1:
-        return jax.scipy.linalg.cho_solve((factor, True), right)
-    return jax.scipy.linalg.cho_solve((factor, True), right[..., None])[..., 0]
 
 
 def solve_positive_definite(

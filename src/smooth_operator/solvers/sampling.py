@@ -17,8 +17,8 @@ from jax import lax
 from jaxtyping import Array, Float, Int, UInt32
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.solvers.gpu_kernels import MOST_SAMPLES as MOST_OF_KERNEL
-from smooth_operator.solvers.gpu_kernels import kernels_available, next_gaussian
+from smooth_operator.geometry import on_gpu
+from smooth_operator.plugins import Entry
 from smooth_operator.solvers.normals import (
     counter_normal_matrix,
     counter_normals,
@@ -26,6 +26,9 @@ from smooth_operator.solvers.normals import (
     random_words,
 )
 from smooth_operator.solvers.selection import largest
+
+_KERNELS: Final = Entry("smooth_operator.solvers.gpu_kernels:kernels_available")
+_NEXT_GAUSSIAN: Final = Entry("smooth_operator.solvers.gpu_kernels:next_gaussian")
 
 MOST_SAMPLES: Final = 1 << 20
 MOST_CYCLES: Final = 10_000
@@ -120,7 +123,7 @@ def sample_minimise(
     mean = start.astype(dtype)
     chol = jnp.sqrt(deviation**2 + config.jitter) * jnp.eye(size, dtype=dtype)
     epsilon = config.jitter * jnp.eye(size, dtype=dtype)
-    in_kernel = kernels_available() and config.samples <= MOST_OF_KERNEL
+    in_kernel = on_gpu() and _KERNELS.load()(config.samples)
 
     def cycle(mean: Array, chol: Array, cycle_key: Array) -> tuple[Array, Array]:
         # Line 4: draw the candidates. Line 5: compute their costs
@@ -144,7 +147,7 @@ def sample_minimise(
 
         def cycle_in_kernel(i: Array, carry: tuple[Array, ...]) -> tuple[Array, ...]:
             mean, chol, words = carry
-            return next_gaussian(
+            following: tuple[Array, ...] = _NEXT_GAUSSIAN.load()(
                 cost(gaussian.draw_all(mean, chol, words)),
                 mean,
                 chol,
@@ -156,6 +159,7 @@ def sample_minimise(
                 config.temperature,
                 config.jitter,
             )
+            return following
 
         count = config.cycles if cycles is None else cycles
         mean, *_ = lax.fori_loop(0, count - 1, cycle_in_kernel, (mean, chol, cycle_keys[0]))
