@@ -13,12 +13,13 @@ import pytest
 from jax import lax
 
 from smooth_operator import Retargeter
-from smooth_operator.compilation.batching import LaneProgram, Track
+from smooth_operator.compilation.batching import LaneProgram, Tracks
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.lab.offline.trajectory_retargeter import TrajectoryRetargeter
 from smooth_operator.methods.method import Method, MethodOutput, TrajectoryMethodConfig
 from smooth_operator.methods.presets import method_config
+from smooth_operator.methods.program import ticks_of
 from smooth_operator.methods.sbr import SbrConfig
 from smooth_operator.methods.smooth import SmoothConfig
 from smooth_operator.methods.state import FrameState, RetargetState
@@ -194,7 +195,8 @@ def test_lanes_without_a_hand_need_no_turns_of_a_loop() -> None:
     initial = RetargetState.of(FrameState(method.init(0), method.hand.neutral.astype(np.float32)))
     recording = hand(30, 0)
     program = LaneProgram(method, config, lanes=4, cached=False)
-    (answers,) = program.run(initial, [Track.of(recording, recording.landmarks.astype(np.float32))])
+    landmarks, ticks = recording.landmarks.astype(np.float32), ticks_of(recording.stamps)
+    answers = program.run(initial, Tracks(landmarks, recording.valid, ticks, [len(recording)]))
     jax.effects_barrier()
     # 20 turns of all lanes in the first frame; lanes without a recording add none
     assert len(turns) == 20

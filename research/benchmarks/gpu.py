@@ -1,7 +1,12 @@
-"""Preset ``paper`` on JAX's default device against the same algorithm written plainly.
+"""Frames alone and recordings side by side on JAX's default device, such as a GPU.
 
-    python research/benchmarks/gpu.py                    # on a GPU
-    python research/benchmarks/gpu.py --samples 1024     # on a CPU, where the plain version is slow
+    python research/benchmarks/gpu.py                    # on a GPU; gpu.sh installs wheels before
+    python research/benchmarks/gpu.py --samples 1024 --batches smooth:teleop:8:100     # on a CPU
+    python research/benchmarks/gpu.py --page JSON > research/docs/gpu.md
+
+Preset ``paper`` is compared with the same algorithm written plainly, where MJX is installed, and
+with a CPU. Batches are ``Retargeter.batch_arrays``, and ``batch``, which makes an object for each
+recording. The GPU's busy time is what ``nvidia-smi`` samples while batches run one after another.
 
 The plain version is what one writes first: Algorithm 1 as a ``lax.scan``, normals from
 ``jax.random.normal``, ``mjx.kinematics`` under ``vmap``, a full ``argsort`` for the elite. It
@@ -11,6 +16,13 @@ Needs MJX: ``python -m pip install mujoco-mjx``.
 
 from __future__ import annotations
 
+import datetime
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -37,6 +49,9 @@ except ImportError:
     mjx = None
 
 BLOCK = 10
+MOTIONS = 32
+COMPARED = 50
+"""Frames that are compared with the CPU's."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +62,12 @@ class Settings:
         samples: N of Algorithm 1; the preset's 8192 unless given.
         cycles: L; the preset's 20 unless given.
         frames: how many frames.
+        batches: METHOD:PRESET:LANES:FRAMES of each batch.
+        repeats: of each batch; the median is reported.
         hand: built-in robot hand.
+        commit: of the code, where it is no clone.
+        commands: only save the first commands of preset ``paper`` in this file (.npy).
+        page: only print the page of an earlier JSON file.
         output: JSON file; build/benchmarks/gpu.json unless given.
         compare: an earlier JSON file to compare this run with.
     """
@@ -55,7 +75,16 @@ class Settings:
     samples: int = 8192
     cycles: int = 20
     frames: int = 200
+    batches: tuple[str, ...] = (
+        "smooth:teleop:2048:300",
+        "sbr:paper:256:60",
+        "sbr:realtime:4096:100",
+    )
+    repeats: int = 5
     hand: str = "mimic_p050"
+    commit: str = ""
+    commands: Path | None = None
+    page: Path | None = None
     output: Path | None = None
     compare: Path | None = None
 
@@ -65,6 +94,9 @@ Step = Callable[[Any, HandFrame], tuple[Any, np.ndarray, float]]
 
 
 def main(settings: Settings) -> None:
+    if settings.page is not None:
+        sys.stdout.write(page(json.loads(settings.page.read_text("utf-8"))))
+        return
     report = Report("gpu", vars(settings))
     ours = Retargeter(settings.hand, method="sbr", preset="paper")
     if not isinstance(ours.config, SbrConfig):
@@ -74,6 +106,14 @@ def main(settings: Settings) -> None:
     ours = Retargeter(ours.hand, config=config)
     frames = list(SyntheticOperator().record(settings.frames / 100 + 0.1))[: settings.frames]
 
+    if settings.commands is not None:
+        state, step = ours.init(), wrap(ours)
+        positions = []
+        for frame in frames[:COMPARED]:
+            state, q, _ = step(state, frame)
+            positions.append(q)
+        np.save(settings.commands, np.array(positions))
+        return
     steps: dict[str, tuple[Any, Step]] = {"ours": (ours.init(), wrap(ours))}
     if mjx is None:
         report.notes.append("plain version: not measured; it needs `pip install mujoco-mjx`")
@@ -102,9 +142,143 @@ def main(settings: Settings) -> None:
             f"the plain version takes {ratio:.1f} times as long; its commands differ from ours by "
             f"{apart:.4f} rad on average (other random numbers)"
         )
+    live(report, settings, frames)
+    batches(report, settings)
     if jax.devices()[0].platform != "cpu":
-        against_cpu(report, ours.hand, config, frames[:50], runs["ours"][0])
+        against_cpu(report, settings)
     report.finish(settings.output, settings.compare)
+
+
+def live(report: Report, settings: Settings, frames: list[HandFrame]) -> None:
+    """Times frames of the default method."""
+    retargeter = Retargeter(settings.hand)
+    found = interleave({"smooth": (retargeter.init(), wrap(retargeter))}, frames)
+    p = percentiles(found["smooth"][2])
+    report.add("smooth", p)
+    report.table("`smooth`, one frame", tuple(p), [list(p.values())], 0)
+
+
+def batches(report: Report, settings: Settings) -> None:
+    """Frames a second of recordings side by side, and the share of time that the GPU is busy."""
+    rows: list[list[object]] = []
+    for name in settings.batches:
+        method, preset, lanes, length = name.split(":")
+        count, size = int(lanes), int(length)
+        retargeter = Retargeter(settings.hand, method=method, preset=preset or None)
+        motions = [
+            SyntheticOperator(seed=seed).record((size + 0.5) / 100)[:size]
+            for seed in range(min(MOTIONS, count))
+        ]
+        recordings = [motions[i % len(motions)] for i in range(count)]
+        landmarks = np.stack([r.landmarks for r in recordings]).astype(np.float32)
+        stamps = np.stack([r.stamps for r in recordings])
+        started = time.perf_counter()
+        retargeter.batch_arrays(landmarks, stamps, lanes=count)
+        first = time.perf_counter() - started
+        seconds: dict[str, list[float]] = {"arrays": [], "objects": []}
+        for _ in range(settings.repeats):
+            started = time.perf_counter()
+            retargeter.batch_arrays(landmarks, stamps, lanes=count)
+            middle = time.perf_counter()
+            retargeter.batch(recordings, lanes=count)
+            seconds["arrays"].append(middle - started)
+            seconds["objects"].append(time.perf_counter() - middle)
+        frames = count * size
+        figures: dict[str, float | None] = {
+            f"{way}_frames_per_s": frames / float(np.median(times))
+            for way, times in seconds.items()
+        }
+        best = frames / min(seconds["arrays"])
+        run = lambda: retargeter.batch_arrays(landmarks, stamps, lanes=count)  # noqa: E731, B023
+        figures |= {"arrays_best_frames_per_s": best, "busy": busy_share(run), "first_s": first}
+        report.add(f"batch/{name}", figures)
+        rows.append([f"{method}:{preset}", f"{count} × {size}", *figures.values()])
+    header = ("method", "recordings", "arrays [frames/s]", "objects [frames/s]")
+    header = (*header, "arrays, best [frames/s]", "GPU busy", "first call [s]")  # type: ignore
+    report.table("Recordings side by side", header, rows, 2)
+
+
+def busy_share(run: Callable[[], Any], least_s: float = 3.0) -> float | None:
+    """Share of time that the GPU runs a kernel while a function is called again and again."""
+    program = shutil.which("nvidia-smi")
+    if program is None or jax.devices()[0].platform == "cpu":
+        return None
+    query = ["--query-gpu=utilization.gpu", "--format=csv,noheader,nounits", "-lms", "250"]
+    with subprocess.Popen([program, *query], stdout=subprocess.PIPE, text=True) as sampler:
+        end = time.perf_counter() + least_s
+        while time.perf_counter() < end:
+            run()
+        sampler.terminate()
+        lines = (sampler.communicate()[0] or "").split()
+    # the first samples are of the time before
+    shares = [float(line) / 100 for line in lines[4:] if line.replace(".", "").isdigit()]
+    return float(np.mean(shares)) if shares else None
+
+
+def page(result: dict[str, Any]) -> str:
+    """The page of the documentation, from a result of this program."""
+    figures, hardware, arguments = result["figures"], result["hardware"], result["arguments"]
+    device = hardware["jax_device"].removeprefix("gpu (").removesuffix(")")
+    day = datetime.datetime.fromisoformat(result["date"]).date()
+    versions = result["versions"]
+    lines = [
+        "# On a GPU",
+        "",
+        "Printed by `python research/benchmarks/gpu.py --page JSON`; `research/benchmarks/gpu.sh` "
+        "measures.",
+        "",
+        "For one live hand a GPU is no faster than a core of a laptop: a frame of `smooth` takes "
+        f"{figures['smooth/p50_ms']:.1f} ms, and 0.3 ms on a CPU. For archives it is worth "
+        "hundreds of cores.",
+        "",
+        f"{device}, {hardware['cores']} CPU cores, jax {versions['jax']}, {day}, commit "
+        f"{arguments['commit'] or versions['smooth-operator']}, {arguments['hand']}.",
+        "",
+        "| one frame | p50 [ms] | p95 [ms] | p99 [ms] |",
+        "|---|---:|---:|---:|",
+    ]
+    for name, text in (
+        ("ours", f"`sbr:paper`, {arguments['samples']} × {arguments['cycles']}"),
+        ("plain", "the same, plain JAX and MJX"),
+        ("smooth", "`smooth`"),
+    ):
+        if f"{name}/p50_ms" in figures:
+            values = " | ".join(f"{figures[f'{name}/{p}_ms']:.2f}" for p in ("p50", "p95", "p99"))
+            lines.append(f"| {text} | {values} |")
+    if "from_cpu_mean_rad" in figures:
+        lines += [
+            "",
+            f"Commands of `sbr:paper` differ from a CPU's by {figures['from_cpu_mean_rad']:.1e} "
+            f"rad on average, {figures['from_cpu_max_rad']:.1e} rad at most, over {COMPARED} "
+            "frames.",
+        ]
+    lines += [
+        "",
+        "| recordings × frames | arrays [frames/s] | objects [frames/s] | GPU busy | "
+        "first call [s] |",
+        "|---|---:|---:|---:|---:|",
+    ]
+    for name in arguments["batches"]:
+        method, preset, lanes, length = name.split(":")
+        row = {key: figures.get(f"batch/{name}/{key}") for key in _COLUMNS}
+        if row["arrays_frames_per_s"] is not None:
+            busy = "" if row["busy"] is None else f"{row['busy']:.0%}"
+            lines.append(
+                f"| `{method}:{preset}`, {lanes} × {length} | {row['arrays_frames_per_s']:,.0f} | "
+                f"{row['objects_frames_per_s']:,.0f} | {busy} | {row['first_s']:.0f} |"
+            )
+    return "\n".join(
+        [
+            *lines,
+            "",
+            "*Arrays* is `Retargeter.batch_arrays`, *objects* `Retargeter.batch`; medians of "
+            f"{arguments['repeats']}. *First call*: it traces and compiles.",
+            "",
+        ]
+    )
+
+
+_COLUMNS = ("arrays_frames_per_s", "objects_frames_per_s", "busy", "first_s")
 
 
 def interleave(
@@ -208,22 +382,23 @@ def plain(hand: Hand, config: SbrConfig) -> tuple[Any, Step]:
     return (neutral, objective.targets.init(layout), jax.random.key(0)), step
 
 
-def against_cpu(
-    report: Report, hand: Hand, config: SbrConfig, frames: list[HandFrame], commands: np.ndarray
-) -> None:
+def against_cpu(report: Report, settings: Settings) -> None:
     """The same frames on this machine's CPU: the random numbers are the same on every device."""
-    with jax.default_device(jax.devices("cpu")[0]):
-        retargeter = Retargeter(hand, config=config)
-        state, found = retargeter.init(), []
-        for frame in frames:
-            state, result = retargeter.step(state, frame)
-            found.append(result.command.positions)
-    apart = np.abs(np.array(found) - commands[: len(frames)])
+    with tempfile.TemporaryDirectory() as folder:
+        paths = [Path(folder) / "device.npy", Path(folder) / "cpu.npy"]
+        main(replace(settings, commands=paths[0]))
+        given = {"samples": settings.samples, "cycles": settings.cycles, "hand": settings.hand}
+        command = [f"--{name}={value}" for name, value in (given | {"commands": paths[1]}).items()]
+        environment = os.environ | {"JAX_PLATFORMS": "cpu"}
+        if subprocess.run([sys.executable, __file__, *command], env=environment).returncode:
+            report.notes.append("not compared with the CPU: the same program failed there")
+            return
+        apart = np.abs(np.load(paths[0]) - np.load(paths[1]))
     report.figures["from_cpu_mean_rad"] = float(apart.mean())
     report.figures["from_cpu_max_rad"] = float(apart.max())
     report.notes.append(
         f"commands differ from those of the CPU by {apart.mean():.1e} rad on average, "
-        f"{apart.max():.1e} rad at most, over {len(frames)} frames"
+        f"{apart.max():.1e} rad at most, over {COMPARED} frames"
     )
 
 

@@ -59,7 +59,7 @@ def main(settings: Settings) -> None:
     p50 = percentiles(seconds * 1e3)["p50_ms"]
     counts = operations(
         jax.make_jaxpr(retargeter.method.step)(
-            retargeter.init().method, frames[0].landmarks.astype(np.float32)
+            retargeter.init().method, frames[0].landmarks.astype(np.float32), np.uint32(0)
         ).jaxpr
     )
     on_cpu = jax.devices()[0].platform == "cpu"
@@ -162,7 +162,7 @@ def traffic(
     """What the compiler says that one cycle moves, times the cycles; and how long that takes."""
     state = retargeter.init().method
     landmarks = frame.landmarks.astype(np.float32)
-    compiled = jax.jit(retargeter.method.step).lower(state, landmarks).compile()
+    compiled = jax.jit(retargeter.method.step).lower(state, landmarks, np.uint32(0)).compile()
     analysis = compiled.cost_analysis() or {}
     moved = float(analysis.get("bytes accessed", float("nan")))
     if not np.isfinite(moved):

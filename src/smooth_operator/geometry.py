@@ -5,6 +5,7 @@ from __future__ import annotations
 from types import ModuleType
 from typing import Any, Generic, NamedTuple, TypeAlias, TypeVar
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -110,6 +111,13 @@ def umeyama(
     return Similarity(rotation, translation, ratio, condition)
 
 
+def on_gpu() -> bool:
+    """Programs that are traced now are for a GPU."""
+    config: Any = jax.config  # its attributes are made at run time
+    device = config.jax_default_device
+    return (getattr(device, "platform", device) or jax.default_backend()) in ("gpu", "cuda", "rocm")
+
+
 def _principal_axes(cov: AnyArray, xp: ModuleType) -> tuple[AnyArray, AnyArray, AnyArray]:
     """Right singular vectors, by falling singular value, as a right-handed triad."""
     gram = _product(xp.swapaxes(cov, -1, -2), cov, xp)
@@ -119,8 +127,9 @@ def _principal_axes(cov: AnyArray, xp: ModuleType) -> tuple[AnyArray, AnyArray, 
     if xp is np:
         for _ in range(_TURNS):
             state = _jacobi_turn(state, xp)
-    else:  # rolled up, for the sake of the compiler
-        state = lax.fori_loop(0, _TURNS, lambda _, state: _jacobi_turn(state, xp), state)
+    else:  # rolled up, for the sake of the compiler; on a GPU a turn of a loop costs more than that
+        turn = lambda _, state: _jacobi_turn(state, xp)  # noqa: E731
+        state = lax.fori_loop(0, _TURNS, turn, state, unroll=on_gpu() or None)
     values, columns = [state[_ENTRIES.index((i, i))] for i in range(3)], list(state[6:])
     for i, j in ((0, 1), (1, 2), (0, 1)):  # sort by falling value
         swap = values[i] < values[j]

@@ -12,10 +12,14 @@ rounding.
 
 from __future__ import annotations
 
+import heapq
+import itertools
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Final, TypeAlias
 
 import jax
@@ -25,13 +29,11 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from smooth_operator.compilation.compiled_program import CompiledProgram
-from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import AlignmentConfig
-from smooth_operator.landmarks import NUM_LANDMARKS
 from smooth_operator.methods.method import Method, MethodConfig
-from smooth_operator.methods.program import align_frame, ticks_of
+from smooth_operator.methods.program import align_frame
 from smooth_operator.methods.state import FrameState, RetargetState
-from smooth_operator.types import CommandTrajectory, HandRecording, Status
+from smooth_operator.types import Status
 
 LANES: Final = 8
 """Lanes on a CPU. More save little, and a step takes as long as the lane that takes longest."""
@@ -48,48 +50,63 @@ Progress: TypeAlias = Callable[[Iterable[int]], Iterable[int]]
 
 @dataclass(frozen=True, eq=False)
 class Answers:
-    """What came of one recording.
+    """Commands for the frames of ``Tracks``.
 
     Attributes:
-        q: (T, m) commands of the actuated joints [rad], as the program gave them.
-        status: (T,) ``Status`` values.
-        loss: (T,) tracking losses.
+        q: (S, m) commands of the actuated joints [rad], as the program gave them.
+        status: (S,) ``Status`` values.
+        loss: (S,) tracking losses.
     """
 
-    q: Float[np.ndarray, "T m"]
+    q: Float[np.ndarray, "S m"]
     status: np.ndarray
-    loss: Float[np.ndarray, " T"]
-
-    def trajectory(
-        self, hand: Hand, recording: HandRecording
-    ) -> tuple[CommandTrajectory, Float[np.ndarray, " T"]]:
-        """Commands of a recording, and the (T,) tracking losses; NaN where a command was held."""
-        none = np.full(len(recording), np.nan)
-        q = np.clip(self.q.astype(float), hand.limits[:, 0], hand.limits[:, 1])
-        full = hand.full_configuration(q)
-        commands = CommandTrajectory(full, hand.joint_names, recording.stamps, none, self.status)
-        return commands, np.where(self.status == Status.OK, self.loss.astype(float), np.nan)
+    loss: Float[np.ndarray, " S"]
 
 
 @dataclass(frozen=True, eq=False)
-class Track:
-    """One recording as the program takes it.
+class Tracks:
+    """Recordings as the program takes them: the frames of all, one recording after the other.
 
     Attributes:
-        landmarks: (T, 21, 3) float32 [m].
-        valid: (T, 21) which of them are known.
-        ticks: (T,) stamps in microseconds modulo 2^32.
+        landmarks: (S, 21, 3) float32 [m].
+        valid: (S, 21) which of them are known.
+        ticks: (S,) stamps in microseconds modulo 2^32.
+        lengths: frames of each recording; their sum is S.
     """
 
-    landmarks: Float[np.ndarray, "T 21 3"]
+    landmarks: Float[np.ndarray, "S 21 3"]
     valid: np.ndarray
     ticks: np.ndarray
+    lengths: Sequence[int]
 
-    @classmethod
-    def of(cls, recording: HandRecording, landmarks: Float[np.ndarray, "T 21 3"]) -> Track:
-        """A recording with its landmarks as the program takes them."""
-        assert recording.valid is not None  # filled in on construction
-        return cls(landmarks, recording.valid, ticks_of(recording.stamps))
+    @cached_property
+    def starts(self) -> np.ndarray:
+        """(S,) which frames are the first of a recording."""
+        starts = np.zeros(len(self.ticks), bool)
+        starts[[part.start for part in self.slices if part.stop > part.start]] = True
+        return starts
+
+    @property
+    def slices(self) -> list[slice]:
+        """The frames of each recording."""
+        ends = np.cumsum([0, *self.lengths]).tolist()
+        return [slice(*pair) for pair in itertools.pairwise(ends)]
+
+
+@dataclass(frozen=True, eq=False)
+class BatchArrays:
+    """What ``Retargeter.batch_arrays`` returns.
+
+    Attributes:
+        q: (R, T, m) float32 commands of the actuated joints, within their limits [rad];
+            ``Hand.full_configuration`` gives the positions of all joints.
+        status: (R, T) ``Status`` values.
+        tracking_loss: (R, T) tracking losses; NaN where a command was held.
+    """
+
+    q: Float[np.ndarray, "R T m"]
+    status: np.ndarray
+    tracking_loss: Float[np.ndarray, "R T"]
 
 
 def progressing(total: int, track: Progress | None) -> Callable[[int], None]:
@@ -103,6 +120,8 @@ def progressing(total: int, track: Progress | None) -> Callable[[int], None]:
 
     def advance(count: int) -> None:
         nonlocal left
+        if track is None:
+            return
         left -= count
         for _ in range(count + (left == 0)):  # once more at the end, so that a bar knows it
             next(steps, None)
@@ -177,37 +196,47 @@ class LaneProgram:
             config=config,
             constants=method.constants,
             cached=cached,
+            graphs=True,
         )
 
-    def run(
-        self, initial: RetargetState, tracks: Sequence[Track], track: Progress | None = None
-    ) -> list[Answers]:
+    def run(self, initial: RetargetState, tracks: Tracks, track: Progress | None = None) -> Answers:
         """Every recording, each from the same state.
+
+        While the device works on a block, a thread lays out the inputs of the next, and puts the
+        results of the last in their places.
 
         Args:
             initial: the state before a first frame.
             tracks: the recordings.
             track: wraps the iteration over all frames, for a progress bar.
-
-        Returns:
-            the answers, in the order of the recordings.
         """
-        start = jax.tree.map(self._everywhere, initial.trees)
-        answers = [self._empty(len(one.ticks), initial) for one in tracks]
-        queues = _shared_out([len(one.ticks) for one in tracks], self.lanes)
-        length = max((sum(len(tracks[i].ticks) for i in queue) for queue in queues), default=0)
-        advance = progressing(sum(len(one.ticks) for one in tracks), track)
-        state = start
-        for begin in range(0, length, BLOCK):
-            taken = list(_pieces(queues, tracks, begin, begin + BLOCK))
-            state, (q, status, loss) = self._block(start, state, *self._filled(tracks, taken))
-            q, status, loss = (np.asarray(each) for each in (q, status, loss))
-            for lane, which, source, at in taken:
-                answers[which].q[source] = q[at, lane]
-                answers[which].status[source] = status[at, lane]
-                answers[which].loss[source] = loss[at, lane]
-                advance(source.stop - source.start)
-        return answers
+        frames = _frames_of_lanes(tracks, self.lanes)
+        total = len(tracks.ticks)
+        advance = progressing(total, track)
+        # one row more, for what lanes without a recording give
+        q = np.empty((total + 1, len(initial.q)), np.float32)
+        status, loss = np.empty(total + 1, np.int8), np.empty(total + 1, np.float32)
+        blocks = [frames[at : at + BLOCK] for at in range(0, len(frames), BLOCK)]
+        state = start = jax.tree.map(self._everywhere, initial.trees)
+
+        def store(at: np.ndarray, parts: tuple[Any, ...]) -> int:
+            q[at], status[at], loss[at] = (np.asarray(part) for part in parts)
+            return int(np.count_nonzero(at < total))
+
+        with ThreadPoolExecutor(1) as thread:
+            stored: list[Future[int]] = []
+            filled = [thread.submit(_filled, tracks, block) for block in blocks[:1]]
+            for block, next in itertools.zip_longest(blocks, blocks[1:]):
+                inputs = filled.pop().result()
+                if next is not None:
+                    filled.append(thread.submit(_filled, tracks, next))
+                state, parts = self._block(start, state, *inputs)
+                stored.append(thread.submit(store, block, parts))
+                if len(stored) > 1:
+                    advance(stored.pop(0).result())
+            for each in stored:
+                advance(each.result())
+        return Answers(q[:-1], status[:-1], loss[:-1])
 
     def _everywhere(self, leaf: Any) -> jax.Array:
         one = jnp.asarray(leaf)
@@ -216,29 +245,6 @@ class LaneProgram:
             jnp.broadcast_to(one, (self.lanes, *one.shape)), one.device
         )
         return placed
-
-    def _empty(self, count: int, initial: RetargetState) -> Answers:
-        size = len(initial.q)
-        q, loss = (np.empty(shape, np.float32) for shape in ((count, size), count))
-        return Answers(q, np.empty(count, np.int8), loss)
-
-    def _filled(self, tracks: Sequence[Track], taken: Sequence[Piece]) -> tuple[np.ndarray, ...]:
-        """The inputs of a block; lanes that have nothing left see no hand."""
-        shape = (BLOCK, self.lanes, NUM_LANDMARKS, 3)
-        landmarks = np.full(shape, np.nan, np.float32)
-        valid = np.zeros((BLOCK, self.lanes, NUM_LANDMARKS), bool)
-        ticks = np.zeros((BLOCK, self.lanes), np.uint32)
-        new = np.zeros((BLOCK, self.lanes), bool)
-        for lane, which, source, at in taken:
-            landmarks[at, lane] = tracks[which].landmarks[source]
-            valid[at, lane] = tracks[which].valid[source]
-            ticks[at, lane] = tracks[which].ticks[source]
-            new[at.start, lane] |= source.start == 0
-        return landmarks, valid, ticks, new
-
-
-Piece: TypeAlias = tuple[int, int, slice, slice]
-"""A lane, a recording, frames of it, and where they are in a block."""
 
 
 def _chosen(which: Bool[Array, " L"], new: Any, old: Any) -> Any:
@@ -250,34 +256,42 @@ def _chosen(which: Bool[Array, " L"], new: Any, old: Any) -> Any:
     return jax.tree.map(one, new, old)
 
 
-def _shared_out(lengths: Sequence[int], lanes: int) -> list[list[int]]:
-    """Which recordings each lane takes: the longest first, to the lane that ends first."""
-    queues: list[list[int]] = [[] for _ in range(lanes)]
-    filled = [0] * lanes
-    for which in sorted(range(len(lengths)), key=lambda i: (-lengths[i], i)):
-        lane = filled.index(min(filled))
-        queues[lane].append(which)
-        filled[lane] += lengths[which]
-    return queues
+def _frames_of_lanes(tracks: Tracks, lanes: int) -> np.ndarray:
+    """(B, lanes) which frame each lane takes when; one past the last where it has none.
 
-
-def _pieces(
-    queues: Sequence[Sequence[int]], tracks: Sequence[Track], begin: int, end: int
-) -> Iterable[Piece]:
-    """What the lanes hold between two places of their queues."""
+    B is a multiple of ``BLOCK``.
+    """
+    queues, slices = _shared_out(tracks.lengths, lanes), tracks.slices
+    length = max((sum(tracks.lengths[i] for i in queue) for queue in queues), default=0)
+    rows = -(-length // BLOCK) * BLOCK
+    frames = np.full((lanes, rows), len(tracks.ticks), np.int64)
     for lane, queue in enumerate(queues):
         first = 0
         for which in queue:
-            last = first + len(tracks[which].ticks)
-            low, high = max(first, begin), min(last, end)
-            if low < high:
-                yield (
-                    lane,
-                    which,
-                    slice(low - first, high - first),
-                    slice(low - begin, high - begin),
-                )
+            part = slices[which]
+            last = first + part.stop - part.start
+            frames[lane, first:last] = np.arange(part.start, part.stop)
             first = last
+    return np.ascontiguousarray(frames.T)
+
+
+def _shared_out(lengths: Sequence[int], lanes: int) -> list[list[int]]:
+    """Which recordings each lane takes: the longest first, to the lane that ends first."""
+    queues: list[list[int]] = [[] for _ in range(lanes)]
+    ends = [(0, lane) for lane in range(lanes)]
+    for which in sorted(range(len(lengths)), key=lambda i: (-lengths[i], i)):
+        filled, lane = ends[0]
+        queues[lane].append(which)
+        heapq.heapreplace(ends, (filled + lengths[which], lane))
+    return queues
+
+
+def _filled(tracks: Tracks, block: np.ndarray) -> tuple[np.ndarray, ...]:
+    """The inputs of a block; lanes that have nothing left see no hand."""
+    there = block < len(tracks.ticks)
+    at = np.where(there, block, 0)
+    valid = tracks.valid[at] & there[..., None]
+    return tracks.landmarks[at], valid, tracks.ticks[at], tracks.starts[at] & there
 
 
 _KEPT: Final = 8

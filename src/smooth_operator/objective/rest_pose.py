@@ -21,6 +21,7 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS, TIPS
 from smooth_operator.objective.penalties import TINY_AREA
 from smooth_operator.settings import check_numbers, is_off
+from smooth_operator.solvers.newton import solve_small
 
 
 @dataclass(frozen=True)
@@ -133,8 +134,7 @@ class RestPose:
         apart: Any = jax.lax.optimization_barrier  # has no types; see ``Objective``
         damping = self.config.damping * jnp.eye(len(q), dtype=q.dtype)
         # (J^T J + damping W) step = damping W pull: where fingertips move, hardly a step is left
-        factor = jnp.linalg.cholesky(apart(pull.rows.T) @ pull.rows + damping)
-        step = jax.scipy.linalg.cho_solve((factor, True), pull.right)
+        step = solve_small(apart(pull.rows.T) @ pull.rows + damping, pull.right)
         # a joint is free of Eq. (1)'s pull as far as every fingertip that it moves is near
         share = jnp.where(jnp.asarray(self.moves), pull.near[:, None], 1.0).min(axis=0)
         pose = q + share * step + (1 - share) * (jnp.asarray(self.hand.neutral, q.dtype) - q)

@@ -17,6 +17,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from smooth_operator.errors import ConfigError
+from smooth_operator.geometry import on_gpu
+from smooth_operator.plugins import Entry
 
 ValueGradHess: TypeAlias = Callable[[Array], tuple[Array, Array, Array]]
 """(c, m) candidates to their costs (c,), gradients (c, m) and Hessians (c, m, m); or one point
@@ -25,6 +27,9 @@ ValueGradHess: TypeAlias = Callable[[Array], tuple[Array, Array, Array]]
 STILL: Final = 3e-4
 """``damped_newton`` stops after a step in which no variable moves further than this [rad]: since it
 converges quadratically, the next step would be too small to see."""
+
+_KERNELS: Final = Entry("smooth_operator.solvers.gpu_kernels:kernels_available")
+_SOLVE: Final = Entry("smooth_operator.solvers.gpu_kernels:solve_positive_definite")
 
 _AT_BOUND: Final = 1e-6
 """A variable this near a bound is at it [rad]: solvers return 1e-15 for 0."""
@@ -65,6 +70,22 @@ class NewtonResult(NamedTuple):
     gradient: Float[Array, " m"]
 
 
+def solve_small(
+    matrices: Float[Array, "*c m m"], right: Float[Array, "*c m"]
+) -> Float[Array, "*c m"]:
+    """x of ``matrix @ x = right`` for one or a few small positive definite matrices, else NaN: by
+    LAPACK on a CPU, in one kernel on a GPU."""
+    if on_gpu() and _KERNELS.load()():
+        size = right.shape[-1]
+        few = matrices.reshape(-1, size, size), right.reshape(-1, size)
+        solution: Array = _SOLVE.load()(*few)
+        return solution.reshape(right.shape)
+    factor = jnp.linalg.cholesky(matrices)
+    if right.ndim == 1:
+        return jax.scipy.linalg.cho_solve((factor, True), right)
+    return jax.scipy.linalg.cho_solve((factor, True), right[..., None])[..., 0]
+
+
 def newton_candidates(
     q: Float[Array, " m"],
     gradient: Float[Array, " m"],
@@ -93,9 +114,7 @@ def newton_candidates(
     held = (under & (gradient > 0)) | (over & (gradient < 0))
     matrices = jnp.where(held[:, None] | held[None, :], identity, hessian) + damping * identity
     right = jnp.broadcast_to(jnp.where(held, 0.0, gradient), (len(damping), len(limits)))
-    factor = jnp.linalg.cholesky(matrices)
-    moves = jax.scipy.linalg.cho_solve((factor, True), right[..., None])[..., 0]
-    return jnp.clip(q - moves, low, high)
+    return jnp.clip(q - solve_small(matrices, right), low, high)
 
 
 def _best(costs: Float[Array, " c"]) -> tuple[Array, Array]:

@@ -38,7 +38,7 @@ def counter_normals(
         ``count`` arrays of index's shape.
     """
     pairs = (count + 1) // 2
-    both = [_pair(index * jnp.uint32(pairs) + jnp.uint32(k), words) for k in range(pairs)]
+    both = [pair_of_normals(index * jnp.uint32(pairs) + jnp.uint32(k), words) for k in range(pairs)]
     return [pair[half] for half in (0, 1) for pair in both][:count]
 
 
@@ -48,7 +48,7 @@ def counter_normal_matrix(
     """The same numbers as ``counter_normals``, as one matrix: less code, for few candidates."""
     pairs = (count + 1) // 2
     which = jnp.arange(pairs, dtype=jnp.uint32)[:, None]
-    return jnp.concatenate(_pair(index * jnp.uint32(pairs) + which, words))[:count]
+    return jnp.concatenate(pair_of_normals(index * jnp.uint32(pairs) + which, words))[:count]
 
 
 def seed_words(seed: int) -> UInt32[np.ndarray, "2"]:
@@ -69,7 +69,17 @@ def random_words(key: UInt32[Array, "2"], count: int) -> UInt32[Array, "count 2"
     return mix(mix(counter + key[0]) ^ key[1])
 
 
-def _pair(counter: UInt32[Array, "*n"], words: UInt32[Array, "2"]) -> tuple[Array, Array]:
+def random_word_at(
+    key: UInt32[Array, "2"] | tuple[Array, Array], which: Array, half: int
+) -> UInt32[Array, ""]:
+    """One number of ``random_words``: of a row, the first or the second."""
+    counter = 2 * which.astype(jnp.uint32) + jnp.uint32(half)
+    return mix(mix(counter + key[0]) ^ key[1])
+
+
+def pair_of_normals(
+    counter: UInt32[Array, "*n"], words: UInt32[Array, "2"] | tuple[Array, Array]
+) -> tuple[Array, Array]:
     """Box and Muller's transform of one word: its upper bits are an angle, its lower 16 a radius.
 
     The radius then ends at 4.85 deviations, beyond which lies one draw in 125,000.

@@ -17,6 +17,8 @@ from jax import lax
 from jaxtyping import Array, Float, Int, UInt32
 
 from smooth_operator.errors import ConfigError
+from smooth_operator.geometry import on_gpu
+from smooth_operator.plugins import Entry
 from smooth_operator.solvers.normals import (
     counter_normal_matrix,
     counter_normals,
@@ -24,6 +26,9 @@ from smooth_operator.solvers.normals import (
     random_words,
 )
 from smooth_operator.solvers.selection import largest
+
+_KERNELS: Final = Entry("smooth_operator.solvers.gpu_kernels:kernels_available")
+_NEXT_GAUSSIAN: Final = Entry("smooth_operator.solvers.gpu_kernels:next_gaussian")
 
 MOST_SAMPLES: Final = 1 << 20
 MOST_CYCLES: Final = 10_000
@@ -118,6 +123,7 @@ def sample_minimise(
     mean = start.astype(dtype)
     chol = jnp.sqrt(deviation**2 + config.jitter) * jnp.eye(size, dtype=dtype)
     epsilon = config.jitter * jnp.eye(size, dtype=dtype)
+    in_kernel = on_gpu() and _KERNELS.load()(config.samples)
 
     def cycle(mean: Array, chol: Array, cycle_key: Array) -> tuple[Array, Array]:
         # Line 4: draw the candidates. Line 5: compute their costs
@@ -137,7 +143,27 @@ def sample_minimise(
         return mean, lax.linalg.cholesky(covariance, symmetrize_input=False)
 
     # Lines 3-13: L - 1 cycles
-    if cycles is None:
+    if in_kernel:
+
+        def cycle_in_kernel(i: Array, carry: tuple[Array, ...]) -> tuple[Array, ...]:
+            mean, chol, words = carry
+            following: tuple[Array, ...] = _NEXT_GAUSSIAN.load()(
+                cost(gaussian.draw_all(mean, chol, words)),
+                mean,
+                chol,
+                words,
+                (key, i + 1),
+                gaussian.base,
+                limits,
+                config.elites,
+                config.temperature,
+                config.jitter,
+            )
+            return following
+
+        count = config.cycles if cycles is None else cycles
+        mean, *_ = lax.fori_loop(0, count - 1, cycle_in_kernel, (mean, chol, cycle_keys[0]))
+    elif cycles is None:
         (mean, _), _ = lax.scan(lambda carry, k: (cycle(*carry, k), None), (mean, chol), cycle_keys)
     else:
         mean, _ = lax.fori_loop(
