@@ -152,8 +152,8 @@ def main(settings: Settings) -> None:
 def live(report: Report, settings: Settings, frames: list[HandFrame]) -> None:
     """Times frames of the default method."""
     retargeter = Retargeter(settings.hand)
-    found = interleave({"smooth": (retargeter.init(), wrap(retargeter))}, frames)
-    p = percentiles(found["smooth"][2])
+    timings = interleave({"smooth": (retargeter.init(), wrap(retargeter))}, frames)
+    p = percentiles(timings["smooth"][2])
     report.add("smooth", p)
     report.table("`smooth`, one frame", tuple(p), [list(p.values())], 0)
 
@@ -286,9 +286,9 @@ def interleave(
 ) -> dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """name -> joint positions (T, n), tracking losses (T,), latencies (T,) [ms]."""
     states: dict[str, Any] = {}
-    found: dict[str, tuple[list[Any], list[Any], list[Any]]] = {}
+    timings: dict[str, tuple[list[Any], list[Any], list[Any]]] = {}
     for name, (state, step) in steps.items():
-        states[name], found[name] = state, ([], [], [])
+        states[name], timings[name] = state, ([], [], [])
         for frame in frames[:5]:  # warm-up
             state, _, _ = step(state, frame)
     for turn, start in enumerate(range(0, len(frames), BLOCK)):
@@ -298,9 +298,9 @@ def interleave(
                 before = time.perf_counter()
                 states[name], q, loss = step(states[name], frame)
                 latency = (time.perf_counter() - before) * 1e3
-                for values, value in zip(found[name], (q, loss, latency), strict=True):
+                for values, value in zip(timings[name], (q, loss, latency), strict=True):
                     values.append(value)
-    return {name: tuple(np.array(v) for v in values) for name, values in found.items()}  # type: ignore[misc]
+    return {name: tuple(np.array(v) for v in values) for name, values in timings.items()}  # type: ignore[misc]
 
 
 def wrap(retargeter: Retargeter) -> Step:
