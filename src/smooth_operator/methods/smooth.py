@@ -21,6 +21,11 @@ from jaxtyping import Array, Bool, Float, UInt32
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import AlignmentConfig
+from smooth_operator.human.correspondence import (
+    Correspondence,
+    CorrespondenceConfig,
+    OperatorLengths,
+)
 from smooth_operator.human.landmark_filter import (
     FilterState,
     LandmarkFilterConfig,
@@ -77,6 +82,7 @@ class SmoothConfig(ObjectiveMethodConfig):
         fingertip_position: cost of fingertips that are nearly where the human's are.
         self_collision: cost of parts of the hand inside each other.
         direction_length: cost of direction and length of the thumb-to-tip vectors.
+        correspondence: where the robot's fingertips belong, by fingers of other lengths.
         tracker_noise: removal of the noise that the palm shows.
         landmarks: filter of the human landmarks.
         joint_speed: largest speed of a joint, over the usual time between frames [rad/s].
@@ -102,6 +108,9 @@ class SmoothConfig(ObjectiveMethodConfig):
     fingertip_position: FingertipPositionConfig = field(default_factory=FingertipPositionConfig)
     self_collision: SelfCollisionConfig = field(default_factory=SelfCollisionConfig)
     direction_length: DirectionLengthConfig = field(default_factory=DirectionLengthConfig)
+    correspondence: CorrespondenceConfig = field(
+        default_factory=lambda: CorrespondenceConfig(share=0.0)
+    )
     tracker_noise: NoiseConfig = field(default_factory=lambda: NoiseConfig(acceleration=0.003))
     landmarks: LandmarkFilterConfig = field(
         default_factory=lambda: LandmarkFilterConfig(
@@ -147,6 +156,7 @@ class SmoothState(NamedTuple):
     Attributes:
         q: (m,) last command of the actuated joints [rad].
         solved: (m,) the solver's last answer, which the limit of speed may yet hold back [rad].
+        operator: lengths of the operator's fingers; empty without a correspondence.
         noise: state of the removal of noise.
         filtered: the landmark filter's state, of the needed landmarks.
         targets: state of the target policy.
@@ -158,6 +168,7 @@ class SmoothState(NamedTuple):
 
     q: Float[Array, " m"]
     solved: Float[Array, " m"]
+    operator: OperatorLengths | tuple[()]
     noise: NoiseState
     filtered: FilterState
     targets: Any
@@ -172,14 +183,15 @@ class _Seen(NamedTuple):
 
     Attributes:
         clock, now: when it is.
-        noise, filtered, policy: states after it.
+        operator, noise, filtered, policy: states after it.
         goal: what it asks.
-        moves, places: (F, 3) steps of the human's fingertips, and where they are from the robot's
+        moves, places: (F, 3) steps of the fingertips' places, and the places from the robot's
             wrist [m].
     """
 
     clock: FrameClock
     now: UInt32[Array, ""]
+    operator: OperatorLengths | tuple[()]
     noise: NoiseState
     filtered: FilterState
     policy: Any
@@ -221,6 +233,11 @@ class Smooth(Method):
         return FingertipMotion(self.hand, self.config.objective.transition)
 
     @cached_property
+    def correspondence(self) -> Correspondence:
+        """The correspondence of human and robot fingers."""
+        return Correspondence(self.hand, self.config.correspondence)
+
+    @cached_property
     def rest_pose(self) -> RestPose:
         """The pose that the hand is pulled to."""
         return RestPose(self.hand, self.config.rest_pose)
@@ -237,8 +254,11 @@ class Smooth(Method):
 
     @property
     def optional_landmarks(self) -> tuple[int, ...]:
-        """The palm's, which show noise, and those below the fingertips, which turn the pads."""
-        return (*PALM, *(landmark for _, landmark in self.rest_pose.segments))
+        """The palm's, which show noise, those below the fingertips, which turn the pads, and all of
+        the fingers for their lengths."""
+        turning = tuple(landmark for _, landmark in self.rest_pose.segments)
+        corresponds = not is_off(self.config.correspondence.share)
+        return (*PALM, *turning, *(self.correspondence.landmarks if corresponds else ()))
 
     def init(self, seed: int) -> SmoothState:
         """Neutral pose."""
@@ -247,6 +267,7 @@ class Smooth(Method):
         return SmoothState(
             neutral,
             neutral,
+            () if is_off(self.config.correspondence.share) else self.correspondence.init(),
             NoiseState.unseen(len(self.needs)),
             FilterState.unseen(len(self.needs)),
             self.config.objective.targets.init(self.objective.layout),
@@ -293,9 +314,17 @@ class Smooth(Method):
         points, tips = filtered.points, [TIPS[FINGERS.index(f)] for f in self.hand.fingers]
         at, wrist = np.array([self.needs.index(i) for i in tips]), self.needs.index(WRIST)
         moves, places = steps[at] - steps[wrist], points[at] - points[wrist]
+        operator = state.operator
+        if operator:  # a tuple of arrays; empty without a correspondence
+            origin = jnp.asarray(self.hand.wrist, points.dtype)
+            operator = self.correspondence.measure(operator, aligned, clock.dt, clock.restart)
+            tips = self.correspondence(operator, points[at])
+            moves = tips - self.correspondence(operator, points[at] - steps[at])
+            places = tips - origin
+            points = points.at[np.array([*at, wrist])].set(jnp.concatenate([tips, origin[None]]))
         goal, policy = self._goal(state, points, moves, clock)
         places = places + jnp.asarray(self.hand.wrist, points.dtype)
-        return _Seen(clock, now, noise, filtered, policy, goal, moves, places)
+        return _Seen(clock, now, operator, noise, filtered, policy, goal, moves, places)
 
     def _rested(
         self, goal: FrameGoal, rest: RestGoal, moves: Float[Array, "F 3"], restart: Bool[Array, ""]
@@ -317,7 +346,15 @@ class Smooth(Method):
         most = self.config.joint_speed * jnp.minimum(clock.dt, clock.period)
         most = jnp.where(clock.first, jnp.inf, most)
         q = jnp.clip(jnp.clip(solved, state.q - most, state.q + most), low, high)
-        known = seen.noise, seen.filtered, seen.policy, seen.now, clock.period, state.seed
+        known = (
+            seen.operator,
+            seen.noise,
+            seen.filtered,
+            seen.policy,
+            seen.now,
+            clock.period,
+            state.seed,
+        )
         after = SmoothState(q, solved, *known, state.frames + jnp.uint32(1))
         return after, MethodOutput(q, self.objective.tracking_at(q, seen.goal))
 
