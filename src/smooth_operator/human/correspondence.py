@@ -28,7 +28,7 @@ from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS
 from smooth_operator.settings import check_numbers
 
 _SUDDEN: Final = 0.2  # share of a length by which one frame may differ and count in full
-_SETTLED: Final = 1.0  # after which small differences no longer count [s]
+_SETTLED: Final = 1.0  # time after which small differences no longer count [s]
 _SMALL: Final = 0.02  # share of a length that counts as a small difference
 _TINY: Final = 1e-9
 
@@ -44,24 +44,25 @@ class CorrespondenceConfig:
         near: distance of thumb and finger, on the robot's scale, under which the vector between
             them is the human's own [m].
         far: distance over which they do not move each other [m].
-        thumb_follows: weight with which the thumb keeps its vectors to all fingers, at any
-            distance, against its own place; 0 leaves it there.
+        thumb_share: how far the thumb moves to the finger, if the finger moves to the thumb by 1.
+        faster: by how much a fingertip's place may move faster than the human's fingertip [m/s].
         span: averaging time of the operator's lengths [s].
     """
 
     share: float = 1.0
     longest: float = 2.5
     near: float = 0.012
-    far: float = 0.05
-    thumb_follows: float = 0.0
+    far: float = 0.08
+    thumb_share: float = 0.2
+    faster: float = 0.25
     span: float = 10.0
 
     def __post_init__(self) -> None:
         check_numbers(
             self,
             "correspondence.",
-            positive=("longest", "far", "span"),
-            not_negative=("share", "near", "thumb_follows"),
+            positive=("longest", "far", "faster", "span"),
+            not_negative=("share", "near", "thumb_share"),
         )
         if not self.near < self.far:
             raise ConfigError(
@@ -71,18 +72,32 @@ class CorrespondenceConfig:
             raise ConfigError(f"correspondence.share must be 0 to 1, not {self.share}")
 
 
-class OperatorLengths(NamedTuple):
-    """What is known of the operator, on the robot's scale.
+class CorrespondenceState(NamedTuple):
+    """What is known of the operator, on the robot's scale, and the last places.
 
     Attributes:
-        bases: (F, 3) bases of the fingers in the palm frame [m].
+        bases: (F, 3) bases of the human's fingers in the palm frame [m].
         lengths: (F,) sums of their bones [m].
         time: (F,) for how long each finger has been measured [s].
+        places: (F, 3) where the robot's fingertips belonged in the last frame [m].
     """
 
     bases: Float[Array, "F 3"]
     lengths: Float[Array, " F"]
     time: Float[Array, " F"]
+    places: Float[Array, "F 3"]
+
+
+class Places(NamedTuple):
+    """Where the robot's fingertips belong.
+
+    Attributes:
+        tips: (F, 3) in the palm frame [m].
+        steps: (F, 3) by which they should move in this frame, in the human's direction [m].
+    """
+
+    tips: Float[Array, "F 3"]
+    steps: Float[Array, "F 3"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,31 +131,54 @@ class Correspondence:
         rows = [names.index(LANDMARKS[chain[0]]) for chain in self._chains]
         return points[rows].astype(np.float32), straight.reach.astype(np.float32)
 
-    def init(self) -> OperatorLengths:
+    def init(self) -> CorrespondenceState:
         """The lengths of an operator who is like the robot."""
         bases, lengths = self._robot
-        made: OperatorLengths = jax.device_put(
-            OperatorLengths(bases, lengths, np.zeros(len(lengths), np.float32))  # type: ignore[arg-type]
+        time = np.zeros(len(lengths), np.float32)
+        made: CorrespondenceState = jax.device_put(
+            CorrespondenceState(bases, lengths, time, bases)  # type: ignore[arg-type]
         )
         return made
 
-    def measure(
+    def step(
         self,
-        before: OperatorLengths,
+        before: CorrespondenceState,
         aligned: Float[Array, "21 3"],
+        tips: Float[Array, "F 3"],
+        steps: Float[Array, "F 3"],
         dt: Float[Array, ""],
         restart: Bool[Array, ""],
-    ) -> OperatorLengths:
-        """The operator after a frame; traceable.
-
-        A mean over the time since the start that follows only differences of over 2 % once it has
-        settled; a difference of over 20 % counts as one of 20 %.
+    ) -> tuple[CorrespondenceState, Places]:
+        """One frame; traceable.
 
         Args:
             before: after the last frame.
             aligned: (21, 3) landmarks in the palm frame [m]; NaN where one is not known.
-            dt: time between the two [s].
+            tips: (F, 3) the human's fingertips in the palm frame without noise, thumb first [m].
+            steps: (F, 3) their steps in this frame [m].
+            dt: time between the two frames [s].
             restart: nothing came before, or too long ago: it may be another operator.
+        """
+        operator = self._measured(before, aligned, dt, restart)
+        places, gain = self._places(operator, tips)
+        # a finger of twice the length moves twice as fast, which is more than a robot can follow
+        most = jnp.sqrt((steps * steps).sum(-1, keepdims=True)) + self.config.faster * dt
+        last = jnp.where(restart, places, before.places)
+        places = last + _shortened(places - last, most)
+        moves = _shortened(gain[:, None] * steps, most)
+        return operator._replace(places=places), Places(places, moves)
+
+    def _measured(
+        self,
+        before: CorrespondenceState,
+        aligned: Float[Array, "21 3"],
+        dt: Float[Array, ""],
+        restart: Bool[Array, ""],
+    ) -> CorrespondenceState:
+        """The operator after a frame.
+
+        A mean over the time since the start that follows only differences of over 2 % once it has
+        settled; a difference of over 20 % counts as one of 20 %.
         """
         chains = aligned[self._chains]
         bones = jnp.diff(chains, axis=1)
@@ -148,46 +186,49 @@ class Correspondence:
         known = jnp.isfinite(lengths)
         time = jnp.where(restart, 0.0, before.time)
         share = jnp.where(known, dt / (dt + jnp.minimum(time, self.config.span)), 0.0)
-        # nothing is certain at first, so a difference counts in full; then it has to be larger
-        early = time <= 0
-        most = jnp.where(early, jnp.inf, _SUDDEN * before.lengths)
+        most = jnp.where(time <= 0, jnp.inf, _SUDDEN * before.lengths)  # the first counts in full
         least = jnp.where(time < _SETTLED, 0.0, _SMALL * before.lengths)
 
         def moved(mean: Array, now: Array) -> Array:
-            """The mean after a frame, of (F, n) values of which the change is limited as one."""
             change = jnp.where(known[:, None], now - mean, 0.0)
             size = jnp.sqrt((change * change).sum(-1)) + _TINY
             counts = jnp.clip(size - least, 0.0, most) / size
             return mean + (share * counts)[:, None] * change
 
-        return OperatorLengths(
-            moved(before.bases, chains[:, 0]),
-            moved(before.lengths[:, None], lengths[:, None])[:, 0],
-            time + jnp.where(known, dt, 0.0),
+        return before._replace(
+            bases=moved(before.bases, chains[:, 0]),
+            lengths=moved(before.lengths[:, None], lengths[:, None])[:, 0],
+            time=time + jnp.where(known, dt, 0.0),
         )
 
-    def __call__(self, operator: OperatorLengths, tips: Float[Array, "F 3"]) -> Float[Array, "F 3"]:
-        """Places of the robot's fingertips; traceable, with a continuous slope.
+    def _places(
+        self, operator: CorrespondenceState, tips: Float[Array, "F 3"]
+    ) -> tuple[Float[Array, "F 3"], Float[Array, " F"]]:
+        """Places of the fingertips, with a continuous slope, and the gain of their motion.
 
-        With the human's vectors h_i from thumb to finger i, and places T of all fingertips by their
-        own fingers alone, the result P is the least of |P_0 - T_0|^2 and, for each finger, of its
-        misplacement and the error of its thumb vector, weighted by how near it is to the thumb.
-
-        Args:
-            operator: as measured.
-            tips: (F, 3) the human's, thumb first, in the palm frame [m].
+        Of the human's vectors h_i from thumb to finger i and places T by the fingers alone, with a
+        nearness n_i of 0 to 1 and the thumb's share s, the places P are
+        P_0 = (T_0 + s sum n_i (T_i - h_i)) / (1 + s sum n_i), P_i = T_i + n_i (P_0 + h_i - T_i).
         """
         config = self.config
         bases, reach = (jnp.asarray(part, tips.dtype) for part in self._robot)
         gain = jnp.minimum(reach / operator.lengths, config.longest)
         alone = bases + gain[:, None] * (tips - operator.bases)
         alone = tips + config.share * (alone - tips)
+        gain = 1 + config.share * (gain - 1)
         human = tips[1:] - tips[0]
         apart = jnp.sqrt((human * human).sum(-1) + _TINY)
         nearness = jnp.clip((config.far - apart) / (config.far - config.near), 0.0, 1.0)
-        nearness = (nearness * nearness * (3 - 2 * nearness))[:, None]
-        wanted = alone[1:] - human  # of the thumb, for each finger
-        weights = nearness + config.thumb_follows
-        thumb = (alone[0] + (weights * wanted).sum(0)) / (1 + weights.sum(0))
-        fingers = alone[1:] + nearness * (thumb + human - alone[1:])
-        return jnp.concatenate([thumb[None], fingers])
+        nearness = nearness * nearness * (3 - 2 * nearness)
+        weights = (config.thumb_share * nearness)[:, None]
+        thumb = (alone[0] + (weights * (alone[1:] - human)).sum(0)) / (1 + weights.sum(0))
+        fingers = alone[1:] + nearness[:, None] * (thumb + human - alone[1:])
+        # fingers that pinch move as one
+        nearest = jnp.concatenate([nearness.max()[None], nearness])
+        return jnp.concatenate([thumb[None], fingers]), gain + nearest * (1 - gain)
+
+
+def _shortened(vectors: Float[Array, "F 3"], most: Float[Array, "F 1"]) -> Float[Array, "F 3"]:
+    """Vectors, those that are longer than they may be shortened."""
+    length = jnp.sqrt((vectors * vectors).sum(-1, keepdims=True)) + _TINY
+    return vectors * jnp.minimum(1.0, most / length)

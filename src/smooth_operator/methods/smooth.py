@@ -24,7 +24,7 @@ from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.human.correspondence import (
     Correspondence,
     CorrespondenceConfig,
-    OperatorLengths,
+    CorrespondenceState,
 )
 from smooth_operator.human.landmark_filter import (
     FilterState,
@@ -168,7 +168,7 @@ class SmoothState(NamedTuple):
 
     q: Float[Array, " m"]
     solved: Float[Array, " m"]
-    operator: OperatorLengths | tuple[()]
+    operator: CorrespondenceState | tuple[()]
     noise: NoiseState
     filtered: FilterState
     targets: Any
@@ -191,7 +191,7 @@ class _Seen(NamedTuple):
 
     clock: FrameClock
     now: UInt32[Array, ""]
-    operator: OperatorLengths | tuple[()]
+    operator: CorrespondenceState | tuple[()]
     noise: NoiseState
     filtered: FilterState
     policy: Any
@@ -291,7 +291,9 @@ class Smooth(Method):
         """One frame."""
         seen = self._seen(state, aligned, jnp.asarray(ticks, jnp.uint32))
         goal = seen.goal
-        if not is_off(self.config.rest_pose.reach):
+        if is_off(self.config.rest_pose.reach):
+            goal = goal._replace(tips=self.motion.tips(state.solved) + seen.moves)
+        else:
             rest = self.rest_pose(state.solved, aligned, seen.places, seen.moves)
             goal = self._rested(goal, rest, seen.moves, seen.clock.restart)
         solved = self._solve(state, goal, seen.clock)
@@ -314,15 +316,16 @@ class Smooth(Method):
         points, tips = filtered.points, [TIPS[FINGERS.index(f)] for f in self.hand.fingers]
         at, wrist = np.array([self.needs.index(i) for i in tips]), self.needs.index(WRIST)
         moves, places = steps[at] - steps[wrist], points[at] - points[wrist]
-        operator = state.operator
+        goal_points, operator, speeds = points, state.operator, moves
         if operator:  # a tuple of arrays; empty without a correspondence
+            operator, found = self.correspondence.step(
+                operator, aligned, points[at], moves, clock.dt, clock.restart
+            )
             origin = jnp.asarray(self.hand.wrist, points.dtype)
-            operator = self.correspondence.measure(operator, aligned, clock.dt, clock.restart)
-            tips = self.correspondence(operator, points[at])
-            moves = tips - self.correspondence(operator, points[at] - steps[at])
-            places = tips - origin
-            points = points.at[np.array([*at, wrist])].set(jnp.concatenate([tips, origin[None]]))
-        goal, policy = self._goal(state, points, moves, clock)
+            moves, places = found.steps, found.tips - origin
+            corners = jnp.concatenate([found.tips, origin[None]])
+            goal_points = points.at[np.array([*at, wrist])].set(corners)
+        goal, policy = self._goal(state, goal_points, speeds, clock)
         places = places + jnp.asarray(self.hand.wrist, points.dtype)
         return _Seen(clock, now, operator, noise, filtered, policy, goal, moves, places)
 
@@ -383,10 +386,7 @@ class Smooth(Method):
             speed = jnp.sqrt((moves * moves).sum(-1) + 1e-18) / clock.dt
             motion = motion / (1 + (speed / config.motion_speed) ** 2)
         goal = FrameGoal(targets.vectors, targets.weights, state.solved, velocity)
-        tips = None
-        if is_off(config.rest_pose.reach):
-            tips = self.motion.tips(state.solved) + moves
-        return goal._replace(tips=tips, motion_weights=motion), policy_state
+        return goal._replace(motion_weights=motion), policy_state
 
     def _solve(self, state: SmoothState, goal: FrameGoal, clock: FrameClock) -> Float[Array, " m"]:
         config, fingers = self.config, len(self.hand.fingers)
