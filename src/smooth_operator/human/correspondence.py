@@ -53,8 +53,8 @@ class CorrespondenceConfig:
     longest: float = 2.5
     near: float = 0.012
     far: float = 0.08
-    thumb_share: float = 0.2
-    faster: float = 0.25
+    thumb_share: float = 0.3
+    faster: float = 0.17
     span: float = 10.0
 
     def __post_init__(self) -> None:

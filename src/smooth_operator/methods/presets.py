@@ -61,8 +61,10 @@ SMOOTH_EXPRESSIVE: Final = replace(
     SMOOTH_TELEOP,
     correspondence=CorrespondenceConfig(share=1.0),
     objective=replace(
-        SMOOTH_TELEOP.objective, targets=CloseTargets(w_wrist=10.0, w_thumb=5.0, focus=2.0)
+        SMOOTH_TELEOP.objective, targets=CloseTargets(w_wrist=18.0, w_thumb=8.0, focus=2.0)
     ),
+    motion_weight=1900.0,
+    self_collision=replace(SMOOTH_TELEOP.self_collision, grip=0.001, weight=12000.0),
 )
 """For a live loop whose hand is to look like the operator's: open when open, closed when closed,
 whatever the lengths of either's fingers (docs/explanation/smooth.md)."""
