@@ -1,4 +1,4 @@
-"""``smooth:expressive``: an operator with other fingers than the robot's is followed to the shape."""
+"""``smooth:expressive``: the shape of an operator whose fingers are not the robot's."""
 
 from __future__ import annotations
 

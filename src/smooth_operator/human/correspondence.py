@@ -30,6 +30,7 @@ from smooth_operator.settings import check_numbers
 _SUDDEN: Final = 0.2  # share of a length by which one frame may differ and count in full
 _SETTLED: Final = 1.0  # time after which small differences no longer count [s]
 _SMALL: Final = 0.02  # share of a length that counts as a small difference
+_FOLDS: Final = 0.2  # range of extensions in which a finger begins to count as unfolded
 _TINY: Final = 1e-9
 
 
@@ -44,6 +45,8 @@ class CorrespondenceConfig:
         near: distance of thumb and finger, on the robot's scale, under which the vector between
             them is the human's own [m].
         far: distance over which they do not move each other [m].
+        folded: extension of a finger, base to tip over its length, at which that counts by half: a
+            thumb beside a fist pinches nothing. 0 for any.
         thumb_share: how far the thumb moves to the finger, if the finger moves to the thumb by 1.
         faster: by how much a fingertip's place may move faster than the human's fingertip [m/s].
         span: averaging time of the operator's lengths [s].
@@ -53,6 +56,7 @@ class CorrespondenceConfig:
     longest: float = 2.5
     near: float = 0.012
     far: float = 0.08
+    folded: float = 0.5
     thumb_share: float = 0.3
     faster: float = 0.17
     span: float = 10.0
@@ -62,7 +66,7 @@ class CorrespondenceConfig:
             self,
             "correspondence.",
             positive=("longest", "far", "faster", "span"),
-            not_negative=("share", "near", "thumb_share"),
+            not_negative=("share", "near", "folded", "thumb_share"),
         )
         if not self.near < self.far:
             raise ConfigError(
@@ -219,13 +223,21 @@ class Correspondence:
         human = tips[1:] - tips[0]
         apart = jnp.sqrt((human * human).sum(-1) + _TINY)
         nearness = jnp.clip((config.far - apart) / (config.far - config.near), 0.0, 1.0)
-        nearness = nearness * nearness * (3 - 2 * nearness)
+        away = tips[1:] - operator.bases[1:]
+        extension = jnp.sqrt((away * away).sum(-1) + _TINY) / operator.lengths[1:]
+        unfolded = jnp.clip(0.5 + (extension - config.folded) / _FOLDS, 0.0, 1.0)
+        nearness = _smooth_step(nearness) * _smooth_step(unfolded)
         weights = (config.thumb_share * nearness)[:, None]
         thumb = (alone[0] + (weights * (alone[1:] - human)).sum(0)) / (1 + weights.sum(0))
         fingers = alone[1:] + nearness[:, None] * (thumb + human - alone[1:])
         # fingers that pinch move as one
         nearest = jnp.concatenate([nearness.max()[None], nearness])
         return jnp.concatenate([thumb[None], fingers]), gain + nearest * (1 - gain)
+
+
+def _smooth_step(share: Float[Array, " n"]) -> Float[Array, " n"]:
+    """0 to 1 with level ends."""
+    return share * share * (3 - 2 * share)
 
 
 def _shortened(vectors: Float[Array, "F 3"], most: Float[Array, "F 1"]) -> Float[Array, "F 3"]:
