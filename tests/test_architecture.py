@@ -56,7 +56,7 @@ SHARED = {
     "synthetic": 5,
     ROOT: 7,
     "baselines": 7,
-    "compilation": 7,
+    "compilation": 6,
     "planning": 7,
     "reporting": 7,
 }
@@ -75,15 +75,12 @@ KNOWN_UPWARD = {
         "teleop.recording",
         "teleop.recording.log_reader",
     },
-    "hands/capsules.py": {"hand_files.stand_ins"},
     "methods/registry.py": {
         "baselines",
         "baselines.geort",
         "baselines.joint_angle",
         "baselines.slsqp_presets",
     },
-    "methods/retargeter.py": {"compilation.batching"},
-    "methods/shared.py": {"compilation.compiled_program"},
 }
 """File -> what it imports from above by a string such as ``Entry("smooth_operator...")``. Such an
 import hides an arrow that runs up, so the list only shrinks: a new one fails, and so does one that
@@ -92,7 +89,7 @@ is gone and still listed."""
 START = "methods.retargeter"
 """Module of ``Retargeter``, where the closure begins."""
 
-CLOSURE_LINES = 15_454
+CLOSURE_LINES = 14_800
 """Most lines of the modules that ``Retargeter`` can import: the core grows only on purpose."""
 
 MAX_LINES = 700

@@ -19,9 +19,9 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.lab.offline.trajectory_retargeter import TrajectoryRetargeter
 from smooth_operator.methods.method import Method, MethodOutput, TrajectoryMethodConfig
 from smooth_operator.methods.presets import method_config
-from smooth_operator.methods.program import RetargetState
 from smooth_operator.methods.sbr import SbrConfig
 from smooth_operator.methods.smooth import SmoothConfig
+from smooth_operator.methods.state import FrameState, RetargetState
 from smooth_operator.solvers.sampling import SamplingConfig
 from smooth_operator.solvers.settling import settled
 from smooth_operator.solvers.trajectory import TrajectoryConfig
@@ -191,7 +191,7 @@ def test_lanes_without_a_hand_need_no_turns_of_a_loop() -> None:
     turns: list[int] = []
     config = method_config("joint_angle")
     method = Counting(Retargeter(config=config).hand, turns)
-    initial = RetargetState(method.init(0), np.asarray(method.hand.neutral, np.float32))
+    initial = RetargetState.of(FrameState(method.init(0), method.hand.neutral.astype(np.float32)))
     recording = hand(30, 0)
     program = LaneProgram(method, config, lanes=4, cached=False)
     (answers,) = program.run(initial, [Track.of(recording, recording.landmarks.astype(np.float32))])

@@ -56,7 +56,7 @@ def program(traced: list[int], **settings: Any) -> CompiledProgram:
         return {"sum": state["sum"] + x.sum()}, (2 * x, state["sum"])
 
     config = replace(TINY, **settings)
-    return CompiledProgram(function, load_hand("mimic_p050"), config, "test")
+    return CompiledProgram(function, "test", hand=load_hand("mimic_p050"), config=config)
 
 
 def call(run: CompiledProgram, size: int = 3) -> tuple[float, list[float], float]:

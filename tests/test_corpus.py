@@ -18,9 +18,9 @@ from smooth_operator.errors import ConfigError, OutputError
 from smooth_operator.lab.datasets.readers.synthetic import SYNTHETIC, SyntheticCorpus
 from smooth_operator.lab.datasets.registry import DATASETS, ReadingOptions
 from smooth_operator.lab.datasets.sources import Item, each_item
-from smooth_operator.lab.ray.manifest import Manifest, write_manifest
+from smooth_operator.lab.ray.manifest import shard_items, write_manifest
 from smooth_operator.lab.ray.settings import CorpusSettings
-from smooth_operator.lab.ray.spool import Spool
+from smooth_operator.lab.ray.shards import Journal
 
 NEEDS_ARROW = "needs pyarrow: in the clone, pip install '.[cluster]'"
 OPTIONS = ReadingOptions()
@@ -42,77 +42,33 @@ def items(source: Path) -> list[Item]:
 
 
 def test_the_list_of_clips_is_read_shard_by_shard(tmp_path: Path, source: Path) -> None:
-    pytest.importorskip("pyarrow", reason=NEEDS_ARROW)
     listed = items(source)
     remote = Item("a", None, "s3://b/a.hdf5", (3, "tag"), task="pour", side="left", rate=30.0)
-    path = tmp_path / "list.arrow"
+    path = tmp_path / "list"
     count, digest = write_manifest(path, [*listed, remote, remote], 5)
-    manifest = Manifest(path)
     assert count == 12
-    assert len(manifest) == 3
-    assert [each for shard in range(2) for each in manifest.items(shard)] == listed
-    assert manifest.items(2) == [remote, replace(remote, name="a~2")]
+    assert [each for shard in range(2) for each in shard_items(path, shard)] == listed
+    assert shard_items(path, 2) == [remote, replace(remote, name="a~2")]
     assert write_manifest(path, [*listed, remote], 5)[1] != digest
     assert write_manifest(path, [*listed, remote, remote], 6)[1] != digest
-    path.write_bytes(path.read_bytes()[:100])
-    with pytest.raises(OutputError, match="start the run again"):
-        Manifest(path)
-
-
-def spooled(folder: Path, digest: str = "run") -> Spool:
-    return Spool(folder, 7, digest)
-
-
-def test_a_spool_that_is_cut_off_anywhere_keeps_what_is_whole(tmp_path: Path) -> None:
-    spool = spooled(tmp_path)
-    ends = []
-    for k in range(3):
-        spool.begin(f"clip {k}")
-        spool.finish(f"clip {k}", "made", (), 10, 20, [bytes([k]) * 50, bytes([k]) * 7])
-        (file,) = tmp_path.iterdir()
-        ends.append(file.stat().st_size)
-    spool.close(remove=False)
-    whole = file.read_bytes()
-    for length in range(0, len(whole) + 1, 13):
-        file.write_bytes(whole[:length])
-        again = spooled(tmp_path)
-        done = sum(length >= end for end in ends)
-        assert sorted(again.done) == [f"clip {k}" for k in range(done)]
-        assert again.recovered == done
-        for k in range(done):
-            found = again.done[f"clip {k}"]
-            assert list(found.episodes()) == [bytes([k]) * 50, bytes([k]) * 7]
-            assert (found.frames, found.hand_frames) == (10, 20)
-        again.close(remove=True)
-        assert list(tmp_path.iterdir()) == []
-
-
-def test_a_damaged_record_ends_a_spool(tmp_path: Path) -> None:
-    spool = spooled(tmp_path)
-    for k in range(3):
-        spool.finish(f"clip {k}", "made", episodes=[b"episode"])
-    spool.close(remove=False)
-    (file,) = tmp_path.iterdir()
-    content = bytearray(file.read_bytes())
-    content[-3] ^= 1
-    file.write_bytes(content)
-    assert sorted(spooled(tmp_path).done) == ["clip 0", "clip 1"]
+    (path / "000001.json").write_bytes((path / "000001.json").read_bytes()[:100])
+    for shard in (1, 7):
+        with pytest.raises(OutputError, match="start the run again"):
+            shard_items(path, shard)
 
 
 def test_what_attempts_began_in_vain_is_counted(tmp_path: Path) -> None:
     for _ in range(2):
-        spool = spooled(tmp_path)
-        spool.begin("bad")
-        spool.close(remove=False)
-    spool = spooled(tmp_path)
-    spool.begin("good")
-    spool.finish("good", "failed", ["damaged"])
-    assert spooled(tmp_path).begun == {"bad": 2}
-    other = spooled(tmp_path, "another run")
-    assert not other.begun
-    assert not other.done
-    other.close(remove=True)
-    assert list(tmp_path.iterdir()) == []
+        journal = Journal(tmp_path / "0", "run")
+        journal.repeated({})
+        journal.begin(["bad", "good"])
+    journal = Journal(tmp_path / "0", "run")
+    pack: Any = object()
+    assert journal.repeated({"good": pack}) == 1
+    assert journal.deaths == {"bad": 2, "good": 1}
+    other = Journal(tmp_path / "0", "another run")
+    assert not other.deaths
+    assert list((tmp_path / "0").iterdir()) == []
 
 
 # The pipeline.
@@ -159,14 +115,10 @@ def test_a_stopped_run_goes_on_and_ends_in_the_same_files(tmp_path: Path, source
         retarget_corpus(items(source), output, packing(), progress=stop, **here)
     # A worker that died in the middle of the second shard has left this.
     run = json.loads((output / ".corpus" / "shards" / "000000.json").read_bytes())["run"]
-    left = Spool(output / ".corpus" / "spool", 1, run)
     names = [item.name for item in items(source)[4:8]]
-    left.begin(names[0])
-    left.finish(names[0], "failed", ["as an attempt before found"])
-    left.begin(names[1])
-    left.retarget(names[1])
-    left.begin(names[2])
-    left.close(remove=False)
+    left = Journal(output / ".corpus" / "packs" / "000001", run)
+    left.failed[names[0]] = "as an attempt before found"
+    left.begin(names[1:2])
     summary = retarget_corpus(items(source), output, packing(), **here)
     this = summary["this_run"]
     assert (this["computed"], this["kept_clips"]) == (5, 4)
@@ -174,7 +126,7 @@ def test_a_stopped_run_goes_on_and_ends_in_the_same_files(tmp_path: Path, source
     assert summary["failed"] == 1
     (lost,) = (json.loads(line) for line in (output / "report.jsonl").read_text().splitlines())
     assert lost == {"clip": names[0], "failed": "as an attempt before found"}
-    assert not list((output / ".corpus" / "spool").iterdir())
+    assert not list((output / ".corpus" / "packs").iterdir())
     same = [name for name, found in digests(whole).items() if digests(output).get(name) == found]
     assert [name for name in same if name.startswith("data/")] == [
         "data/part-00000-000000.parquet",
@@ -203,9 +155,9 @@ def test_a_clip_that_workers_die_of_is_given_up(tmp_path: Path, source: Path) ->
     run = json.loads((output / ".corpus" / "shards" / "000000.json").read_bytes())["run"]
     bad = items(source)[5].name
     for _ in range(4):
-        left = Spool(output / ".corpus" / "spool", 1, run)
-        left.begin(bad)
-        left.close(remove=False)
+        left = Journal(output / ".corpus" / "packs" / "000001", run)
+        left.repeated({})
+        left.begin([bad])
     summary = retarget_corpus(items(source), output, packing(), **here)
     assert (summary["made"], summary["failed"]) == (9, 1)
     (lost,) = (json.loads(line) for line in (output / "report.jsonl").read_text().splitlines())

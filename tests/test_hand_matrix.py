@@ -40,14 +40,20 @@ NAMES = (
 )  # fmt: skip
 EVERY_RUN = ("inspire_hand", "leap_hand", "mimic_p050", "shadow_hand")
 """Hands of each run of the tests: coupled joints, four fingers, mirrored, a model for each side."""
+ALL_METHODS = "mimic_p050"
+"""The hand that each run of the tests tries with all methods, the weekly run all hands."""
 HANDS = [
-    pytest.param(name, marks=[] if name in EVERY_RUN else pytest.mark.weekly) for name in NAMES
-]
+    *EVERY_RUN,
+    *(pytest.param(name, id=f"{name}-all", marks=pytest.mark.weekly)
+      for name in NAMES if name != ALL_METHODS),
+]  # fmt: skip
 SIDES = ("right", "left")
 METHODS = ("sbr", "smooth", "dexpilot", "ako", "keyvector", "hybrid", "joint_angle", "geort")
 MIRRORED = ("mimic_p050", "orca_v2", "shadow_dexee", "wuji_hand")
 LEFT = ("sbr", "smooth", "dexpilot")
 """Methods on the left model of a hand that has two: one of each way to solve."""
+QUICK = ("smooth", "dexpilot")
+"""Methods of each run of the tests on other hands than ``ALL_METHODS``: compiling is the time."""
 REFUSED: dict[tuple[str, str], str] = {}
 """(hand, method) -> why the method can't serve the hand; none so far."""
 
@@ -92,28 +98,30 @@ def operator(side: str) -> SyntheticOperator:
     return SyntheticOperator(side=side, rate_hz=12, speed=1.5, gestures=gestures)
 
 
-def methods_of(name: str, side: str) -> tuple[str, ...]:
+def methods_of(name: str, side: str, weekly: bool) -> tuple[str, ...]:
     """The methods that are tried on a side of a hand."""
+    if not weekly and name != ALL_METHODS:
+        return QUICK
     all_of_them = side == "right" or name in MIRRORED
     return tuple(m for m in (METHODS if all_of_them else LEFT) if (name, m) not in REFUSED)
 
 
-def run_hand(task: tuple[str, tuple[str, ...]]) -> dict[str, dict[str, Run]]:
+def run_hand(task: tuple[str, tuple[str, ...], bool]) -> dict[str, dict[str, Run]]:
     """All methods on sides of one hand; runs in a process of its own."""
     jax.config.update("jax_disable_most_optimizations", True)
     gc.disable()  # a tenth of the time that tracing takes
-    name, sides = task
-    runs = {side: run_side(name, side) for side in sides}
+    name, sides, weekly = task
+    runs = {side: run_side(name, side, weekly) for side in sides}
     jax.clear_caches()
     gc.collect()
     return runs
 
 
-def run_side(name: str, side: str) -> dict[str, Run]:
-    """All methods on one side of one hand."""
+def run_side(name: str, side: str, weekly: bool) -> dict[str, Run]:
+    """The methods on one side of one hand."""
     hand, recording = load_hand(name, side), operator(side).record(5.0)
     human, runs = align_recording(recording, hand), {}
-    for method in methods_of(name, side):
+    for method in methods_of(name, side, weekly):
         if method == "geort" and built_in_model(name) is None:
             with tempfile.TemporaryDirectory() as at:
                 trained_for = load_hand(name) if hand.spec.mirror else hand
@@ -157,9 +165,9 @@ def fitted_networks(hand: Hand) -> GeortModel:
             before = hidden @ w + b
             hidden = before / (1 + np.exp(-before))
         inputs = np.vstack([np.c_[hidden, np.ones(len(hidden))], np.eye(HIDDEN + 1)])
-        wanted = np.arctanh(np.clip(unit[:, joints], -0.95, 0.95))
-        wanted = np.vstack([wanted, np.zeros((HIDDEN + 1, len(joints)))])
-        answer = np.linalg.lstsq(inputs, wanted, rcond=None)[0]
+        targets = np.arctanh(np.clip(unit[:, joints], -0.95, 0.95))
+        targets = np.vstack([targets, np.zeros((HIDDEN + 1, len(joints)))])
+        answer = np.linalg.lstsq(inputs, targets, rcond=None)[0]
         w3[f, :, : len(joints)], b3[f, : len(joints)] = answer[:-1], answer[-1]
     weights = Weights(*(np.asarray(a, np.float32) for a in (w1, b1, w2, b2, w3, b3)))
     return GeortModel(
@@ -178,25 +186,24 @@ def matrix(request: pytest.FixtureRequest) -> Matrix:
 
     The sides of a mirrored hand share their programs, so one process has both.
     """
-    chosen = {
-        item.callspec.params["name"]
-        for item in request.session.items
-        if isinstance(item, pytest.Function) and item.path == request.path
-        and hasattr(item, "callspec")
-    }  # fmt: skip
+    chosen: dict[str, bool] = {}
+    for item in request.session.items:
+        if isinstance(item, pytest.Function) and item.path == request.path:
+            name = getattr(item, "callspec", None) and item.callspec.params.get("name")
+            if name:
+                chosen[name] = chosen.get(name, False) or bool(item.get_closest_marker("weekly"))
     tasks = [
-        (name, sides)
-        for name in NAMES
-        if name in chosen
+        (name, sides, weekly)
+        for name, weekly in chosen.items()
         for sides in ([SIDES] if name in MIRRORED else [(side,) for side in SIDES])
     ]
-    found: Matrix = {}
+    runs_of: Matrix = {}
     for result in run_tasks(run_hand, tasks):
         assert result.error is None, (tasks[result.index], result.error)
         assert result.value is not None
         name = tasks[result.index][0]
-        found |= {(name, side): runs for side, runs in result.value.items()}
-    return found
+        runs_of |= {(name, side): runs for side, runs in result.value.items()}
+    return runs_of
 
 
 def test_all_methods_are_in_the_matrix() -> None:
@@ -207,7 +214,7 @@ def test_all_methods_are_in_the_matrix() -> None:
 @pytest.mark.parametrize("name", HANDS)
 def test_every_method_moves_the_hand_as_a_hand_can(matrix: Matrix, name: str, side: str) -> None:
     hand, runs = load_hand(name, side), matrix[name, side]
-    assert {*runs} == {*methods_of(name, side)}
+    assert {*runs} in [{*methods_of(name, side, weekly)} for weekly in (False, True)]
     low, high = hand.joint_limits.T
     for method, run in runs.items():
         at = f"{name} {side} {method}"
@@ -250,7 +257,7 @@ def test_fingertips_follow(matrix: Matrix, name: str, side: str) -> None:
 def test_the_two_sides_are_alike(matrix: Matrix, name: str) -> None:
     """A mirrored hand gives the same joints; one with a left model of its own follows as well."""
     right, left = matrix[name, "right"], matrix[name, "left"]
-    for method in methods_of(name, "left"):
+    for method in left:
         if name in MIRRORED:
             apart = np.abs(right[method].q - left[method].q).max(axis=1)
             assert np.median(apart) < 1e-3, (method, np.median(apart), apart.max())

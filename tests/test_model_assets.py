@@ -20,11 +20,11 @@ from smooth_operator import Retargeter, load_hand
 from smooth_operator.cli import main
 from smooth_operator.errors import HandModelError, RecordingError
 from smooth_operator.hand_files.model_files import copy_model, model_files
-from smooth_operator.hand_files.stand_ins import stand_in_note, stand_ins
 from smooth_operator.hands import loading
 from smooth_operator.hands.hand import load_hand_spec
 from smooth_operator.hands.loading import load_model, load_spec
 from smooth_operator.hands.model_assets import BODY, MOST_ELEMENTS
+from smooth_operator.hands.stand_ins import stand_in_note, stand_ins
 from smooth_operator.lab.benchmark.settings import only_side
 from smooth_operator.lab.discovery import discover
 from smooth_operator.planning import make_request

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from smooth_operator.errors import ConfigError, MissingExtraError, WorkerError, install_command
-from smooth_operator.parallel import TaskResult, cluster, run_tasks, usable_cores
+from smooth_operator.parallel import TaskResult, cluster, run_groups, run_tasks, usable_cores
 
 needs_signals = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGKILL")
 
@@ -52,6 +52,23 @@ def die_at_first(marker: Path) -> str:
         marker.touch()
         os.kill(os.getpid(), signal.SIGKILL)
     return "alive"
+
+
+def die_between_two_parts(size: int) -> bytes:
+    """A result whose worker is killed when the first part of a message of two is sent."""
+    from multiprocessing.connection import Connection
+
+    whole = Connection._send_bytes  # type: ignore[attr-defined]
+
+    def die(connection: Connection, message: bytes) -> None:
+        if len(message) <= 4096:  # a pipe takes it as one
+            whole(connection, message)
+        else:
+            os.write(connection.fileno(), len(message).to_bytes(4, "big"))
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    Connection._send_bytes = die  # type: ignore[attr-defined]
+    return bytes(size)
 
 
 def wait_and_clean_up(marker: Path) -> None:
@@ -161,6 +178,13 @@ def test_a_kill_from_outside_is_survived() -> None:
     assert sorted(result.index for result in results) == list(range(6))
     assert all(result.error is None for result in results)
     assert sum(result.attempts for result in results) == 7
+
+
+@needs_signals
+def test_a_kill_while_a_result_is_sent_is_survived() -> None:
+    sizes = [10, 2000, 4096, 16_384, 100_000]
+    results = by_index(run_tasks(die_between_two_parts, sizes, workers=2, retries=0))
+    assert [len(r.value or b"") if r.error is None else r.error[:10] for r in results] == sizes
 
 
 def test_closing_stops_the_workers(tmp_path: Path) -> None:
@@ -354,12 +378,13 @@ def test_without_ray_the_message_says_how_to_get_it(monkeypatch: pytest.MonkeyPa
 def test_ray_is_the_pool(tmp_path: Path) -> None:
     pytest.importorskip("ray", reason="needs ray: in the clone, pip install '.[cluster]'")
     marker = tmp_path / "marker"
-    tasks: list[Any] = ["a", "raise", marker, "own error", "b"]
+    tasks: list[Any] = ["a", "raise", marker, "own error", "die"]
     before = print, sys.excepthook, signal.getsignal(signal.SIGTERM)
     results = by_index(run_tasks(on_ray, tasks, workers=2, cluster="local"))
     assert before == (print, sys.excepthook, signal.getsignal(signal.SIGTERM))
-    assert [r.value for r in results] == ["a", None, "alive", None, "b"]
-    assert [r.attempts for r in results] == [1, 1, 2, 1, 1]
+    assert [r.value for r in results] == ["a", None, "alive", None, None]
+    assert [r.attempts for r in results] == [1, 1, 2, 1, 3]
+    assert (results[4].error or "").startswith("WorkerDied: the process that worked on it died 3")
     assert results[1].error == "ValueError: the first line and the second"
     assert (results[3].error or "").startswith("MissingExtraError: this needs")
 
@@ -397,3 +422,23 @@ def test_a_cluster_that_is_not_there() -> None:
     pytest.importorskip("ray", reason="needs ray: in the clone, pip install '.[cluster]'")
     with pytest.raises(WorkerError, match="can't reach the Ray cluster 'nobody:1'"):
         next(run_tasks(square, [1.0], cluster="nobody:1"))
+
+
+def total(group: tuple[Any, ...]) -> int:
+    if "die" in group:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return len(group)
+
+
+@needs_signals
+def test_a_group_at_which_workers_die_is_split() -> None:
+    groups = [("a", "b"), ("c", "die", "d"), ("e",)]
+    results = run_groups(total, groups, lambda g: [(part,) for part in g], workers=2, retries=0)
+    values = {group: (result.value, (result.error or "")[:10]) for group, result in results}
+    assert values == {
+        ("a", "b"): (2, ""),
+        ("e",): (1, ""),
+        ("c",): (1, ""),
+        ("die",): (None, "WorkerDied"),
+        ("d",): (1, ""),
+    }

@@ -30,8 +30,9 @@ from smooth_operator.landmarks import BASES, LANDMARKS, TIPS
 from smooth_operator.methods import program as program_module
 from smooth_operator.methods.default import DEFAULT_METHOD
 from smooth_operator.methods.presets import PRESETS, method_config, method_names
-from smooth_operator.methods.retargeter import Retargeter, RetargetState
+from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.methods.sbr import SbrConfig
+from smooth_operator.methods.state import RetargetState
 from smooth_operator.objective.loss import ObjectiveConfig
 from smooth_operator.objective.targets import PlainTargets
 from smooth_operator.planning import make_request
@@ -276,7 +277,7 @@ def test_before_the_first_good_frame_the_hand_is_neutral(
         result.command.positions, hand.full_configuration(hand.neutral), atol=1e-6
     )
     # the first good frame is still the first: nothing but the time is remembered
-    assert leaves_equal(state._replace(stamp=None), usual.init())
+    assert leaves_equal(replace(state, stamp=None), usual.init())
 
 
 def test_landmarks_that_are_not_needed_may_be_missing(

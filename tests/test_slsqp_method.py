@@ -188,7 +188,7 @@ def test_commands_stay_within_limits_and_bad_frames_hold(
         assert (result.command.positions <= high + 1e-9).all()
         if result.status != Status.OK:
             held.append(i)
-            assert state.method is before.method  # nothing of the frame is remembered
+            assert state.others is before.others  # nothing of the frame is remembered
     assert held == [10, 11, 12, 20]
 
 

@@ -176,7 +176,6 @@ def measured(report: Any, settings: Settings, home: Path, size: int) -> list[obj
         "core_hours_an_hour": run.total("cpu_s") / 3600 / hours,
         "busy_ms_a_clip": run.total("busy_s") / clips * 1e3,
         "mb_an_hour": written / MB / hours,
-        "read_share": run.total("read_s") / run.total("busy_s"),
         "write_share": run.total("write_s") / run.total("busy_s"),
         "driver_mb_at_a_tenth": at_share(run, 0.1),
         "driver_mb_at_half": at_share(run, 0.5),

@@ -133,7 +133,9 @@ def main(settings: Settings) -> None:
         ratio = float(np.median(ratios))
         figures = [percentiles(blocks.ravel()) for blocks in (old, new)]
         keys = ("p50_ms", "p95_ms", "p99_ms")
-        rows.append([method, ratio, low, high, *(found[key] for found in figures for key in keys)])
+        rows.append(
+            [method, ratio, low, high, *(figure[key] for figure in figures for key in keys)]
+        )
         report.add(method, {"ratio": ratio, "low": float(low), "high": float(high)})
     columns = ("ratio of p50", "95 % from", "to", "old p50 [ms]", "p95", "p99")
     report.table(

@@ -29,7 +29,9 @@ from smooth_operator_research.judging import method_tables
 
 pytestmark = [pytest.mark.usefixtures("few_optimisations"), pytest.mark.weekly]
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "explanation" / "smooth.md"
+ROOT = Path(__file__).resolve().parents[2]
+PAGE = ROOT / "docs" / "explanation" / "smooth.md"
+APPENDIX = ROOT / "research" / "docs" / "smooth-appendix.md"
 HAND = "shadow_dexee"
 """Three fingers, which are compiled soonest."""
 MOMENT = "synthetic:5@:40"
@@ -227,9 +229,9 @@ def test_names_of_points_cover_nothing():
 # The constants
 
 
-def rows(header: str) -> list[list[str]]:
-    """The cells of the table of the page that begins so."""
-    lines = PAGE.read_text(encoding="utf-8").split(header, 1)[1].splitlines()[2:]
+def rows(header: str, page: Path = PAGE) -> list[list[str]]:
+    """The cells of the table of a page that begins so."""
+    lines = page.read_text(encoding="utf-8").split(header, 1)[1].splitlines()[2:]
     return [[c.strip() for c in line.strip("|").split("|")] for line in lines[: lines.index("")]]
 
 
@@ -280,6 +282,6 @@ def test_the_constants_of_the_offline_presets_are_the_pages(method: str) -> None
         "bridge": [config.bridge],
     }
     assert config.future.velocity_weight == config.future.jerk_weight == 0.0  # "0 here"
-    for row in rows("| | | `smooth` | `sbr` |"):
+    for row in rows("| | | `smooth` | `sbr` |", APPENDIX):
         assert numbers(row[2 if method == "smooth" else 3]) == values.pop(row[0])
     assert not values

@@ -49,7 +49,7 @@ from smooth_operator_research.virtual_operator.person import (
     largest_crossover,
     movement_time,
 )
-from smooth_operator_research.virtual_operator.strategies import Closing, Seen
+from smooth_operator_research.virtual_operator.strategies import Closing, Observation
 from smooth_operator_research.virtual_operator.visual_feedback import (
     CrossoverCorrection,
     DelayedView,
@@ -70,7 +70,7 @@ def closed_loop(
     at, path = 0.0, []
     for k in range(round(seconds / STEP)):
         view.show(k * STEP, wanted(k * STEP) - at)
-        error = view.seen(k * STEP)
+        error = view.latest(k * STEP)
         if error is not None:
             at = float(correction.update(np.array([[error, 0, 0]]), STEP)[0, 0])
         path.append(at)
@@ -221,13 +221,13 @@ def test_closing_fingers_stop_where_they_are_seen_to_touch() -> None:
     assert closing.pressed(-0.001)[1][0] == pytest.approx(0.012 + 0.001)
 
 
-def seen_touching(*fingers: int) -> Seen:
+def seen_touching(*fingers: int) -> Observation:
     """Both fingertips at 12 mm; some of them touch."""
     force = np.zeros(5)
     force[list(fingers)] = 1.0
     state = ScenePhysics(load_hand("mimic_p050", "right"), CARD_SCENE).observe()
     tips = np.tile([0.012, 0.0, 0.0], (5, 1))
-    return Seen(replace(state, force=force), None, tips, tips)
+    return Observation(replace(state, force=force), None, tips, tips)
 
 
 def test_strokes_turn_towards_the_goal_and_no_further() -> None:
@@ -295,7 +295,9 @@ def test_an_operator_is_granted_one_reset_and_may_stop() -> None:
     physics = ScenePhysics(hand, CARD_SCENE)
     hold = hand.full_configuration(hand.neutral)
     moments = list(
-        perform(physics, TASKS["card"], lambda *_: hold, asked=lambda: next(wishes), seconds=1.0)  # type: ignore[arg-type,return-value]
+        perform(
+            physics, TASKS["card"], lambda *_: hold, interventions=lambda: next(wishes), seconds=1.0
+        )  # type: ignore[arg-type,return-value]
     )
     assert [moment.run.resets for moment in moments] == [1] * 5
     assert physics.starts == 2

@@ -41,15 +41,15 @@ def output_error(path: str | os.PathLike[str], cause: OSError) -> OutputError:
         The error to raise (``from cause``); it carries the cause's ``errno``.
     """
     path = Path(path)
-    taken = [errno.EISDIR, errno.EEXIST]
+    occupied = [errno.EISDIR, errno.EEXIST]
     if os.name == "nt":  # which calls opening a folder a lack of permission
-        taken.append(errno.EACCES)
+        occupied.append(errno.EACCES)
     if isinstance(cause, FileNotFoundError):
         if path.parent.is_dir():  # of /proc, or of a folder that was removed meanwhile
             remedy = "no file can be made there; choose another folder"
         else:
             remedy = f"the folder {str(path.parent)!r} does not exist; create it first"
-    elif cause.errno in taken and os.path.isdir(path):
+    elif cause.errno in occupied and os.path.isdir(path):
         remedy = _REMEDIES[errno.EISDIR]
     else:
         remedy = _REMEDIES.get(cause.errno or 0, f"{cause.strerror or cause}; choose another path")

@@ -160,12 +160,12 @@ class Plan:
     fingers: Mapping[str, str] | None = None
 
 
-def plan(recording: HandRecording, asked: RetargetRequest) -> Plan:
+def plan(recording: HandRecording, request: RetargetRequest) -> Plan:
     """Looks up the hand for the recording's side, and puts scale and operator in their place.
 
     Args:
         recording: the human hand, of the side, rate and frames that are asked for.
-        asked: what is to be done.
+        request: what is to be done.
 
     Raises:
         UnknownNameError: there is no such hand, or it has no such finger.
@@ -174,42 +174,44 @@ def plan(recording: HandRecording, asked: RetargetRequest) -> Plan:
             hand.
         RecordingError: the scale is to be calibrated on a recording without a usable palm.
     """
-    robot, config = resolve(asked, recording.side, recording)
-    return Plan(recording, robot, asked.method, asked.preset, config, asked.seed, asked.fingers)
+    robot, config = resolve(request, recording.side, recording)
+    return Plan(
+        recording, robot, request.method, request.preset, config, request.seed, request.fingers
+    )
 
 
 def resolve(
-    asked: RetargetRequest, side: Side, recording: HandRecording | None = None
+    request: RetargetRequest, side: Side, recording: HandRecording | None = None
 ) -> tuple[Hand, MethodConfig]:
     """The hand and the configuration that are asked for, scale and operator in their place.
 
     Args:
-        asked: what is to be done.
+        request: what is to be done.
         side: which hand.
         recording: what a scale may be calibrated on; None where there is none, as in live use.
 
     Raises:
         UnknownNameError, HandModelError, ConfigError, RecordingError: as ``plan``.
     """
-    robot = asked.load_hand(side)
-    return robot, resolve_config(asked, robot, recording)
+    robot = request.load_hand(side)
+    return robot, resolve_config(request, robot, recording)
 
 
 def resolve_config(
-    asked: RetargetRequest, robot: Hand, recording: HandRecording | None = None
+    request: RetargetRequest, robot: Hand, recording: HandRecording | None = None
 ) -> MethodConfig:
     """The configuration that is asked for, scale and operator in their place, of a loaded hand.
 
     Raises:
         ConfigError, RecordingError: as ``plan``.
     """
-    config = asked.config
-    if asked.operator is not None:
-        asked.operator.check(robot)
-        config = config.with_operator(asked.operator)
-    if asked.scale is not None:
+    config = request.config
+    if request.operator is not None:
+        request.operator.check(robot)
+        config = config.with_operator(request.operator)
+    if request.scale is not None:
         fixed: float | None
-        if asked.scale == "calibrate":
+        if request.scale == "calibrate":
             if recording is None:
                 raise ConfigError(
                     "there is no recording to calibrate the scale on; run `smooth-operator "
@@ -217,7 +219,7 @@ def resolve_config(
                 )
             fixed = calibrate_scale(recording, robot)
         else:
-            fixed = None if asked.scale == "frame" else float(asked.scale)
+            fixed = None if request.scale == "frame" else float(request.scale)
         operator = config.alignment.operator
         # What the user says of the scale goes before what the calibration found.
         operator = None if operator is None else operator.without("scale")
@@ -257,24 +259,24 @@ def configuration(command: str, todo: Plan, **more: Any) -> dict[str, Any]:
 
 
 def live_configuration(
-    command: str, asked: RetargetRequest, configs: Mapping[Side, MethodConfig], **more: Any
+    command: str, request: RetargetRequest, configs: Mapping[Side, MethodConfig], **more: Any
 ) -> dict[str, Any]:
     """The same of a run without a recording.
 
     Args:
         command: which command made it.
-        asked: what was asked for.
+        request: what was asked for.
         configs: side -> configuration of the method, as ``resolve`` gave it.
         more: what only that command knows.
     """
     return {
         "program": PROGRAM,
         "command": command,
-        "hand": asked.hand_name,
-        "fingers": asked.fingers,
-        "method": asked.method,
-        "preset": asked.preset,
-        "seed": asked.seed,
+        "hand": request.hand_name,
+        "fingers": request.fingers,
+        "method": request.method,
+        "preset": request.preset,
+        "seed": request.seed,
         "config": dict(configs),
         **more,
         **environment(),

@@ -103,9 +103,9 @@ def to_ours(
     """
     if np.linalg.det(world) * np.linalg.det(wrist) < 0:
         raise ConfigError("world and wrist axes of one tracker are of one handedness")
-    given = unit_poses(np.asarray(poses, np.float64))
-    rotation = world @ rotation_matrices(given[..., 3:]) @ wrist.T
-    return np.concatenate([given[..., :3] @ world.T, quaternions(rotation)], axis=-1)
+    unit = unit_poses(np.asarray(poses, np.float64))
+    rotation = world @ rotation_matrices(unit[..., 3:]) @ wrist.T
+    return np.concatenate([unit[..., :3] @ world.T, quaternions(rotation)], axis=-1)
 
 
 def points_to_ours(

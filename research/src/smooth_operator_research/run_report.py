@@ -168,10 +168,10 @@ def machine() -> dict[str, Any]:
 
 def versions() -> dict[str, str]:
     """Versions of what was measured and of what it stands on; absent packages are left out."""
-    found = {"python": platform.python_version(), "smooth-operator": package_version()}
+    names = {"python": platform.python_version(), "smooth-operator": package_version()}
     for name in _PACKAGES:
         try:
-            found[name] = importlib.metadata.version(name)
+            names[name] = importlib.metadata.version(name)
         except importlib.metadata.PackageNotFoundError:
             continue
     if (_CHECKOUT / ".git").exists():
@@ -183,10 +183,10 @@ def versions() -> dict[str, str]:
                 text=True,
                 check=True,
             )
-            found["revision"] = run.stdout.strip()
+            names["revision"] = run.stdout.strip()
         except (OSError, subprocess.CalledProcessError):
             pass  # git is not installed
-    return found
+    return names
 
 
 def _cpu_model() -> str:

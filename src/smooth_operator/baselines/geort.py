@@ -58,10 +58,12 @@ class GeortConfig(MethodConfig):
         """
         path = built_in_model(hand.name) if self.model is None else Path(self.model)
         if path is None:
-            known = ", ".join(sorted(file.stem.removeprefix("geort_") for file in _built_in()))
+            names_built_in = ", ".join(
+                sorted(file.stem.removeprefix("geort_") for file in _built_in())
+            )
             raise ConfigError(
                 f"there is no built-in GeoRT model for hand {hand.name!r} (there is one for: "
-                f"{known or 'none'}); train one: {training_command(hand)}"
+                f"{names_built_in or 'none'}); train one: {training_command(hand)}"
             )
         model = read_geort_model(path)
         return Geort(hand, self, model, model.mirrored_for(hand))

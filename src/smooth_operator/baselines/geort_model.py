@@ -146,11 +146,11 @@ class GeortModel:
             )
         own = finger_joints(hand)
         names = tuple(tuple(hand.actuated_names[j] for j in joints) for joints in own)
-        for finger, expected, found in zip(self.fingers, self.joints, names, strict=True):
-            if expected != found:
+        for finger, expected, names_of_hand in zip(self.fingers, self.joints, names, strict=True):
+            if expected != names_of_hand:
                 raise ConfigError(
                     f"{about}, whose {finger} has the joints {expected}, but that of {hand.name!r} "
-                    f"has {found}{train}"
+                    f"has {names_of_hand}{train}"
                 )
         for finger, limits, joints in zip(self.fingers, self.limits, own, strict=True):
             if np.abs(limits - hand.limits[list(joints)]).max() > _SAME_ANGLE:
@@ -228,15 +228,15 @@ def read_geort_model(path: str | Path) -> GeortModel:
         ConfigError: there is no such file, it is damaged, or holds something else.
     """
     path = Path(path)
-    wanted = "expected the model.npz that `smooth-operator train geort` writes"
+    expectation = "expected the model.npz that `smooth-operator train geort` writes"
     if not path.is_file():
-        raise ConfigError(f"{path}: there is no such GeoRT model; {wanted}")
+        raise ConfigError(f"{path}: there is no such GeoRT model; {expectation}")
     try:
         return _read(open_arrays(path))
     except (RecordingError, KeyError, TypeError, ValueError) as error:
         what = f"it has no {error}" if isinstance(error, KeyError) else str(error)[:300]
         what = what.removeprefix(f"{path}: ")
-        raise ConfigError(f"{path}: not a GeoRT model ({what}); {wanted}") from error
+        raise ConfigError(f"{path}: not a GeoRT model ({what}); {expectation}") from error
 
 
 def _read(arrays: StoredArrays) -> GeortModel:

@@ -82,9 +82,9 @@ def joint_angles(landmarks: AnyKind, axes: PalmAxes[Any]) -> Float[AnyKind, "*ba
         [fingers[..., 1:, :] - fingers[..., :-1, :], fingers[..., 3:, :] - fingers[..., :1, :]],
         axis=-2,
     )  # (..., 5, 3 bones and base to tip, 3)
-    seen = unit_vectors(xp.einsum("...fbi,...ic->...fbc", rays, basis), xp)
-    thumb = _thumb(seen[..., 0, :, :], xp)
-    angles = xp.concatenate([thumb[..., None, :], _long(seen[..., 1:, :3, :], xp)], axis=-2)
+    components = unit_vectors(xp.einsum("...fbi,...ic->...fbc", rays, basis), xp)
+    thumb = _thumb(components[..., 0, :, :], xp)
+    angles = xp.concatenate([thumb[..., None, :], _long(components[..., 1:, :3, :], xp)], axis=-2)
     return angles.reshape(*batch, NUM_JOINT_ANGLES)  # type: ignore[no-any-return]
 
 

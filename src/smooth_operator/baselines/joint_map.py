@@ -44,19 +44,19 @@ def joint_map(hand: Hand) -> tuple[JointMap, ...]:
         HandModelError: if a joint without a row moves a finger without all four landmarks.
         UnknownNameError: if a row names a joint or an angle that is not there.
     """
-    given = {row.joint: row for row in hand.spec.joint_map}
-    for name, row in given.items():
+    rows = {row.joint: row for row in hand.spec.joint_map}
+    for name, row in rows.items():
         if name not in hand.actuated_names:
             raise UnknownNameError("actuated joint", name, hand.actuated_names)
         for angle in row.gains:
             if angle not in JOINT_ANGLES:
                 raise UnknownNameError("joint angle", angle, JOINT_ANGLES)
-    _check_landmarks(hand, set(given))
-    if len(given) == len(hand.actuated_names):
-        return tuple(given[name] for name in hand.actuated_names)
+    _check_landmarks(hand, set(rows))
+    if len(rows) == len(hand.actuated_names):
+        return tuple(rows[name] for name in hand.actuated_names)
     gains, offsets = _derived(hand)
     return tuple(
-        given.get(name)
+        rows.get(name)
         or JointMap(
             name,
             offset=round(float(offset), 4),
@@ -122,7 +122,7 @@ def _derived(hand: Hand) -> tuple[Float[np.ndarray, "m 20"], Float[np.ndarray, "
     return gains, hand.neutral - gains @ at_neutral
 
 
-def _check_landmarks(hand: Hand, given: set[str]) -> None:
+def _check_landmarks(hand: Hand, joints_mapped: set[str]) -> None:
     lacking = {
         finger.name: [
             LANDMARKS[BASES[FINGERS.index(finger.name)] + i]
@@ -132,7 +132,7 @@ def _check_landmarks(hand: Hand, given: set[str]) -> None:
         for finger in hand.spec.fingers
     }
     for finger, points in lacking.items():
-        joints = [name for name in _joints_of(hand, finger) if name not in given]
+        joints = [name for name in _joints_of(hand, finger) if name not in joints_mapped]
         if points and joints:
             raise HandModelError(
                 f"hand {hand.name!r}: joint angles of the {finger} can't be measured without the "

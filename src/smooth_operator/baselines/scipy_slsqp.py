@@ -70,7 +70,7 @@ def scipy_slsqp_minimise(
         both = objective(x).astype(np.float64)
         return float(both[0]), both[1:]
 
-    found = minimize(
+    solution = minimize(
         evaluate,
         np.clip(np.asarray(start, np.float64), low, high),
         jac=True,
@@ -79,8 +79,8 @@ def scipy_slsqp_minimise(
         tol=config.tolerance,
         options={"maxiter": config.max_iterations},
     )
-    x = np.clip(np.asarray(found.x, np.float64), low, high)
-    value = float(found.fun)
+    x = np.clip(np.asarray(solution.x, np.float64), low, high)
+    value = float(solution.fun)
     if not (math.isfinite(value) and np.isfinite(x).all()):
         return SlsqpResult(x, math.nan, evaluations, "rounding")
-    return SlsqpResult(x, value, evaluations, _STOPS.get(int(found.status), "rounding"))
+    return SlsqpResult(x, value, evaluations, _STOPS.get(int(solution.status), "rounding"))

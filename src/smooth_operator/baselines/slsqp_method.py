@@ -161,9 +161,9 @@ class SlsqpMethod(HostMethod):
             value, gradient = jax.value_and_grad(lambda q: self.objective(list(q), goal))(q)
             return jnp.concatenate([value[None], gradient])
 
-        make = self.compiling
-        evaluate: Compiling = compiled(both) if make is None else make(both, "evaluate")
-        # Compiled with the first frame, though SLSQP may not be needed before the hundredth.
+        compiling = self.compiling
+        evaluate = compiled(both) if compiling is None else compiling(both, "evaluate")
+        # compiled with the first frame, though SLSQP may not be needed before the hundredth
         evaluate(np.zeros(ends[-1] + 1, np.float32))
         return evaluate
 

@@ -195,7 +195,7 @@ def _rows(segments: Sequence[Segment], usable: np.ndarray) -> np.ndarray:
 def _pinches(
     points: np.ndarray, hand: Hand, features: Features, segments: Sequence[Segment]
 ) -> dict[str, tuple[np.ndarray, int]]:
-    found = {}
+    pinches = {}
     usable = np.isfinite(points).all(axis=(1, 2))
     for finger in hand.fingers[1:]:
         mine = _used(segments, f"pinch_{finger}")
@@ -205,8 +205,8 @@ def _pinches(
             gap = features.gaps[frames, FINGERS.index(finger) - 1]
             frames = frames[gap <= np.percentile(gap, 80)]
             chosen = np.linspace(0, len(frames) - 1, min(_FRAMES, len(frames))).astype(int)
-            found[finger] = (points[frames[chosen]], len(mine))
-    return found
+            pinches[finger] = (points[frames[chosen]], len(mine))
+    return pinches
 
 
 def _fingers(

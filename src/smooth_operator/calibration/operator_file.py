@@ -83,7 +83,7 @@ def _profile(entries: Entries) -> OperatorProfile:
 
 
 def _finger(entries: Entries, name: str) -> FingerProfile:
-    entries.only(*(known for known in _names(FingerProfile) if known != "name"))
+    entries.only(*(field for field in _names(FingerProfile) if field != "name"))
     return FingerProfile(
         name=name,
         robot=entries.text("robot", lines=True),

@@ -44,16 +44,16 @@ def prompts(fingers: Sequence[str] = FINGERS) -> tuple[Prompt, ...]:
 
 
 def prompted(
-    stamps: Float[np.ndarray, " T"], asked: Sequence[tuple[Prompt, float]]
+    stamps: Float[np.ndarray, " T"], schedule: Sequence[tuple[Prompt, float]]
 ) -> list[Segment]:
     """The segments that prompts mark in a recording: what was asked is taken as done.
 
     Args:
         stamps: (T,) of the frames [s].
-        asked: each prompt and the stamp at which it was shown [s].
+        schedule: each prompt and the stamp at which it was shown [s].
     """
     segments = []
-    for prompt, shown in asked:
+    for prompt, shown in schedule:
         begin = shown + prompt.settle
         start, stop = np.searchsorted(stamps, [begin, begin + prompt.hold])
         if stop > start:

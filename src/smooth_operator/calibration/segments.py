@@ -65,10 +65,10 @@ def find_segments(features: Features, stamps: Float[np.ndarray, " T"]) -> list[S
         features: of the recording.
         stamps: (T,) of its frames [s].
     """
-    found = [*_flat_and_spread(features, stamps), *_fists(features, stamps)]
+    segments = [*_flat_and_spread(features, stamps), *_fists(features, stamps)]
     for i, finger in enumerate(FINGERS[1:]):
-        found += _pinches(features, stamps, i, f"pinch_{finger}")
-    return sorted(found, key=lambda segment: segment.start)
+        segments += _pinches(features, stamps, i, f"pinch_{finger}")
+    return sorted(segments, key=lambda segment: segment.start)
 
 
 def _relative(features: Features) -> Float[np.ndarray, "T 4"]:

@@ -118,7 +118,7 @@ def _say_what_is_odd(cells: Sequence[Cell], progress: Progressing) -> None:
             for note in reading_notes(source.recording, source.name):
                 progress.note(note, matters=True)
 
-    said = set()
+    notes = set()
     for cell in cells:
         if cell.source.recording is None:
             continue
@@ -126,8 +126,8 @@ def _say_what_is_odd(cells: Sequence[Cell], progress: Progressing) -> None:
             hand = load_hand(cell.hand, cell.side, fingers=cell.fingers)
         except SmoothOperatorError:
             continue  # the cell says so itself
-        said |= {*cell.config.notes(hand), *filter(None, [collision_note(hand)])}
-    for note in sorted(said):
+        notes |= {*cell.config.notes(hand), *filter(None, [collision_note(hand)])}
+    for note in sorted(notes):
         progress.note(note, matters=True)
 
 

@@ -52,9 +52,9 @@ def print_results(rows: Sequence[Row]) -> None:
         lines = overall(own)
         if count > 1:
             console.print(_table(f"{hand}, mean over {count} recordings", lines, shown))
-        said = verdict_of(lines)
-        if said:
-            console.print(Text(f"{hand}: {said}"))
+        verdict = verdict_of(lines)
+        if verdict:
+            console.print(Text(f"{hand}: {verdict}"))
     if any(row["status"] == "ok" for row in rows):
         hidden = len(columns()) - len(shown)
         more = f"; {hidden} columns more in the report, or in a wider terminal" if hidden else ""
@@ -72,10 +72,10 @@ def print_comparison(comparison: Comparison) -> None:
     table = _empty(f"this minus {comparison.name}", "cell", shown)
     for cell in comparison.cells:
         recording, hand, side, method, preset = cell.key
-        known = {change.metric.name: change for change in cell.changes}
+        changes = {change.metric.name: change for change in cell.changes}
         values = []
         for metric in shown:
-            change = known.get(metric.name)
+            change = changes.get(metric.name)
             if change is None:
                 values.append(Text("–"))
             elif change.difference == 0:

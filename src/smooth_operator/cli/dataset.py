@@ -33,12 +33,12 @@ def dataset(options: Dataset) -> None:
         SmoothOperatorError: with the reason; what is finished stays.
         SystemExit: 1, if a clip failed.
     """
-    asked = request_of(options)
+    request = request_of(options)
     progress = Progressing(options.quiet)
     shown = _Shown(progress)
     try:
         with folder_for(options.output), shown:
-            summary = make_dataset(asked, shown)
+            summary = make_dataset(request, shown)
     except KeyboardInterrupt:
         progress.note("stopped; run the same command again to go on", matters=True)
         raise

@@ -42,17 +42,17 @@ def doctor(options: Doctor) -> None:
     chosen = (options.hand, options.side, options.method, options.preset)
     with going_first() as priority:
         pass
-    found = environment() | {"priority": priority}
+    report = environment() | {"priority": priority}
     with progress.waiting("a fresh process, twice: the first may compile"):
         starts = [start_times(*chosen) for _ in range(2)]
     with progress.waiting("frames"):
         frames = frame_times(*chosen, options.frames)
-    advice = _advice(found, starts, frames)
+    advice = _advice(report, starts, frames)
     if options.json:
         print(
             to_json(
                 {
-                    "environment": found,
+                    "environment": report,
                     "starts": starts,
                     "frames": frames,
                     "advice": advice,
@@ -61,58 +61,60 @@ def doctor(options: Doctor) -> None:
             )
         )
         return
-    _print(options, found, starts, frames, advice)
+    _print(options, report, starts, frames, advice)
 
 
-def _advice(found: Mapping[str, object], starts: list[StartTimes], frames: FrameTimes) -> list[str]:
+def _advice(
+    report: Mapping[str, object], starts: list[StartTimes], frames: FrameTimes
+) -> list[str]:
     """What to change; empty if nothing."""
-    said = []
-    if str(found["programs"]).startswith("not kept"):
-        said.append(
-            f"compiled programs are {found['programs']}, so each start compiles; give "
+    advice = []
+    if str(report["programs"]).startswith("not kept"):
+        advice.append(
+            f"compiled programs are {report['programs']}, so each start compiles; give "
             "SMOOTH_OPERATOR_CACHE a folder that only you can write, or unset it"
         )
     elif starts[1].total > _START_S and starts[1].first_frame > starts[1].total / 2:
-        said.append(
+        advice.append(
             "the second start did not find the program of the first: see the log of "
             "smooth_operator.programs"
         )
-    load, cores = found["load"], found["cores"]
+    load, cores = report["load"], report["cores"]
     if isinstance(load, float) and isinstance(cores, int) and load > cores:
-        said.append(
+        advice.append(
             f"the load is {load:.1f} on {cores} cores: what else runs here takes the loop's time, "
             "and these figures are of a busy machine"
         )
     if cores == 1:
-        said.append("one core serves loop, page and tracker: give the process two")
-    if found["priority"] != "real-time" and found["system"] == "Linux":
-        said.append(
+        advice.append("one core serves loop, page and tracker: give the process two")
+    if report["priority"] != "real-time" and report["system"] == "Linux":
+        advice.append(
             "real-time priority is not granted, so `teleop --priority high` has no effect: add "
             "'USER - rtprio 20' to /etc/security/limits.conf and log in again"
         )
-    if found["governor"] == "powersave":
-        said.append("the processor saves power: sudo cpupower frequency-set -g performance")
-    if "," in str(found["opencv"]):
-        said.append(
-            f"{found['opencv']} are in one folder, where the last one installed overwrites the "
+    if report["governor"] == "powersave":
+        advice.append("the processor saves power: sudo cpupower frequency-set -g performance")
+    if "," in str(report["opencv"]):
+        advice.append(
+            f"{report['opencv']} are in one folder, where the last one installed overwrites the "
             "others: keep one, see docs/how-to/webcam.md, Problems"
         )
-    if found["device"] not in ("cpu", None):
-        said.append(
-            f"frames run on {found['device']}, which suits many hands; for one, try "
+    if report["device"] not in ("cpu", None):
+        advice.append(
+            f"frames run on {report['device']}, which suits many hands; for one, try "
             "JAX_PLATFORMS=cpu"
         )
     if frames.p99_ms > _BUDGET_MS:
-        said.append(
+        advice.append(
             f"a frame takes {frames.p99_ms:.1f} ms (p99), more than 100 Hz leaves: try another "
             "preset or method"
         )
-    return said
+    return advice
 
 
 def _print(
     options: Doctor,
-    found: Mapping[str, object],
+    report: Mapping[str, object],
     starts: list[StartTimes],
     frames: FrameTimes,
     advice: list[str],
@@ -121,7 +123,7 @@ def _print(
     table = plain_table("Machine")
     table.add_column("")
     table.add_column("found")
-    for name, value in found.items():
+    for name, value in report.items():
         table.add_row(name.replace("_", " "), "-" if value is None else str(value))
     console.print(table)
     table = plain_table(f"{options.hand}, {options.method}: a fresh process to its first command")

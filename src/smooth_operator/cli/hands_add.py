@@ -203,8 +203,8 @@ def _same(file: Path, spec: HandSpec) -> bool:
 
 def _trial(discovery: Discovery) -> tuple[str, ...]:
     """Notes from loading the hand once: what would stop it later, or what it lacks."""
-    from smooth_operator.hand_files.stand_ins import stand_in_note
     from smooth_operator.hands.hand import load_hand_spec
+    from smooth_operator.hands.stand_ins import stand_in_note
 
     try:
         hand = load_hand_spec(discovery.spec)

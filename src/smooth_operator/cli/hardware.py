@@ -51,7 +51,7 @@ def list_hardware(options: List) -> None:
             broken.append(str(error))
     ports, folder = serial_ports(), user_tables_folder()
     if options.json:
-        found: dict[str, Any] = {
+        listing: dict[str, Any] = {
             "drivers": drivers,
             "tables": {
                 path.name.removesuffix(".toml"): {
@@ -68,7 +68,7 @@ def list_hardware(options: List) -> None:
             "ports": ports,
             "folder": str(folder),
         }
-        print(json.dumps(found))
+        print(json.dumps(listing))
         return
     console = output_console()
     console.print(_rows(("driver", "hand"), list(drivers.items())))

@@ -29,10 +29,10 @@ def check_hardware(options: Check) -> None:
     if options.ids is None:
         sink, table, hand = opened(options.device, options.side, options.hand)
     else:
-        found = real_hand(build_sink(options.device))
-        if found is None or options.hand is None:
+        device = real_hand(build_sink(options.device))
+        if device is None or options.hand is None:
             raise ConfigError("--ids is for a real hand without a table; say its model with --hand")
-        sink, hand = found, load_hand(options.hand, options.side)
+        sink, hand = device, load_hand(options.hand, options.side)
         ids, low, high = _ids(options.ids), *options.ends
         if not low < high:
             raise ConfigError(f"--ends must be the least command, then the greatest, not {low:g}")
@@ -43,13 +43,13 @@ def check_hardware(options: Check) -> None:
     try:
         print(HELP + "\n", flush=True)
         with ActuatorMover(sink.device(table), table) as mover:
-            made = TableCheck(mover, hand, _ask, print).run(table)
+            checked = TableCheck(mover, hand, _ask, print).run(table)
     finally:
         lock.release()
-    if made is None:
+    if checked is None:
         print("nothing was confirmed, so no table is written")
         return
-    write_table(made, output, f"Written by smooth-operator hardware check {options.device}")
+    write_table(checked, output, f"Written by smooth-operator hardware check {options.device}")
     print(printable(f"\n{output}"))
     if options.output is not None:
         print(printable(f"use it: teleop --sink {options.device},table={_absolute(output)}"))
@@ -64,15 +64,15 @@ def _ask(question: str) -> str:
 
 def _ids(text: str) -> list[int]:
     try:
-        found: list[int] = []
+        ids: list[int] = []
         for part in text.split(","):
             first, _, last = part.partition("-")
-            found += range(int(first), int(last or first) + 1)
+            ids += range(int(first), int(last or first) + 1)
     except ValueError:
-        found = []
-    if not 0 < len(found) <= 100:
+        ids = []
+    if not 0 < len(ids) <= 100:
         raise ConfigError(f"--ids must be numbers such as 1-12 or 0,3,5, not {text!r}")
-    return found
+    return ids
 
 
 def _absolute(path: Path) -> str:

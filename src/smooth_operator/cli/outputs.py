@@ -57,7 +57,7 @@ def folder_for(folder: Path) -> Iterator[None]:
             f"can't write into {str(folder)!r}: a file stands where a folder is expected; choose "
             "another path"
         )
-    made = [at for at in (folder, *folder.parents) if not at.exists()]
+    missing = [at for at in (folder, *folder.parents) if not at.exists()]
     try:
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -67,7 +67,7 @@ def folder_for(folder: Path) -> Iterator[None]:
             raise output_error(folder, error) from error
         yield
     except BaseException:
-        for at in made:  # the deepest first; rmdir takes none that holds something
+        for at in missing:  # the deepest first; rmdir takes none that holds something
             with contextlib.suppress(OSError):
                 at.rmdir()
         raise

@@ -52,15 +52,15 @@ def _go_through(
     mailbox: Mailbox,
     show: Callable[[str, float], None],
 ) -> None:
-    seen = mailbox.clock()
+    last_stamp = mailbox.clock()
     while (moment := session.at(mailbox.clock())) is not None:
         show(_told(moment), moment.done)
         mailbox.wait((session.side,), _TURN_S)
         if (arrival := mailbox.take(session.side)) is not None:
             session.see(arrival)
-            seen = mailbox.clock()
+            last_stamp = mailbox.clock()
         health = source.health()
-        if health.state in ("failed", "ended") or mailbox.clock() - seen > _PATIENCE_S:
+        if health.state in ("failed", "ended") or mailbox.clock() - last_stamp > _PATIENCE_S:
             raise SourceError(
                 f"{source.label}: no {session.side} hand any more "
                 f"({100 * moment.done:.0f} % was done); {health.detail or health.state}"

@@ -14,15 +14,15 @@ from smooth_operator.errors import ConfigError
 from smooth_operator.lab import tuning
 from smooth_operator.lab.offline.finished import claimed
 from smooth_operator.lab.tuning.score import Bound, figure
-from smooth_operator.lab.tuning.tune import KEPT
+from smooth_operator.lab.tuning.tune import FIGURES
 
 
 def tune(options: Tune) -> None:
     """Looks everything up, searches, writes, prints.
 
     Raises:
-        SmoothOperatorError: what was asked for can't be; nothing was tried then.
-        KeyboardInterrupt: stopped; what was tried is kept, and the best of it written.
+        SmoothOperatorError: the request is invalid; nothing was tried then.
+        KeyboardInterrupt: stopped; the trials are on disk, and the best of them is written.
     """
     progress = Progressing(options.quiet)
     dispatch_here()  # before planning, which may start JAX
@@ -45,18 +45,18 @@ def tune(options: Tune) -> None:
         ),
         workers=options.workers,
     )
-    todo = tuning.plan_tuning(settings)
+    plan = tuning.plan_tuning(settings)
     with folder_for(options.output), claimed(options.output):
         try:
             with _bar(progress, settings.trials) as advance:
-                tuned = tuning.tune(todo, advance, lambda text: progress.note(text, matters=True))
+                tuned = tuning.tune(plan, advance)
         except KeyboardInterrupt:
             progress.note(
                 f"stopped; the same command goes on with what is in {options.output}", matters=True
             )
             raise
     if not options.quiet:
-        _print(todo, tuned)
+        _print(plan, tuned)
         progress.note(f"{tuned.trials} trials, {tuned.fresh} of them new; wrote {tuned.preset}")
 
 
@@ -75,37 +75,37 @@ def _numbers(texts: Sequence[str], option: str) -> Iterator[tuple[str, float]]:
 @contextlib.contextmanager
 def _bar(progress: Progressing, trials: int) -> Iterator[Callable[..., None]]:
     bar = progress.counter("trials", extra="score {task.fields[score]}")
-    told = math.inf
+    shown = math.inf
 
     def advance(count: int, best: float, reason: str | None) -> None:
-        nonlocal told
+        nonlocal shown
         score = f"{best:.4f}" if math.isfinite(best) else "–"
         bar.update(task, completed=count, score=score)
         if reason is not None:
             progress.note(f"a trial failed: {reason}")
-        if best < told and progress.lines:
+        if best < shown and progress.lines:
             progress.note(f"trial {count} of {trials}: score {score}")
-        told = min(told, best)
+        shown = min(shown, best)
 
     with bar:
         task = bar.add_task("tuning", total=trials, score="–")
         yield advance
 
 
-def _print(todo: tuning.Tuning, tuned: tuning.Tuned) -> None:
+def _print(plan: tuning.Tuning, tuned: tuning.Tuned) -> None:
     console = output_console()
     values = plain_table(f"score {tuned.score:.4f}")
     for header in ("setting", "start", "best", "between"):
         values.add_column(header, justify="left" if header == "setting" else "right")
-    for v in todo.variables:
+    for v in plan.variables:
         best = tuned.values[v.path]
         values.add_row(v.path, f"{v.start:.4g}", f"{best:.4g}", f"{v.low:.4g} … {v.high:.4g}")
     console.print(values)
     figures = plain_table()
     figures.add_column("figure, start → best", no_wrap=True)
-    for source in todo.sources:
+    for source in plan.sources:
         figures.add_column(source.name, justify="right", overflow="fold")
-    for name in KEPT:
+    for name in FIGURES:
         pairs = zip(tuned.start, tuned.best, strict=True)
         cells = (f"{_shown(figure(a, name))} → {_shown(figure(b, name))}" for a, b in pairs)
         figures.add_row(name, *cells)

@@ -18,8 +18,9 @@ class Tune(Common):
     work: ClassVar[str] = "smooth_operator.cli.tune:tune"
     details: ClassVar[str] = """FOLDER gets preset.toml (for --preset, wherever there is one),
 result.json (figures of the start and of the best, recording by recording), pareto.png (the
-trade-offs) and trials.jsonl, the log. Ctrl-C keeps all of it; the same command continues
-and gives the result of a search without a stop. More --trials continue further.
+trade-offs) and trials.jsonl, Optuna's journal. Ctrl-C keeps all of it; the same command continues
+and gives the result of a search without a stop. More --trials continue further. Needs the extra
+tune.
 
 The score is 0 at the start and lower if better: on each recording the sum of
 weight x log(error / error at the start), for the errors cosine, cosine_all, scale, motion,
@@ -68,7 +69,8 @@ Examples:
     """Frames per second of recordings without time stamps [Hz]."""
 
     trials: int = 120
-    """How many sets of values may be tried: half of them spread, half stepping from the best."""
+    """How many sets of values may be tried: half of them spread over the bounds (Sobol), half
+    proposed from the scores before (TPE)."""
 
     weight: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="TERM=WEIGHT")] = ()
     """Another weight in the score, such as flatness=2 or pinch=0."""

@@ -187,11 +187,11 @@ def _answered(
     import numpy as np
 
     at = np.searchsorted(recording.stamps, commands.stamps)
-    found = recording.stamps[np.minimum(at, len(recording) - 1)] == commands.stamps
+    equal = recording.stamps[np.minimum(at, len(recording) - 1)] == commands.stamps
     consecutive = bool((np.diff(at) == 1).all())
-    if not len(commands) or not found.all() or not consecutive:
+    if not len(commands) or not equal.all() or not consecutive:
         raise RecordingError(
-            f"{out} was not made from {source}: {int(found.sum())} of its {len(commands)} time "
+            f"{out} was not made from {source}: {int(equal.sum())} of its {len(commands)} time "
             "stamps are those of consecutive frames in it; give the recording that it was made "
             "from, with the same --rate if it holds no stamps"
         )
@@ -204,8 +204,8 @@ def _fingers(options: View, config: dict[str, Any]) -> FingerChoice | None:
 
     if options.fingers is not None:
         return parse_fingers(options.fingers)
-    known = config.get("fingers")
-    return known if isinstance(known, dict) and options.hand is None else None
+    fingers = config.get("fingers")
+    return fingers if isinstance(fingers, dict) and options.hand is None else None
 
 
 def _alignment(config: dict[str, Any]) -> AlignmentConfig:

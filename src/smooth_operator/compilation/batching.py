@@ -15,7 +15,7 @@ from __future__ import annotations
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Final, TypeAlias
 
 import jax
@@ -29,8 +29,8 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.landmarks import NUM_LANDMARKS
 from smooth_operator.methods.method import Method, MethodConfig
-from smooth_operator.methods.program import RetargetState, align_frame, ticks_of
-from smooth_operator.methods.retargeter import Retargeter
+from smooth_operator.methods.program import align_frame, ticks_of
+from smooth_operator.methods.state import FrameState, RetargetState
 from smooth_operator.types import CommandTrajectory, HandRecording, Status
 
 LANES: Final = 8
@@ -59,6 +59,16 @@ class Answers:
     q: Float[np.ndarray, "T m"]
     status: np.ndarray
     loss: Float[np.ndarray, " T"]
+
+    def trajectory(
+        self, hand: Hand, recording: HandRecording
+    ) -> tuple[CommandTrajectory, Float[np.ndarray, " T"]]:
+        """Commands of a recording, and the (T,) tracking losses; NaN where a command was held."""
+        none = np.full(len(recording), np.nan)
+        q = np.clip(self.q.astype(float), hand.limits[:, 0], hand.limits[:, 1])
+        full = hand.full_configuration(q)
+        commands = CommandTrajectory(full, hand.joint_names, recording.stamps, none, self.status)
+        return commands, np.where(self.status == Status.OK, self.loss.astype(float), np.nan)
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,9 +152,9 @@ class LaneProgram:
                 which = jnp.where(active, jnp.arange(lanes), jnp.argmax(active))
                 work = jax.tree.map(lambda leaf: leaf[which], (state.method, points, ticks))
 
-                def solved() -> tuple[RetargetState, Array]:
+                def solved() -> tuple[FrameState, Array]:
                     after, output = jax.vmap(method.step)(*work)
-                    return RetargetState(after, output.q), jnp.asarray(
+                    return FrameState(after, output.q), jnp.asarray(
                         output.tracking_loss, jnp.float32
                     )
 
@@ -160,11 +170,11 @@ class LaneProgram:
 
         self._block = CompiledProgram(
             block,
-            method.hand,
-            config,
             "lanes",
             lanes,
             BLOCK,
+            hand=method.hand,
+            config=config,
             constants=method.constants,
             cached=cached,
         )
@@ -182,7 +192,7 @@ class LaneProgram:
         Returns:
             the answers, in the order of the recordings.
         """
-        start = jax.tree.map(self._everywhere, initial.unpacked()._replace(stamp=None))
+        start = jax.tree.map(self._everywhere, initial.trees)
         answers = [self._empty(len(one.ticks), initial) for one in tracks]
         queues = _shared_out([len(one.ticks) for one in tracks], self.lanes)
         length = max((sum(len(tracks[i].ticks) for i in queue) for queue in queues), default=0)
@@ -288,39 +298,3 @@ def lane_program(
         while len(_programs) > _KEPT:
             _programs.popitem(last=False)
     return made
-
-
-def retarget_batch(
-    retargeter: Retargeter,
-    recordings: Sequence[HandRecording],
-    seed: int | None = None,
-    track: Progress | None = None,
-    lanes: int | None = None,
-) -> list[tuple[CommandTrajectory, Float[np.ndarray, " T"]]]:
-    """What ``Retargeter.batch`` does, and says."""
-    for recording in recordings:
-        retargeter.check_side(recording.side)
-    method = retargeter.shared.method
-    if method.host is not None:
-        advance = progressing(sum(map(len, recordings)), track)
-        found = []
-        for recording in recordings:
-            commands, loss = retargeter.run(recording, seed=seed)
-            none = np.full(len(commands), np.nan)
-            found.append((replace(commands, latency_ms=none), loss))
-            advance(len(recording))
-        return found
-    tracks = [Track.of(r, retargeter.program_landmarks(r.landmarks)) for r in recordings]
-    program = lane_program(method, retargeter.config, lanes, retargeter.cache)
-    answers = program.run(retargeter.init(seed), tracks, track)
-    return [_trajectory(retargeter.hand, *each) for each in zip(recordings, answers, strict=True)]
-
-
-def _trajectory(
-    hand: Hand, recording: HandRecording, answers: Answers
-) -> tuple[CommandTrajectory, Float[np.ndarray, " T"]]:
-    none = np.full(len(recording), np.nan)
-    q = np.clip(answers.q.astype(float), hand.limits[:, 0], hand.limits[:, 1])
-    full = hand.full_configuration(q)
-    commands = CommandTrajectory(full, hand.joint_names, recording.stamps, none, answers.status)
-    return commands, np.where(answers.status == Status.OK, answers.loss.astype(float), np.nan)

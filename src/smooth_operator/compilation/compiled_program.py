@@ -25,14 +25,13 @@ import numpy as np
 
 from smooth_operator.compilation.cache import LOGGER, ProgramCache, jax_cache, program_cache
 from smooth_operator.formats.jsonable import to_json
-from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.hand import Hand, fingerprint
 from smooth_operator.methods.method import MethodConfig
-from smooth_operator.methods.shared import fingerprint
 from smooth_operator.result_cache.code import HOME, code_digest
 
 _CODE: Final = (
     "compilation", "methods", "baselines", "objective", "solvers", "human", "hands",
-    "hand_files/stand_ins.py", "geometry.py", "poses.py", "landmarks.py", "types.py",
+    "geometry.py", "poses.py", "landmarks.py", "types.py",
 )  # fmt: skip
 """Code that programs are traced from."""
 
@@ -114,9 +113,9 @@ class CompiledProgram:
 
     Args:
         function: traceable; returns a tree of tuples, lists, dictionaries and named tuples.
+        name: name of the function, and what else it depends on, as JSON.
         hand: the robot hand that the method was built for.
         config: the method's settings.
-        more: what else the function depends on, as JSON.
         constants: ``Method.constants``.
         cached: it is read from the user's cache, and written there.
     """
@@ -124,14 +123,14 @@ class CompiledProgram:
     def __init__(
         self,
         function: Callable[..., Any],
+        *name: object,
         hand: Hand,
         config: MethodConfig,
-        *more: object,
         constants: Any = None,
         cached: bool = True,
     ) -> None:
         self._function, self._cached, self._wide = function, cached, not config.one_thread
-        self._key = functools.partial(program_key, hand, config, *more, constants=constants)
+        self._key = functools.partial(program_key, hand, config, *name, constants=constants)
         self._run: Callable[..., Any] | None = None
         self._programs: dict[_Signature, Callable[..., Any]] = {}
         self._lock = threading.Lock()

@@ -54,8 +54,8 @@ def read_egodex(
     Raises:
         RecordingError: joints are missing or have another shape; there is no rate.
     """
-    found, assumed = check_side([], side, str(path))
-    recording = egodex_hand(tree, path, rate, found)
+    label, assumed = check_side([], side, str(path))
+    recording = egodex_hand(tree, path, rate, label)
     recording.meta["side_assumed"] = assumed
     check_recording(recording, str(path))
     return recording
@@ -73,11 +73,11 @@ def egodex_hand(
     joints = np.stack([egodex_transforms(tree, name, path) for name in names], axis=1)
     with np.errstate(all="ignore"):  # of numbers beyond any transform
         volume = np.linalg.det(joints[..., :3, :3])  # 1 of a rotation; mirrored ones have -1
-    seen = np.isfinite(joints).all(axis=(2, 3)) & (volume > 0.5) & (volume < 2.0)
+    valid = np.isfinite(joints).all(axis=(2, 3)) & (volume > 0.5) & (volume < 2.0)
     sure = egodex_confidences(tree, side, len(joints))
     if sure is not None:
-        seen &= ~(sure <= 0.0)  # NaN: the file does not say
-    joints[~seen] = np.nan
+        valid &= ~(sure <= 0.0)  # NaN: the file does not say
+    joints[~valid] = np.nan
     points = points_to_ours(joints[..., :3, 3], _AXES)
     return HandRecording(
         points[:, FROM_WEBXR_25],

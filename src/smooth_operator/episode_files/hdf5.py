@@ -216,8 +216,8 @@ def _write_commands(group: Group, commands: CommandTrajectory, stages: Any) -> N
     write_array(group, "stamps", np.asarray(commands.stamps, np.float64), "s")
     write_array(group, "latency_ms", np.asarray(commands.latency_ms, np.float64), "ms")
     write_array(group, "status", np.asarray(commands.status, np.int8), None)
-    known = {int(status): status.name for status in Status}
-    group["status"].attrs["status_names"] = [known.get(i, "") for i in range(max(known) + 1)]
+    codes = {int(status): status.name for status in Status}
+    group["status"].attrs["status_names"] = [codes.get(i, "") for i in range(max(codes) + 1)]
     for stage, times in stages.items():
         # The name as an attribute, since a slash in it would mean a group.
         timed = group.require_group("stages_ms")
@@ -247,10 +247,12 @@ def _read_hand(
     optional["world"] = text_of(group.attributes.get("world"))
     valid = array_of(group, "valid", (count, 21), "b", path) if "valid" in group.arrays else None
     label = text_of(group.attributes.get("side"))
-    found, assumed = check_side([] if label is None else [label], side, str(path))
+    recorded_side, assumed = check_side([] if label is None else [label], side, str(path))
     meta = _object(text_of(group.attributes.get("meta")) or "{}", f"{path}: meta of 'hand'")
     meta |= {"format": "hdf5", "side_assumed": assumed}
-    return HandRecording(landmarks, stamps, found, valid=valid, name=name, meta=meta, **optional)
+    return HandRecording(
+        landmarks, stamps, recorded_side, valid=valid, name=name, meta=meta, **optional
+    )
 
 
 def _read_commands(

@@ -45,19 +45,19 @@ def array_of(
     Raises:
         RecordingError: it is missing, or of another shape or kind.
     """
-    found = data_of(group, name, path)
-    fits = len(found.shape) == len(shape) and all(
-        asked in (None, size) for asked, size in zip(shape, found.shape, strict=True)
+    array = data_of(group, name, path)
+    fits = len(array.shape) == len(shape) and all(
+        expected in (None, size) for expected, size in zip(shape, array.shape, strict=True)
     )
     if not fits:
-        asked = ", ".join("any" if size is None else str(size) for size in shape)
+        expected = ", ".join("any" if size is None else str(size) for size in shape)
         raise RecordingError(
-            f"{path}: {found.name} must have shape ({asked}), not {tuple(found.shape)}"
+            f"{path}: {array.name} must have shape ({expected}), not {tuple(array.shape)}"
         )
-    if found.kind not in kinds or found.data is None:
+    if array.kind not in kinds or array.data is None:
         what = "true or false" if kinds == "b" else "numbers"
-        raise RecordingError(f"{path}: {found.name} must hold {what}, not {found.type[:80]}")
-    return found.data
+        raise RecordingError(f"{path}: {array.name} must hold {what}, not {array.type[:80]}")
+    return array.data
 
 
 def data_of(group: Hdf5Group, name: str, path: Path) -> Hdf5Array:

@@ -54,11 +54,11 @@ def read_arm(group: Hdf5Group, count: int, path: Path) -> ArmTrack | None:
     """The arm of as many commands; None where there is none."""
     if "arm" not in group.arrays:
         return None
-    said = group.arrays["arm"].attributes
-    names = tuple((text_of(said.get("joint_names")) or "").split(","))
+    attributes = group.arrays["arm"].attributes
+    names = tuple((text_of(attributes.get("joint_names")) or "").split(","))
     shape = (count, len(names))
     return ArmTrack(
-        text_of(said.get("name")) or "arm",
+        text_of(attributes.get("name")) or "arm",
         names,
         numbers(group, "arm", shape, path),
         numbers(group, "arm_measured", shape, path),

@@ -236,14 +236,14 @@ def _tree(tree: dict[str, Any], arrays: dict[int, np.ndarray]) -> dict[str, Hdf5
 
 
 def _exactly(stream: IO[bytes], count: int) -> bytearray:
-    found = bytearray(count)
-    view, at = memoryview(found), 0
+    buffer = bytearray(count)
+    view, at = memoryview(buffer), 0
     while at < count:
         got = stream.readinto(view[at:])  # type: ignore[attr-defined]
         if not got:
             raise EOFError
         at += got
-    return found
+    return buffer
 
 
 def h5py_of() -> Any:

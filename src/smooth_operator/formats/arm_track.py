@@ -34,11 +34,11 @@ class ArmTrack:
 
     def __post_init__(self) -> None:
         count, joints = len(self.positions), len(self.joint_names)
-        wanted = {"positions": (count, joints), "measured": (count, joints), "poses": (count, 7)}
-        for name, shape in wanted.items():
-            found = np.shape(getattr(self, name))
-            if found != shape:
-                raise RecordingError(f"{name} of the arm must have shape {shape}, not {found}")
+        shapes = {"positions": (count, joints), "measured": (count, joints), "poses": (count, 7)}
+        for name, shape in shapes.items():
+            actual = np.shape(getattr(self, name))
+            if actual != shape:
+                raise RecordingError(f"{name} of the arm must have shape {shape}, not {actual}")
 
     def __len__(self) -> int:
         return len(self.positions)

@@ -265,12 +265,12 @@ def check_rate(stamps: Float[np.ndarray, " T"], rate: float | None, where: str) 
         )
 
 
-def check_side(labels: Iterable[str], asked: Side | None, where: str) -> tuple[Side, bool]:
+def check_side(labels: Iterable[str], requested: Side | None, where: str) -> tuple[Side, bool]:
     """Find the side of a recording from what the file says and what the caller asked for.
 
     Args:
         labels: the chirality labels in the file, none if it has none.
-        asked: the caller's side, if any.
+        requested: the caller's side, if any.
         where: the file, for the message.
 
     Returns:
@@ -289,12 +289,12 @@ def check_side(labels: Iterable[str], asked: Side | None, where: str) -> tuple[S
             f"{where}: the recording mixes left and right hands; split it into one file per hand"
         )
     if not sides:
-        return asked or "right", asked is None
+        return requested or "right", requested is None
     side = sides.pop()
-    if asked is not None and asked != side:
+    if requested is not None and requested != side:
         raise RecordingError(
-            f"{where}: it is a recording of a {side} hand, but side {asked!r} was asked for; use "
-            f"--side {side}, or another recording"
+            f"{where}: it is a recording of a {side} hand, but side {requested!r} was asked for; "
+            f"use --side {side}, or another recording"
         )
     return side, False
 

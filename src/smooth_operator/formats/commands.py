@@ -192,13 +192,13 @@ def translate_status(codes: np.ndarray, names: list[str] | None, where: str) -> 
     if codes.dtype.kind not in "iu":
         raise RecordingError(f"{where}: status must hold whole numbers, not {codes.dtype}")
     own = {status.name: int(status) for status in Status}
-    known = {code: code for code in own.values()}
+    table = {code: code for code in own.values()}
     if names is not None:
-        known = {code: own[name] for code, name in enumerate(names) if name in own}
-    unknown = sorted(set(codes.tolist()) - known.keys())
+        table = {code: own[name] for code, name in enumerate(names) if name in own}
+    unknown = sorted(set(codes.tolist()) - table.keys())
     if unknown:
         raise RecordingError(
             f"{where}: status {brief(unknown)} is not one of {own}; if a newer version wrote it, "
             f"upgrade: {UPGRADE}"
         )
-    return np.array([known[code] for code in codes.tolist()], np.int8)
+    return np.array([table[code] for code in codes.tolist()], np.int8)

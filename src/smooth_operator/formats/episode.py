@@ -131,20 +131,20 @@ class Episode:
         if self.commands is None:
             return replace(self, recording=recording)
         if self.recording is None:
-            kept: Any = frames
+            rows: Any = frames
         else:
             first, last = stamps[0] - STAMP_TOLERANCE_S, stamps[-1] + STAMP_TOLERANCE_S
-            kept = (self.commands.stamps >= first) & (self.commands.stamps <= last)
+            rows = (self.commands.stamps >= first) & (self.commands.stamps <= last)
         commands = replace(
             self.commands,
-            joint_positions=self.commands.joint_positions[kept],
-            stamps=self.commands.stamps[kept],
-            latency_ms=self.commands.latency_ms[kept],
-            status=self.commands.status[kept],
+            joint_positions=self.commands.joint_positions[rows],
+            stamps=self.commands.stamps[rows],
+            latency_ms=self.commands.latency_ms[rows],
+            status=self.commands.status[rows],
         )
-        stages = {name: np.asarray(values)[kept] for name, values in self.stages_ms.items()}
-        wrist = None if self.wrist is None else self.wrist[kept]
-        arm = None if self.arm is None else self.arm[kept]
+        stages = {name: np.asarray(values)[rows] for name, values in self.stages_ms.items()}
+        wrist = None if self.wrist is None else self.wrist[rows]
+        arm = None if self.arm is None else self.arm[rows]
         parts: dict[str, Any] = {
             "commands": commands,
             "stages_ms": stages,
@@ -183,10 +183,11 @@ class Episode:
             task=other.task if self.task is None else self.task,
             notes=(*self.notes, *other.notes),
         )
-        found = both.answered() >= 0
-        if not found.all():
+        answered = both.answered() >= 0
+        if not answered.all():
             raise RecordingError(
-                f"{where} was not made from {self.name}: {int(found.sum())} of its {len(found)} "
+                f"{where} was not made from {self.name}: {int(answered.sum())} of its "
+                f"{len(answered)} "
                 "time stamps are those of frames in it; give the recording that it was made from, "
                 "with the same --rate if it holds no stamps"
             )
@@ -216,8 +217,8 @@ def check_commands(commands: CommandTrajectory, where: str) -> None:
         raise RecordingError(f"{where}: a joint name comes twice: {listed(commands.joint_names)}")
     if not np.isfinite(commands.stamps).all():
         raise RecordingError(f"{where}: the stamps of the commands must be finite numbers [s]")
-    known = {int(status) for status in Status}
-    unknown = sorted(set(np.asarray(commands.status).tolist()) - known)
+    codes = {int(status) for status in Status}
+    unknown = sorted(set(np.asarray(commands.status).tolist()) - codes)
     if unknown:
         raise RecordingError(
             f"{where}: status {brief(unknown)} is not one of "

@@ -92,8 +92,8 @@ def _order(ids: np.ndarray, count: int, where: str) -> np.ndarray:
             f"{where}: 'keypoint_ids' must hold 0 to {_NUM_NODES - 1}, but {missing} are missing; "
             "export the recording again with all nodes of the hand"
         )
-    known = ids[ids < _NUM_NODES]
-    if len(np.unique(known)) != len(known):
+    fingers = ids[ids < _NUM_NODES]
+    if len(np.unique(fingers)) != len(fingers):
         raise RecordingError(
             f"{where}: 'keypoint_ids' holds an id more than once: {brief(ids.tolist())}"
         )

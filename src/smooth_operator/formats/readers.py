@@ -96,13 +96,13 @@ def read_recording(
     kind = file_kind(path)
     recording = find_reader(kind).read_file(path, rate, side, layout)
     recording.meta.setdefault("format", kind)
-    check_anatomy(recording, str(path), asked=side)
+    check_anatomy(recording, str(path), side=side)
     check_recording(recording, str(path))
     check_rate(recording.stamps, rate, str(path))
     return without_outliers(recording)
 
 
-def check_anatomy(recording: HandRecording, where: str, *, asked: Side | None) -> None:
+def check_anatomy(recording: HandRecording, where: str, *, side: Side | None) -> None:
     """Refuse a recording that is, by its shape, of the other hand or in another order.
 
     The message calls it ``where`` and depends on ``asked``, the side that the caller asked for.
@@ -115,7 +115,7 @@ def check_anatomy(recording: HandRecording, where: str, *, asked: Side | None) -
     if suspicion is None:
         return
     labelled = (
-        suspicion.side is not None and asked is None and not recording.meta.get("side_assumed")
+        suspicion.side is not None and side is None and not recording.meta.get("side_assumed")
     )
     remedy = (
         f"the file says {recording.side}: correct that, or mirror it back: points * (-1, 1, 1)"
@@ -192,11 +192,11 @@ def read_arrays(
 
     labels: list[str] = [] if named is None else [named]
     labels += [text for key in _SIDE_KEYS if key in arrays for text in arrays[key].texts()]
-    found, meta["side_assumed"] = check_side(labels, side, where)
+    label, meta["side_assumed"] = check_side(labels, side, where)
     return HandRecording(
         positions,
         _stamps(arrays, len(positions), rate),
-        found,
+        label,
         valid=valid,
         metacarpals=own.get("metacarpals") if metacarpals is None else nodes[:, metacarpals],
         orientations=own.get("orientations", orientations),
@@ -216,7 +216,7 @@ def _beside_landmarks(
     arrays: StoredArrays, count: int, meta: dict[str, Any]
 ) -> dict[str, np.ndarray]:
     """Flags, metacarpals and orientations; what has their name and another form is left alone."""
-    found: dict[str, np.ndarray] = {}
+    extra: dict[str, np.ndarray] = {}
     for name, shape, kinds in (
         ("valid", (count, 21), "b"),
         ("metacarpals", (count, 4, 3), "f"),
@@ -225,10 +225,10 @@ def _beside_landmarks(
     ):
         if name in arrays:
             if arrays[name].shape == shape and arrays[name].dtype.kind in kinds:
-                found[name] = arrays[name].load()
+                extra[name] = arrays[name].load()
             else:
                 meta.setdefault("ignored", []).append(name)
-    return found
+    return extra
 
 
 def _find_landmarks(arrays: StoredArrays, side: Side | None) -> StoredArray:

@@ -37,10 +37,10 @@ class WristTrack:
     def __post_init__(self) -> None:
         count = len(self.poses)
         for name, shape in (("poses", (count, 7)), ("engaged", (count,)), ("valid", (count,))):
-            found = np.shape(getattr(self, name))
-            if found != shape:
+            actual = np.shape(getattr(self, name))
+            if actual != shape:
                 raise RecordingError(
-                    f"{name} of the commanded wrist must have shape {shape}, not {found}"
+                    f"{name} of the commanded wrist must have shape {shape}, not {actual}"
                 )
         object.__setattr__(self, "poses", unit_poses(np.asarray(self.poses, np.float64)))
 

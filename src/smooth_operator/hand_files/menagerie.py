@@ -14,9 +14,9 @@ from typing import Any, Final
 import mujoco
 
 from smooth_operator.errors import HandModelError, MissingExtraError
-from smooth_operator.hand_files.stand_ins import stand_in_links
 from smooth_operator.hand_files.vendor_model import on_model
 from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.stand_ins import stand_in_links
 from smooth_operator.types import Side
 
 MENAGERIE: Final = "menagerie"
@@ -107,9 +107,9 @@ def menagerie_file(hand: Hand) -> Path:
     """
     entry = _ENTRIES.get((hand.name, hand.spec.side))
     if entry is None:
-        known = ", ".join(f"{name} ({side})" for name, side in _ENTRIES)
+        names = ", ".join(f"{name} ({side})" for name, side in _ENTRIES)
         raise HandModelError(
-            f"Menagerie has no model of the {hand.spec.side} hand {hand.name!r}, only of {known}; "
+            f"Menagerie has no model of the {hand.spec.side} hand {hand.name!r}, only of {names}; "
             "name a file of yours instead of the word menagerie"
         )
     package = _package()

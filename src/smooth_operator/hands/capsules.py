@@ -20,9 +20,8 @@ from smooth_operator.hands.collision import PALM, colliding_shapes, owners, soli
 from smooth_operator.hands.hand import Hand, tree_with
 from smooth_operator.hands.kinematics import KinematicTree
 from smooth_operator.hands.solids import Capsule, shape_capsules
-from smooth_operator.plugins import Entry
+from smooth_operator.hands.stand_ins import stand_ins
 
-_STAND_INS = Entry("smooth_operator.hand_files.stand_ins:stand_ins")
 _POSES = 4000
 _MANY = 2000
 """With more candidates than this, a quarter of the poses has to do."""
@@ -66,7 +65,7 @@ def capsule_pairs(hand: Hand) -> CapsulePairs:
     and of any two links that meet one at least, as long as there is room. A mesh is one capsule
     about as thick as it; where that reaches into another part in the neutral pose, though the mesh
     does not, the pair is left out. Links whose shapes can't be read have estimated capsules
-    (``smooth_operator.hand_files.stand_ins``).
+    (``smooth_operator.hands.stand_ins``).
 
     Args:
         hand: the robot hand.
@@ -74,7 +73,7 @@ def capsule_pairs(hand: Hand) -> CapsulePairs:
     Returns:
         the pairs.
     """
-    counts, estimated = colliding_shapes(hand), _STAND_INS.load()(hand)
+    counts, estimated = colliding_shapes(hand), stand_ins(hand)
     # not those of an arm, or of a second hand
     shapes = solid_shapes(hand) if estimated.capsules else counts.any(axis=1)
     part = hand.model.body_weldid[hand.model.geom_bodyid]
@@ -100,12 +99,12 @@ def capsule_pairs(hand: Hand) -> CapsulePairs:
     if len(pairs):
         pairs = pairs[_meeting(hand, capsules, pairs)]
     used = sorted({int(c) for c in pairs.ravel()})
-    kept = [capsules[c] for c in used]
+    chosen = [capsules[c] for c in used]
     at = {c: i for i, c in enumerate(used)}
     return CapsulePairs(
-        _tree(hand, kept),
-        _names(kept),
-        _ends(kept),
+        _tree(hand, chosen),
+        _names(chosen),
+        _ends(chosen),
         np.array([(at[i], at[j]) for i, j in pairs], int).reshape(-1, 2),
         np.array([capsules[i].radius + capsules[j].radius for i, j in pairs], float),
         np.array([(capsules[i].geom, capsules[j].geom) for i, j in pairs], int).reshape(-1, 2),
@@ -201,7 +200,7 @@ def _meeting(hand: Hand, capsules: list[Capsule], pairs: np.ndarray) -> np.ndarr
     radii = np.array([capsule.radius for capsule in capsules])
     parts = np.array([hand.model.body_weldid[capsule.body] for capsule in capsules], int)
     links = np.sort(parts[pairs], axis=1)  # of each pair
-    found: list[tuple[int, int, int]] = []  # rank within its links, minus how often, which
+    ranked: list[tuple[int, int, int]] = []  # rank within its links, minus how often, which
     for two in np.unique(links, axis=0):
         these = np.flatnonzero((links == two).all(axis=1))
         clear = _clearances(ends, middles, radii, pairs[these])
@@ -211,8 +210,8 @@ def _meeting(hand: Hand, capsules: list[Capsule], pairs: np.ndarray) -> np.ndarr
         first = clear.argmin(axis=1)[clear.min(axis=1) < _SLACK]
         often = np.bincount(first, minlength=len(these))
         order = [k for k in np.argsort(-often, kind="stable") if meet[k]]
-        found += [(rank, -int(often[k]), int(these[k])) for rank, k in enumerate(order)]
-    return np.array(sorted(which for *_, which in sorted(found)[:MOST]), int)
+        ranked += [(rank, -int(often[k]), int(these[k])) for rank, k in enumerate(order)]
+    return np.array(sorted(which for *_, which in sorted(ranked)[:MOST]), int)
 
 
 def _clearances(

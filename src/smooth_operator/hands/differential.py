@@ -139,8 +139,8 @@ class PointKinematics:
     def jacobian(self, motion: PointMotion, of: slice | np.ndarray = slice(None)) -> Array:
         """(F, J, 3) dp_f/dq_j [m/rad] of some points or all, zero where joint j does not move f."""
         axes, points = motion.hinge_axes, motion.points[of]
-        found = _cross(axes[None], points[:, None]) + motion.origin_speeds[None]
-        return jnp.where(jnp.asarray(self.moves[of])[:, :, None], found, 0.0)
+        result = _cross(axes[None], points[:, None]) + motion.origin_speeds[None]
+        return jnp.where(jnp.asarray(self.moves[of])[:, :, None], result, 0.0)
 
     def moments(self, motion: PointMotion, gradient: Float[Array, "F 3"]) -> Float[Array, "F 12"]:
         """What each point adds to the derivatives of sum_f gradient_f . p_f: p g^T, and g.

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Final
 
 import jax.numpy as jnp
 import mujoco
@@ -18,6 +20,13 @@ from smooth_operator.hands.loading import Coupling, driven_joints, load_model
 from smooth_operator.hands.membership import own_bodies, own_joints
 from smooth_operator.hands.spec import HandSpec, Point
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS, TIPS, WRIST
+
+_SHAPES: Final = (
+    "body_parentid", "body_pos", "body_quat", "geom_bodyid", "geom_type", "geom_size", "geom_pos",
+    "geom_quat", "geom_aabb", "geom_margin", "geom_contype", "geom_conaffinity", "mesh_vert",
+    "exclude_signature",
+)  # fmt: skip
+"""Arrays of a model that say which of its parts can meet, and where."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,10 +112,10 @@ class Hand:
     @property
     def torques(self) -> Float[np.ndarray, " m"]:
         """(m,) most torque of the actuated joints' motors [N m]; NaN where it is not known."""
-        given = self.spec.torque
-        if not isinstance(given, Mapping):
-            return np.full(len(self.actuated), np.nan if given is None else given)
-        return np.array([given.get(name, np.nan) for name in self.actuated_names])
+        limits = self.spec.torque
+        if not isinstance(limits, Mapping):
+            return np.full(len(self.actuated), np.nan if limits is None else limits)
+        return np.array([limits.get(name, np.nan) for name in self.actuated_names])
 
     @cached_property
     def wrist(self) -> Float[np.ndarray, "3"]:
@@ -232,6 +241,41 @@ def load_hand_spec(spec: HandSpec) -> Hand:
         loaded.unreadable,
         loaded.why,
     )
+
+
+def fingerprint(hand: Hand) -> str:
+    """A digest of all of a hand that a program holds: its figures, not its name or its file."""
+    tree = hand.tree
+    digest = hashlib.sha256()
+    parts: list[object] = [
+        hand.spec.side,
+        hand.fingers,
+        hand.align_indices,
+        hand.actuated_names,
+        hand.joint_names,
+        hand.unreadable,
+        tuple(tree.names),
+        [(j.parent, j.offset, j.source, j.slide) for j in tree.joints],
+        [(name, point.joint) for name, point in tree.keypoints.items()],
+        [(m.joint, m.offset, sorted(m.gains.items())) for m in hand.spec.joint_map],
+    ]
+    arrays = [
+        hand.limits,
+        hand.neutral,
+        hand.coupling_matrix,
+        hand.coupling_offset,
+        tree.limits,
+        hand.align_points,
+        *(j.rotation for j in tree.joints),
+        *(j.translation for j in tree.joints),
+        *(point.position for point in tree.keypoints.values()),
+        # two hands that move alike may be of other shapes, and keep clear of themselves otherwise
+        *(getattr(hand.model, name) for name in _SHAPES),
+    ]
+    digest.update(repr(parts).encode())
+    for array in arrays:
+        digest.update(np.ascontiguousarray(array, np.float64).tobytes())
+    return digest.hexdigest()
 
 
 def tree_with(hand: Hand, points: Mapping[str, tuple[int, np.ndarray]]) -> KinematicTree:

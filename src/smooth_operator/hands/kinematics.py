@@ -345,11 +345,11 @@ def _mul(a: Number, b: Number) -> Number:
 
 
 def _sum(*terms: Number) -> Number:
-    kept = [t for t in terms if not (isinstance(t, float) and abs(t) < _TINY)]
-    if not kept:
+    nonzero = [t for t in terms if not (isinstance(t, float) and abs(t) < _TINY)]
+    if not nonzero:
         return 0.0
-    total = kept[0]
-    for term in kept[1:]:
+    total = nonzero[0]
+    for term in nonzero[1:]:
         total = total + term
     return total
 

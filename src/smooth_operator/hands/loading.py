@@ -170,14 +170,14 @@ def _parsed(path: Path) -> mujoco.MjSpec:
 def _name_all(spec: mujoco.MjSpec) -> None:
     """Names what has none, in the file's order: a description goes by names."""
     for kind, elements in (("body", spec.bodies), ("joint", spec.joints)):
-        taken = {element.name for element in elements}
+        names = {element.name for element in elements}
         for number, element in enumerate(elements):
             if not element.name:
                 name = f"{kind}_{number}"
-                while name in taken:
+                while name in names:
                     name += "_"
                 element.name = name
-                taken.add(name)
+                names.add(name)
 
 
 def _refused(what: str, path: Path, error: Exception) -> HandModelError:
@@ -462,7 +462,7 @@ def _driven_tendons(model: mujoco.MjModel) -> list[tuple[list[int], list[float]]
     Joints with their own actuator, or on an earlier tendon, are left out: this one does not
     lead them.
     """
-    taken, tendons = _actuated(model), []
+    joints, tendons = _actuated(model), []
     for i in range(model.nu):
         if model.actuator_trntype[i] != mujoco.mjtTrn.mjTRN_TENDON:
             continue
@@ -473,9 +473,9 @@ def _driven_tendons(model: mujoco.MjModel) -> list[tuple[list[int], list[float]]
         moved = sorted(
             (int(model.wrap_objid[w]), float(model.wrap_prm[w]))
             for w in wraps
-            if model.wrap_prm[w] and int(model.wrap_objid[w]) not in taken
+            if model.wrap_prm[w] and int(model.wrap_objid[w]) not in joints
         )
-        taken |= {joint for joint, _ in moved}
+        joints |= {joint for joint, _ in moved}
         if moved:
             tendons.append(([joint for joint, _ in moved], [share for _, share in moved]))
     return tendons

@@ -204,12 +204,12 @@ def _described(name: str, place: object) -> HandEntry:
     if not path.is_dir():
         spec = read_hand_spec(path)
         return HandEntry(spec.name, {spec.side: path}, builtin=False)
-    found = find_specs(path)
-    if name not in found and (name in HANDS or len(found) != 1):
-        wanted = f"{name}.right.toml or {name}.left.toml" if name in HANDS else "one hand"
-        raise HandModelError(f"{target}: expected {wanted} in {path}, not {listed(found)}")
-    own = name if name in found else next(iter(found))
-    return HandEntry(own, found[own], builtin=name in HANDS.built_in)
+    specs = find_specs(path)
+    if name not in specs and (name in HANDS or len(specs) != 1):
+        expectation = f"{name}.right.toml or {name}.left.toml" if name in HANDS else "one hand"
+        raise HandModelError(f"{target}: expected {expectation} in {path}, not {listed(specs)}")
+    own = name if name in specs else next(iter(specs))
+    return HandEntry(own, specs[own], builtin=name in HANDS.built_in)
 
 
 def origin(name: str) -> str:

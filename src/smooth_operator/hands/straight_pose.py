@@ -53,5 +53,5 @@ def straight_pose(hand: Hand) -> StraightPose:
             best = int(np.argmax(total))
             if total[best] > total[0] + _GAIN:
                 q = trial[best]
-    found = rays(q)
-    return StraightPose(q, np.linalg.norm(found, axis=-1), found)
+    directions = rays(q)
+    return StraightPose(q, np.linalg.norm(directions, axis=-1), directions)

@@ -20,9 +20,9 @@ def user_hands_folder() -> Path:
     ``~/.config/smooth-operator`` (or under ``XDG_CONFIG_HOME``) on Linux, ``~/Library/Application
     Support/smooth-operator`` on macOS, ``%APPDATA%\\smooth-operator`` on Windows.
     """
-    wanted = os.environ.get(SWITCH, "").strip()
-    if wanted:
-        return Path(wanted).expanduser()
+    path = os.environ.get(SWITCH, "").strip()
+    if path:
+        return Path(path).expanduser()
     home = Path.home()
     if sys.platform == "win32":
         base = Path(os.environ.get("APPDATA") or home / "AppData" / "Roaming")
@@ -45,15 +45,15 @@ def model_folder(name: str, side: Side) -> Path:
 
 def find_specs(folder: Path) -> dict[str, dict[Side, Path]]:
     """The spec files of a folder, by name and side; empty where there is no such folder."""
-    found: dict[str, dict[Side, Path]] = {}
+    specs: dict[str, dict[Side, Path]] = {}
     sides: tuple[Side, ...] = ("right", "left")
     try:
         names = sorted(entry.name for entry in folder.iterdir())
     except OSError:
-        return found
+        return specs
     for file in names:
         for side in sides:
             name = file.removesuffix(f".{side}.toml")
             if name and name != file:
-                found.setdefault(name, {})[side] = folder / file
-    return found
+                specs.setdefault(name, {})[side] = folder / file
+    return specs

@@ -56,13 +56,13 @@ def avp_frame(
         raise RecordingError(f"a hand must have 25 or 27 joints, not {len(joints)}")
     axes = _WRISTS[side]
     poses = to_ours(_poses(joints[:JOINTS]), axes, axes)
-    seen: np.ndarray = np.any(
+    tracked: np.ndarray = np.any(
         poses[:, :3], axis=1
     )  # NaN counts as something, and is invalid anyway
-    seen[0] = True
-    if not seen[1:].any():
+    tracked[0] = True
+    if not tracked[1:].any():
         return None
-    poses[~seen] = np.nan
+    poses[~tracked] = np.nan
     landmarks = poses[_LANDMARKS, :3]
     valid = np.isfinite(landmarks).all(axis=1)
     check_palm(landmarks, valid, "the joints")

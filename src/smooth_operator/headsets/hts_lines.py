@@ -87,20 +87,20 @@ def parse_line(data: bytes | str) -> HtsLine:
     if len(data) > MAX_LINE:
         raise RecordingError(f"a line of {len(data)} bytes is too long; at most {MAX_LINE}")
     text = data if isinstance(data, str) else data.decode("utf-8", "replace")
-    found = _LINE.fullmatch(text.strip())
-    if found is None or (found["who"].lower() == "head") != (found["kind"].lower() == "pose"):
+    match = _LINE.fullmatch(text.strip())
+    if match is None or (match["who"].lower() == "head") != (match["kind"].lower() == "pose"):
         raise RecordingError(
             "a line must begin with 'Right wrist:', 'Right landmarks:', the same of 'Left', or "
             f"'Head pose:', not {brief(text)}"
         )
-    kind: Any = found["kind"].lower()
-    said = {key.lower(): int(value) for key, value in _META.findall(found["meta"] or "")}
-    number = next((said[key] for key in ("f", "frame", "frame_id") if key in said), None)
-    stamp = next((said[key] for key in ("t", "ts", "timestamp") if key in said), None)
+    kind: Any = match["kind"].lower()
+    meta = {key.lower(): int(value) for key, value in _META.findall(match["meta"] or "")}
+    number = next((meta[key] for key in ("f", "frame", "frame_id") if key in meta), None)
+    stamp = next((meta[key] for key in ("t", "ts", "timestamp") if key in meta), None)
     return HtsLine(
         kind,
-        None if kind == "pose" else as_side(found["who"]),
-        _values(found["values"], _COUNT[kind], f"{found['who']} {kind}"),
+        None if kind == "pose" else as_side(match["who"]),
+        _values(match["values"], _COUNT[kind], f"{match['who']} {kind}"),
         number,
         None if stamp is None else stamp / 1_000_000_000,
     )
@@ -189,6 +189,6 @@ def hts_frame(
     valid[1:] &= landmarks[1:].any(axis=1)  # 0 0 0 is a joint that the headset does not have
     valid[0] &= bool(valid[1:].any())
     check_palm(landmarks, valid, "the landmarks")
-    given = np.full(7, np.nan) if wrist is None else wrist[_WXYZ]
-    pose = to_ours(given, WORLD_AXES["unity"], WRIST_AXES["unity"])
+    wrist_pose = np.full(7, np.nan) if wrist is None else wrist[_WXYZ]
+    pose = to_ours(wrist_pose, WORLD_AXES["unity"], WRIST_AXES["unity"])
     return HandFrame(landmarks, stamp, side, valid=valid, T_world_wrist=pose, world=WORLD)

@@ -75,16 +75,16 @@ def split_packets(buffer: bytearray) -> list[bytes]:
     What begins no packet is given as it is, all of it, so that it is counted where packets are
     read: TCP loses nothing, so it is another protocol.
     """
-    found = []
+    packets = []
     while buffer:
         size = _size(buffer)
         if size is None:
             size = len(buffer)
         elif size == 0 or size > len(buffer):
             break
-        found.append(bytes(buffer[:size]))
+        packets.append(bytes(buffer[:size]))
         del buffer[:size]
-    return found
+    return packets
 
 
 def begins_packet(data: bytes | bytearray) -> bool:

@@ -97,16 +97,16 @@ class _Collected:
         Raises:
             RecordingError: there is none, or there are both and none was asked for.
         """
-        found = self._seen()
-        if len(found) > 1:
+        sides = self._seen()
+        if len(sides) > 1:
             raise RecordingError(
                 f"{self._path}: it holds both hands; say --side right or --side left (in Python: "
                 "side='right')"
             )
-        frames = self._frames[found[0]]
+        frames = self._frames[sides[0]]
         if all(frame.stamp is not None for frame in frames):
-            return self._made(found[0], np.array([frame.time for frame in frames]), form)
-        return self._made(found[0], stamps_from_rate(len(frames), rate, str(self._path)), form)
+            return self._made(sides[0], np.array([frame.time for frame in frames]), form)
+        return self._made(sides[0], stamps_from_rate(len(frames), rate, str(self._path)), form)
 
     def recordings(self, rate: float | None, form: str) -> dict[Side, HandRecording]:
         """The hands that are there, each with its own frames, by one clock.
@@ -116,13 +116,13 @@ class _Collected:
         Raises:
             RecordingError: there is none, or there are neither stamps nor a rate.
         """
-        found = self._seen()
-        if all(frame.stamp is not None for side in found for frame in self._frames[side]):
-            stamps = {side: np.array([f.time for f in self._frames[side]]) for side in found}
+        sides = self._seen()
+        if all(frame.stamp is not None for side in sides for frame in self._frames[side]):
+            stamps = {side: np.array([f.time for f in self._frames[side]]) for side in sides}
         else:
             even = stamps_from_rate(self._moment + 1, rate, str(self._path))
-            stamps = {side: even[self._moments[side]] for side in found}
-        return {side: self._made(side, stamps[side], form) for side in found}
+            stamps = {side: even[self._moments[side]] for side in sides}
+        return {side: self._made(side, stamps[side], form) for side in sides}
 
     def _seen(self) -> list[Side]:
         """The hands that are there.
@@ -130,12 +130,12 @@ class _Collected:
         Raises:
             RecordingError: there is none.
         """
-        found = [side for side, frames in self._frames.items() if frames]
-        if not found:
+        sides = [side for side, frames in self._frames.items() if frames]
+        if not sides:
             which = "hand" if self._side is None else f"{self._side} hand"
             why = f"; {self._damaged} lines can't be read: {self._reason}" if self._damaged else ""
             raise RecordingError(f"{self._path}: there is no {which} in it{why}")
-        return found
+        return sides
 
     def _made(self, side: Side, stamps: Float[np.ndarray, " T"], form: str) -> HandRecording:
         frames = self._frames[side]
@@ -175,15 +175,15 @@ def read_avp_recording(
 
 
 def _avp(path: Path, side: Side | None) -> _Collected:
-    found = _Collected(path, side, wrist=True)
-    for message in _objects(path, found):
+    frames = _Collected(path, side, wrist=True)
+    for message in _objects(path, frames):
         try:
             for key, hand_side in _SIDES:
                 if side in (None, hand_side):
-                    found.add(_avp_hand(message, key, hand_side))
+                    frames.add(_avp_hand(message, key, hand_side))
         except RecordingError as error:
-            found.damaged(error)
-    return found
+            frames.damaged(error)
+    return frames
 
 
 def _avp_hand(message: dict[str, Any], key: str, side: Side) -> HandFrame | None:
@@ -217,16 +217,16 @@ def read_hts_lines(
 
 
 def _hts(path: Path, side: Side | None) -> _Collected:
-    found, hands = _Collected(path, side), HtsHands()
+    frames, hands = _Collected(path, side), HtsHands()
     with path.open("rb") as stream:
         for whole in stream:
             # What netcat writes of datagrams has no line break between them.
             for line in filter(bytes.strip, _LABEL.split(whole)):
                 try:
-                    found.add(hands.add(parse_line(line), 0.0))
+                    frames.add(hands.add(parse_line(line), 0.0))
                 except RecordingError as error:
-                    found.damaged(error)
-    return found
+                    frames.damaged(error)
+    return frames
 
 
 def read_hts_json(
@@ -314,12 +314,12 @@ def _checked(rows: Any, count: int) -> list[Any]:
 def _numbers(value: Any, count: int, what: str) -> Float[np.ndarray, " n"]:
     if not isinstance(value, list) or len(value) != count or not set(map(type, value)) <= _NUMBER:
         raise RecordingError(f"'{what}' must be {count} numbers, not {brief(value)}")
-    found = np.array(value, np.float64)
-    found[np.abs(found) >= 1e300] = np.nan
-    return found
+    numbers = np.array(value, np.float64)
+    numbers[np.abs(numbers) >= 1e300] = np.nan
+    return numbers
 
 
-def _objects(path: Path, found: _Collected) -> Iterator[dict[str, Any]]:
+def _objects(path: Path, frames: _Collected) -> Iterator[dict[str, Any]]:
     """JSON objects of a file, one a line."""
     with path.open("rb") as stream:
         for line in stream:
@@ -328,9 +328,9 @@ def _objects(path: Path, found: _Collected) -> Iterator[dict[str, Any]]:
             try:
                 message = documents.parse_json(line, most_bytes=MOST_LINE)
             except DocumentError as error:
-                found.damaged(error)
+                frames.damaged(error)
                 continue
             if isinstance(message, dict):
                 yield message
             else:
-                found.damaged(RecordingError(f"a line must be an object, not {brief(message)}"))
+                frames.damaged(RecordingError(f"a line must be an object, not {brief(message)}"))

@@ -155,13 +155,13 @@ class OperatorProfile:
                 f"this operator was calibrated for the {self.side} hand {self.hand!r}, not for the "
                 f"{hand.spec.side} hand {hand.name!r}; calibrate for it: {again}"
             )
-        known = {finger.name: finger.robot for finger in self.fingers}
+        robots = {finger.name: finger.robot for finger in self.fingers}
         for finger in hand.spec.fingers:
-            if known.get(finger.name) != finger.tip.body:
-                found = known.get(finger.name)
+            if robots.get(finger.name) != finger.tip.body:
+                robot = robots.get(finger.name)
                 raise ConfigError(
                     f"this operator was calibrated with {finger.name} driving "
-                    f"{found or 'nothing'}, not {finger.tip.body}; calibrate with the same "
+                    f"{robot or 'nothing'}, not {finger.tip.body}; calibrate with the same "
                     f"--fingers: {again}"
                 )
 
@@ -235,13 +235,13 @@ class OperatorProfile:
     def residual_gap(self) -> float | None:
         """What is left between tips in a pinch where nothing else is known [m], at human size: the
         middle one of the fingers that were seen pinching; None if none was."""
-        seen = [
+        gaps = [
             f.pinch_gap_after if self.has("tips") else f.pinch_gap
             for f in self.fingers
             if f.pinch_gap is not None
         ]
-        known = [gap for gap in seen if gap is not None]
-        return float(np.median(known)) if known else None
+        finite = [gap for gap in gaps if gap is not None]
+        return float(np.median(finite)) if finite else None
 
     @cached_property
     def pinch_gaps(self) -> dict[str, float]:

@@ -174,13 +174,13 @@ def in_our_order(
 
 
 def implausible(
-    landmarks: AnyArray, known: AnyArray, palms: tuple[float, float] = PALM_RANGE_M
+    landmarks: AnyArray, valid: AnyArray, palms: tuple[float, float] = PALM_RANGE_M
 ) -> AnyArray:
     """True for a frame that can't be a hand, by its size [m] or by the lengths of its bones.
 
     Args:
         landmarks: (..., 21, 3) positions [m], in the project's order; NumPy or JAX.
-        known: (..., 21) which of them count. Only whole frames are judged by lengths.
+        valid: (..., 21) which of them count. Only whole frames are judged by lengths.
         palms: least and greatest distance from the wrist to the middle finger's MCP [m].
     """
     xp = array_namespace(landmarks)
@@ -189,8 +189,8 @@ def implausible(
     palm = lengths[..., _PALM]
     sized = (palm >= palms[0]) & (palm <= palms[1])
     shaped = (_misfits(lengths) <= NO_HAND_FRAME) & (lengths.max(axis=-1) <= _LONGEST * palm)
-    odd: AnyArray = (known[..., _PAIRS[_PALM]].all(axis=-1) & ~sized) | (
-        known.all(axis=-1) & ~shaped
+    odd: AnyArray = (valid[..., _PAIRS[_PALM]].all(axis=-1) & ~sized) | (
+        valid.all(axis=-1) & ~shaped
     )
     return odd
 
@@ -247,9 +247,9 @@ def check_hand(
             ``FEWEST_FRAMES`` whole frames raise nothing.
         UnknownNameError: there is no such layout.
     """
-    found = doubt(points, side, valid, layout=layout)
-    if found is not None:
-        raise RecordingError(f"{where}: {found.what}; {found.remedy}")
+    reason = doubt(points, side, valid, layout=layout)
+    if reason is not None:
+        raise RecordingError(f"{where}: {reason.what}; {reason.remedy}")
 
 
 def doubt(
@@ -280,12 +280,12 @@ def doubt(
         return None
     rows = np.flatnonzero(whole)
     rows = rows[np.linspace(0, len(rows) - 1, min(_JUDGED, len(rows))).astype(int)]
-    seen = points[rows]
+    visible = points[rows]
     with np.errstate(over="ignore", invalid="ignore"):  # a landmark far beyond any hand
-        if of_a_picture(seen[:, order]):
+        if of_a_picture(visible[:, order]):
             return OF_A_PICTURE
-        misplaced = None if believed else _other_order(seen, layout)
-        return misplaced or _other_side(seen[:, order], side)
+        misplaced = None if believed else _other_order(visible, layout)
+        return misplaced or _other_side(visible[:, order], side)
 
 
 def _other_side(landmarks: Float[np.ndarray, "T 21 3"], side: Side) -> Doubt | None:

@@ -48,19 +48,19 @@ class Entries:
         """Names of the entries, in the order of the file."""
         return tuple(self.values)
 
-    def only(self, *known: str) -> None:
+    def only(self, *names: str) -> None:
         """Refuses entries other than the known ones."""
         for name in self.values:
-            if name not in known:
-                hint = did_you_mean(name, known)
-                raise self.error(name, f"no such entry.{hint} Known here: {', '.join(known)}")
+            if name not in names:
+                hint = did_you_mean(name, names)
+                raise self.error(name, f"no such entry.{hint} Known here: {', '.join(names)}")
 
     def check_format(self, version: int) -> None:
         """Refuses a file whose entry ``format`` is another version of its format."""
-        found = self.whole("format")
-        if found != version:
-            newer = "; a newer smooth-operator wrote it: update yours" if found > version else ""
-            raise self.error("format", f"expected {version}, not {found}{newer}")
+        number = self.whole("format")
+        if number != version:
+            newer = "; a newer smooth-operator wrote it: update yours" if number > version else ""
+            raise self.error("format", f"expected {version}, not {number}{newer}")
 
     def text(
         self, name: str, default: str | None = None, *, empty: bool = True, lines: bool = False

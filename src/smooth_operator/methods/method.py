@@ -27,8 +27,8 @@ from smooth_operator.solvers.trajectory import TrajectoryConfig
 
 C = TypeVar("C", bound="MethodConfig")
 
-Compiling: TypeAlias = Callable[..., Any]
-"""What compiles a traceable function; after it, what the function is called among the method's."""
+Compiling: TypeAlias = Callable[[Callable[..., Any], str], Callable[..., Any]]
+"""Compiles a traceable function under a name that is its own among the method's functions."""
 
 _FAINT = 1e-4
 """A pull to the neutral pose this weak decides between equally good poses, and no more."""
@@ -145,7 +145,7 @@ class HostMethod(Method):
         return self.solve(state, self.prepare(state, aligned, ticks))
 
     def compile_with(self, compiling: Compiling) -> None:
-        """Before the first frame: what compiles the functions that ``solve`` calls, if any."""
+        """Takes the compiler of the functions that ``solve`` calls, before the first frame."""
         del compiling
 
     @property

@@ -1,7 +1,8 @@
-"""One frame, from landmarks to a result, whatever they are and wherever the solver runs."""
+"""The program of one frame: landmarks and state to a command, a status and the next state."""
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable
 from typing import Any, NamedTuple, TypeAlias
@@ -12,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt32
 from numpy.typing import ArrayLike
 
+from smooth_operator.compilation.compiled_program import CompiledProgram
 from smooth_operator.human.alignment import (
     MIN_CONDITION,
     AlignmentConfig,
@@ -21,40 +23,9 @@ from smooth_operator.human.alignment import (
 )
 from smooth_operator.human.palm_axes import human_palm_axes
 from smooth_operator.io.anatomy import implausible
-from smooth_operator.methods.method import Compiling, HostMethod, Method
-from smooth_operator.methods.one_array import Joined, joined, joins, parted
+from smooth_operator.methods.method import Compiling, HostMethod, Method, MethodConfig
+from smooth_operator.methods.state import FrameState, RetargetState, StateLayout
 from smooth_operator.types import Status
-
-
-class RetargetState(NamedTuple):
-    """All that a retargeter remembers between frames; a pytree.
-
-    Attributes:
-        kept: state of the method; or that and q, ``Joined``.
-        q: (m,) last good command of the actuated joints [rad].
-        stamp: of the last frame [s], where the retargeter counts frames by a rate; else None. It
-            stays on the host.
-    """
-
-    kept: Any
-    q: Float[Array, " m"] | Float[np.ndarray, " m"]
-    stamp: float | None = None
-
-    @property
-    def method(self) -> Any:
-        """State of the method."""
-        return self.kept.tree[0] if isinstance(self.kept, Joined) else self.kept
-
-    def packed(self) -> RetargetState:
-        """The same with the method's state in one array, where it can be."""
-        both = self.kept, self.q
-        if isinstance(self.kept, Joined) or not joins(both):
-            return self
-        return self._replace(kept=Joined.of(jax.device_get(both)))
-
-    def unpacked(self) -> RetargetState:
-        """The same with the method's state as a tree, as ``frame_step`` takes it."""
-        return self._replace(kept=self.method)
 
 
 class FrameResult(NamedTuple):
@@ -73,11 +44,13 @@ class FrameResult(NamedTuple):
     scale: Float[Array, ""] | float
 
 
-Step: TypeAlias = Callable[..., tuple[RetargetState, FrameResult]]
+Step: TypeAlias = Callable[[FrameState, Array, Array, Array], tuple[FrameState, FrameResult]]
 """State, (21, 3) landmarks [m], (21,) validity and the frame's ticks (``ticks_of``) to the next
 state and the result; traceable."""
 
-Program: TypeAlias = Callable[..., tuple[RetargetState, FrameResult]]
+Program: TypeAlias = Callable[
+    [RetargetState, np.ndarray, np.ndarray, np.uint32], tuple[RetargetState, FrameResult]
+]
 """The same on the host, compiled."""
 
 
@@ -85,66 +58,67 @@ def frame_step(method: Method, alignment: AlignmentConfig) -> Step:
     """One frame as a function to be compiled, by itself or in a longer program."""
 
     def step(
-        state: RetargetState,
+        state: FrameState,
         landmarks: Float[Array, "21 3"],
         valid: Bool[Array, "21"],
         ticks: UInt32[Array, ""],
-    ) -> tuple[RetargetState, FrameResult]:
+    ) -> tuple[FrameState, FrameResult]:
         frame = align_frame(method, alignment, landmarks, valid)
         after, output = method.step(state.method, frame.aligned, ticks)
-        return _kept(
-            state, frame, RetargetState(after, output.q), jnp.asarray(output.tracking_loss)
+        solved = jnp.isfinite(output.q).all()
+        status = jnp.where(
+            (frame.status == Status.OK) & ~solved, Status.SOLVER_FAILED, frame.status
         )
+        # a frame changes nothing unless its status is OK
+        state = jax.tree.map(
+            lambda new, old: jnp.where(status == Status.OK, new, old),
+            FrameState(after, jnp.asarray(output.q)),
+            state,
+        )
+        loss = jnp.asarray(output.tracking_loss)
+        return state, FrameResult(state.q, status, loss, frame.scale)
 
     return step
 
 
-def _kept(
-    state: RetargetState, frame: AlignedFrame, kept: RetargetState, loss: Array
-) -> tuple[RetargetState, FrameResult]:
-    """The state and the result after a frame, which changes nothing unless its status is OK."""
-    solved = jnp.isfinite(kept.q).all()
-    status = jnp.where((frame.status == Status.OK) & ~solved, Status.SOLVER_FAILED, frame.status)
-    state = jax.tree.map(lambda new, old: jnp.where(status == Status.OK, new, old), kept, state)
-    return state, FrameResult(state.q, status, loss, frame.scale)
-
-
-def frame_program(method: Method, alignment: AlignmentConfig, compiling: Compiling) -> Program:
+def frame_program(method: Method, config: MethodConfig, cached: bool = True) -> Program:
     """The program of one frame; it compiles when it is first called.
 
     Args:
-        method: what is solved.
-        alignment: how landmarks reach the palm frame.
-        compiling: what compiles a function of state, landmarks, validity and ticks.
+        method: the method for one hand.
+        config: its settings.
+        cached: compiled programs are read from the user's cache, and written there.
     """
+    compiling = functools.partial(
+        CompiledProgram,
+        hand=method.hand,
+        config=config,
+        constants=method.constants,
+        cached=cached,
+    )
     if method.host is not None:
-        return _host_program(method.host, alignment, compiling)
-    step = frame_step(method, alignment)
+        return _host_program(method.host, config.alignment, compiling)
+    step = frame_step(method, config.alignment)
+    neutral = np.asarray(method.hand.neutral, np.float32)
 
-    def packed(before: Any, landmarks: Array, valid: Array, ticks: Array) -> tuple[Any, Array]:
-        one_array = isinstance(before, Array)
-        if one_array:
-            like = RetargetState(method.init(0), method.hand.neutral)
-            before = parted(like, before)
-        state, result = step(before, landmarks, valid, ticks)
+    def packed(
+        words: Array, others: tuple[Any, ...], landmarks: Array, valid: Array, ticks: Array
+    ) -> tuple[Array, tuple[Any, ...], Array]:
+        layout = StateLayout.of(FrameState(method.init(0), neutral))
+        state, result = step(layout.unpack(words, others), landmarks, valid, ticks)
         flat = _pack(result.q, result.status, result.tracking_loss, result.scale)
-        return (joined(state) if one_array else state), flat
+        return *layout.pack(state), flat
 
-    run = compiling(packed)
+    run = compiling(packed, "frame")
 
     def program(
         state: RetargetState, landmarks: np.ndarray, valid: np.ndarray, ticks: np.uint32
     ) -> tuple[RetargetState, FrameResult]:
-        state = state.packed()
-        kept = state.kept
-        one_array = isinstance(kept, Joined)
-        after, flat = run(kept.array if one_array else state, landmarks, valid, ticks)
+        words, others, flat = run(state.words, state.others, landmarks, valid, ticks)
         numbers = np.asarray(flat)
         status, loss, scale = numbers[-3:].tolist()
-        q = numbers[:-3]
-        if one_array:
-            after = RetargetState(Joined(after, kept.like), q)
-        return after, FrameResult(q, int(status), loss, scale)
+        after = RetargetState(words, others, state.layout)
+        return after, FrameResult(numbers[:-3], int(status), loss, scale)
 
     return program
 
@@ -202,7 +176,7 @@ def _host_program(method: HostMethod, alignment: AlignmentConfig, compiling: Com
         frame = align_frame(method, alignment, landmarks, valid)
         return method.prepare(state, frame.aligned, ticks), _pack(frame.status, frame.scale)
 
-    before = compiling(prepare)
+    before = compiling(prepare, "frame")
     method.compile_with(compiling)
 
     def program(
@@ -216,7 +190,8 @@ def _host_program(method: HostMethod, alignment: AlignmentConfig, compiling: Com
         loss = float(output.tracking_loss)
         if not np.isfinite(output.q).all():
             return state, FrameResult(state.q, Status.SOLVER_FAILED, loss, scale)
-        return RetargetState(after, output.q), FrameResult(output.q, int(code), loss, scale)
+        state = RetargetState.of(FrameState(after, np.asarray(output.q)), joined=False)
+        return state, FrameResult(output.q, int(code), loss, scale)
 
     return program
 

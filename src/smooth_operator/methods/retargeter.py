@@ -6,12 +6,12 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
+from smooth_operator.compilation.batching import Track, lane_program, progressing
 from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
@@ -22,10 +22,9 @@ from smooth_operator.landmarks import NUM_LANDMARKS
 from smooth_operator.methods.default import DEFAULT_METHOD
 from smooth_operator.methods.method import Method, MethodConfig
 from smooth_operator.methods.presets import default_preset, method_config
-from smooth_operator.methods.program import RetargetState as RetargetState
 from smooth_operator.methods.program import tick_of
 from smooth_operator.methods.shared import shared_program
-from smooth_operator.plugins import Entry
+from smooth_operator.methods.state import FrameState, RetargetState
 from smooth_operator.settings import check_frame_rate
 from smooth_operator.types import (
     CommandTrajectory,
@@ -37,7 +36,6 @@ from smooth_operator.types import (
 )
 
 _REFLECTION = np.array([-1, 1, 1], np.float32)
-_BATCH = Entry("smooth_operator.compilation.batching:retarget_batch")  # imported when it is used
 
 
 class Retargeter:
@@ -130,8 +128,8 @@ class Retargeter:
     def init(self, seed: int | None = None) -> RetargetState:
         """The state before the first frame."""
         method = self.method.init(self.seed if seed is None else seed)
-        state = RetargetState(method, self.hand.neutral.astype(np.float32))
-        return state if self.method.host is not None else state.packed()
+        state = FrameState(method, self.hand.neutral.astype(np.float32))
+        return RetargetState.of(state, joined=self.method.host is None)
 
     def step(
         self, state: RetargetState, frame: HandFrame | ArrayLike
@@ -155,11 +153,10 @@ class Retargeter:
         stamp = self._stamp_of(state, frame)
         self.check_side(frame.side)
         assert frame.valid is not None  # filled in on construction
-        before = state if state.stamp is None else state._replace(stamp=None)
         landmarks = self.program_landmarks(frame.landmarks)
-        state, output = self.shared.run(before, landmarks, frame.valid, tick_of(stamp))
+        state, output = self.shared.run(state, landmarks, frame.valid, tick_of(stamp))
         if self.rate is not None:
-            state = state._replace(stamp=stamp)
+            state = replace(state, stamp=stamp)
         q, status = np.asarray(output.q, float), Status(int(output.status))
         # float32 may round a limit outwards: the last word is in float64
         q = self.hand.full_configuration(np.clip(q, self.hand.limits[:, 0], self.hand.limits[:, 1]))
@@ -313,5 +310,20 @@ class Retargeter:
             track: wraps the iteration over all frames, for a progress bar.
             lanes: recordings side by side; None for 8 on a CPU, 1024 on a GPU.
         """
-        answers: Any = _BATCH.load()(self, recordings, seed, track, lanes)
-        return list(answers)
+        for recording in recordings:
+            self.check_side(recording.side)
+        method = self.shared.method
+        if method.host is not None:
+            advance = progressing(sum(map(len, recordings)), track)
+            results = []
+            for recording in recordings:
+                commands, loss = self.run(recording, seed=seed)
+                none = np.full(len(commands), np.nan)
+                results.append((replace(commands, latency_ms=none), loss))
+                advance(len(recording))
+            return results
+        tracks = [Track.of(r, self.program_landmarks(r.landmarks)) for r in recordings]
+        program = lane_program(method, self.config, lanes, self.cache)
+        answers = program.run(self.init(seed), tracks, track)
+        pairs = zip(recordings, answers, strict=True)
+        return [answer.trajectory(self.hand, recording) for recording, answer in pairs]

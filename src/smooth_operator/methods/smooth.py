@@ -20,6 +20,7 @@ from jaxtyping import Array, Bool, Float, UInt32
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.stand_ins import stand_in_note
 from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.human.correspondence import (
     Correspondence,
@@ -51,7 +52,6 @@ from smooth_operator.objective.terms.fingertip_position import (
     FingertipPositionConfig,
 )
 from smooth_operator.objective.terms.self_collision import SelfCollision, SelfCollisionConfig
-from smooth_operator.plugins import Entry
 from smooth_operator.settings import check_numbers, is_off
 from smooth_operator.solvers.newton import NewtonConfig, damped_newton
 from smooth_operator.solvers.normals import frame_key, seed_words
@@ -61,8 +61,6 @@ from smooth_operator.solvers.settling import settled
 REFERENCE: Final = 0.01
 """Time between frames for which weights of change are given [s]. They scale with 1 / dt, so that an
 error is worked off in the same time at any rate."""
-
-_STAND_IN_NOTE = Entry("smooth_operator.hand_files.stand_ins:stand_in_note")
 
 
 @dataclass(frozen=True)
@@ -146,7 +144,7 @@ class SmoothConfig(ObjectiveMethodConfig):
 
     def notes(self, hand: Hand) -> tuple[str, ...]:
         """Whether collision shapes are estimated."""
-        note = _STAND_IN_NOTE.load()(hand) if self.self_collision.weight else None
+        note = stand_in_note(hand) if self.self_collision.weight else None
         return (note,) if note else ()
 
 

@@ -1,9 +1,10 @@
-"""Parallel tasks, on this machine or on a cluster; a task whose worker dies is tried again.
+"""Parallel tasks in processes of this machine or on a Ray cluster.
 
-Knows nothing of hands: a task is a value, what is done with it a function.
+This package knows nothing of hands: a task is a value that can be pickled.
 """
 
-from smooth_operator.parallel.persistent_pool import PersistentPool as PersistentPool
-from smooth_operator.parallel.results import TaskResult as TaskResult
-from smooth_operator.parallel.run import run_tasks as run_tasks
-from smooth_operator.parallel.run import usable_cores as usable_cores
+from smooth_operator.parallel.pool import PersistentPool as PersistentPool
+from smooth_operator.parallel.pool import run_groups as run_groups
+from smooth_operator.parallel.pool import run_tasks as run_tasks
+from smooth_operator.parallel.pool import usable_cores as usable_cores
+from smooth_operator.parallel.tasks import TaskResult as TaskResult

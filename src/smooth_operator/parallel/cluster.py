@@ -1,7 +1,6 @@
-"""Tasks on a Ray cluster, under the rules of the local pool.
+"""Tasks on a Ray cluster, by ``map_batches`` of Ray Data, under the rules of the local pool.
 
-Ray replaces workers and nodes that die. How often a task is tried again is counted here, since
-Ray's own count does not hold where memory runs out: it then tries for ever.
+Ray replaces workers and nodes that die, and gives their tasks to other workers.
 """
 
 from __future__ import annotations
@@ -15,13 +14,20 @@ import socket
 import sys
 import threading
 import warnings
-from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Generator, Iterator, Sequence
+from multiprocessing.reduction import ForkingPickler
 from typing import Any, Final, TypeVar
 
-from smooth_operator.errors import MissingExtraError, WorkerError
-from smooth_operator.parallel.results import TaskResult, death, describe, timed
-from smooth_operator.parallel.threads import one_thread
+from smooth_operator.errors import ConfigError, MissingExtraError, WorkerError
+from smooth_operator.parallel.tasks import (
+    TaskResult,
+    death,
+    describe,
+    one_thread,
+    pack,
+    packed_answer,
+)
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -29,81 +35,157 @@ R = TypeVar("R")
 LOCAL: Final = "local"
 """The cluster that is started for one run, on this machine."""
 
-_GRACE_S: Final = 5.0
-_KNOCK_S: Final = 10.0
+_CONNECTION_S: Final = 10.0
 _AUTH_MODE: Final = "RAY_AUTH_MODE"
+_QUEUED: Final = 2
+"""Tasks that wait at a worker, the one that it works on included."""
 
 
 def run_on_cluster(
     function: Callable[[T], R],
     tasks: Sequence[T],
-    workers: int | None,
     cluster: str,
-    retries: int,
-) -> Iterator[TaskResult[R]]:
-    """See ``run_tasks``."""
+    *,
+    workers: int | None = None,
+    least_workers: int | None = None,
+    gpus: float = 0.0,
+    retries: int = 2,
+) -> Generator[TaskResult[R]]:
+    """Results of tasks from a cluster; see ``run_tasks``.
+
+    Args:
+        function, tasks, cluster, workers, retries: as in ``run_tasks``.
+        least_workers: size of the pool at the start; it grows to ``workers`` as work waits and the
+            cluster has room; None for a pool of one size.
+        gpus: accelerators for each worker, which may be a fraction.
+
+    Raises:
+        ConfigError: a number of workers is not a possible one.
+        MissingExtraError: Ray or Ray Data is not installed.
+        WorkerError: the cluster can't be reached, or gave up.
+    """
+    for name, value in (("workers", workers), ("least_workers", least_workers)):
+        if value is not None and value < 1:
+            raise ConfigError(f"{name} must be 1 or more, not {value}")
+    if workers is not None and least_workers is not None and least_workers > workers:
+        raise ConfigError(
+            f"least_workers, {least_workers}, must not be more than workers, {workers}"
+        )
     try:
         import ray
+        import ray.data
     except ImportError as error:
         raise MissingExtraError("working on a cluster", "cluster") from error
-    return _run(ray, function, tasks, workers, cluster, retries)
+    return _results(ray, function, tasks, cluster, workers, least_workers, gpus, retries)
 
 
-def _run(
+def _results(
     ray: Any,
     function: Callable[[T], R],
     tasks: Sequence[T],
-    workers: int | None,
     cluster: str,
+    workers: int | None,
+    least: int | None,
+    gpus: float,
     retries: int,
-) -> Iterator[TaskResult[R]]:
-    with connected(ray, cluster, workers):
-        at_once = workers or max(1, int(ray.cluster_resources().get("CPU", 1)))
-        remote = ray.remote(num_cpus=1, max_retries=0)(_call)
-        shared = ray.put(function)
-        waiting = deque(range(len(tasks)))
-        attempts = [0] * len(tasks)
-        running: dict[Any, int] = {}
+) -> Generator[TaskResult[R]]:
+    rows = []
+    for index, task in enumerate(tasks):
         try:
-            while waiting or running:
-                while waiting and len(running) < at_once:
-                    index = waiting.popleft()
-                    attempts[index] += 1
-                    try:
-                        running[remote.remote(shared, tasks[index])] = index
-                    except TypeError as failure:  # Ray's for what can't be pickled
-                        reason = f"the task can't be sent: {describe(failure)}"
-                        yield TaskResult(index, None, reason, 0.0, attempts[index])
-                if not running:
-                    continue
-                (done,), _ = ray.wait(list(running), num_returns=1)
-                index = running.pop(done)
-                answer: tuple[R | None, str | None, float]
-                try:
-                    answer = ray.get(done)
-                except ray.exceptions.RayTaskError as failure:  # before or after our own code
-                    answer = None, _last_line(failure), 0.0
-                except ray.exceptions.RayError as failure:
-                    if attempts[index] <= retries:
-                        waiting.appendleft(index)
-                        continue
-                    answer = None, death(attempts[index], type(failure).__name__), 0.0
-                yield TaskResult(index, *answer, attempts[index])
-        finally:
-            _cancel(ray, list(running))
+            rows.append({"index": index, "task": bytes(ForkingPickler.dumps(task))})
+        except Exception as failure:
+            yield TaskResult(index, None, f"the task can't be sent: {describe(failure)}", 0.0, 1)
+    if not rows:
+        return
+    with connected(ray, cluster, workers), _data_context(ray):
+        size = workers or max(1, int(ray.cluster_resources().get("CPU", 1)))
+        starts = ray.remote(num_cpus=0)(Starts).remote()
+        results = ray.data.from_items(rows, override_num_blocks=len(rows)).map_batches(
+            Worker,
+            fn_constructor_args=(function, starts, retries),
+            batch_size=1,
+            batch_format="pyarrow",
+            compute=ray.data.ActorPoolStrategy(
+                min_size=min(size, len(rows)) if least is None else least,
+                max_size=min(size, len(rows)) if least is None else workers,
+                max_tasks_in_flight_per_actor=_QUEUED,
+            ),
+            num_cpus=1,
+            **({"num_gpus": gpus} if gpus else {}),
+        )
+        try:
+            for batch in results.iter_batches(
+                batch_size=None, batch_format="pyarrow", prefetch_batches=0
+            ):
+                for row in batch.to_pylist():
+                    value, error, seconds = ForkingPickler.loads(row["answer"])
+                    yield TaskResult(row["index"], value, error, seconds, row["attempts"])
+        except ray.exceptions.RayError as failure:
+            raise WorkerError(f"the cluster gave up: {describe(failure)[:2000]}") from failure
 
 
-def _call(function: Callable[[T], R], task: T) -> tuple[R | None, str | None, float]:
-    """In a worker of the cluster."""
-    if not _limited:
+class Starts:
+    """Counts how often each task was started; Ray itself tries again for ever."""
+
+    def __init__(self) -> None:
+        self._counts: Counter[int] = Counter()
+
+    def count(self, index: int) -> int:
+        """Starts of a task, this one included."""
+        self._counts[index] += 1
+        return self._counts[index]
+
+
+class Worker:
+    """A worker of the cluster, as ``map_batches`` calls it: pickled tasks in, answers out.
+
+    Args:
+        function: works on a task.
+        starts: actor of ``Starts``.
+        retries: how often a task is tried again whose worker died.
+    """
+
+    def __init__(self, function: Callable[[Any], Any], starts: Any, retries: int) -> None:
         with one_thread(os.getpid()) as start_threads:
+            self._function, self._starts, self._retries = function, starts, retries
             start_threads()
-        _limited.append(True)
-    return timed(function, task)
+
+    def __call__(self, batch: Any) -> Any:
+        """Answers of a batch (an Arrow table): value, error and seconds, pickled."""
+        import pyarrow as pa
+        import ray
+
+        answers, attempts = [], []
+        for index, raw in zip(batch["index"].to_pylist(), batch["task"].to_pylist(), strict=True):
+            started = ray.get(self._starts.count.remote(index))
+            if started > self._retries + 1:
+                started = self._retries + 1
+                answers.append(pack(None, death(started, "on the cluster")))
+            else:
+                answers.append(packed_answer(self._function, raw))
+            attempts.append(started)
+        return pa.table(
+            {
+                "index": batch["index"],
+                "attempts": pa.array(attempts, pa.int64()),
+                "answer": pa.array(answers, pa.binary()),
+            }
+        )
 
 
-_limited: Final[list[bool]] = []
-"""Not empty in a process that has its one thread."""
+@contextlib.contextmanager
+def _data_context(ray: Any) -> Iterator[None]:
+    """Ray Data without bars and notes of its own."""
+    context, logger = ray.data.DataContext.get_current(), logging.getLogger("ray.data")
+    before = context.enable_progress_bars, context.print_on_execution_start
+    level = logger.level
+    context.enable_progress_bars = context.print_on_execution_start = False
+    logger.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        context.enable_progress_bars, context.print_on_execution_start = before
+        logger.setLevel(level)
 
 
 @contextlib.contextmanager
@@ -128,10 +210,10 @@ def connected(ray: Any, cluster: str, workers: int | None) -> Iterator[None]:
         options["runtime_env"] = {
             "env_vars": {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
         }
-    with _as_it_was():
+    with _state_restored():
         try:
             try:
-                _knock(cluster)
+                _check_address(cluster)
                 with warnings.catch_warnings():
                     # JAX's, of its threads; what Ray forks becomes another program immediately.
                     warnings.filterwarnings("ignore", r"os\.fork\(\) was called", RuntimeWarning)
@@ -164,8 +246,8 @@ def _connect(ray: Any, cluster: str, options: dict[str, Any]) -> None:
 
 
 @contextlib.contextmanager
-def _as_it_was() -> Iterator[None]:
-    """Gives back what Ray takes for itself and keeps.
+def _state_restored() -> Iterator[None]:
+    """Restores what Ray replaces in this process and does not give back.
 
     That is SIGTERM, ``print``, the last word on errors, and the mode of authentication.
     """
@@ -182,11 +264,11 @@ def _as_it_was() -> Iterator[None]:
             signal.signal(signal.SIGTERM, handler)
 
 
-def _knock(cluster: str) -> None:
-    """Whether anybody is at an address; Ray itself goes on trying for minutes.
+def _check_address(cluster: str) -> None:
+    """Tries to connect to an address; Ray itself goes on trying for minutes.
 
     Raises:
-        OSError: nobody is.
+        OSError: nothing listens there.
         ValueError: it has no port.
     """
     if cluster in (LOCAL, "auto"):
@@ -194,23 +276,4 @@ def _knock(cluster: str) -> None:
     host, _, port = cluster.removeprefix("ray://").rpartition(":")
     if not host or not port.isdigit():
         raise ValueError("an address is HOST:PORT")
-    socket.create_connection((host.strip("[]"), int(port)), timeout=_KNOCK_S).close()
-
-
-def _last_line(failure: Any) -> str:
-    """Of what Ray says, which is a whole traceback."""
-    cause = failure.cause or failure
-    lines = str(cause).strip().splitlines() or [""]
-    return f"{type(cause).__name__}: {lines[-1].strip()}"
-
-
-def _cancel(ray: Any, running: list[Any]) -> None:
-    """Ends what still runs: first as Ctrl-C would, so that it cleans up, then by force."""
-    if not running:
-        return
-    with contextlib.suppress(Exception):  # the cluster may be what went away
-        for reference in running:
-            ray.cancel(reference)
-        _, left = ray.wait(running, num_returns=len(running), timeout=_GRACE_S)
-        for reference in left:
-            ray.cancel(reference, force=True)
+    socket.create_connection((host.strip("[]"), int(port)), timeout=_CONNECTION_S).close()

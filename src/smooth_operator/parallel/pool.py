@@ -1,207 +1,278 @@
-"""A pool of local processes in which a dead worker costs one attempt at one task.
+"""One function over many tasks: in this process, in processes of this machine, or on Ray.
 
-The standard library's pools break, or wait for ever, when a worker is killed; here each worker has
-its own link, so that a death is seen immediately and known to be that worker's.
+Each worker is an executor of ``concurrent.futures`` with one process: when a process dies, the
+executor that breaks says whose task it was, and no other task is touched.
 """
 
 from __future__ import annotations
 
 import contextlib
-import multiprocessing
 import os
+import shutil
 import signal
 import sys
 import tempfile
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from multiprocessing import connection
-from multiprocessing.connection import Connection
-from multiprocessing.context import SpawnProcess
-from typing import Any, Final, TypeVar
+from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    Future,
+    ProcessPoolExecutor,
+    ThreadPoolExecutor,
+    wait,
+)
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing import connection, parent_process
+from multiprocessing.context import SpawnContext, SpawnProcess
+from multiprocessing.reduction import ForkingPickler
+from pathlib import Path
+from types import FrameType
+from typing import Any, Final, Generic, TypeVar
 
-from smooth_operator.errors import WorkerError
-from smooth_operator.parallel.results import TaskResult, death, describe
-from smooth_operator.parallel.worker import READY, serve
-from smooth_operator.signals import ENDING
+from smooth_operator.errors import ConfigError, WorkerError
+from smooth_operator.parallel.tasks import (
+    DIED,
+    TaskResult,
+    death,
+    describe,
+    one_thread,
+    pack,
+    packed_answer,
+    timed,
+)
+from smooth_operator.signals import ENDING, leave_to_parent
 
 T = TypeVar("T")
 R = TypeVar("R")
 
 _GRACE_S: Final = 5.0
-"""How long a worker may clean up before it is killed; compiling can't be interrupted."""
+"""Time that a worker has to clean up before it is killed; compiling can't be interrupted [s]."""
 
-
+_AGAIN_S: Final = 1.0
 _START_S: Final = 60.0
+_MESSAGE: Final = 2048
+"""Largest result that is sent through a pipe [bytes]; a pipe takes 4,096 as one."""
+
 _TAIL: Final = 4096
 """Bytes of a dead worker's standard error that are read."""
 
 
-@dataclass
-class _Worker:
-    slot: int
-    process: SpawnProcess
-    link: Connection[Any, Any]
-    ready: bool = False
-    task: int | None = None
-    since: float = 0.0
+def run_tasks(
+    function: Callable[[T], R],
+    tasks: Sequence[T],
+    *,
+    workers: int | None = None,
+    cluster: str | None = None,
+    retries: int = 2,
+) -> Generator[TaskResult[R]]:
+    """Calls a function with each task, several in parallel; results come as they finish.
+
+    Tasks are started in their order. An exception of the function is the result of its task and is
+    not tried again; a worker that dies (killed, out of memory), also while it sends a result, is
+    replaced and its task tried again. Nothing that goes wrong with one task touches another. Each
+    worker computes on one thread, which for small programs is faster than several. Where the caller
+    stops, by an exception, Ctrl-C or closing the iterator, the workers are stopped too.
+
+    Args:
+        function: importable by its module and name. Workers import it, so a script that calls this
+            needs the usual ``if __name__ == "__main__":``.
+        tasks: values that can be pickled; they, and what the function returns, travel between
+            processes, so large data is better named by a path.
+        workers: how many in parallel; None for as many as there are usable cores, or on a running
+            cluster CPUs. 0 without a cluster is none: the tasks run in this process, in turn.
+        cluster: None for processes on this machine; ``"auto"`` or the address of a running Ray
+            cluster; ``"local"`` for a Ray started for this run. Nodes need this package, and the
+            folders that tasks name.
+        retries: how often a task is tried again whose worker died.
+
+    Returns:
+        An iterator of one ``TaskResult`` per task, in the order in which they finish.
+
+    Raises:
+        ConfigError: a number is negative, or the function can't be sent to another process.
+        MissingExtraError: ``cluster`` is given and Ray is not installed.
+        WorkerError: the cluster can't be reached, or no worker starts.
+    """
+    if cluster is None:
+        return _in_pool(PersistentPool(function, workers, retries), tasks)
+    if workers == 0:
+        raise ConfigError("a cluster needs workers: give 1 or more, or leave them out for all")
+    _check(workers, retries)
+    from smooth_operator.parallel.cluster import run_on_cluster
+
+    return run_on_cluster(function, tasks, cluster, workers=workers, retries=retries)
 
 
-def run_in_pool(
-    function: Callable[[T], R], tasks: Sequence[T], workers: int, retries: int
-) -> Iterator[TaskResult[R]]:
-    """See ``run_tasks``."""
-    pool = Pool(function, retries)
-    try:
-        pool.add(tasks)
-        pool.start_up_to(min(workers, len(tasks)))
-        yield from pool.results()
-    finally:
-        pool.stop()
+def run_groups(
+    function: Callable[[T], R],
+    groups: Sequence[T],
+    split: Callable[[T], Sequence[T]],
+    *,
+    workers: int | None = None,
+    cluster: str | None = None,
+    retries: int = 2,
+) -> Generator[tuple[T, TaskResult[R]]]:
+    """Results of groups of work; a group at which workers die is split, each part tried alone.
+
+    Args:
+        function: as in ``run_tasks``.
+        groups: tasks that may hold several parts.
+        split: parts of a group, each a group of its own.
+        workers, cluster, retries: as in ``run_tasks``.
+
+    Yields:
+        groups, or parts of them, each with its result.
+    """
+    parts: list[T] = []
+    options: dict[str, Any] = {"workers": workers, "cluster": cluster, "retries": retries}
+    with contextlib.closing(run_tasks(function, groups, **options)) as results:
+        for result in results:
+            group = groups[result.index]
+            lost = (result.error or "").startswith((DIED, MemoryError.__name__))
+            if lost and len(alone := split(group)) > 1:
+                parts += alone
+            else:
+                yield group, result
+    if parts:
+        with contextlib.closing(run_tasks(function, parts, **options)) as results:
+            yield from ((parts[result.index], result) for result in results)
 
 
-class Pool:
-    """The processes; tasks may be added while they wait.
+def usable_cores() -> int:
+    """Cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+class PersistentPool(Generic[T, R]):
+    """Processes that keep what they have compiled from one list of tasks to the next.
+
+    For a search, whose next tasks depend on the results of the last. What ``run_tasks`` says of
+    failures and retries holds here too. Use it as a context manager: at its end the workers end.
 
     Args:
         function: importable by its module and name.
+        workers: how many; None for as many as there are usable cores, 0 for none: tasks then run in
+            this process.
         retries: how often a task is tried again whose worker died.
+
+    Raises:
+        ConfigError: a number is negative, or the function can't be sent to another process.
     """
 
-    def __init__(self, function: Callable[[Any], Any], retries: int) -> None:
-        self._function = function
-        self._tasks: dict[int, Any] = {}
-        self._retries = retries
-        self._waiting: deque[int] = deque()
-        self._attempts: list[int] = []
-        self._workers: list[_Worker] = []
-        self._false_starts = 0
-        # Fork is unsafe with JAX's threads.
-        self._context = multiprocessing.get_context("spawn")
-
-    def add(self, tasks: Sequence[Any]) -> None:
-        """More tasks; they are numbered on from those before."""
-        first = len(self._attempts)
-        self._tasks |= dict(enumerate(tasks, first))
-        self._waiting.extend(range(first, first + len(tasks)))
-        self._attempts += [0] * len(tasks)
-
-    def start_up_to(self, count: int) -> None:
-        """Has at least so many workers."""
-        taken = {worker.slot for worker in self._workers}
-        for slot in [slot for slot in range(count) if slot not in taken]:
-            self._start(slot)
-
-    def _start(self, slot: int) -> None:
-        ours, theirs = self._context.Pipe()
-        process = self._context.Process(target=serve, args=(theirs, slot), daemon=True)
-        with _no_interrupt():
-            process.start()
-        theirs.close()  # so that its end is the last one, and its death is read as the end
-        self._workers.append(_Worker(slot, process, ours))
-        with contextlib.suppress(OSError):  # it died at its start: seen when it is waited for
-            ours.send(self._function)
-
-    def results(self) -> Iterator[TaskResult[Any]]:
-        """Until every task has its result."""
-        for worker in list(self._workers):
-            if worker.ready and worker.task is None:
-                yield from self._give(worker)
-        while self._waiting or any(w.task is not None for w in self._workers):
-            links = {worker.link: worker for worker in self._workers}
-            for link in connection.wait(list(links)):
-                worker = links[link]  # type: ignore[index]
-                try:
-                    message = worker.link.recv()
-                except (EOFError, OSError):
-                    yield from self._bury(worker)
-                    continue
-                except Exception as error:
-                    message = (None, f"the result can't be read: {describe(error)}", _since(worker))
-                if worker.ready:
-                    result = self._result(worker, *message)
-                    yield from self._give(worker)  # first, so that it works while we are read
-                    yield result
-                elif message[0] == READY:
-                    worker.ready = True
-                    self._false_starts = 0
-                    yield from self._give(worker)
-                else:
-                    raise WorkerError(f"workers can't import the function: {message[1]}")
-
-    def stop(self) -> None:
-        """Ends all workers; those at a task may clean up first."""
-        for worker in self._workers:
-            worker.link.close()
-            if worker.task is not None or not worker.ready:
-                worker.process.terminate()
-        deadline = time.monotonic() + _GRACE_S
-        for worker in self._workers:
-            worker.process.join(max(0.0, deadline - time.monotonic()))
-            if worker.process.is_alive():
-                worker.process.kill()
-                worker.process.join()
-            worker.process.close()
-        self._workers.clear()
-
-    def _give(self, worker: _Worker) -> Iterator[TaskResult[Any]]:
-        """The next task, if there is one; a result where that task can't be sent."""
-        while self._waiting:
-            index = self._waiting.popleft()
-            self._attempts[index] += 1
-            worker.task, worker.since = index, time.perf_counter()
+    def __init__(
+        self, function: Callable[[T], R], workers: int | None = None, retries: int = 2
+    ) -> None:
+        _check(workers, retries)
+        self._function, self._retries = function, retries
+        self._workers = usable_cores() if workers is None else workers
+        self._all: list[_Worker] = []
+        self._idle: list[_Worker] = []
+        self._starts = self._false_starts = 0
+        self._folder = ""
+        self._raw = b""
+        if self._workers:
             try:
-                worker.link.send(self._tasks[index])
-            except OSError:
-                return  # it has died: seen when it is waited for
-            except Exception as error:  # nothing was sent: pickling comes first
-                yield self._result(worker, None, f"the task can't be sent: {describe(error)}", 0.0)
-                continue
+                self._raw = bytes(ForkingPickler.dumps(function))
+            except Exception as error:
+                raise ConfigError(
+                    f"{function!r} can't be sent to another process ({describe(error)}); expected "
+                    "a function at the top of an importable module"
+                ) from error
+
+    def run(self, tasks: Sequence[T]) -> Generator[TaskResult[R]]:
+        """One result per task, in the order in which they finish; to be read to the end."""
+        if not self._workers:
+            for index, task in enumerate(tasks):
+                yield TaskResult(index, *timed(self._function, task), 1)
             return
+        attempts = [0] * len(tasks)
+        waiting = deque(range(len(tasks)))
+        running: dict[Future[bytes | str], tuple[int, _Worker, float]] = {}
+        finished: list[TaskResult[R]] = []
+        try:
+            while waiting or running:
+                while waiting and len(running) < self._workers:
+                    index = waiting.popleft()
+                    try:
+                        raw = bytes(ForkingPickler.dumps(tasks[index]))
+                    except Exception as error:
+                        reason = f"the task can't be sent: {describe(error)}"
+                        finished.append(TaskResult(index, None, reason, 0.0, 1))
+                        continue
+                    attempts[index] += 1
+                    future, worker = self._submit(raw)
+                    running[future] = index, worker, time.perf_counter()
+                yield from finished  # the workers have their next tasks meanwhile
+                finished.clear()
+                for future in wait(running, return_when=FIRST_COMPLETED).done:
+                    index, worker, since = running.pop(future)
+                    if future.exception() is None:
+                        self._false_starts = 0
+                        self._idle.append(worker)
+                        finished.append(TaskResult(index, *_answer(future), attempts[index]))
+                    elif self._bury(worker) and attempts[index] > self._retries:
+                        seconds = time.perf_counter() - since
+                        cause = death(attempts[index], worker.exit())
+                        finished.append(TaskResult(index, None, cause, seconds, attempts[index]))
+                    else:
+                        attempts[index] -= not worker.started()
+                        waiting.appendleft(index)
+            yield from finished
+        finally:
+            if running:
+                self.close()
 
-    def _result(
-        self, worker: _Worker, value: Any, error: str | None, seconds: float
-    ) -> TaskResult[Any]:
-        index, worker.task = worker.task, None
-        assert index is not None
-        self._tasks.pop(index, None)
-        return TaskResult(index, value, error, seconds, self._attempts[index])
-
-    def _bury(self, worker: _Worker) -> Iterator[TaskResult[Any]]:
-        """After a death: a fresh worker where there is work, and its task again or given up."""
-        self._workers.remove(worker)
-        worker.link.close()
-        worker.process.join(_GRACE_S)
-        how = _how(worker.process)
-        if not worker.ready:
-            self._false_starts += 1
-            if self._false_starts > max(2, self._retries):
-                raise WorkerError(
-                    f"{self._false_starts} workers in a row ended before their first task ({how}); "
-                    + self._reason()
-                )
-        if worker.task is not None:
-            index = worker.task
-            if self._attempts[index] > self._retries:
-                error = death(self._attempts[index], how)
-                yield TaskResult(index, None, error, _since(worker), self._attempts[index])
+    def _submit(self, raw: bytes) -> tuple[Future[bytes | str], _Worker]:
+        """Gives a pickled task to an idle worker, or to one that starts."""
+        while True:
+            if self._idle:
+                worker = self._idle.pop()
             else:
-                self._waiting.appendleft(index)
-        if self._waiting:
-            self._start(worker.slot)
+                self._starts += 1
+                self._folder = self._folder or tempfile.mkdtemp(prefix="results-")
+                with _no_interrupt():
+                    worker = _Worker(self._raw, self._starts, self._folder)
+                    self._all.append(worker)
+            try:
+                return worker.submit(raw), worker
+            except BrokenProcessPool:  # it died while it had no task
+                self._bury(worker)
 
-    def _reason(self) -> str:
+    def _bury(self, worker: _Worker) -> bool:
+        """Clears up after a death; False if the worker had not come to its first task.
+
+        Raises:
+            WorkerError: workers die at their start again and again.
+        """
+        _end([worker])
+        self._all.remove(worker)
+        if worker.started():
+            return True
+        self._false_starts += 1
+        if self._false_starts > max(2, self._retries):
+            raise WorkerError(
+                f"{self._false_starts} workers in a row ended before their first task "
+                f"({worker.exit()}); {self._start_problem()}"
+            )
+        return False
+
+    def _start_problem(self) -> str:
         """Why workers die at their start, by what one more of them writes to standard error."""
         with tempfile.TemporaryFile() as errors:
-            with _standard_error(errors.fileno()):
-                self._start(0)
-            worker = self._workers.pop()
-            connection.wait([worker.link], _START_S)
-            worker.link.close()
-            worker.process.join(_GRACE_S)
-            worker.process.kill()
+            before = os.dup(2)
+            os.dup2(errors.fileno(), 2)
+            try:
+                with _no_interrupt():
+                    worker = _Worker(self._raw, 0, self._folder)
+            finally:
+                os.dup2(before, 2)
+                os.close(before)
+            wait([worker.ready], _START_S)
+            _end([worker])
             errors.seek(max(0, errors.seek(0, os.SEEK_END) - _TAIL))
             text = errors.read().decode(errors="replace")
         print(text, end="", file=sys.stderr)
@@ -210,38 +281,121 @@ class Pool:
                 "a script that starts workers needs 'if __name__ == \"__main__\":' around what it "
                 "does"
             )
-        lines = text.split("\n")
-        last = next((line.strip() for line in reversed(lines) if line.strip()), "")
+        last = ["", *(line.strip() for line in text.split("\n") if line.strip())][-1]
         return last[-300:] or "each worker needs memory for its own libraries: use fewer workers"
 
+    def close(self) -> None:
+        """Ends the workers; those at a task may clean up first."""
+        _end(self._all)
+        self._all.clear()
+        self._idle.clear()
+        if self._folder:
+            shutil.rmtree(self._folder, ignore_errors=True)
+            self._folder = ""
 
-def _since(worker: _Worker) -> float:
-    return time.perf_counter() - worker.since
+    def __enter__(self) -> PersistentPool[T, R]:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
 
 
-def _how(process: SpawnProcess) -> str:
-    code = process.exitcode
-    if code is not None and code < 0:
-        with contextlib.suppress(ValueError):
-            return f"signal {signal.Signals(-code).name}"
-    return f"exit status {code}"
+def _check(workers: int | None, retries: int) -> None:
+    for name, value in (("workers", workers), ("retries", retries)):
+        if value is not None and value < 0:
+            raise ConfigError(f"{name} must be 0 or more, not {value}")
 
 
-@contextlib.contextmanager
-def _standard_error(target: int) -> Iterator[None]:
-    """What starts in this block writes its standard error to a file."""
-    before = os.dup(2)
-    os.dup2(target, 2)
+def _in_pool(pool: PersistentPool[T, R], tasks: Sequence[T]) -> Generator[TaskResult[R]]:
+    with pool:
+        yield from pool.run(tasks)
+
+
+def _answer(future: Future[bytes | str]) -> tuple[Any, str | None, float]:
+    """Value, error and seconds."""
     try:
-        yield
-    finally:
-        os.dup2(before, 2)
-        os.close(before)
+        raw = future.result()
+        if isinstance(raw, str):
+            file = Path(raw)
+            raw = file.read_bytes()
+            file.unlink()
+        value, error, seconds = ForkingPickler.loads(raw)
+    except Exception as failure:
+        return None, f"the result can't be read: {describe(failure)}", 0.0
+    return value, error, seconds
+
+
+class _Context(SpawnContext):
+    """Starts a process by spawning, since fork is unsafe with JAX's threads, and remembers it."""
+
+    process: SpawnProcess
+
+    def Process(self, *args: Any, **options: Any) -> SpawnProcess:  # type: ignore[override]
+        """A process that an executor is about to start."""
+        self.process = SpawnProcess(*args, **options)
+        return self.process
+
+
+class _Worker:
+    """An executor with one process.
+
+    Args:
+        function: pickled.
+        slot: number of the worker.
+        folder: for large results.
+
+    Attributes:
+        ready: done when the worker has the function.
+        process: the process.
+    """
+
+    def __init__(self, function: bytes, slot: int, folder: str) -> None:
+        context = _Context()
+        self._executor = ProcessPoolExecutor(1, context, _begin, (function, slot, folder))
+        self.ready: Future[int] = self._executor.submit(os.getpid)
+        self.process = context.process
+        self._task: Future[bytes | str] | None = None
+
+    def submit(self, raw: bytes) -> Future[bytes | str]:
+        """Gives a pickled task to the worker."""
+        self._task = self._executor.submit(_work, raw)
+        return self._task
+
+    def started(self) -> bool:
+        """True if the worker came as far as its first task."""
+        return self.ready.done() and self.ready.exception() is None
+
+    def exit(self) -> str:
+        """The end of the process, for a message."""
+        code = self.process.exitcode
+        if code is not None and code < 0:
+            with contextlib.suppress(ValueError):
+                return f"signal {signal.Signals(-code).name}"
+        return f"exit status {code}"
+
+    def end(self) -> None:
+        """Ends the process; a task may clean up first."""
+        killer = threading.Timer(_GRACE_S, self.process.kill)
+        killer.start()
+        if not (self.started() if self._task is None else self._task.done()):
+            self.process.terminate()
+        self._executor.shutdown(cancel_futures=True)
+        killer.cancel()
+        killer.join()
+
+
+def _end(workers: Sequence[_Worker]) -> None:
+    # While the interpreter ends, no thread starts; concurrent.futures has ended the workers then.
+    with (
+        contextlib.suppress(RuntimeError),
+        ThreadPoolExecutor(max(1, len(workers))) as threads,
+    ):
+        list(threads.map(_Worker.end, workers))
 
 
 @contextlib.contextmanager
 def _no_interrupt() -> Iterator[None]:
-    """Signals of a terminal wait until the block is over; the child that starts in it never sees
+    """A terminal's signals wait for the end of the block; a child that starts in it never gets
     them."""
     if not hasattr(signal, "pthread_sigmask") or threading.current_thread() is not (
         threading.main_thread()
@@ -253,3 +407,73 @@ def _no_interrupt() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+# In a worker.
+
+
+class _Stopped(BaseException):
+    """The parent ends this task; not an Exception, so that no function swallows it."""
+
+
+_function: Callable[[Any], Any]
+_folder: str
+_busy = False
+
+
+def _begin(function: bytes, slot: int, folder: str) -> None:
+    """Prepares a worker: signals, one thread, the function."""
+    global _function, _folder
+    _folder = folder
+    leave_to_parent()
+    threading.Thread(target=_die_with_parent, daemon=True).start()
+    with one_thread(slot) as start_threads:
+        _function = ForkingPickler.loads(function)
+        start_threads()
+    sys.unraisablehook = _unraisable
+    signal.signal(signal.SIGTERM, _stop)
+    if hasattr(signal, "SIGALRM"):
+        signal.signal(signal.SIGALRM, _stop)
+
+
+def _work(raw: bytes) -> bytes | str:
+    """Pickled value, error and seconds of a pickled task, or a file that holds them.
+
+    An executor waits for ever for the rest of a message whose sender is killed, so that messages
+    must be small: those are written whole or not at all.
+    """
+    global _busy
+    try:
+        _busy = True
+        answer = packed_answer(_function, raw)
+        if len(answer) <= _MESSAGE:
+            return answer
+        with tempfile.NamedTemporaryFile(dir=_folder, delete=False) as file:
+            file.write(answer)
+        return file.name
+    except OSError as error:
+        return pack(None, f"the result can't be sent back: {describe(error)}")
+    finally:
+        _busy = False
+
+
+def _stop(_signal: int, _frame: FrameType | None) -> None:
+    if _busy:  # without a task the executor ends the process
+        if hasattr(signal, "setitimer"):
+            # Once more in a while: raised in a callback of the garbage collector, it would be lost.
+            signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)
+        raise _Stopped
+
+
+def _unraisable(lost: sys.UnraisableHookArgs) -> None:
+    if lost.exc_type is not _Stopped:
+        sys.__unraisablehook__(lost)
+
+
+def _die_with_parent() -> None:
+    # A parent that was killed closes nothing; a worker must not go on writing during a second run.
+    parent = parent_process()
+    if parent is not None:
+        connection.wait([parent.sentinel])
+        shutil.rmtree(_folder, ignore_errors=True)
+        os._exit(1)

@@ -47,11 +47,11 @@ def colors_of(methods: Iterable[str]) -> dict[str, str]:
     return {name: chosen[name] for name in names}
 
 
-def _spare_color(name: str, taken: Iterable[str]) -> str:
+def _spare_color(name: str, others: Iterable[str]) -> str:
     """The first free spare colour, from a place that the name decides."""
     start = zlib.crc32(name.encode()) % len(_SPARE)
     turned = (*_SPARE[start:], *_SPARE[:start])
-    used = set(taken)
+    used = set(others)
     return next((color for color in turned if color not in used), turned[0])
 
 
@@ -87,14 +87,14 @@ def styled() -> Iterator[None]:
         yield
 
 
-def series(name: str, said: str = "") -> str:
+def series(name: str, text: str = "") -> str:
     """The ``gid`` of what a plot draws of one series; a page dims the others while it is hovered.
 
     Args:
         name: of the series, as the page's tables have it in ``data-series``.
-        said: what the pointer shows.
+        text: what the pointer shows.
     """
-    return f"series|{name.replace('|', ' ')}|{said}"
+    return f"series|{name.replace('|', ' ')}|{text}"
 
 
 def name_points(
@@ -114,8 +114,8 @@ def name_points(
     line, letter, aside = 1.22 * size, 0.62 * size, 0.8 * size
     scale = 72.0 / ax.figure.dpi
     places = {name: scale * ax.transData.transform(point) for name, point in points.items()}
-    taken = [(x - 4.0, y - 4.0, 8.0, 8.0) for x, y in places.values()]
-    taken += [(x - 3.0, y - 3.0, 6.0, 6.0) for x, y in scale * _pixels(ax, avoid)]
+    occupied = [(x - 4.0, y - 4.0, 8.0, 8.0) for x, y in places.values()]
+    occupied += [(x - 3.0, y - 3.0, 6.0, 6.0) for x, y in scale * _pixels(ax, avoid)]
     (x0, y0), (x1, y1) = scale * ax.bbox.get_points()
     shifts = [sign * 0.25 * line * k for k in range(29) for sign in (1, -1)]
     for name, (x, y) in sorted(places.items(), key=lambda item: -item[1][1]):
@@ -130,9 +130,9 @@ def name_points(
             for box in boxes
             if x0 <= box[0] and box[0] + width <= x1 and y0 <= box[1] and box[1] + line <= y1
         ]
-        free = (box for box in within if not any(_meet(box, other) for other in taken))
+        free = (box for box in within if not any(_meet(box, other) for other in occupied))
         box = next(free, (within or boxes)[0])
-        taken.append(box)
+        occupied.append(box)
         far = abs(box[1] + 0.4 * size - y) > line
         ax.annotate(
             name, points[name], textcoords="offset points", fontsize=size,
@@ -190,9 +190,9 @@ def write_figure(figure: Figure, stem: Path) -> str:
     return _for_page(text, re.sub(r"\W", "-", stem.name))
 
 
-def _series_group(found: re.Match[str]) -> str:
-    _, name, said = html.unescape(found.group(2)).split("|", 2)
-    title = f"<title>{html.escape(said)}</title>" if said else ""
+def _series_group(match: re.Match[str]) -> str:
+    _, name, text = html.unescape(match.group(2)).split("|", 2)
+    title = f"<title>{html.escape(text)}</title>" if text else ""
     return f'<g class="series" data-series="{html.escape(name)}">{title}'
 
 

@@ -5,17 +5,17 @@ computed it.
 """
 
 from smooth_operator.result_cache.cache import ArrayCache as ArrayCache
+from smooth_operator.result_cache.cache import Job as Job
+from smooth_operator.result_cache.cache import JobResult as JobResult
 from smooth_operator.result_cache.cache import Note as Note
 from smooth_operator.result_cache.cache import ResultCache as ResultCache
+from smooth_operator.result_cache.cache import ResultLog as ResultLog
+from smooth_operator.result_cache.cache import compute_results as compute_results
 from smooth_operator.result_cache.cache import content_name as content_name
+from smooth_operator.result_cache.cache import find_results as find_results
 from smooth_operator.result_cache.cache import key_digest as key_digest
+from smooth_operator.result_cache.cache import longest_first as longest_first
 from smooth_operator.result_cache.cache import no_note as no_note
+from smooth_operator.result_cache.cache import run_jobs as run_jobs
 from smooth_operator.result_cache.code import code_digest as code_digest
 from smooth_operator.result_cache.code import imported_modules as imported_modules
-from smooth_operator.result_cache.jobs import Job as Job
-from smooth_operator.result_cache.jobs import JobResult as JobResult
-from smooth_operator.result_cache.jobs import compute_results as compute_results
-from smooth_operator.result_cache.jobs import find_results as find_results
-from smooth_operator.result_cache.jobs import longest_first as longest_first
-from smooth_operator.result_cache.jobs import run_jobs as run_jobs
-from smooth_operator.result_cache.log import ResultLog as ResultLog

@@ -1,19 +1,24 @@
-"""A folder of results: one file each, whole or not there."""
+"""Results on disk, found again by their key and the digest of the code that computed them."""
 
 from __future__ import annotations
 
 import hashlib
+import os
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Final, TypeAlias
+from typing import Any, ClassVar, Final, Generic, TypeAlias, TypeVar
 
 import numpy as np
 
 from smooth_operator.atomic_files import atomic_write, output_error, write_json
 from smooth_operator.errors import DocumentError, SmoothOperatorError
 from smooth_operator.formats.jsonable import to_json
-from smooth_operator.io.documents import check_plain_file, read_json
+from smooth_operator.io.documents import check_plain_file, parse_json, read_json
+from smooth_operator.parallel import TaskResult
+
+T = TypeVar("T")
 
 Note: TypeAlias = Callable[[str], None]
 """Called with a sentence for a person: which results could not be used, and why."""
@@ -23,7 +28,7 @@ MOST_BYTES: Final = 100_000_000
 
 
 def key_digest(key: object) -> str:
-    """SHA-256 of anything that has a JSON form, hexadecimal: what two equal keys share."""
+    """SHA-256 of anything that has a JSON form, in hexadecimal."""
     return hashlib.sha256(to_json(key).encode()).hexdigest()
 
 
@@ -75,11 +80,11 @@ class ResultCache:
         return self.folder / f"{name}{self.suffix}"
 
     def find(self, name: str, key: object, code: str) -> Any | None:
-        """A result that was kept before.
+        """A stored result.
 
         Args:
-            name: of its file, without the suffix.
-            key: what it depends on, but for code; anything with a JSON form.
+            name: name of its file, without the suffix.
+            key: all that it depends on, but for code; anything with a JSON form.
             code: digest of the code that computes it.
 
         Returns:
@@ -88,16 +93,16 @@ class ResultCache:
         path = self.path(name)
         try:
             record, value = self._read(path)
-            known_key, known_code = record["key"], record["code"]
+            own_key, own_code = record["key"], record["code"]
         except FileNotFoundError:
             return None
         except (OSError, ValueError, KeyError, TypeError, EOFError, SmoothOperatorError,
                 zipfile.BadZipFile) as error:  # fmt: skip
             self.note(f"{path} is damaged or of an earlier version ({error}): computed again")
             return None
-        if known_key != key_digest(key):
+        if own_key != key_digest(key):
             return None
-        if known_code != code:
+        if own_code != code:
             if not self._other_code:
                 self._outdated += 1
                 return None
@@ -108,10 +113,10 @@ class ResultCache:
         """Writes a result; it is on the disk when this returns.
 
         Args:
-            name: of its file, without the suffix.
+            name: name of its file, without the suffix.
             key: as in ``find``.
             code: as in ``find``.
-            value: what this kind of cache holds.
+            value: a value that this kind of cache holds.
 
         Raises:
             OutputError: it can't be written.
@@ -121,7 +126,7 @@ class ResultCache:
         self._write(self.path(name), {"key": key_digest(key), "code": code}, value)
 
     def note_outdated(self) -> None:
-        """Says how many results since the last call were of other code."""
+        """Reports how many results since the last call were of other code."""
         if self._outdated:
             self.note(outdated(self._outdated, self.folder))
         self._outdated = 0
@@ -147,7 +152,7 @@ class ArrayCache(ResultCache):
         if "key" not in arrays:
             raise DocumentError("it has no key")
         key = arrays.pop("key")
-        return {"key": str(key), "code": str(arrays.pop("code", ""))}, arrays
+        return {"key": str(key), "code": str(arrays.pop("code"))}, arrays
 
     def _write(
         self, path: Path, record: Mapping[str, str], value: Mapping[str, np.ndarray]
@@ -155,3 +160,207 @@ class ArrayCache(ResultCache):
         content: dict[str, Any] = {**value, **{k: np.array(v) for k, v in record.items()}}
         with atomic_write(path) as file:
             np.savez(file, **content)
+
+
+class ResultLog:
+    """Results as lines of a file; one process writes at a time.
+
+    A line has the fields of the result, and ``key`` and ``code`` as a ``ResultCache`` has. Lines of
+    other keys or other code stay and are not used. Half a line, which a killed process leaves, is
+    cut off.
+
+    Args:
+        path: the file; made with the first result.
+        note: called with what could not be used.
+
+    Raises:
+        OutputError: the file can't be read.
+    """
+
+    def __init__(self, path: Path, note: Note = no_note) -> None:
+        self.path, self.note = path, note
+        self._results: dict[tuple[str, str], dict[str, Any]] = {}
+        self._keys: set[str] = set()
+        self._outdated = 0
+        try:
+            content = path.read_bytes() if path.exists() else b""
+            whole = content[: content.rfind(b"\n") + 1]
+            if len(whole) < len(content):
+                os.truncate(path, len(whole))
+        except OSError as error:
+            raise output_error(path, error) from error
+        damaged = sum(not self._take(line) for line in whole.splitlines())
+        if damaged:
+            lines = "1 line that is" if damaged == 1 else f"{damaged} lines that are"
+            note(f"{path} holds {lines} no result: not used")
+
+    def find(self, name: str, key: object, code: str) -> dict[str, Any] | None:
+        """A stored result; None if there is none of this key and this code.
+
+        Args:
+            name: not used; results of a ``ResultCache`` have one.
+            key: all that it depends on, but for code; anything with a JSON form.
+            code: digest of the code that computes it.
+        """
+        digest = key_digest(key)
+        value = self._results.get((digest, code))
+        self._outdated += value is None and digest in self._keys
+        return value
+
+    def keep(self, name: str, key: object, code: str, value: Mapping[str, Any]) -> None:
+        """Appends a result; it is on the disk when this returns.
+
+        Raises:
+            OutputError: it can't be written.
+        """
+        record = {"key": key_digest(key), "code": code}
+        try:
+            with self.path.open("ab") as file:
+                file.write(to_json({**record, **value}).encode() + b"\n")
+                file.flush()
+                os.fsync(file.fileno())
+        except OSError as error:
+            raise output_error(self.path, error) from error
+        self._results[record["key"], code] = dict(value)
+
+    def note_outdated(self) -> None:
+        """Reports how many results since the last call were of other code."""
+        if self._outdated:
+            self.note(outdated(self._outdated, self.path))
+        self._outdated = 0
+
+    def _take(self, line: bytes) -> bool:
+        """Reads a line; False if it is no result."""
+        try:
+            content = parse_json(line)
+            key, code = str(content.pop("key")), str(content.pop("code"))
+        except (DocumentError, AttributeError, KeyError, TypeError):
+            return False
+        self._keys.add(key)
+        self._results[key, code] = content
+        return True
+
+
+Execute: TypeAlias = Callable[[Sequence[T]], Iterable[TaskResult[Any]]]
+"""Computes tasks in any order; ``run_tasks`` with a function, or ``PersistentPool.run``."""
+
+
+Cache: TypeAlias = "ResultCache | ResultLog"
+"""Results on disk."""
+
+
+@dataclass(frozen=True, eq=False)
+class Job(Generic[T]):
+    """A computation whose result may be on disk already.
+
+    Attributes:
+        name: name of its file; unique among the results of a cache.
+        key: all that the result depends on, but for code; anything with a JSON form.
+        code: digest of the code that computes it.
+        task: value that ``execute`` works on.
+        label: name for a person.
+        effort: about how long it takes; only the proportions matter.
+    """
+
+    name: str
+    key: object
+    code: str
+    task: T
+    label: str = ""
+    effort: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class JobResult(Generic[T]):
+    """The result of a job.
+
+    Attributes:
+        job: the job.
+        value: its result; None if it failed.
+        error: why it failed; None if it did not.
+        seconds: how long it took now [s]; 0 if the result was there.
+        fresh: computed now.
+    """
+
+    job: Job[T]
+    value: Any | None
+    error: str | None = None
+    seconds: float = 0.0
+    fresh: bool = False
+
+
+def find_results(jobs: Sequence[Job[T]], cache: Cache) -> tuple[list[JobResult[T]], list[Job[T]]]:
+    """The results that are there, and the jobs that have none."""
+    finished, missing = [], []
+    for job in jobs:
+        value = cache.find(job.name, job.key, job.code)
+        if value is None:
+            missing.append(job)
+        else:
+            finished.append(JobResult(job, value))
+    cache.note_outdated()
+    return finished, missing
+
+
+def longest_first(jobs: Iterable[Job[T]]) -> list[Job[T]]:
+    """Jobs in an order in which no worker begins a long one while the others have nothing left."""
+    return sorted(jobs, key=lambda job: -job.effort)
+
+
+def _value(job: Job[Any], result: TaskResult[Any]) -> Any:
+    return result.value
+
+
+def compute_results(
+    jobs: Sequence[Job[T]],
+    cache: Cache,
+    execute: Execute[T],
+    value: Callable[[Job[T], TaskResult[Any]], Any] = _value,
+) -> Iterator[JobResult[T]]:
+    """Computes jobs, and keeps each result as soon as it is there.
+
+    Args:
+        jobs: computations, in the order in which they are begun.
+        cache: store of the results.
+        execute: computes their tasks.
+        value: makes the value to store from the result of a task; None stores nothing.
+
+    Raises:
+        OutputError: a result can't be written.
+    """
+    if not jobs:
+        return
+    results = execute([job.task for job in jobs])
+    try:
+        for result in results:
+            job = jobs[result.index]
+            stored = value(job, result)
+            if stored is not None:
+                cache.keep(job.name, job.key, job.code, stored)
+            yield JobResult(job, stored, result.error, result.seconds, fresh=True)
+    finally:
+        close = getattr(results, "close", None)
+        if close is not None:
+            close()  # ends the workers now, and not when the generator is collected
+
+
+def run_jobs(
+    jobs: Sequence[Job[T]],
+    cache: Cache,
+    execute: Execute[T],
+    value: Callable[[Job[T], TaskResult[Any]], Any] = _value,
+) -> Iterator[JobResult[T]]:
+    """Results of jobs: those that are there first, then the others as they are computed and kept.
+
+    Args:
+        jobs: computations.
+        cache: store of the results.
+        execute: as in ``compute_results``.
+        value: as in ``compute_results``.
+
+    Raises:
+        OutputError: a result can't be written.
+    """
+    finished, missing = find_results(jobs, cache)
+    yield from finished
+    yield from compute_results(longest_first(missing), cache, execute, value)

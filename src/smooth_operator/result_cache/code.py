@@ -64,14 +64,14 @@ def imported_modules(
                 f"{name!r} is no file of the package {home.name!r}; name the place that it moved to"
             )
     left_out = {home / name for name in leave_out}
-    found: set[Path] = set()
+    modules: set[Path] = set()
     waiting = [home / name for name in start]
     while waiting:
         path = waiting.pop()
-        if path not in found and path not in left_out:
-            found.add(path)
+        if path not in modules and path not in left_out:
+            modules.add(path)
             waiting += _imports(path, home)
-    return tuple(sorted(path.relative_to(home).as_posix() for path in found))
+    return tuple(sorted(path.relative_to(home).as_posix() for path in modules))
 
 
 @cache

@@ -20,9 +20,9 @@ def user_cache() -> Path:
     ``SWITCH``, or ``~/.cache/smooth-operator`` (or under ``XDG_CACHE_HOME``) on Linux,
     ``~/Library/Caches/smooth-operator`` on macOS, ``%LOCALAPPDATA%\\smooth-operator`` on Windows.
     """
-    wanted = os.environ.get(SWITCH, "").strip()
-    if wanted and wanted.lower() not in OFF:
-        return Path(wanted).expanduser()
+    path = os.environ.get(SWITCH, "").strip()
+    if path and path.lower() not in OFF:
+        return Path(path).expanduser()
     home = Path.home()
     if sys.platform == "win32":
         base = Path(os.environ.get("LOCALAPPDATA") or home / "AppData" / "Local")

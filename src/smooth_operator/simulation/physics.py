@@ -104,9 +104,9 @@ class HandPhysics:
             positions: (n,) positions of all joints [rad]; coupled ones follow by themselves. What
                 is not finite stays as it is, and the rest is kept within the limits.
         """
-        wanted = np.asarray(positions, float)[self._actuated]
-        wanted = np.clip(wanted, self.hand.limits[:, 0], self.hand.limits[:, 1])
-        self._target = np.where(np.isfinite(wanted), wanted, self._target)
+        targets = np.asarray(positions, float)[self._actuated]
+        targets = np.clip(targets, self.hand.limits[:, 0], self.hand.limits[:, 1])
+        self._target = np.where(np.isfinite(targets), targets, self._target)
         self._data.ctrl[self._built.controls] = self._target
 
     def command_arm(self, positions: Float[np.ndarray, " a"]) -> None:

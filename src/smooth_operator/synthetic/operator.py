@@ -172,19 +172,19 @@ class SyntheticOperator:
             landmarks[tick.lost] = np.nan
             poses.orientations[tick.lost] = np.nan
 
-            kept = np.flatnonzero(tick.arrives[: None if ticks is None else ticks - done])
+            rows = np.flatnonzero(tick.arrives[: None if ticks is None else ticks - done])
             done += _BLOCK
             yield HandRecording(
-                landmarks[kept],
-                tick.stamps[kept],
+                landmarks[rows],
+                tick.stamps[rows],
                 self.side,
-                ~tick.lost[kept],
-                metacarpals[kept],
-                poses.orientations[kept],
-                T_world_wrist=None if wrist is None else wrist[kept],
+                ~tick.lost[rows],
+                metacarpals[rows],
+                poses.orientations[rows],
+                T_world_wrist=None if wrist is None else wrist[rows],
                 world=None if wrist is None else "synthetic",
                 meta={
-                    "gesture": [labels[k] for k in kept],
-                    "joint_angles": angles[kept],
+                    "gesture": [labels[k] for k in rows],
+                    "joint_angles": angles[rows],
                 },
             )

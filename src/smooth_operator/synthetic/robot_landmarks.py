@@ -30,11 +30,11 @@ def human_landmarks(hand: Hand, q: Float[np.ndarray, "T m"]) -> Float[np.ndarray
     flat = flat if hand.spec.side == "right" else mirror(flat)
     human = palm_alignment(flat.landmarks[0], hand).apply(flat.landmarks[0])
     points = np.broadcast_to(human, (len(q), *human.shape)).copy()
-    known = [LANDMARKS.index(name) for name in hand.tree.names]
-    points[:, known] = hand.landmark_positions(q)
+    indices = [LANDMARKS.index(name) for name in hand.tree.names]
+    points[:, indices] = hand.landmark_positions(q)
     for name in hand.fingers:
         first = BASES[FINGERS.index(name)]
-        own = [i for i in range(first, first + 4) if i in known]
+        own = [i for i in range(first, first + 4) if i in indices]
         for i in set(range(first, first + 4)) - set(own):
             below, above = max(k for k in own if k < i), min(k for k in own if k > i)
             share = (i - below) / (above - below)

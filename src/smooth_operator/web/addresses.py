@@ -32,15 +32,15 @@ def lan_addresses(host: str = "0.0.0.0") -> tuple[str, ...]:
             for: such addresses may change every day, and the certificate with them.
     """
     families = _ELSEWHERE if host == "::" else _ELSEWHERE[:1]
-    found: list[str] = []
+    addresses: list[str] = []
     for family, elsewhere in families:
         with contextlib.suppress(OSError), socket.socket(family, socket.SOCK_DGRAM) as probe:
             probe.connect((elsewhere, 9))
-            found.append(str(probe.getsockname()[0]))
+            addresses.append(str(probe.getsockname()[0]))
         with contextlib.suppress(OSError):
             own = socket.getaddrinfo(socket.gethostname(), None, family)
-            found += [str(entry[4][0]) for entry in own]
-    return tuple(dict.fromkeys(address for address in found if _reachable(address)))
+            addresses += [str(entry[4][0]) for entry in own]
+    return tuple(dict.fromkeys(address for address in addresses if _reachable(address)))
 
 
 def names_of(host: str) -> tuple[str, ...]:

@@ -57,9 +57,9 @@ class TokenAuth:
             for role, token in allowed.items()
         ):
             return None
-        given = parse_qs(url.query).get("token", [""])[0]
+        value = parse_qs(url.query).get("token", [""])[0]
         for role, token in allowed.items():
-            if not same_secret(given, token):
+            if not same_secret(value, token):
                 continue
             if request.headers.get("Upgrade", "").lower() == "websocket":
                 return None  # a program, which has no cookies
@@ -70,18 +70,18 @@ class TokenAuth:
         )
 
 
-def same_secret(given: str, known: str) -> bool:
+def same_secret(secret: str, expected: str) -> bool:
     """Whether two are equal, in a time that does not depend on where they differ."""
-    return hmac.compare_digest(given.encode(), known.encode())
+    return hmac.compare_digest(secret.encode(), expected.encode())
 
 
 def cookie(request: Any, name: str) -> str:
     """Value of a cookie of a request; empty if there is none."""
     try:
-        found = SimpleCookie(request.headers.get("Cookie", "")).get(name)
+        morsel = SimpleCookie(request.headers.get("Cookie", "")).get(name)
     except CookieError:
         return ""
-    return "" if found is None else found.value
+    return "" if morsel is None else morsel.value
 
 
 def _welcome(connection: Any, path: str, value: str) -> Any:

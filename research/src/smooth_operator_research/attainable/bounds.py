@@ -134,11 +134,11 @@ def main(settings: Settings) -> None:
         sample(source, settings.hand, choices, settings.every, settings.frames, settings.seed)
         for source in sources_of(settings)
     ]
-    found = [search(settings, samples, starts) for starts in sorted(settings.starts)]
+    results = [search(settings, samples, starts) for starts in sorted(settings.starts)]
     first = method_label(choices[0].method, choices[0].preset)
     for i, one in enumerate(samples):
-        tables(report, settings, one, found[-1][i], first)
-    convergence(report, settings, samples, found)
+        tables(report, settings, one, results[-1][i], first)
+    convergence(report, settings, samples, results)
     report.notes += [
         "a lower estimate of the bound: the best of local searches, each frame alone; see "
         "the gain with the number of starts, and of the last round in which frames try their "
@@ -156,7 +156,7 @@ def main(settings: Settings) -> None:
     notes = "".join(f"- {note}\n" for note in report.notes)
     text = f"{report.tables()}\n\n{notes}"
     settings.output.with_suffix(".md").write_text(text, encoding="utf-8")
-    shown = [one.get("thumb") or one["all"] for one in found[-1]]
+    shown = [one.get("thumb") or one["all"] for one in results[-1]]
     draw(samples, shown, settings.limits, settings.output.with_suffix(".png"))
 
 
@@ -215,10 +215,10 @@ def joined(parts: Sequence[Attained]) -> Attained:
 
 
 def tables(
-    report: Report, settings: Settings, one: Sampled, found: dict[Aim, Attained], method: str
+    report: Report, settings: Settings, one: Sampled, attained: dict[Aim, Attained], method: str
 ) -> None:
     """Those of a recording: what is attainable, and which lengths the rest comes from."""
-    shown = found.get("thumb") or found["all"]
+    shown = attained.get("thumb") or attained["all"]
     robots = [one.vectors(poses) for poses in shown.poses]
     for title, chosen in (("all frames", one.pinching | True), ("pinching frames", one.pinching)):
         if not chosen.any():
@@ -233,7 +233,9 @@ def tables(
             got = sums_of(one, robots[g], chosen)
             alone = sums_of(one, robots[g], solved) if solved.any() else Sums()
             methods_sums = sums_of(one, one.answers[method], solved) if solved.any() else Sums()
-            every = summary.mean(found["all"].value[g][chosen]) if "all" in found else got.every
+            every = (
+                summary.mean(attained["all"].value[g][chosen]) if "all" in attained else got.every
+            )
             over = summary.scaled(summary.mean(shown.excess[g][chosen & ~solved]), 1e3)
             mean = None if human.gap_mm is None else human.gap_mm + 1e3 * gap
             rows.append([label(gap), f"{solved.sum()}/{chosen.sum()}", got.thumb, shared(mean),
@@ -283,7 +285,7 @@ def convergence(
     report: Report,
     settings: Settings,
     samples: Sequence[Sampled],
-    found: Sequence[Sequence[dict[Aim, Attained]]],
+    attained: Sequence[Sequence[dict[Aim, Attained]]],
 ) -> None:
     """What more starts gain, and the rounds."""
     rows: list[list[object]] = []
@@ -291,10 +293,10 @@ def convergence(
     for i, one in enumerate(samples):
         chosen = one.pinching if one.pinching.any() else ~one.pinching
         for aim in settings.aims:
-            always = np.all([run[i][aim].excess <= TOLERANCE for run in found], axis=0)
-            for starts, results in zip(sorted(settings.starts), found, strict=True):
+            always = np.all([run[i][aim].excess <= TOLERANCE for run in attained], axis=0)
+            for starts, results in zip(sorted(settings.starts), attained, strict=True):
                 got = results[i][aim]
-                value = [summary.mean(row[kept]) for row, kept in
+                value = [summary.mean(row[columns]) for row, columns in
                          zip(got.value, always & chosen, strict=True)]  # fmt: skip
                 solved = [int((row[chosen] <= TOLERANCE).sum()) for row in got.excess]
                 wide = [summary.mean(row[chosen]) or 0.0 for row in got.excess]

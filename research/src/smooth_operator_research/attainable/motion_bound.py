@@ -108,18 +108,18 @@ def motion_bounds(hand: Hand, recording: HandRecording, positions: int) -> dict[
     aligned = align_recording(recording, hand, AlignmentConfig())
     low, high = hand.limits.T
     dt = float(np.median(np.diff(recording.stamps)))
-    found: dict[str, float | None] = {}
+    bounds: dict[str, float | None] = {}
     for f, motor in enumerate(single_motors(hand)):
         name = hand.fingers[f]
         if motor is None:
-            found[name] = 1.0
+            bounds[name] = 1.0
             continue
         tip = aligned[:, TIPS[FINGERS.index(name)]] - aligned[:, WRIST]
         spacing = (high[motor] - low[motor]) / (positions - 1)
         reach = max(1, round(SPEED * dt / spacing))
         curve = tip_curve(hand, f, motor, positions)
-        found[name] = curve_bound(np.diff(tip, axis=0), curve, reach)
-    return found
+        bounds[name] = curve_bound(np.diff(tip, axis=0), curve, reach)
+    return bounds
 
 
 def main(settings: Settings) -> None:
@@ -134,11 +134,11 @@ def main(settings: Settings) -> None:
             raise BenchmarkError(source.error or f"{source.name} has no frames")
         for name in settings.hands:
             hand = load_hand(name, source.side)
-            found = motion_bounds(hand, source.recording, settings.positions)
-            known = [value for value in found.values() if value is not None]
-            mean = float(np.mean(known)) if known else None
-            rows.append([name, source.name, mean, *(found.get(finger) for finger in FINGERS)])
-            report.add(f"{name}/{source.name}", {"mean": mean, **found})
+            bounds = motion_bounds(hand, source.recording, settings.positions)
+            values = [value for value in bounds.values() if value is not None]
+            mean = float(np.mean(values)) if values else None
+            rows.append([name, source.name, mean, *(bounds.get(finger) for finger in FINGERS)])
+            report.add(f"{name}/{source.name}", {"mean": mean, **bounds})
     header = ("hand", "recording", "mean", *FINGERS)
     report.table("Largest motion preservation", header, rows, texts=2)
     report.finish(settings.output, settings.compare)

@@ -113,22 +113,22 @@ class Search:
         aim: Aim,
         human: Float[np.ndarray, "T K 3"],
         gap: float,
-        known: Float[np.ndarray, "T S m"],
+        poses: Float[np.ndarray, "T S m"],
         starts: int,
         keep: int,
         rng: np.random.Generator,
     ) -> list[list[np.ndarray]]:
         """For each frame the most promising ends of many descents."""
         count, joints = len(human), self.low.size
-        share = np.clip((known - self.low) / (self.high - self.low), 0.01, 0.99)
+        share = np.clip((poses - self.low) / (self.high - self.low), 0.01, 0.99)
         # by start, so that the first of many are those of few
         u = np.moveaxis(rng.normal(0.0, 1.5, (starts, count, joints)), 0, 1)
-        given = np.log(share / (1 - share))
-        took = min(given.shape[1], starts)
-        u[:, :took] = given[:, :took]
+        logits = np.log(share / (1 - share))
+        took = min(logits.shape[1], starts)
+        u[:, :took] = logits[:, :took]
         around = np.arange(took, starts, 4)  # a quarter of the others lie around them
         if took:
-            u[:, around] = given[:, around // 4 % took] + 0.7 * u[:, around]
+            u[:, around] = logits[:, around // 4 % took] + 0.7 * u[:, around]
         flat = np.repeat(np.arange(count), starts)
         caps = np.minimum(self.caps(human, gap), 1.0)
         ends, merits = np.empty((count * starts, joints)), np.empty((2, count * starts))
@@ -215,9 +215,9 @@ class Search:
     def _loss(self, vectors: Array, human: Array, weights: Array, axis: int) -> tuple[Array, Array]:
         """What is brought down, and the lengths [m]."""
         length = jnp.sqrt((vectors * vectors).sum(axis) + 1e-12)
-        wanted = jnp.sqrt((human * human).sum(axis) + 1e-12)
-        cosine = (vectors * human).sum(axis) / (length * wanted)
-        size = ((length - wanted)[self.thumb] / 0.05) ** 2
+        human_length = jnp.sqrt((human * human).sum(axis) + 1e-12)
+        cosine = (vectors * human).sum(axis) / (length * human_length)
+        size = ((length - human_length)[self.thumb] / 0.05) ** 2
         return (weights * (1 - cosine)).sum(0) + SIZE * size.mean(0), length
 
     # -- finishing ----------------------------------------------------------------------------
@@ -283,9 +283,9 @@ class Search:
         def at(x: np.ndarray) -> np.ndarray:
             nonlocal last, best, lowest
             if x.tobytes() != last[0]:
-                found = np.asarray(self._local(jnp.asarray(x, jnp.float32), target, weights), float)
-                last = (x.tobytes(), found)
-                merit = found[0, 0] + 1e3 * ELASTIC * (found[1:, 0] - limit).max(initial=0.0)
+                local = np.asarray(self._local(jnp.asarray(x, jnp.float32), target, weights), float)
+                last = (x.tobytes(), local)
+                merit = local[0, 0] + 1e3 * ELASTIC * (local[1:, 0] - limit).max(initial=0.0)
                 if merit < lowest:
                     best, lowest = x.copy(), merit
             return last[1]

@@ -143,8 +143,8 @@ def spread(
     total, frames = np.nansum(gaps, axis=2), np.arange(value.shape[1])
 
     def at(price: float) -> tuple[float, float]:
-        taken = np.argmax(value - price * total, axis=0)
-        return float(value[taken, frames].mean()), float(total[taken, frames].sum() / pinches)
+        choice = np.argmax(value - price * total, axis=0)
+        return float(value[choice, frames].mean()), float(total[choice, frames].sum() / pinches)
 
     low, high = 0.0, 1e4
     if at(low)[1] <= gap_mm:
@@ -173,7 +173,7 @@ def sample(
     assert source.recording is not None  # checked before
     hand = load_hand(hand_name, source.side)
     frames: np.ndarray | None = None
-    human, known = np.empty(0), []
+    human, poses = np.empty(0), []
     answers, depths = {}, {}
     for choice in choices:
         todo = Plan(source.recording, hand, choice.method, choice.preset, choice.config, seed)
@@ -189,25 +189,25 @@ def sample(
         answers[label] = trace.robot_keyvectors[frames]
         deep = trace.penetration
         depths[label] = np.zeros(len(frames)) if deep is None else deep[frames] - COLLISION_DEPTH
-        known.append(trace.joint_positions[frames][:, list(hand.actuated)])
+        poses.append(trace.joint_positions[frames][:, list(hand.actuated)])
     assert frames is not None  # there is a method
-    return Sampled(source.name, hand, frames, human, answers, depths, np.stack(known, axis=1))
+    return Sampled(source.name, hand, frames, human, answers, depths, np.stack(poses, axis=1))
 
 
 def draw(
-    samples: Sequence[Sampled], found: Sequence[Attained], limits: Sequence[float], path: Path
+    samples: Sequence[Sampled], bounds: Sequence[Attained], limits: Sequence[float], path: Path
 ) -> None:
     """Attainable thumb cosine against pinch gap, on pinching frames: a panel for each recording.
 
     Args:
         samples: frames and answers; a recording without pinches is left out.
-        found: what is attainable, for each.
+        bounds: what is attainable, for each.
         limits: of the gaps [m].
         path: PNG file.
     """
     from matplotlib.figure import Figure  # not pyplot: no display, no global list of figures
 
-    shown = [(s, f) for s, f in zip(samples, found, strict=True) if s.pinching.any()]
+    shown = [(s, f) for s, f in zip(samples, bounds, strict=True) if s.pinching.any()]
     if not shown:
         return
     columns = min(3, len(shown))

@@ -94,13 +94,13 @@ def search_for(hand: str, side: Side) -> Search:
 
 def attain(task: Frames) -> dict[Aim, Attained]:
     """The best poses of some frames, for each aim."""
-    found: dict[Aim, Attained] = {}
-    known = task.known
+    attained: dict[Aim, Attained] = {}
+    poses = task.known
     for aim in task.aims:
         with jax_cache():
-            found[aim] = _Run(task, aim, known).result()
-        known = np.concatenate([known, np.moveaxis(found[aim].poses[-1:], 0, 1)], axis=1)
-    return found
+            attained[aim] = _Run(task, aim, poses).result()
+        poses = np.concatenate([poses, np.moveaxis(attained[aim].poses[-1:], 0, 1)], axis=1)
+    return attained
 
 
 class _Run:
@@ -109,11 +109,11 @@ class _Run:
     A frame without a pinch has one problem, whatever the gap: that of the last, loosest limit.
     """
 
-    def __init__(self, task: Frames, aim: Aim, known: Float[np.ndarray, "T S m"]) -> None:
+    def __init__(self, task: Frames, aim: Aim, poses: Float[np.ndarray, "T S m"]) -> None:
         self.task, self.aim = task, aim
         self.search = search = search_for(task.hand, task.side)
-        neutral = np.broadcast_to(search.hand.neutral, (len(known), 1, search.low.size))
-        self.known = np.concatenate([known, neutral], axis=1)  # at least that one is shallow
+        neutral = np.broadcast_to(search.hand.neutral, (len(poses), 1, search.low.size))
+        self.known = np.concatenate([poses, neutral], axis=1)  # at least that one is shallow
         lengths = np.linalg.norm(task.human[:, search.thumb], axis=-1)
         self.pinching: Bool[np.ndarray, " T"] = (lengths < PINCH_DISTANCE).any(axis=1)
         shape = (len(task.gaps), len(task.human))
@@ -169,8 +169,8 @@ class _Run:
                         self.tried.add(key)
                         starts.append((t, pose))
             self.improve(g, starts)
-        known = np.isfinite(before)
-        return float((self.merit[known] - before[known]).mean()) if known.any() else 0.0
+        finite = np.isfinite(before)
+        return float((self.merit[finite] - before[finite]).mean()) if finite.any() else 0.0
 
     def improve(self, g: int, starts: Sequence[tuple[int, np.ndarray]]) -> None:
         """Finishes starts, each for a frame, and keeps what is better than the best so far.

@@ -135,8 +135,8 @@ def _foot(results: MeasureResults, unit: str, *, intervals: bool) -> str:
 
 
 def _reasons(results: MeasureResults) -> dict[str, int]:
-    found: dict[str, int] = {}
+    reasons: dict[str, int] = {}
     for row in results.rows:
         if row["status"] != "ok":
-            found[str(row["reason"])] = found.get(str(row["reason"]), 0) + 1
-    return found
+            reasons[str(row["reason"])] = reasons.get(str(row["reason"]), 0) + 1
+    return reasons

@@ -63,12 +63,12 @@ def simulate_command(options: Simulate) -> None:
 
 def _cells(protocol: Protocol, rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """Successes and mean time of each task and condition."""
-    found = []
+    cells = []
     for task in protocol.tasks:
         for condition in protocol.condition_names:
             cell = [r for r in rows if (r["task"], r["retargeter"]) == (task.name, condition)]
             times = [row["time_s"] for row in cell if row["score"] >= 0.5]
-            found.append(
+            cells.append(
                 {
                     "task": task.name,
                     "retargeter": condition,
@@ -77,4 +77,4 @@ def _cells(protocol: Protocol, rows: Sequence[dict[str, Any]]) -> list[dict[str,
                     "time_s": sum(times) / len(times) if times else None,
                 }
             )
-    return found
+    return cells

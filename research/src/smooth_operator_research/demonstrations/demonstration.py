@@ -136,14 +136,14 @@ def play(
     demonstration: Demonstration,
     *,
     disturb: Callable[[ScenePhysics], None] | None = None,
-    seen: Callable[[ScenePhysics, SceneState], None] | None = None,
+    observer: Callable[[ScenePhysics, SceneState], None] | None = None,
 ) -> Iterator[tuple[SceneState, TaskRun]]:
     """Perform a demonstration in physics.
 
     Args:
         demonstration: what is done.
         disturb: changes the scene before it starts, as to see how much it bears.
-        seen: called at each moment, as to draw it.
+        observer: called at each moment, as to draw it.
 
     Yields:
         the scene and the trial, a hundred times a second, until the trial is done or the
@@ -159,8 +159,8 @@ def play(
 
     task, end = task_named(demonstration.task), float(demonstration.times[-1])
     for moment in perform(physics, task, commands, seconds=end):
-        if seen is not None:
-            seen(physics, moment.state)
+        if observer is not None:
+            observer(physics, moment.state)
         yield moment.state, moment.run
 
 

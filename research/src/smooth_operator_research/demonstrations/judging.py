@@ -65,10 +65,10 @@ def tip_errors(
     ticks = TrackerStream(world.tracker, 1.0 / PERIOD_S).next(len(shown))
     if ticks.noise is not None:
         shown = shown + ticks.noise[:, :NUM_LANDMARKS]
-    seen = np.asarray(palm_alignment(shown, hand).apply(shown))
-    last = np.maximum.accumulate(np.where(ticks.arrives, np.arange(len(seen)), 0))
-    found = _filtered(seen[last], tuple(index)) if filtered else seen[last][:, index]
-    return np.asarray(found - (human if filtered else human[last])[:, index])
+    aligned = np.asarray(palm_alignment(shown, hand).apply(shown))
+    last = np.maximum.accumulate(np.where(ticks.arrives, np.arange(len(aligned)), 0))
+    tips = _filtered(aligned[last], tuple(index)) if filtered else aligned[last][:, index]
+    return np.asarray(tips - (human if filtered else human[last])[:, index])
 
 
 def joint_errors(
@@ -90,24 +90,26 @@ def joint_errors(
 
 
 def _filtered(
-    seen: Float[np.ndarray, "t 21 3"], index: tuple[int, ...]
+    aligned: Float[np.ndarray, "t 21 3"], index: tuple[int, ...]
 ) -> Float[np.ndarray, "t f 3"]:
     """Some of the landmarks after the removal of noise; frames that were dropped come again."""
-    count = -(-len(seen) // _BLOCK) * _BLOCK  # of few lengths, since each is compiled
-    padded = np.concatenate([seen, np.repeat(seen[-1:], count - len(seen), axis=0)])
-    return np.asarray(_removed(padded, index))[: len(seen)]
+    count = -(-len(aligned) // _BLOCK) * _BLOCK  # of few lengths, since each is compiled
+    padded = np.concatenate([aligned, np.repeat(aligned[-1:], count - len(aligned), axis=0)])
+    return np.asarray(_removed(padded, index))[: len(aligned)]
 
 
 @partial(jax.jit, static_argnums=1)
-def _removed(seen: Array, index: tuple[int, ...]) -> Array:
+def _removed(aligned: Array, index: tuple[int, ...]) -> Array:
     config = SmoothConfig().tracker_noise
 
     def frame(state: NoiseState, inputs: tuple[Array, Array]) -> tuple[NoiseState, Array]:
         landmarks, first = inputs
         return remove_noise(state, landmarks, index, PERIOD_S, config, first)
 
-    first = jnp.arange(len(seen)) == 0
-    return jax.lax.scan(frame, NoiseState.unseen(len(index)), (seen.astype(jnp.float32), first))[1]
+    first = jnp.arange(len(aligned)) == 0
+    return jax.lax.scan(frame, NoiseState.unseen(len(index)), (aligned.astype(jnp.float32), first))[
+        1
+    ]
 
 
 @lru_cache(maxsize=4)

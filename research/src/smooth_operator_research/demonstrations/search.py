@@ -119,21 +119,21 @@ class Search:
         """
         points = self.state.candidates()
         points[0] = self.state.mean
-        found = [self._of(point) for point in points]
+        candidates = [self._of(point) for point in points]
         worlds = _worlds(self.state.generation, self._worlds, WORLDS_SEED)
         now = max(2, round(_FIRST * len(worlds)))
-        centre = demonstration_text(found[0])
-        early = self._judged(pool, found, worlds[:now], centre)
-        half = np.argsort(-early.mean(axis=1), kind="stable")[: len(found) // 2]
+        centre = demonstration_text(candidates[0])
+        early = self._judged(pool, candidates, worlds[:now], centre)
+        half = np.argsort(-early.mean(axis=1), kind="stable")[: len(candidates) // 2]
         again = sorted({0, *half.tolist()})
-        late = self._judged(pool, [found[k] for k in again], worlds[now:], centre)
+        late = self._judged(pool, [candidates[k] for k in again], worlds[now:], centre)
         whole = np.concatenate([early[again], late], axis=1).mean(axis=1)
         merits = early.mean(axis=1) - 10.0  # behind all that were judged in all worlds
         merits[half] = whole[np.searchsorted(again, half)]
         before = self.merit if np.isfinite(self.merit) else float(whole[0])
         self.merit = _MEMORY * before + (1.0 - _MEMORY) * float(whole[0])
         self.state = self.state.judged(points, merits)
-        better = [(float(value), found[k]) for k, value in zip(again, whole, strict=True)]
+        better = [(float(value), candidates[k]) for k, value in zip(again, whole, strict=True)]
         self.best = sorted([*self.best, *better], key=lambda one: -one[0])[:_KEPT]
 
     def result(self, pool: _Pool) -> tuple[Demonstration, float]:
@@ -149,10 +149,10 @@ class Search:
         return last[top], float(merits[top])
 
     def _judged(
-        self, pool: _Pool, found: list[Demonstration], worlds: tuple[World, ...], centre: str
+        self, pool: _Pool, candidates: list[Demonstration], worlds: tuple[World, ...], centre: str
     ) -> Float[np.ndarray, "c w"]:
-        values = np.zeros((len(found), len(worlds)))
-        tasks = [Candidate(one, worlds, centre, *self._errors) for one in found]
+        values = np.zeros((len(candidates), len(worlds)))
+        tasks = [Candidate(one, worlds, centre, *self._errors) for one in candidates]
         for result in pool.run(tasks):
             if result.value is None:
                 raise StudyError(f"a candidate can't be judged: {result.error}")
@@ -192,12 +192,14 @@ class Search:
 def _first(name: str, task: str, hand: str) -> Demonstration:
     """The first guess from a file, or from a hand that has a demonstration."""
     if name.endswith(".json"):
-        found = read_demonstration(Path(name).read_text(encoding="utf-8"))
-        if found.task != task:
-            raise StudyError(f"{name} demonstrates task {found.task!r}, not {task!r}")
+        demonstration = read_demonstration(Path(name).read_text(encoding="utf-8"))
+        if demonstration.task != task:
+            raise StudyError(f"{name} demonstrates task {demonstration.task!r}, not {task!r}")
     else:
-        found = load_demonstration(task, name)
-    return found if found.hand == hand else transferred(found, load_hand(hand))
+        demonstration = load_demonstration(task, name)
+    return (
+        demonstration if demonstration.hand == hand else transferred(demonstration, load_hand(hand))
+    )
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -230,28 +232,30 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--workers", type=int, default=None, help="processes; 0: none")
     parser.add_argument("--state", type=Path, help="file to resume from, and to go on writing")
-    given = parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
     search = Search(
-        _first(given.first, given.task, given.hand), given.worlds, given.seed, given.candidates,
-        given.sigma, given.errors, given.filtered, given.margin,
+        _first(options.first, options.task, options.hand),
+        options.worlds, options.seed, options.candidates,
+        options.sigma, options.errors, options.filtered, options.margin,
     )  # fmt: skip
-    if given.state is not None and given.state.exists():
-        search.resume(given.state)
-    with PersistentPool(judge, given.workers) as pool:
-        while search.state.generation < given.generations and search.merit < search.enough:
+    if options.state is not None and options.state.exists():
+        search.resume(options.state)
+    with PersistentPool(judge, options.workers) as pool:
+        while search.state.generation < options.generations and search.merit < search.enough:
             search.generation(pool)
             print(
-                f"{given.hand} {given.task}: generation {search.state.generation}, merit: centre "
+                f"{options.hand} {options.task}: generation {search.state.generation}, merit: "
+                "centre "
                 f"{search.merit:.3f}, best {search.best[0][0]:.3f}; step "
                 f"{search.state.sigma:.3f} rad",
                 flush=True,
             )
-            if given.state is not None:
-                search.save(given.state)
-        found, value = search.result(pool)
-    print(f"{given.hand} {given.task}: merit {value:.3f} in {_FINAL_WORLDS} unseen worlds")
-    with atomic_write(given.output) as file:
-        file.write(demonstration_text(found).encode())
+            if options.state is not None:
+                search.save(options.state)
+        best, value = search.result(pool)
+    print(f"{options.hand} {options.task}: merit {value:.3f} in {_FINAL_WORLDS} unseen worlds")
+    with atomic_write(options.output) as file:
+        file.write(demonstration_text(best).encode())
 
 
 if __name__ == "__main__":

@@ -138,13 +138,13 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--worlds", type=int, default=50)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--workers", type=int, default=None, help="processes; 0: none")
-    given = parser.parse_args(arguments)
-    found = (
-        load_demonstration(given.task, given.hand)
-        if given.file is None
-        else read_demonstration(given.file.read_text(encoding="utf-8"))
+    options = parser.parse_args(arguments)
+    demonstration = (
+        load_demonstration(options.task, options.hand)
+        if options.file is None
+        else read_demonstration(options.file.read_text(encoding="utf-8"))
     )
-    print(table(found, given.worlds, given.seed, given.workers))
+    print(table(demonstration, options.worlds, options.seed, options.workers))
 
 
 if __name__ == "__main__":

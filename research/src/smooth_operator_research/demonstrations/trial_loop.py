@@ -145,7 +145,7 @@ def perform(
     seconds: float | None = None,
     rate_hz: float = RATE_HZ,
     lead_s: float = 0.0,
-    asked: Interventions = lambda: None,
+    interventions: Interventions = lambda: None,
 ) -> Iterator[Moment]:
     """Do a trial with a source of joint commands.
 
@@ -160,8 +160,8 @@ def perform(
         seconds: after which the trial is left [s], still running; None for the task's own limit.
         rate_hz: periods a second [Hz].
         lead_s: how long the commands run before 'go' [s].
-        asked: what the operator asks for, after each command since 'go'; a reset beyond the one
-            that is allowed is not granted.
+        interventions: what the operator asks for, after each command since 'go'; a reset beyond
+            the one that is allowed is not granted.
 
     Yields:
         the moment after each period since 'go', until the trial is done or the time over.
@@ -190,7 +190,7 @@ def perform(
         if command is not None:
             last = command
             physics.command(command)
-        wish = asked() if k >= 0 else None
+        wish = interventions() if k >= 0 else None
         if wish == "reset" and run.resets == 0:
             run = run.reset()
             physics.reset_object()
@@ -264,7 +264,7 @@ def run_trial(
     seed: int | None = None,
     limit: CommandLimit | None = None,
     prepare: Callable[[ScenePhysics], None] | None = None,
-    asked: Interventions = lambda: None,
+    interventions: Interventions = lambda: None,
     trace: bool = False,
 ) -> TrialResult:
     """Do a trial with a retargeter, from a source of human landmarks.
@@ -287,7 +287,7 @@ def run_trial(
             sends them as they are, kept within the joints' limits by the servos. (The limits of
             teleoperation, 15 rad/s and 1500 rad/s^2, are far above what these tasks need.)
         prepare: changes the built scene before the trial, such as its friction.
-        asked: what the operator asks for; see ``perform``.
+        interventions: what the operator asks for; see ``perform``.
         trace: keep what happened.
 
     Raises:
@@ -300,7 +300,8 @@ def run_trial(
     positions, moments = [], []
     run = TaskRun(task, scene)
     for moment in perform(
-        physics, task, loop, seconds=seconds, rate_hz=rate_hz, lead_s=lead_s, asked=asked
+        physics, task, loop, seconds=seconds, rate_hz=rate_hz, lead_s=lead_s,
+        interventions=interventions
     ):  # fmt: skip
         run = moment.run
         if trace:

@@ -81,19 +81,19 @@ def main() -> None:
     parser.add_argument("--cases", default=",".join(CASES))
     parser.add_argument("--both-ways", action="store_true")
     parser.add_argument("--output", type=Path)
-    said = parser.parse_args()
+    options = parser.parse_args()
     rows = []
-    for source in load_sources(parse_request(text) for text in said.recordings):
+    for source in load_sources(parse_request(text) for text in options.recordings):
         if source.recording is None:
             raise SystemExit(source.error)
         whole = source.recording
-        hand = load_hand(said.hand, whole.side)
+        hand = load_hand(options.hand, whole.side)
         half = len(whole) // 2
         ways = {"second": (whole[:half], whole[half:]), "first": (whole[half:], whole[:half])}
-        for judged, (fitted, part) in list(ways.items())[: 2 if said.both_ways else 1]:
+        for judged, (fitted, part) in list(ways.items())[: 2 if options.both_ways else 1]:
             operator = calibrate(fitted, hand).operator
-            for method in said.methods.split(","):
-                for case in said.cases.split(","):
+            for method in options.methods.split(","):
+                for case in options.cases.split(","):
                     components: Any = CASES[case]
                     used = None if components is None else operator.using(components)
                     row = {
@@ -115,8 +115,8 @@ def main() -> None:
                         f"collision {row['self_collision']:.2f} {row['latency_p50_ms']:.2f} ms",
                         flush=True,
                     )
-    if said.output is not None:
-        said.output.write_text(
+    if options.output is not None:
+        options.output.write_text(
             json.dumps({"rows": rows, **json.loads(to_json(environment()))}, indent=1) + "\n"
         )
 

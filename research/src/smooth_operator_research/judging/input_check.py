@@ -57,10 +57,10 @@ def windows(
             first = int(rng.integers(0, len(points) - length + 1))
             cuts.append(slice(first, first + length))
         for cut in cuts:
-            seen = points[cut] + rng.normal(0.0, noise, points[cut].shape) * (noise > 0)
+            noisy = points[cut] + rng.normal(0.0, noise, points[cut].shape) * (noise > 0)
             other: Side = "left" if recording.side == "right" else "right"
-            yield Window(recording.name, seen, recording.side)
-            yield Window(recording.name, seen * MIRROR, other)
+            yield Window(recording.name, noisy, recording.side)
+            yield Window(recording.name, noisy * MIRROR, other)
 
 
 def in_layout(landmarks: np.ndarray, name: str) -> np.ndarray:
@@ -85,30 +85,30 @@ def table(
         row(f"{noise:g}", "right side, right order", len(every), len(refused), "")
         for of in sorted({w.of for w in refused}):
             row("", f"of these, {of}", "", sum(w.of == of for w in refused), "")
-        found = [doubt(w.landmarks, others[w.side]) for w in every]
-        seen = [d for d in found if d is not None]
-        named = sum(d.side is not None for d in seen)
-        row(f"{noise:g}", "mirrored", len(every), share(len(seen), len(every)), named)
-        missed = [w.of for w, d in zip(every, found, strict=True) if d is None]
+        doubts = [doubt(w.landmarks, others[w.side]) for w in every]
+        measured = [d for d in doubts if d is not None]
+        named = sum(d.side is not None for d in measured)
+        row(f"{noise:g}", "mirrored", len(every), share(len(measured), len(every)), named)
+        missed = [w.of for w, d in zip(every, doubts, strict=True) if d is None]
         for of in sorted(set(missed)):
             total = sum(w.of == of for w in every)
             row("", f"mirrored, {of}", total, share(total - missed.count(of), total), "")
         some = every[::share_of]
         for name in faults:
-            found = [doubt(in_layout(w.landmarks, name), w.side) for w in some]
-            seen = [d for d in found if d is not None]
-            named = sum(d.layout == name for d in seen)
-            row(f"{noise:g}", f"`{name}`", len(some), share(len(seen), len(some)), named)
+            doubts = [doubt(in_layout(w.landmarks, name), w.side) for w in some]
+            measured = [d for d in doubts if d is not None]
+            named = sum(d.layout == name for d in measured)
+            row(f"{noise:g}", f"`{name}`", len(some), share(len(measured), len(some)), named)
         shuffled = [doubt(w.landmarks[:, rng.permutation(21)], w.side) for w in every]
         noticed = sum(d is not None for d in shuffled)
         row(f"{noise:g}", "random order", len(every), share(noticed, len(every)), "")
-        said = [
+        shares = [
             doubt(in_layout(w.landmarks, name), w.side, layout=name)
             for w in some
             for name in faults
         ]
-        noticed = sum(d is not None for d in said)
-        row(f"{noise:g}", "each of these layouts, when it is said", len(said), noticed, "")
+        noticed = sum(d is not None for d in shares)
+        row(f"{noise:g}", "each of these layouts, when it is said", len(shares), noticed, "")
 
 
 def row(*cells: object) -> None:
@@ -130,15 +130,15 @@ def main() -> None:
     parser.add_argument("--operators", type=int, default=3, help="built-in operators, 10 s each")
     parser.add_argument("--share", type=int, default=11, help="layouts: one window of so many")
     parser.add_argument("--seed", type=int, default=0)
-    asked = parser.parse_args()
-    found = []
-    if asked.recordings:
-        for source in load_sources([parse_request(text) for text in asked.recordings]):
+    options = parser.parse_args()
+    recordings = []
+    if options.recordings:
+        for source in load_sources([parse_request(text) for text in options.recordings]):
             if source.recording is None:
                 raise SystemExit(source.error)
-            found.append(source.recording)
-    found += [SyntheticOperator(seed=seed).record(10.0) for seed in range(asked.operators)]
-    table(found, asked.seconds, asked.noise, asked.seed, asked.share)
+            recordings.append(source.recording)
+    recordings += [SyntheticOperator(seed=seed).record(10.0) for seed in range(options.operators)]
+    table(recordings, options.seconds, options.noise, options.seed, options.share)
 
 
 if __name__ == "__main__":

@@ -162,8 +162,8 @@ def measure_cells(
             continue
         stale = result.job.name in cache.found_by_other_code
         human = HumanFigures(**result.value["human"])
-        kept = result.value.get("truth")
-        truth = None if kept is None else AgainstTruth.kept(kept)
+        truth_record = result.value.get("truth")
+        truth = None if truth_record is None else AgainstTruth.kept(truth_record)
         yield CellFigures(
             cell, result.value["metrics"], human, fresh=result.fresh, stale=stale, truth=truth
         )
@@ -177,11 +177,11 @@ def _figures(task: _Task) -> dict[str, Any]:
     if task.per_frame:  # of the human that is measured against, not of the one that was retargeted
         todo = replace(todo, config=task.config.with_alignment(scale=None, operator=None))
     trace, metrics = measure(todo, outcome)
-    found = {"metrics": metrics, "human": asdict(human_figures(trace.human, trace.fingers))}
+    figures = {"metrics": metrics, "human": asdict(human_figures(trace.human, trace.fingers))}
     if task.clean is not None:
         clean = align_recording(task.clean, hand, todo.config.alignment)
-        found["truth"] = asdict(against_truth(trace, clean))
-    return found
+        figures["truth"] = asdict(against_truth(trace, clean))
+    return figures
 
 
 def code_of(config: MethodConfig) -> str:
@@ -294,9 +294,9 @@ def main(settings: Settings) -> None:
                 report.notes.append(f"{label} on {source.name} failed: {own.reason}")
                 continue
             theirs = {
-                name: found.metrics
+                name: cell.metrics
                 for name in (method_label(one.method, one.preset) for one in others)
-                if name != label and (found := measured[source.name, name]).metrics is not None
+                if name != label and (cell := measured[source.name, name]).metrics is not None
             }
             figures = own.metrics | {"latency_ms": timed.get((source.name, label), NOT_TIMED)}
             lines[label][source.name] = (
@@ -305,13 +305,13 @@ def main(settings: Settings) -> None:
                 else judge_hand(figures, theirs.get(SBR, {}))
             )
             if own.truth is not None and kind == "all":
-                known = {
+                pairs = {
                     name: truth.metrics
                     for name in theirs
                     if (truth := measured[source.name, name].truth) is not None
                 }
                 timeless = own.truth.metrics | {"latency_ms": NOT_TIMED}
-                against = judge(timeless, known, own.truth.human)
+                against = judge(timeless, pairs, own.truth.human)
                 lines[label][f"{source.name}, without noise"] = against
     for one in measured.values():
         if one.stale:
@@ -362,22 +362,22 @@ def measure_methods(
 ) -> dict[tuple[str, str], CellFigures]:
     """(recording, label) -> figures."""
     cells = cells_of(settings, sources, (*candidates, *others))
-    kept = ResultCache(settings.cache, warn, other_code=settings.stale)
-    found: dict[tuple[str, str], CellFigures] = {}
+    cache = ResultCache(settings.cache, warn, other_code=settings.stale)
+    figures: dict[tuple[str, str], CellFigures] = {}
     per_frame = settings.human == "frame"
-    for one in measure_cells(cells, kept, settings.workers, settings.seed, per_frame):
-        found[one.cell.source.name, method_label(one.cell.method, one.cell.preset)] = one
+    for one in measure_cells(cells, cache, settings.workers, settings.seed, per_frame):
+        figures[one.cell.source.name, method_label(one.cell.method, one.cell.preset)] = one
         if one.fresh:
             failed = "" if one.reason is None else f": {one.reason}"
-            print(f"{len(found)} of {len(cells)}: {one.cell.label}{failed}", file=sys.stderr)
-    return found
+            print(f"{len(figures)} of {len(cells)}: {one.cell.label}{failed}", file=sys.stderr)
+    return figures
 
 
 def time_alone(
     settings: Settings, sources: Sequence[Source], candidates: Sequence[Choice]
 ) -> dict[tuple[str, str], dict[str, float | None]]:
     """(recording, label) -> latency, those to be judged taking turns and nothing else running."""
-    found: dict[tuple[str, str], dict[str, float | None]] = {}
+    times: dict[tuple[str, str], dict[str, float | None]] = {}
     for source in sources if settings.latency else ():
         cells = cells_of(settings, [source], candidates)
         for cell, latency in zip(
@@ -385,8 +385,8 @@ def time_alone(
             measure_latency(cells, settings.latency, settings.seed, lambda cell: None),
             strict=True,
         ):
-            found[source.name, method_label(cell.method, cell.preset)] = latency.summary
-    return found
+            times[source.name, method_label(cell.method, cell.preset)] = latency.summary
+    return times
 
 
 def write(
@@ -399,21 +399,28 @@ def write(
     detailed: list[_Table] = []
     overview: list[_Table] = []
     for label, by_recording in lines.items():
-        for recording, found in by_recording.items():
+        for recording, found_lines in by_recording.items():
             title = f"{label} on {recording}{mark(settings, recording)}, {settings.hand}"
             header = ("target", "asked", "reached", "best other", "verdict", "note")
-            detailed.append((title, header, [row(line) for line in found]))
-            for line in found:
+            detailed.append((title, header, [row(line) for line in found_lines]))
+            for line in found_lines:
                 prefix = f"{label}/{recording}/{line.name}"
                 passed = None if line.passed is None else float(line.passed)
                 figures = {"reached": line.reached, "asked": line.asked, "passed": passed}
                 report.add(prefix, figures)
-        names = dict.fromkeys(line.name for found in by_recording.values() for line in found)
+        names = dict.fromkeys(
+            line.name for found_lines in by_recording.values() for line in found_lines
+        )
         rows = []
         for name in names:
-            of = {r: {x.name: x for x in found}.get(name) for r, found in by_recording.items()}
+            of = {
+                r: {x.name: x for x in found_lines}.get(name)
+                for r, found_lines in by_recording.items()
+            }
             rows.append([name, *(verdict(line) for line in of.values())])
-        rows.append(["**missed**", *(str(missed(found)) for found in by_recording.values())])
+        rows.append(
+            ["**missed**", *(str(missed(found_lines)) for found_lines in by_recording.values())]
+        )
         names_of = (label, *(f"{name}{mark(settings, name)}" for name in by_recording))
         overview.append((f"{label}, all targets, {settings.hand}", names_of, rows))
     overview += truth_tables(report, measured)
@@ -441,10 +448,10 @@ def truth_tables(report: Report, measured: dict[tuple[str, str], CellFigures]) -
             rows[recording][label] = one.truth.robot
     header = ("", "motion preservation", "velocity correlation", "lag [ms]", "jitter [mm]")
     tables: list[_Table] = []
-    for recording, found in rows.items():
-        for label, figures in found.items():
+    for recording, truth_cells in rows.items():
+        for label, figures in truth_cells.items():
             report.add(f"truth/{recording}/{label}", asdict(figures))
-        cells = [[label, *map(figure, asdict(one).values())] for label, one in found.items()]
+        cells = [[label, *map(figure, asdict(one).values())] for label, one in truth_cells.items()]
         tables.append((f"Against {recording} without noise", header, cells))
     return tables
 
@@ -462,10 +469,10 @@ def missed(lines: Sequence[TargetLine]) -> int:
 def row(line: TargetLine) -> list[object]:
     """A target as a row of a table."""
     name = f"{line.name} [{line.unit}]" if line.unit else line.name
-    asked = "–" if line.asked is None else f"{line.sense} {figure(line.asked)}"
+    goal = "–" if line.asked is None else f"{line.sense} {figure(line.asked)}"
     other = "–" if line.other is None else f"{figure(line.other_value)} {line.other}"
     sign = {True: "✓", False: "✗", None: "–"}[line.passed]
-    return [name, asked, figure(line.reached), other, sign, line.note]
+    return [name, goal, figure(line.reached), other, sign, line.note]
 
 
 def verdict(line: TargetLine | None) -> str:
@@ -473,8 +480,8 @@ def verdict(line: TargetLine | None) -> str:
     if line is None:
         return "–"
     sign = {True: "✓", False: "✗", None: "–"}[line.passed]
-    asked = f" ({figure(line.asked)})" if line.passed is False else ""
-    return f"{sign} {figure(line.reached)}{asked}"
+    goal = f" ({figure(line.asked)})" if line.passed is False else ""
+    return f"{sign} {figure(line.reached)}{goal}"
 
 
 def figure(value: float | None) -> str:

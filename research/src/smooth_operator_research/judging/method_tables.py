@@ -46,10 +46,15 @@ from smooth_operator.lab.tuning.pareto import (
 )
 from smooth_operator.lab.tuning.score import figure
 from smooth_operator.lab.tuning.trial import TrialTask, run_trial
-from smooth_operator.lab.tuning.trial_log import Trial, TrialLog
 from smooth_operator.methods.method import MethodConfig
 from smooth_operator.parallel import TaskResult, run_tasks
-from smooth_operator.result_cache import ResultCache
+from smooth_operator.result_cache import (
+    Job,
+    ResultCache,
+    ResultLog,
+    compute_results,
+    find_results,
+)
 from smooth_operator_research.judging.judge import (
     GLOVE,
     OTHERS,
@@ -147,7 +152,7 @@ def measure_rows(variants: Variants, rows: Mapping[Row, Values]) -> tuple[Found,
         the figures, and why rows failed.
     """
     full = full_values(variants.config, rows)
-    log = TrialLog(variants.log, variants.key, code_of(variants.config))
+    log, code = ResultLog(variants.log), code_of(variants.config)
     preset = numeric_settings(variants.config)
     rows_of: dict[str, Row] = {}
     for row, values in full.items():
@@ -155,34 +160,38 @@ def measure_rows(variants: Variants, rows: Mapping[Row, Values]) -> tuple[Found,
     tasks = {key: variants.task(full[row]) for key, row in rows_of.items()}
     # those of one program one after the other, so that a worker compiles it once
     order = sorted(tasks, key=lambda key: to_json(tasks[key].config))
-    todo = [(_changed(full[rows_of[key]], preset), tasks[key]) for key in order]
-    missing = [task for values, task in todo if log.find(values) is None]
+    jobs = [
+        Job(key, [variants.key, _changed(full[rows_of[key]], preset)], code, tasks[key])
+        for key in order
+    ]
+    finished, missing = find_results(jobs, log)
     if missing:
-        programs = len({to_json(task.config) for task in missing})
+        programs = len({to_json(job.task.config) for job in missing})
         print(
-            f"rows to measure: {len(missing)}, kept: {len(todo) - len(missing)}; "
+            f"rows to measure: {len(missing)}, kept: {len(finished)}; "
             f"programs to compile: {programs}",
             file=sys.stderr,
         )
-    known: dict[str, Trial] = {}
+    metrics: dict[str, Any] = {one.job.name: one.value["metrics"] for one in finished if one.value}
     failures: list[str] = []
-    done = 0
 
     def execute(tasks: Sequence[TrialTask]) -> Iterable[TaskResult[Any]]:
         return run_tasks(run_trial, tasks, workers=variants.workers)
 
-    for i, trial, fresh in log.run(todo, execute, keep_failures=False):
-        table, name = rows_of[order[i]]
-        known[order[i]] = trial
-        if trial.metrics is None:
-            failures.append(f"{name} ({table}) failed: {trial.reason}")
-        if fresh:
-            done += 1
-            said = "" if trial.reason is None else f": {trial.reason}"
-            print(f"{done} of {len(missing)}: {table}, {name}{said}", file=sys.stderr)
+    def line(job: Job[TrialTask], result: TaskResult[Any]) -> dict[str, Any] | None:
+        return None if result.value is None else {"metrics": result.value}
+
+    for done, result in enumerate(compute_results(missing, log, execute, line), 1):
+        table, name = rows_of[result.job.name]
+        if result.value is None:
+            failures.append(f"{name} ({table}) failed: {result.error}")
+        else:
+            metrics[result.job.name] = result.value["metrics"]
+        reason = "" if result.error is None else f": {result.error}"
+        print(f"{done} of {len(missing)}: {table}, {name}{reason}", file=sys.stderr)
     nothing = [None] * len(variants.sources)
-    found = {row: list(known[to_json(v)].metrics or nothing) for row, v in full.items()}
-    return found, failures
+    figures = {row: list(metrics.get(to_json(v)) or nothing) for row, v in full.items()}
+    return figures, failures
 
 
 def _changed(values: Values, preset: Values) -> dict[str, float]:
@@ -205,9 +214,9 @@ class Column:
 
     def cell(self, values: Sequence[float | None]) -> str:
         """The values of a row, those that were not measured left out."""
-        known = [value for value in values if value is not None]
+        finite = [value for value in values if value is not None]
         write = self.beside if len(values) > 1 else self.alone
-        return " / ".join(write(value) for value in known) + self.unit if known else "–"
+        return " / ".join(write(value) for value in finite) + self.unit if finite else "–"
 
 
 def _fixed(digits: int) -> Callable[[float], str]:
@@ -448,11 +457,11 @@ def main(settings: Settings) -> None:
             chosen.config, tuple(sources.values()), settings.hand, LIKE_ANY_VALUE, settings.seed,
             settings.workers, settings.cache / "method.jsonl",
         )  # fmt: skip
-        found, failures = measure_rows(variants, rows)
+        figures, failures = measure_rows(variants, rows)
         report.notes += failures
-        write_rows(report, sources, rows, found)
+        write_rows(report, sources, rows, figures)
         if "fronts" in settings.parts:
-            draw_fronts(settings, report, sources, found, others)
+            draw_fronts(settings, report, sources, figures, others)
     if "hands" in settings.parts:
         write_hands(settings, report, chosen)
     report.finish(settings.output, settings.compare)
@@ -465,7 +474,7 @@ def recordings(settings: Settings, named: Mapping[str, str]) -> dict[str, Source
     """What they are called in tables -> recordings."""
     if settings.recordings:
         named = {text: text for text in settings.recordings}
-    found = {}
+    result = {}
     for name, text in named.items():
         if not (settings.recordings or text.startswith(SYNTHETIC)):
             if settings.data is None:
@@ -474,8 +483,8 @@ def recordings(settings: Settings, named: Mapping[str, str]) -> dict[str, Source
         sources = load_sources([parse_request(text)])
         if len(sources) != 1:
             raise BenchmarkError(f"{name} holds {len(sources)} recordings: name each by itself")
-        found[name] = sources[0]
-    return found
+        result[name] = sources[0]
+    return result
 
 
 # -- rows: one method, other settings -------------------------------------------------------------
@@ -493,8 +502,8 @@ def rows_of(settings: Settings) -> dict[Row, Values]:
         tables["alone"] = {NOTHING: nothing}
         for name, parts in ALONE.items():
             back = {path for part in parts for path in WITHOUT[part]}
-            kept = {path: value for path, value in nothing.items() if path not in back}
-            tables["alone"][f"only {name}"] = kept
+            others = {path: value for path, value in nothing.items() if path not in back}
+            tables["alone"][f"only {name}"] = others
     if "fronts" in settings.parts:
         tables["fronts"] = {WHOLE: {}}  # for the picture, and what is out in one of its points
         tables["fronts"] |= {f.without: WITHOUT[f.without] for f in FRONTS if f.without}
@@ -509,14 +518,14 @@ def rows_of(settings: Settings) -> dict[Row, Values]:
 
 
 def write_rows(
-    report: Report, sources: Mapping[str, Source], rows: Iterable[Row], found: Found
+    report: Report, sources: Mapping[str, Source], rows: Iterable[Row], measured: Found
 ) -> None:
     """Adds the rows to the report, a table for each part."""
     tables: dict[str, list[list[object]]] = {}
     for table, name in rows:
         if table == "fronts":
             continue
-        every = [figures_of(metrics) for metrics in found[table, name]]
+        every = [figures_of(metrics) for metrics in measured[table, name]]
         for recording, figures in zip(sources, every, strict=True):
             report.add(f"{table}/{name.strip('*')}/{recording}", figures)
         tables.setdefault(table, []).append([name, *cells_of(every)])
@@ -529,7 +538,7 @@ def draw_fronts(
     settings: Settings,
     report: Report,
     sources: Mapping[str, Source],
-    found: Found,
+    figures: Found,
     others: Sequence[Choice],
 ) -> None:
     """A row of panels for each front, a panel for each recording."""
@@ -538,9 +547,9 @@ def draw_fronts(
     for front in FRONTS:
         row = []
         for i, (recording, source) in enumerate(sources.items()):
-            chosen = found["fronts", WHOLE][i]
-            own = [one[i] for key, one in found.items() if key[0] == front.title]
-            own += [chosen, found["fronts", front.without][i] if front.without else None]
+            chosen = figures["fronts", WHOLE][i]
+            own = [one[i] for key, one in figures.items() if key[0] == front.title]
+            own += [chosen, figures["fronts", front.without][i] if front.without else None]
             tried = [metrics for metrics in own if metrics is not None]
             compared = {
                 label: one.metrics
@@ -573,16 +582,16 @@ def measure_others(
         for choice in choices
         for source in sources
     ]
-    found: dict[tuple[str, str, str], CellFigures] = {}
-    kept = ResultCache(settings.cache, warn)
-    for one in measure_cells(cells, kept, settings.workers, settings.seed, per_frame=False):
+    figures: dict[tuple[str, str, str], CellFigures] = {}
+    cache = ResultCache(settings.cache, warn)
+    for one in measure_cells(cells, cache, settings.workers, settings.seed, per_frame=False):
         label = method_label(one.cell.method, one.cell.preset)
-        found[one.cell.source.name, one.cell.hand, label] = one
+        figures[one.cell.source.name, one.cell.hand, label] = one
         if one.fresh:
-            print(f"{len(found)} of {len(cells)}: {one.cell.label}", file=sys.stderr)
+            print(f"{len(figures)} of {len(cells)}: {one.cell.label}", file=sys.stderr)
         if one.metrics is None:
             report.notes.append(f"{one.cell.label} failed: {one.reason}")
-    return found
+    return figures
 
 
 def write_hands(settings: Settings, report: Report, chosen: Choice) -> None:
@@ -590,13 +599,13 @@ def write_hands(settings: Settings, report: Report, chosen: Choice) -> None:
     sources = recordings(settings, HANDS_ON)
     choices = (*select_methods((SBR,)), chosen)
     labels = [method_label(choice.method, choice.preset) for choice in choices]
-    found = measure_others(settings, report, list(sources.values()), settings.hands, choices)
+    measured = measure_others(settings, report, list(sources.values()), settings.hands, choices)
     rows: list[list[object]] = []
     missed: list[list[object]] = []
-    asked = 0
+    count = 0
     for hand in settings.hands:
         for recording, source in sources.items():
-            both = [found[source.name, hand, label].metrics for label in labels]
+            both = [measured[source.name, hand, label].metrics for label in labels]
             for label, metrics in zip(labels, both, strict=True):
                 figures = figures_of(metrics)
                 report.add(f"hands/{hand}/{recording}/{label}", figures)
@@ -606,7 +615,7 @@ def write_hands(settings: Settings, report: Report, chosen: Choice) -> None:
             for line in judge_hand(both[1], both[0]):
                 if line.passed is None:
                     continue
-                asked += 1
+                count += 1
                 where = f"hands/{hand}/{recording}/better/{line.name}"
                 report.add(where, {"passed": float(line.passed)})
                 if not line.passed:
@@ -614,7 +623,7 @@ def write_hands(settings: Settings, report: Report, chosen: Choice) -> None:
                     missed.append([f"`{hand}`", recording, name, line.reached, line.asked])
     report.table("Other hands", ("hand", "recording", "", *HEADER), rows, texts=3)
     header = ("hand", "recording", "line", labels[1], labels[0])
-    report.table(f"Not better than {SBR}: {len(missed)} of {asked} lines", header, missed, texts=3)
+    report.table(f"Not better than {SBR}: {len(missed)} of {count} lines", header, missed, texts=3)
 
 
 if __name__ == "__main__":

@@ -109,11 +109,11 @@ def main(settings: Settings) -> None:
     report, off = Report("noise", vars(settings)), rows[0.0]
     cells = []
     for value, row in rows.items():
-        found = (row.tip_error_mm, row.lag_ms, row.truth.motion_preservation,
+        figures = (row.tip_error_mm, row.lag_ms, row.truth.motion_preservation,
                  row.truth.velocity_correlation, row.truth.jitter_mm, row.tracked,
                  row.loss(off, 0), row.loss(off, 1))  # fmt: skip
-        cells.append([name_of(value), *found])
-        report.add(name_of(value), dict(zip(COLUMNS, found, strict=True)))
+        cells.append([name_of(value), *figures])
+        report.add(name_of(value), dict(zip(COLUMNS, figures, strict=True)))
     report.table("Removal of tracker noise", ("filter", *COLUMNS), cells)
     settings.output.parent.mkdir(parents=True, exist_ok=True)
     report.finish(settings.output, None)
@@ -141,10 +141,10 @@ def measure(value: float, sources: Sequence[Source], settings: Settings) -> Row:
 
     errors = []
     for name in settings.hands:
-        asked = asked_motion(name, settings.seed)
-        joints = commands(name, asked.recording).joint_positions
-        found = motion_figures(load_hand(name), asked, joints)
-        errors.append([found["tip_error_mm"], found["lag_ms"]])
+        request = asked_motion(name, settings.seed)
+        joints = commands(name, request.recording).joint_positions
+        measured = motion_figures(load_hand(name), request, joints)
+        errors.append([measured["tip_error_mm"], measured["lag_ms"]])
     hand, real = load_hand(settings.hands[0]), {}
     for source in sources:
         recording, clean = source.recording, without_noise(source)

@@ -100,8 +100,8 @@ def measure(task: Task) -> Mapping[str, float | None]:
     row = PinchHold().run(case).row
     trace = assemble_trace(recording, case.commands(recording), case.hand, reach_samples=0)
     figures = evaluate(trace)
-    found: dict[str, float | None] = {name: _number(row[name]) for name in PINCH}
-    return found | {name: figure(figures, metric) for name, metric in FOLLOWING.items()}
+    values: dict[str, float | None] = {name: _number(row[name]) for name in PINCH}
+    return values | {name: figure(figures, metric) for name, metric in FOLLOWING.items()}
 
 
 def rows_of(settings: Settings) -> dict[str, tuple[str, MethodConfig]]:
@@ -125,19 +125,19 @@ def main(settings: Settings) -> None:
         for request in requests
     ]
     report = Report("pinch_front", vars(settings))
-    found: dict[str, dict[str, Mapping[str, float | None]]] = {row: {} for row in rows}
+    figures: dict[str, dict[str, Mapping[str, float | None]]] = {row: {} for row in rows}
     for result in run_tasks(measure, tasks, workers=settings.workers):
         task = tasks[result.index]
         if result.value is None:
             raise BenchmarkError(f"{task.row} on {task.request}: {result.error}")
-        found[task.row][task.request] = result.value
+        figures[task.row][task.request] = result.value
     columns = [*PINCH, *FOLLOWING]
     names = [Path(request.split("@")[0]).stem for request in requests]
     for name, request in zip(names, requests, strict=True):
-        cells = [[row, *(found[row][request][c] for c in columns)] for row in rows]
+        cells = [[row, *(figures[row][request][c] for c in columns)] for row in rows]
         report.table(name, ("pinch_damping, or method", *columns), cells)
     means = {
-        row: {c: _mean([one[c] for one in found[row].values()]) for c in columns} for row in rows
+        row: {c: _mean([one[c] for one in figures[row].values()]) for c in columns} for row in rows
     }
     report.table(
         "Mean of the recordings", ("pinch_damping, or method", *columns),
@@ -145,7 +145,7 @@ def main(settings: Settings) -> None:
     )  # fmt: skip
     for row in rows:
         for name, request in zip(names, requests, strict=True):
-            report.add(f"{row}/{name}", found[row][request])
+            report.add(f"{row}/{name}", figures[row][request])
     settings.output.parent.mkdir(parents=True, exist_ok=True)
     report.finish(settings.output, None)
     settings.output.with_suffix(".md").write_text(report.tables() + "\n", encoding="utf-8")
@@ -182,8 +182,8 @@ def _number(value: object) -> float | None:
 
 
 def _mean(values: Sequence[float | None]) -> float | None:
-    known = [value for value in values if value is not None]
-    return float(np.mean(known)) if known else None
+    finite = [value for value in values if value is not None]
+    return float(np.mean(finite)) if finite else None
 
 
 if __name__ == "__main__":

@@ -88,12 +88,12 @@ def against_truth(trace: Trace, clean: Float[np.ndarray, "T 21 3"]) -> AgainstTr
         trace: the run.
         clean: (T, 21, 3) the operator's landmarks without noise, aligned as in the trace [m].
     """
-    known = replace(trace, human=clean)
+    clean_trace = replace(trace, human=clean)
     robot, tracked = (
-        _figures(known.human_reaches, moved, trace)
+        _figures(clean_trace.human_reaches, moved, trace)
         for moved in (trace.robot_reaches, trace.human_reaches)
     )
-    return AgainstTruth(robot, tracked, evaluate(known), human_figures(clean, trace.fingers))
+    return AgainstTruth(robot, tracked, evaluate(clean_trace), human_figures(clean, trace.fingers))
 
 
 def _figures(
@@ -101,13 +101,13 @@ def _figures(
 ) -> TruthFigures:
     off = np.diff(moved, axis=0) - np.diff(truth, axis=0)
     squares = (off**2).sum(axis=-1)
-    known = squares[np.isfinite(squares)]
+    finite = squares[np.isfinite(squares)]
     delay, correlation = consistency.lag(truth, moved, trace.stamps)
     return TruthFigures(
         consistency.motion_preservation(truth, moved),
         correlation,
         delay,
-        1e3 * float(np.sqrt(known.mean())) if known.size else None,
+        1e3 * float(np.sqrt(finite.mean())) if finite.size else None,
     )
 
 
@@ -257,11 +257,11 @@ def _figure(figures: Figures, name: str) -> float | None:
 def _best(
     others: Mapping[str, Figures], name: str, merit: Callable[[float], float]
 ) -> tuple[str, float] | None:
-    known = {label: v for label, one in others.items() if (v := _figure(one, name)) is not None}
-    if not known:
+    values = {label: v for label, one in others.items() if (v := _figure(one, name)) is not None}
+    if not values:
         return None
-    label = max(known, key=lambda one: merit(known[one]))
-    return label, known[label]
+    label = max(values, key=lambda one: merit(values[one]))
+    return label, values[label]
 
 
 def _cosine(own: Figures, others: Mapping[str, Figures]) -> TargetLine:
@@ -270,8 +270,8 @@ def _cosine(own: Figures, others: Mapping[str, Figures]) -> TargetLine:
     best = _best(others, "cosine_similarity", float)
     if best is None or reached is None:
         return TargetLine(name, "", ">=", None, reached, note="nothing to compare with")
-    asked = best[1] + 0.25 * (1.0 - best[1])
-    return TargetLine(name, "", ">=", asked, reached, *best, reached >= asked, note)
+    goal = best[1] + 0.25 * (1.0 - best[1])
+    return TargetLine(name, "", ">=", goal, reached, *best, reached >= goal, note)
 
 
 def _at_least(
@@ -292,9 +292,9 @@ def _scale(own: Figures, accurate: Mapping[str, Figures], nobody: str) -> Target
         note = nobody if reached is not None else "not to be measured"
         off = None if reached is None else abs(reached - 1.0)
         return TargetLine(name, "", "<", None, off, note=note)
-    off, asked = abs(reached - 1.0), abs(best[1] - 1.0)
+    off, goal = abs(reached - 1.0), abs(best[1] - 1.0)
     note = f"ratio {reached:.4f}, theirs {best[1]:.4f}"
-    return TargetLine(name, "", "<", asked, off, best[0], asked, off < asked, note)
+    return TargetLine(name, "", "<", goal, off, best[0], goal, off < goal, note)
 
 
 def _lag(own: Figures, others: Mapping[str, Figures], rate: float | None) -> TargetLine:
@@ -317,19 +317,17 @@ def _flatness(own: Figures, others: Mapping[str, Figures], human: HumanFigures) 
     if reached is None or paper is None:
         note = "not to be measured" if reached is None else f"{SBR_PAPER} was not measured"
         return TargetLine(name, unit, "<=", None, reached, note=note)
-    asked = 0.5 * paper
-    if human.flatness is None or human.flatness <= asked:
+    goal = 0.5 * paper
+    if human.flatness is None or human.flatness <= goal:
         note = f"half of {SBR_PAPER}"
-        return TargetLine(
-            name, unit, "<=", asked, reached, SBR_PAPER, paper, reached <= asked, note
-        )
+        return TargetLine(name, unit, "<=", goal, reached, SBR_PAPER, paper, reached <= goal, note)
     following = {
         label: figures
         for label, figures in others.items()
         if (_figure(figures, "motion_preservation") or 0.0) > FOLLOWING
     }
     best = _best(following, "flatness", lambda value: -value)
-    forbids = f"the human's own is above half of {SBR_PAPER} ({asked:.2e})"
+    forbids = f"the human's own is above half of {SBR_PAPER} ({goal:.2e})"
     if best is None:
         note = f"{forbids}, and no method preserves motion above {FOLLOWING}"
         return TargetLine(name, unit, "<=", None, reached, note=note)
@@ -337,20 +335,20 @@ def _flatness(own: Figures, others: Mapping[str, Figures], human: HumanFigures) 
     return TargetLine(name, unit, "<=", best[1], reached, *best, reached <= best[1], note)
 
 
-def _at_most(own: Figures, metric: str, name: str, unit: str, asked: float) -> TargetLine:
+def _at_most(own: Figures, metric: str, name: str, unit: str, goal: float) -> TargetLine:
     reached = _figure(own, metric)
     if reached is None:
-        return TargetLine(name, unit, "<=", asked, None, note="not measured")
-    return TargetLine(name, unit, "<=", asked, reached, passed=reached <= asked)
+        return TargetLine(name, unit, "<=", goal, None, note="not measured")
+    return TargetLine(name, unit, "<=", goal, reached, passed=reached <= goal)
 
 
 def _pinch(own: Figures, metric: str, name: str, human: float | None) -> TargetLine:
     reached = _figure(own, metric)
     if reached is None or human is None:
         return TargetLine(name, "mm", "<=", None, reached, note="the human does not pinch")
-    asked = human + PINCH_MARGIN_MM
+    goal = human + PINCH_MARGIN_MM
     return TargetLine(
-        name, "mm", "<=", asked, reached, "human", human, reached <= asked, "human's own + 2 mm"
+        name, "mm", "<=", goal, reached, "human", human, reached <= goal, "human's own + 2 mm"
     )
 
 
@@ -358,9 +356,9 @@ def _joint_step(own: Figures, rate: float | None) -> TargetLine:
     name, reached = "largest joint step", _figure(own, "max_joint_step")
     if reached is None or rate is None:
         return TargetLine(name, "rad", "<=", None, reached, note="one frame only")
-    asked = JOINT_STEP * STEP_RATE / rate
+    goal = JOINT_STEP * STEP_RATE / rate
     note = f"{JOINT_STEP} rad at {STEP_RATE:g} Hz, here {rate:.4g} Hz"
-    return TargetLine(name, "rad", "<=", asked, reached, passed=reached <= asked, note=note)
+    return TargetLine(name, "rad", "<=", goal, reached, passed=reached <= goal, note=note)
 
 
 def _fact(name: str, unit: str, value: float | None, note: str) -> TargetLine:

@@ -147,10 +147,10 @@ def step_figures(
     human: Float[np.ndarray, "T F 3"], robot: Float[np.ndarray, "T F 3"]
 ) -> StepFigures:
     """The figures of wrist to tip vectors [m], NaN where unknown."""
-    asked, done = (np.linalg.norm(np.diff(tips, axis=0), axis=-1) for tips in (human, robot))
-    large = asked > LARGE_STEP  # NaN compares as False
-    gains = done[large] / asked[large]
-    jumps = ((done - asked) > JUMP).any(axis=-1)
+    human_steps, done = (np.linalg.norm(np.diff(tips, axis=0), axis=-1) for tips in (human, robot))
+    large = human_steps > LARGE_STEP  # NaN compares as False
+    gains = done[large] / human_steps[large]
+    jumps = ((done - human_steps) > JUMP).any(axis=-1)
     return StepFigures(
         motion_preservation(human, robot),
         summary.median(gains),

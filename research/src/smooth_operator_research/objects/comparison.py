@@ -111,28 +111,28 @@ def compare(
         surface = HandSurface(hand)
         for method in methods:
             answer, alignment = answer_of(method, hand, settings)
-            for made in clips:
-                commands, palm = answer(made)
-                figures = judge(made, surface, commands, palm, alignment)
-                out.append(Judged(method, name, made.clip.name, figures))
+            for clip in clips:
+                commands, palm = answer(clip)
+                figures = judge(clip, surface, commands, palm, alignment)
+                out.append(Judged(method, name, clip.clip.name, figures))
             note(f"{name}: {method}")
     return out
 
 
 def judge(
-    made: MadeClip,
+    clip: MadeClip,
     surface: HandSurface,
     commands: CommandTrajectory,
     T_world_palm: Float[np.ndarray, "T 7"],
     alignment: AlignmentConfig,
 ) -> dict[str, float]:
     """Figures of one run, against the contacts of record."""
-    side = next(iter(made.clip.hands))
+    side = next(iter(clip.clip.hands))
     trace = assemble_trace(
-        made.clip.hands[side], commands, surface.hand, alignment, reach_samples=0
+        clip.clip.hands[side], commands, surface.hand, alignment, reach_samples=0
     )
     figures = interaction_figures(
-        interaction_tracks(surface, commands.joint_positions, T_world_palm, made.scene, made.truth)
+        interaction_tracks(surface, commands.joint_positions, T_world_palm, clip.scene, clip.truth)
     )
     cosine = cosine_similarity(trace.human_keyvectors, trace.robot_keyvectors)
     return figures | {"cosine": float("nan") if cosine is None else cosine}
@@ -150,9 +150,9 @@ def answer_of(method: str, hand: Hand, settings: ObjectSettings) -> tuple[Answer
         chosen = settings if method == AWARE else replace(settings, shift=0.0, turn=0.0)
         aware = ObjectAwareRetargeter(hand, settings=chosen)
 
-        def with_objects(made: MadeClip) -> tuple[CommandTrajectory, np.ndarray]:
-            found = aware.run(made.clip, next(iter(made.clip.hands)), made.solids)
-            return found.commands, found.T_world_palm
+        def with_objects(clip: MadeClip) -> tuple[CommandTrajectory, np.ndarray]:
+            trajectory = aware.run(clip.clip, next(iter(clip.clip.hands)), clip.solids)
+            return trajectory.commands, trajectory.T_world_palm
 
         return with_objects, aware.config.alignment
     name, _, preset = method.removesuffix(_FITTED).partition(":")
@@ -163,8 +163,8 @@ def answer_of(method: str, hand: Hand, settings: ObjectSettings) -> tuple[Answer
         else TrajectoryRetargeter(hand, whole_config(config))
     )
 
-    def without(made: MadeClip) -> tuple[CommandTrajectory, np.ndarray]:
-        recording = next(iter(made.clip.hands.values()))
+    def without(clip: MadeClip) -> tuple[CommandTrajectory, np.ndarray]:
+        recording = next(iter(clip.clip.hands.values()))
         commands, _ = runner.run(recording)
         palm = palm_in_world(recording, hand, config.alignment)
         if method.endswith(_FITTED):
@@ -264,7 +264,7 @@ def _ratio(
     pairs = pairs[np.isfinite(pairs).all(axis=1)]
     rng = np.random.default_rng(seed)
     drawn = pairs[rng.integers(0, len(pairs), (draws, len(pairs)))].mean(axis=1)
-    found = drawn[:, 0] / np.maximum(drawn[:, 1], 1e-12)
+    ratios = drawn[:, 0] / np.maximum(drawn[:, 1], 1e-12)
     mean = pairs.mean(axis=0)
-    low, high = np.quantile(found, [0.025, 0.975])
+    low, high = np.quantile(ratios, [0.025, 0.975])
     return float(mean[0] / max(mean[1], 1e-12)), float(low), float(high)

@@ -45,30 +45,30 @@ def draw_comparison(
     require("the picture", "lab", "matplotlib")
     from matplotlib.figure import Figure
 
-    made = make_clip(spec or SceneSpec("grasp", "cylinder", 0))
-    surface = HandSurface(load_hand(hand, next(iter(made.clip.hands))))
-    frame = int(np.searchsorted(made.clip.stamps, _TIME_S))
+    clip = make_clip(spec or SceneSpec("grasp", "cylinder", 0))
+    surface = HandSurface(load_hand(hand, next(iter(clip.clip.hands))))
+    frame = int(np.searchsorted(clip.clip.stamps, _TIME_S))
     figure = Figure(figsize=(10, 5), dpi=120, layout="constrained")
     depths = {}
     for column, method in enumerate((BLIND, AWARE), start=1):
         answer, _ = answer_of(method, surface.hand, DEFAULT)
-        commands, palm = answer(made)
+        commands, palm = answer(clip)
         q = commands.joint_positions
         world = apply(palm[frame][None], surface.surface.at(surface.frames(q[frame : frame + 1])))[
             0
         ]
-        deepest = hand_depths(surface, q, palm, made.scene).deepest
+        deepest = hand_depths(surface, q, palm, clip.scene).deepest
         depths[method] = 1e3 * float(deepest[frame])
         axes = figure.add_subplot(1, 2, column)
-        _draw(axes, made, frame, world)
+        _draw(axes, clip, frame, world)
         axes.set_title(f"{method}: deepest point {depths[method]:.1f} mm")
     figure.savefig(file)
     return depths
 
 
-def _draw(axes: Any, made: MadeClip, frame: int, world: Float[np.ndarray, "n 3"]) -> None:
+def _draw(axes: Any, clip: MadeClip, frame: int, world: Float[np.ndarray, "n 3"]) -> None:
     """Hand and object as dots, the near ones over the far ones, seen along the object."""
-    solid, track = made.scene.solids[0], made.scene.T_world_object[0, frame]
+    solid, track = clip.scene.solids[0], clip.scene.T_world_object[0, frame]
     back = poses.invert(track)
     hand = poses.rotate(back[None, 3:], world) + back[:3]
     hand = hand[np.linalg.norm(hand, axis=-1) < _SHOWN_M]
@@ -93,8 +93,8 @@ def _draw(axes: Any, made: MadeClip, frame: int, world: Float[np.ndarray, "n 3"]
     axes.scatter(
         *inside[:, :2].T, s=_DOT, c=_INSIDE, linewidths=0, label="robot, inside the object"
     )
-    touched = made.truth.touching[frame]
-    places = made.truth.place[frame][touched] @ view
+    touched = clip.truth.touching[frame]
+    places = clip.truth.place[frame][touched] @ view
     axes.scatter(
         *places[:, :2].T, s=60, c=_TOUCHED, edgecolors="white", label="touched by the human"
     )

@@ -89,8 +89,8 @@ class GraspingHand:
 
         low = np.concatenate([self.low, np.full(3, -0.1), np.full(3, -0.8)])
         begin = np.concatenate([self.prior, np.zeros(6)])[None]
-        found = _least_squares(residuals, begin, low, np.concatenate([self.high, -low[16:]]), 60)
-        return placed(found[:, 16:])[0], found[0, :16]
+        solution = _least_squares(residuals, begin, low, np.concatenate([self.high, -low[16:]]), 60)
+        return placed(solution[:, 16:])[0], solution[0, :16]
 
     def follow(
         self,
@@ -182,10 +182,10 @@ def _least_squares(
         hessian += (scale + stuck)[:, :, None] * np.eye(size)
         step = np.linalg.solve(hessian, (pull * ~stuck)[..., None])[..., 0]
         new = np.clip(x + np.clip(step, -0.3, 0.3), low, high)
-        found = residuals(new)
-        value = (found**2).sum(axis=1)
+        trial = residuals(new)
+        value = (trial**2).sum(axis=1)
         better = value < cost
         x, cost = np.where(better[:, None], new, x), np.where(better, value, cost)
-        error = np.where(better[:, None], found, error)
+        error = np.where(better[:, None], trial, error)
         damping = np.clip(np.where(better, damping / 5, damping * 5), 1e-9, 1e6)
     return np.asarray(x)

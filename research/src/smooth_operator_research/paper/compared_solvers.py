@@ -62,9 +62,9 @@ def soft_mean(
     An output whose cost is not finite has no weight; where none is finite, the answer is not.
     """
     xp = array_namespace(costs)
-    known = xp.isfinite(costs)
-    costs = xp.where(known, costs, xp.inf)
-    weights = xp.where(known, xp.exp(-(costs - costs.min()) / temperature), 0.0)
+    finite = xp.isfinite(costs)
+    costs = xp.where(finite, costs, xp.inf)
+    weights = xp.where(finite, xp.exp(-(costs - costs.min()) / temperature), 0.0)
     outputs = xp.where(weights > 0, outputs, 0.0)
     mean: AnyKind = (outputs * weights).sum(axis=-1) / weights.sum()
     return mean
@@ -258,10 +258,10 @@ class Rmsprop(_FromStarts):
         limits, starts = objective.hand.limits, self.starts
         many = scattered_starts(last, limits, key, starts.count, starts.spread)
         both = _few_gradients if starts.count <= _FEW else _many_gradients
-        found, costs, evaluations = rmsprop_minimise(
+        solution, costs, evaluations = rmsprop_minimise(
             lambda q: both(objective, goal, q), many, limits, self.config, knobs[0], knobs[1]
         )
-        return soft_mean(found, costs, starts.temperature), evaluations
+        return soft_mean(solution, costs, starts.temperature), evaluations
 
 
 @dataclass(frozen=True)
@@ -299,13 +299,13 @@ class Newton(_FromStarts):
         many = scattered_starts(last, limits, key, starts.count, starts.spread)
 
         def descend(q: Array) -> tuple[Array, Array]:
-            found = newton_minimise(
+            solution = newton_minimise(
                 lambda few: objective.few_value_grad_hess(few, goal), q, limits, self.config
             )
-            return found[:2]
+            return solution[:2]
 
-        found, costs = jax.vmap(descend, in_axes=1, out_axes=(1, 0))(many)
-        return soft_mean(found, costs, starts.temperature), jnp.int32(self.config.iterations)
+        solution, costs = jax.vmap(descend, in_axes=1, out_axes=(1, 0))(many)
+        return soft_mean(solution, costs, starts.temperature), jnp.int32(self.config.iterations)
 
 
 @dataclass(frozen=True)

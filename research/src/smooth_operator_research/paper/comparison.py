@@ -75,8 +75,8 @@ class Comparison:
     def others(self) -> float | None:
         """The largest share of the cores that other processes took during a run."""
         shares = [run.others for own in self.runs.values() for seeds in own for run in seeds]
-        known = [share for share in shares if np.isfinite(share)]
-        return max(known) if known else None
+        finite = [share for share in shares if np.isfinite(share)]
+        return max(finite) if finite else None
 
     def table(self, title: str) -> Table:
         """Loss, jitter and time of every solver."""

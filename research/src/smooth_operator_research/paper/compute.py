@@ -144,10 +144,10 @@ def balance(losses: Losses, line: list[Point]) -> tuple[Point, Estimate, Estimat
     inner = line[1:-1]
 
     def best(without: str | None) -> Point:
-        kept = [r for r, unit in enumerate(units) if unit != without]
-        if not kept:
+        others = [r for r, unit in enumerate(units) if unit != without]
+        if not others:
             return inner[len(inner) // 2]
-        return min(inner, key=lambda point: float(np.log(losses[point].means[kept]).mean()))
+        return min(inner, key=lambda point: float(np.log(losses[point].means[others]).mean()))
 
     chosen = {unit: best(unit) for unit in units}
     values = [losses[chosen[unit]].values[r] for r, unit in enumerate(units)]

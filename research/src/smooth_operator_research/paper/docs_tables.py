@@ -70,13 +70,13 @@ def read_results(folder: Path) -> dict[str, Any]:
 
 def _table(results: Results, experiment: str, title: str, columns: Sequence[str] = ()) -> Table:
     """One of an experiment's tables, or some columns of it."""
-    for found in results[experiment]["tables"]:
-        if found["title"].startswith(title):
-            kept = [found["headers"].index(name) for name in columns or found["headers"]]
+    for table in results[experiment]["tables"]:
+        if table["title"].startswith(title):
+            indices = [table["headers"].index(name) for name in columns or table["headers"]]
             return Table(
-                found["title"],
-                [found["headers"][i] for i in kept],
-                [[row[i] for i in kept] for row in found["rows"]],
+                table["title"],
+                [table["headers"][i] for i in indices],
+                [[row[i] for i in indices] for row in table["rows"]],
             )
     raise KeyError(f"{experiment} has no table {title!r}")
 
@@ -85,9 +85,9 @@ def _joined(first: Table, *others: Table) -> Table:
     """Tables with the same rows as one; a dash where another table lacks a row."""
     rows = [list(row) for row in first.rows]
     for other in others:
-        found = {row[0]: row[1:] for row in other.rows}
+        cells = {row[0]: row[1:] for row in other.rows}
         for row in rows:
-            row.extend(found.get(row[0], ["–"] * (len(other.headers) - 1)))
+            row.extend(cells.get(row[0], ["–"] * (len(other.headers) - 1)))
     headers = [*first.headers, *(name for other in others for name in other.headers[1:])]
     return Table(first.title, headers, rows)
 
@@ -107,20 +107,20 @@ def _wide(results: Results, experiment: str, title: str, groups: Groups) -> Tabl
         title: of the table.
         groups: figures, and the conditions that each is given for.
     """
-    made: list[Table] = []
+    tables: list[Table] = []
     for figure, choose in groups:
         own = _table(results, experiment, title)
         where = own.headers.index(figure)
         for condition in choose(list(dict.fromkeys(row[1] for row in own.rows))):
             rows = [[row[0], row[where]] for row in own.rows if row[1] == condition]
-            made.append(Table(own.title, [own.headers[0], f"{figure}, {condition}"], rows))
-    return _joined(*made)
+            tables.append(Table(own.title, [own.headers[0], f"{figure}, {condition}"], rows))
+    return _joined(*tables)
 
 
 def _number(text: str) -> float:
     """The figure at the start of a condition; 0 where it has none."""
-    found = re.match(r"[\d.]+", text)
-    return float(found[0]) if found else 0.0
+    number = re.match(r"[\d.]+", text)
+    return float(number[0]) if number else 0.0
 
 
 def _nearest_mm(conditions: Sequence[str]) -> Sequence[str]:
@@ -222,9 +222,9 @@ def block(name: str, table: Table) -> str:
     return f"<!-- table: {name} -->\n{markdown(bare)}\n<!-- end -->"
 
 
-def replaced(text: str, name: str, made: str) -> str:
+def replaced(text: str, name: str, block: str) -> str:
     """A page with one of its tables replaced."""
-    return BLOCK.sub(lambda found: made if found[1] == name else found[0], text)
+    return BLOCK.sub(lambda match: block if match[1] == name else match[0], text)
 
 
 def main(settings: Settings) -> None:
@@ -233,10 +233,10 @@ def main(settings: Settings) -> None:
     text = "" if settings.docs is None else settings.docs.read_text(encoding="utf-8")
     names = settings.only or ([match[1] for match in BLOCK.finditer(text)] if text else TABLES)
     for name in names:
-        made = block(name, TABLES[name](built_in, real))
+        content = block(name, TABLES[name](built_in, real))
         if settings.docs is None:
-            print(made, end="\n\n")
-        text = replaced(text, name, made)
+            print(content, end="\n\n")
+        text = replaced(text, name, content)
     if settings.docs is not None:
         settings.docs.write_text(text, encoding="utf-8")
 

@@ -103,15 +103,15 @@ def synthetic_operators(count: int, frames: int) -> tuple[str, ...]:
         count: how many.
         frames: of each.
     """
-    found = []
+    names = []
     for seed in range(count):
         length, tempo, part = ((share * (seed + 1)) % 1.0 for share in _SHARES)
         first = 100 + 10 * round(part * (1900 - frames - 100) / 10)
-        found.append(
+        names.append(
             f"synthetic:{seed}@{16 + 5 * length:.1f}cm,{0.8 + 0.5 * tempo:.2f}x,"
             f"{first}:{first + frames}"
         )
-    return tuple(found)
+    return tuple(names)
 
 
 QUICK: Final = Size(
@@ -409,11 +409,11 @@ class ExperimentContext:
         """
         cache = self.store.cells
         once = {job.name: job for job in jobs}  # the same cell may be asked for twice
-        found, missing = find_results(list(once.values()), cache)
+        results, missing = find_results(list(once.values()), cache)
         if missing:
             with self.track(phase, sum(job.effort for job in missing)) as advance:
-                found += compute_results(missing, cache, lambda _: _computed(missing, advance))
-        arrays: dict[str, Any] = {result.job.name: result.value for result in found}
+                results += compute_results(missing, cache, lambda _: _computed(missing, advance))
+        arrays: dict[str, Any] = {result.job.name: result.value for result in results}
         return [arrays[job.name] for job in jobs]
 
     def problems(self, config: ObjectiveConfig, frames: int) -> list[Problem]:
@@ -432,13 +432,13 @@ class ExperimentContext:
     @cached_property
     def tuning(self) -> Problem:
         """DexPilot's loss on frames that are not judged."""
-        taken = {source.digest for source in self.sources}
+        digests = {source.digest for source in self.sources}
         side = self.sources[0].side
-        for seed in range(TUNING_OPERATOR, TUNING_OPERATOR + 1 + len(taken)):
+        for seed in range(TUNING_OPERATOR, TUNING_OPERATOR + 1 + len(digests)):
             # from the middle of the round: pinches, and open fingers
             frames = f"600:{600 + self.size.tuning_frames}"
             (source,) = load_sources([parse_request(f"synthetic:{seed}@{frames}", side=side)])
-            if source.digest not in taken:
+            if source.digest not in digests:
                 break
         (problem,) = make_problems(
             [source], self.hand, DEXPILOT_PUBLISHED.objective, self.size.tuning_frames

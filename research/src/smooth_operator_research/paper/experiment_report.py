@@ -50,14 +50,14 @@ td.verdict { white-space: nowrap; }
 
 
 def write_outcome(
-    store: ExperimentFolder, name: str, made: Experiment, outcome: Outcome, warning: str = ""
+    store: ExperimentFolder, name: str, experiment: Experiment, outcome: Outcome, warning: str = ""
 ) -> Path:
     """Writes the outcome of an experiment.
 
     Args:
         store: the folder.
         name: of the experiment.
-        made: the experiment.
+        experiment: the experiment.
         outcome: of the experiment.
         warning: what a reader must know before the verdicts.
 
@@ -72,8 +72,8 @@ def write_outcome(
         write_figure(drawing.figure, folder / drawing.name)
     content = {
         "experiment": name,
-        "title": made.title,
-        "claim": made.claim,
+        "title": experiment.title,
+        "claim": experiment.claim,
         "warning": warning,
         "setup": outcome.setup,
         "verdicts": outcome.verdicts,
@@ -93,8 +93,8 @@ def write_report(store: ExperimentFolder) -> Path:
     Raises:
         OutputError: it can't be written.
     """
-    found = {name: _read(store.folder / name / RESULTS) for name in EXPERIMENTS}
-    results = {name: content for name, content in found.items() if content}
+    contents = {name: _read(store.folder / name / RESULTS) for name in EXPERIMENTS}
+    results = {name: content for name, content in contents.items() if content}
     sections = [("Verdicts", "verdicts", _overview(results))]
     sections += [
         (content["title"], name, _section(content, store.folder / name))
@@ -162,11 +162,11 @@ def _section(content: Mapping[str, Any], folder: Path) -> Html:
             parts.append(details(one["title"], inside))
         else:
             parts.append(Html(f"<h3>{escape(one['title'])}</h3>{inside}"))
-    said = ", ".join(f"{key} {value}" for key, value in environment["versions"].items())
+    versions = ", ".join(f"{key} {value}" for key, value in environment["versions"].items())
     parts.append(
         paragraph(
             f"{environment['cpu']}, {environment['cpu_cores']} cores, {environment['device']}; "
-            f"{said}; {environment['created']}",
+            f"{versions}; {environment['created']}",
             "soft",
         )
     )

@@ -47,7 +47,7 @@ def comparison_figure(several: Sequence[Comparison]) -> Figure:
     """
     from matplotlib.figure import Figure
 
-    labels = list(dict.fromkeys(label for found in several for label in found.runs))
+    labels = list(dict.fromkeys(label for comparison in several for label in comparison.runs))
     height = 1.25 + 0.36 * len(labels)
     figure = Figure(figsize=(9.6, height))
     axes = figure.subplots(1, len(_PANELS), sharey=True)
@@ -55,12 +55,12 @@ def comparison_figure(several: Sequence[Comparison]) -> Figure:
         left=0.145, right=0.985, top=1 - 0.2 / height, bottom=0.85 / height, wspace=0.09
     )
     for ax, (metric, factor, title) in zip(axes, _PANELS, strict=True):
-        for k, found in enumerate(several):
+        for k, comparison in enumerate(several):
             offset = 0.0 if len(several) == 1 else (-0.17, 0.17)[k]
             for row, label in enumerate(labels):
-                if label not in found.runs:
+                if label not in comparison.runs:
                     continue
-                _dot(ax, found, label, metric, factor, row + offset, k == len(several) - 1)
+                _dot(ax, comparison, label, metric, factor, row + offset, k == len(several) - 1)
         ax.set_xscale("log")
         plain_log(ax.xaxis)
         ax.set_xlabel(title)
@@ -87,12 +87,12 @@ def comparison_figure(several: Sequence[Comparison]) -> Figure:
 
 
 def _dot(
-    ax: Axes, found: Comparison, label: str, metric: str, factor: float, y: float, filled: bool
+    ax: Axes, comparison: Comparison, label: str, metric: str, factor: float, y: float, filled: bool
 ) -> None:
-    family = found.solver_grid.solvers[label].family
+    family = comparison.solver_grid.solvers[label].family
     color = FAMILY_COLORS[family]
-    mean = found.mean(label, metric)
-    each = factor * found.samples(label, metric).means
+    mean = comparison.mean(label, metric)
+    each = factor * comparison.samples(label, metric).means
     ax.plot(each, [y] * len(each), "|", color=color, markersize=6, alpha=0.55, zorder=2)
     if mean.low is not None and mean.high is not None and metric != "frame_ms":
         ax.plot(
@@ -249,11 +249,11 @@ def hessian_figure(
     axes = figure.subplots(1, 3, width_ratios=(1.15, 1.15, 0.9))
     figure.subplots_adjust(left=0.065, right=0.985, top=0.92, bottom=0.3, wspace=0.3)
     axes[1].sharey(axes[0])
-    for ax, found, by_rank in zip(axes, several, ranked, strict=False):
+    for ax, comparison, by_rank in zip(axes, several, ranked, strict=False):
         for label, recordings in by_rank.items():
             if label == TUNED:
                 continue  # its settings are near the published ones; it is in the tables
-            one = found.solver_grid.solvers[label]
+            one = comparison.solver_grid.solvers[label]
             many = isinstance(one, (Slsqp, Rmsprop, Newton)) and one.starts.count > 1
             mean = np.mean([np.mean(seeds, axis=0) for seeds in recordings], axis=0)
             ranks = np.arange(1, len(mean) + 1)
@@ -264,7 +264,7 @@ def hessian_figure(
             )  # fmt: skip
         ax.set_yscale("log")
         ax.set_xlabel("eigenvector rank, 1 = flattest")
-        weight = found.velocity_weight
+        weight = comparison.velocity_weight
         ax.set_title(f"with w_v = {weight:g}" if weight else "without velocity term")
         ax.set_xticks(ranks[::3])
     axes[0].set_ylabel("jitter along the eigenvector [mrad]")
@@ -324,12 +324,12 @@ class Look:
 def looks_of(labels: Sequence[str]) -> dict[str, Look]:
     """A look for each method."""
     families = list(dict.fromkeys([*COLORS, *(label.partition(":")[0] for label in labels)]))
-    known = len(COLORS)
+    count = len(COLORS)
     looks = {}
     for label in labels:
         family, _, preset = label.partition(":")
         at = families.index(family)
-        color = COLORS.get(family, _SPARE[(at - known) % len(_SPARE)])
+        color = COLORS.get(family, _SPARE[(at - count) % len(_SPARE)])
         looks[label] = Look(color, MARKERS[at % len(MARKERS)], not preset)
     return looks
 
@@ -357,8 +357,8 @@ def fk_figure(
             why = gaps[name] if len(gaps[name]) < 30 else "can't be used, see below"
             handles.append(Line2D([], [], linestyle="", label=f"{name}: {why}"))
             continue
-        found = [mean(name, batch) for batch in batches]
-        _line(ax, list(batches), found, 1e-3, look)
+        means = [mean(name, batch) for batch in batches]
+        _line(ax, list(batches), means, 1e-3, look)
         handles.append(Line2D([], [], label=name, **look.line))
     ax.set_xscale("log", base=2)
     ax.set_yscale("log")
@@ -449,14 +449,14 @@ def sweep_figure(
     for row, column, ax in placed:
         spread = _spread(column, len(labels))
         for i, label in enumerate(labels):
-            found = [mean(label, condition, row.metric) for condition in column.conditions]
-            _line(ax, [spread(x, i) for x in column.places], found, row.factor, looks[label])
+            means = [mean(label, condition, row.metric) for condition in column.conditions]
+            _line(ax, [spread(x, i) for x in column.places], means, row.factor, looks[label])
         for name, metric in (row.human or {}).items():
             styles.setdefault(name, dotted if styles else reference)
             own = [human(condition, metric) for condition in column.conditions]
-            known = [(x, e) for x, e in zip(column.places, own, strict=True) if e is not None]
+            points = [(x, e) for x, e in zip(column.places, own, strict=True) if e is not None]
             ax.plot(
-                [x for x, _ in known], [row.factor * e.value for _, e in known], zorder=1,
+                [x for x, _ in points], [row.factor * e.value for _, e in points], zorder=1,
                 **styles[name],
             )  # fmt: skip
         _axes(ax, row, column, folded or ax in axes[:, 0], ax in axes[-1])
@@ -494,14 +494,18 @@ def _axes(ax: Axes, row: Row, column: Column, first: bool, last: bool) -> None:
 
 
 def _line(
-    ax: Axes, places: Sequence[float], found: Sequence[Estimate | None], factor: float, look: Look
+    ax: Axes,
+    places: Sequence[float],
+    estimates: Sequence[Estimate | None],
+    factor: float,
+    look: Look,
 ) -> None:
-    known = [(x, e) for x, e in zip(places, found, strict=True) if e is not None]
-    for x, e in known:
+    points = [(x, e) for x, e in zip(places, estimates, strict=True) if e is not None]
+    for x, e in points:
         if e.low is not None and e.high is not None:
             ends = [factor * e.low, factor * e.high]
             ax.plot([x, x], ends, color=look.color, linewidth=1.0, alpha=0.5, zorder=2)
-    ax.plot([x for x, _ in known], [factor * e.value for _, e in known], zorder=3, **look.line)
+    ax.plot([x for x, _ in points], [factor * e.value for _, e in points], zorder=3, **look.line)
 
 
 @dataclass(frozen=True)

@@ -103,7 +103,7 @@ class FkLibraries:
     def run(self, context: ExperimentContext) -> Outcome:
         """See ``Experiment``."""
         hand = load_hand(context.hand, context.sources[0].side)
-        found = time_libraries(context, hand)
+        timing = time_libraries(context, hand)
         device = str(context.store.environment["device"])
         return Outcome(
             f"Fingertips of {hand.name} ({len(hand.joint_names)} joints) in its palm frame, from "
@@ -117,25 +117,25 @@ class FkLibraries:
             f"Kinematics compute in float32 and on as many threads as they like ({device}); "
             "Pinocchio and MuJoCo C in float64, a pose at a time in a Python loop, since they have "
             "no batch."
-            + "".join(f" {name}: {why}, so there is a gap." for name, why in found.gaps.items()),
-            [_paper_verdict(found), _own_verdict(found)],
-            [_table(found)],
+            + "".join(f" {name}: {why}, so there is a gap." for name, why in timing.gaps.items()),
+            [_paper_verdict(timing), _own_verdict(timing)],
+            [_table(timing)],
             [
                 Drawing(
                     "fk",
                     "Time a pose over the size of the batch; lower is faster. Bars: 95 % intervals "
                     "over rounds, mostly smaller than the marks. Libraries that are missing here "
                     "are named.",
-                    fk_figure(found.batches, found.mean, list(found.per_pose), found.gaps),
+                    fk_figure(timing.batches, timing.mean, list(timing.per_pose), timing.gaps),
                 )
             ],
             {
-                "batches": found.batches,
-                "ns_per_pose": found.per_pose,
-                "gaps": found.gaps,
-                "disagreement_m": found.worst,
-                "versions": {name: library_version(name) for name in found.per_pose},
-                "others": found.others,
+                "batches": timing.batches,
+                "ns_per_pose": timing.per_pose,
+                "gaps": timing.gaps,
+                "disagreement_m": timing.worst,
+                "versions": {name: library_version(name) for name in timing.per_pose},
+                "others": timing.others,
             },
         )
 
@@ -143,7 +143,7 @@ class FkLibraries:
 def time_libraries(context: ExperimentContext, hand: Hand) -> Timing:
     """Times what is installed and agrees; the other libraries are gaps with a reason."""
     gaps = {name: why for name in LIBRARIES if (why := missing(name)) is not None}
-    made: Callable[[str], Library] = cache(lambda name: make_library(name, hand))
+    library: Callable[[str], Library] = cache(lambda name: make_library(name, hand))
     here = [name for name in LIBRARIES if name not in gaps]
 
     def key(kind: str, names: Sequence[str], **more: Any) -> dict[str, Any]:
@@ -158,7 +158,9 @@ def time_libraries(context: ExperimentContext, hand: Hand) -> Timing:
         }
 
     def checked(name: str, advance: object) -> dict[str, np.ndarray]:
-        return {"worst": np.array(disagreement(made(name), hand, random_poses(hand, CHECKED, 0)))}
+        return {
+            "worst": np.array(disagreement(library(name), hand, random_poses(hand, CHECKED, 0)))
+        }
 
     jobs = [
         cell_job(f"{name}: agreement", key("fk-check", [name]), 3000.0, partial(checked, name))
@@ -176,7 +178,7 @@ def time_libraries(context: ExperimentContext, hand: Hand) -> Timing:
     def timed(batch: int, advance: Callable[[float], None]) -> dict[str, np.ndarray]:
         poses = random_poses(hand, batch, 1)
         watch = Watch()
-        runs = {name: made(name).prepare(poses) for name in here}
+        runs = {name: library(name).prepare(poses) for name in here}
         times = rounds_of(runs, size.fk_rounds, lambda: advance(1 / size.fk_rounds))
         others = watch.others()
         return {
@@ -240,24 +242,24 @@ def _round(run: Run) -> float:
     return float(np.median(calls))
 
 
-def _paper_verdict(found: Timing) -> Verdict:
-    largest = found.batches[-1]
-    rivals = [name for name in (PINOCCHIO, PYTORCH) if name in found.per_pose]
-    absent = [name for name in (MJX, PINOCCHIO, PYTORCH) if name not in found.per_pose]
+def _paper_verdict(timing: Timing) -> Verdict:
+    largest = timing.batches[-1]
+    rivals = [name for name in (PINOCCHIO, PYTORCH) if name in timing.per_pose]
+    absent = [name for name in (MJX, PINOCCHIO, PYTORCH) if name not in timing.per_pose]
     claimed = f"MJX is the fastest of the three at large batches ({largest:,} here)"
-    if MJX not in found.per_pose or not rivals:
-        named = "; ".join(f"{name}: {found.gaps[name]}" for name in absent)
+    if MJX not in timing.per_pose or not rivals:
+        named = "; ".join(f"{name}: {timing.gaps[name]}" for name in absent)
         return Verdict(
             claimed, "fastest, no figure", "not measured", "not shown",
             f"The paper: of Pinocchio, PyTorch Kinematics and MJX only the last has the speed that "
             f"is needed at large batches. Here that can't be said: {named}. "
             f"`{INSTALL}` brings them. Verdict: not shown.",
         )  # fmt: skip
-    ratios = {name: found.over(name, MJX, largest) for name in rivals}
+    ratios = {name: timing.over(name, MJX, largest) for name in rivals}
     held = judge(Direction(1.0, upwards=True), list(ratios.values()), missing=len(absent))
     shown = ", ".join(f"{name} × {one.shown(3)}" for name, one in ratios.items())
-    crossing = _crossing(found, MJX, rivals)
-    gap = "".join(f" {name} is missing here ({found.gaps[name]})." for name in absent)
+    crossing = _crossing(timing, MJX, rivals)
+    gap = "".join(f" {name} is missing here ({timing.gaps[name]})." for name in absent)
     return Verdict(
         claimed,
         "fastest, no figure",
@@ -265,40 +267,40 @@ def _paper_verdict(found: Timing) -> Verdict:
         held,
         "The paper: of Pinocchio, PyTorch Kinematics and MJX only the last has the speed that is "
         f"needed at large batches (on an RTX 4090). Here, for {largest:,} poses, the others take "
-        f"{shown} times as long as MJX ({found.mean(MJX, largest).shown(3, 1e-3, ' µs')} a pose)."
+        f"{shown} times as long as MJX ({timing.mean(MJX, largest).shown(3, 1e-3, ' µs')} a pose)."
         f" {crossing}{gap} Verdict: {held}.",
     )
 
 
-def _crossing(found: Timing, name: str, rivals: Sequence[str]) -> str:
+def _crossing(timing: Timing, name: str, rivals: Sequence[str]) -> str:
     ahead = [
         batch
-        for batch in found.batches
-        if all(found.mean(name, batch).value < found.mean(r, batch).value for r in rivals)
+        for batch in timing.batches
+        if all(timing.mean(name, batch).value < timing.mean(r, batch).value for r in rivals)
     ]
     sizes = ", ".join(f"{batch:,}" for batch in ahead)
     return f"It leads at batches of {sizes}." if ahead else "It leads at no size of the batch."
 
 
-def _own_verdict(found: Timing) -> Verdict:
-    rivals = [name for name in (MJX, PINOCCHIO, PYTORCH, MUJOCO) if name in found.per_pose]
-    batches = [batch for batch in found.batches if batch >= 64]
+def _own_verdict(timing: Timing) -> Verdict:
+    rivals = [name for name in (MJX, PINOCCHIO, PYTORCH, MUJOCO) if name in timing.per_pose]
+    batches = [batch for batch in timing.batches if batch >= 64]
     claimed = "ours: the unrolled program is faster than any of them from a batch of 64 on"
-    if OURS not in found.per_pose or not rivals or not batches:
-        why = found.gaps.get(OURS, "there is nothing to compare it with")
+    if OURS not in timing.per_pose or not rivals or not batches:
+        why = timing.gaps.get(OURS, "there is nothing to compare it with")
         return Verdict(
             claimed, "no claim", "not measured", "not shown",
             f"Not compared: {why}. Verdict: not shown.",
         )  # fmt: skip
-    ratios = {(batch, name): found.over(name, OURS, batch) for batch in batches for name in rivals}
+    ratios = {(batch, name): timing.over(name, OURS, batch) for batch in batches for name in rivals}
     held = judge(Direction(1.0, upwards=True), list(ratios.values()))
     closest = min(ratios, key=lambda at: ratios[at].value)
-    largest = found.batches[-1]
+    largest = timing.batches[-1]
     each = ", ".join(f"{name} × {ratios[largest, name].shown(3)}" for name in rivals)
     bound = (
         " With the promise that joints keep their limits, as the solver calls it, a pose takes "
-        f"{found.mean(BOUNDED, largest).shown(3)} ns, not {found.mean(OURS, largest).shown(3)}."
-        if BOUNDED in found.per_pose else ""
+        f"{timing.mean(BOUNDED, largest).shown(3)} ns, not {timing.mean(OURS, largest).shown(3)}."
+        if BOUNDED in timing.per_pose else ""
     )  # fmt: skip
     return Verdict(
         claimed,
@@ -311,19 +313,19 @@ def _own_verdict(found: Timing) -> Verdict:
     )
 
 
-def _table(found: Timing) -> Table:
+def _table(timing: Timing) -> Table:
     rows = [
-        [f"{batch:,}", *(found.mean(name, batch).shown(3) for name in found.per_pose)]
-        for batch in found.batches
+        [f"{batch:,}", *(timing.mean(name, batch).shown(3) for name in timing.per_pose)]
+        for batch in timing.batches
     ]
-    apart = ", ".join(f"{name} {1e6 * error:.2g} µm" for name, error in found.worst.items())
+    apart = ", ".join(f"{name} {1e6 * error:.2g} µm" for name, error in timing.worst.items())
     busy = (
-        "" if found.others is None
-        else f" Other processes took up to {100 * found.others:.0f} % of the cores."
+        "" if timing.others is None
+        else f" Other processes took up to {100 * timing.others:.0f} % of the cores."
     )  # fmt: skip
     return Table(
         "Time a pose [ns]",
-        ["batch", *found.per_pose],
+        ["batch", *timing.per_pose],
         rows,
         "Geometric means with 95 % intervals over rounds. Largest disagreement with MuJoCo's "
         f"fingertips: {apart}." + busy,

@@ -244,8 +244,8 @@ def _own_program(hand: Hand, name: str) -> Library:
         there = jnp.asarray(np.ascontiguousarray(q.T), jnp.float32)  # batch last
         return lambda: compiled(there).block_until_ready()
 
-    def read(found: Array) -> np.ndarray:
-        return np.asarray(found, float).T.reshape(-1, tips, 3)
+    def read(points: Array) -> np.ndarray:
+        return np.asarray(points, float).T.reshape(-1, tips, 3)
 
     return Library(name, prepare, read)
 
@@ -333,18 +333,18 @@ def _pinocchio(hand: Hand) -> Library:
     def prepare(q: np.ndarray) -> Run:
         there = np.zeros((len(q), model.nq))
         there[:, at] = q - urdf.zero
-        found = np.empty((len(q), len(places), 3))
+        points = np.empty((len(q), len(places), 3))
 
         def run() -> np.ndarray:
             for i, pose in enumerate(there):
                 pinocchio.framesForwardKinematics(model, data, pose)
                 for k, place in enumerate(places):
-                    found[i, k] = place.translation
-            return found
+                    points[i, k] = place.translation
+            return points
 
         return run
 
-    return Library(PINOCCHIO, prepare, lambda found: np.array(found))
+    return Library(PINOCCHIO, prepare, lambda points: np.array(points))
 
 
 def _pytorch(hand: Hand) -> Library:
@@ -364,11 +364,11 @@ def _pytorch(hand: Hand) -> Library:
         def run() -> Any:
             with torch.no_grad():
                 poses = chain.forward_kinematics(there, frames)
-                found = torch.stack([poses[tip].get_matrix()[:, :3, 3] for tip in urdf.tips], 1)
+                points = torch.stack([poses[tip].get_matrix()[:, :3, 3] for tip in urdf.tips], 1)
             if device == "cuda":
                 torch.cuda.synchronize()
-            return found
+            return points
 
         return run
 
-    return Library(PYTORCH, prepare, lambda found: found.cpu().numpy().astype(float))
+    return Library(PYTORCH, prepare, lambda points: points.cpu().numpy().astype(float))

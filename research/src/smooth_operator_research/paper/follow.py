@@ -70,9 +70,9 @@ class DegradedRecording:
     def digest(self) -> str:
         """Of what is seen, as one word."""
         assert self.seen.valid is not None  # filled in on construction
-        known = np.where(self.seen.valid[..., None], self.seen.landmarks, np.nan)
+        points = np.where(self.seen.valid[..., None], self.seen.landmarks, np.nan)
         total = hashlib.sha256(self.seen.side.encode())
-        for array in (known, self.seen.stamps):
+        for array in (points, self.seen.stamps):
             total.update(np.ascontiguousarray(array, "<f8").tobytes())
         return total.hexdigest()
 
@@ -100,10 +100,10 @@ def through_tracker(source: Source, clean: HandRecording, model: TrackerModel) -
     A lost frame stays in its place without a valid landmark, as a loop meets it that has to send a
     command anyway. The recording's own noise, where a real tracker made it, is in both.
     """
-    seen = led(clean)
-    ticks = TrackerStream(model, clean.rate_hz).next(len(seen))
+    tracked = led(clean)
+    ticks = TrackerStream(model, clean.rate_hz).next(len(tracked))
     ticks.arrives[:LEAD] = True
-    landmarks, valid, metacarpals = seen.landmarks.copy(), seen.valid, seen.metacarpals
+    landmarks, valid, metacarpals = tracked.landmarks.copy(), tracked.valid, tracked.metacarpals
     assert valid is not None  # filled in on construction
     if ticks.noise is not None:
         landmarks += ticks.noise[:, :21]
@@ -113,7 +113,7 @@ def through_tracker(source: Source, clean: HandRecording, model: TrackerModel) -
     return DegradedRecording(
         source,
         clean,
-        replace(seen, landmarks=landmarks, valid=valid & ~gone, metacarpals=metacarpals),
+        replace(tracked, landmarks=landmarks, valid=valid & ~gone, metacarpals=metacarpals),
     )
 
 
@@ -213,18 +213,18 @@ def sub_frame_lag(
     """
     from scipy.interpolate import CubicSpline
 
-    known = np.isfinite(human).all(axis=(1, 2)) & np.isfinite(robot).all(axis=(1, 2))
+    finite = np.isfinite(human).all(axis=(1, 2)) & np.isfinite(robot).all(axis=(1, 2))
     nothing = float("nan"), float("nan")
-    if known.sum() < 8:
+    if finite.sum() < 8:
         return nothing
-    at = stamps[known]
+    at = stamps[finite]
     longest = min(LONGEST_S, (at[-1] - at[0]) / 3)
     ahead, behind = round(EARLIEST_S / _STEP_S), int(longest / _STEP_S)
     grid = np.arange(at[0], at[-1], _STEP_S)
     count = len(grid) - ahead - behind
     if count * _STEP_S < _SHORTEST_S:
         return nothing
-    leader, follower = (CubicSpline(at, hand[known])(grid, 1) for hand in (human, robot))
+    leader, follower = (CubicSpline(at, hand[finite])(grid, 1) for hand in (human, robot))
     velocity = leader[ahead : ahead + count]
     delays = _STEP_S * np.arange(-ahead, behind + 1)
     c = np.array([_correlation(velocity, follower[k : k + count]) for k in range(len(delays))])
@@ -313,8 +313,8 @@ def follow_job(
     seed: int = 0,
 ) -> Job[Compute]:
     """A method on a degraded recording, as a cell: ``q`` (T, n) [rad] and ``status`` (T,)."""
-    seen = replace(degraded.source, recording=degraded.seen, digest=degraded.digest)
-    cell = Cell(seen, context.hand, choice.method, choice.preset, choice.config)
+    source = replace(degraded.source, recording=degraded.seen, digest=degraded.digest)
+    cell = Cell(source, context.hand, choice.method, choice.preset, choice.config)
 
     def compute(advance: Callable[[float], None]) -> dict[str, np.ndarray]:
         hand = load_hand(context.hand, degraded.seen.side)
@@ -551,8 +551,8 @@ def _known(
     recordings: Iterable[str],
     metric: str,
 ) -> dict[str, list[float]]:
-    found = {
+    finite = {
         name: [one[metric] for one in table.get((*at, name), []) if np.isfinite(one[metric])]
         for name in recordings
     }
-    return {name: values for name, values in found.items() if values}
+    return {name: values for name, values in finite.items() if values}

@@ -65,7 +65,7 @@ class HessianDirections:
             "leaves the eigenvectors as they are.",
             [_stiff_verdict(without, ranked[0]), _flat_verdict(without, ranked[0]),
              _check_verdict(error, len(cells))],
-            [_table(found, own) for found, own in zip((without, held), ranked, strict=True)],
+            [_table(one, own) for one, own in zip((without, held), ranked, strict=True)],
             [
                 Drawing(
                     "hessian",
@@ -91,14 +91,14 @@ Ranked = dict[str, list[list[Float[np.ndarray, " m"]]]]
 """Label -> recording -> seed -> jitter along each rank [rad]."""
 
 
-def ranked_jitter(found: Comparison, vectors: list[Float[np.ndarray, "T m m"]]) -> Ranked:
+def ranked_jitter(comparison: Comparison, vectors: list[Float[np.ndarray, "T m m"]]) -> Ranked:
     """Jitter of every run along the eigenvectors of its frames."""
     return {
         label: [
             [projected_jitter(run.q, along) for run in seeds]
             for seeds, along in zip(recordings, vectors, strict=True)
         ]
-        for label, recordings in found.runs.items()
+        for label, recordings in comparison.runs.items()
     }
 
 
@@ -159,8 +159,8 @@ def _float64() -> contextlib.AbstractContextManager[Any]:
     """JAX in float64 inside a ``with``, whatever this version of JAX spells it."""
     switch: Any = getattr(jax, "enable_x64", None)
     if callable(switch):
-        made: contextlib.AbstractContextManager[Any] = switch(True)
-        return made
+        context: contextlib.AbstractContextManager[Any] = switch(True)
+        return context
     from jax import experimental
 
     old: Any = experimental
@@ -184,9 +184,9 @@ def _job(problem: Problem, q: Float[np.ndarray, "T m"]) -> Job[Compute]:
     )
 
 
-def _share(found: Comparison, ranked: Ranked, label: str, ranks: slice) -> Samples:
+def _share(comparison: Comparison, ranked: Ranked, label: str, ranks: slice) -> Samples:
     values = [[float(run[ranks].mean()) for run in seeds] for seeds in ranked[label]]
-    return Samples(values, found.units)
+    return Samples(values, comparison.units)
 
 
 def _thirds(ranked: Ranked) -> tuple[slice, slice]:
@@ -196,19 +196,21 @@ def _thirds(ranked: Ranked) -> tuple[slice, slice]:
     return slice(0, third), slice(count - third, count)
 
 
-def _ratios(found: Comparison, ranked: Ranked, ranks: slice) -> dict[str, Estimate]:
-    labels = found.solver_grid.of("slsqp")
-    sampled = _share(found, ranked, SAMPLING, ranks)
-    return {one: contrast(_share(found, ranked, one, ranks), sampled, "ratio") for one in labels}
+def _ratios(comparison: Comparison, ranked: Ranked, ranks: slice) -> dict[str, Estimate]:
+    labels = comparison.solver_grid.of("slsqp")
+    sampled = _share(comparison, ranked, SAMPLING, ranks)
+    return {
+        one: contrast(_share(comparison, ranked, one, ranks), sampled, "ratio") for one in labels
+    }
 
 
 def _said(ratios: dict[str, Estimate]) -> str:
     return ", ".join(f"{label} × {ratio.shown(3)}" for label, ratio in ratios.items())
 
 
-def _stiff_verdict(found: Comparison, ranked: Ranked) -> Verdict:
+def _stiff_verdict(comparison: Comparison, ranked: Ranked) -> Verdict:
     _, stiff = _thirds(ranked)
-    ratios = _ratios(found, ranked, stiff)
+    ratios = _ratios(comparison, ranked, stiff)
     held = judge(Equality(1 / MATCHED, MATCHED), list(ratios.values()))
     return Verdict(
         "in stiff directions all solvers jitter alike",
@@ -222,23 +224,23 @@ def _stiff_verdict(found: Comparison, ranked: Ranked) -> Verdict:
     )
 
 
-def _flat_verdict(found: Comparison, ranked: Ranked) -> Verdict:
+def _flat_verdict(comparison: Comparison, ranked: Ranked) -> Verdict:
     flat, stiff = _thirds(ranked)
-    ratios = _ratios(found, ranked, flat)
+    ratios = _ratios(comparison, ranked, flat)
     # "a stark divergence": more than in the stiff directions, too
-    sampled = [_share(found, ranked, SAMPLING, ranks) for ranks in (flat, stiff)]
+    sampled = [_share(comparison, ranked, SAMPLING, ranks) for ranks in (flat, stiff)]
     excess = {
         label: pooled(
             [
-                (_share(found, ranked, label, flat), sampled[0]),
-                (sampled[1], _share(found, ranked, label, stiff)),
+                (_share(comparison, ranked, label, flat), sampled[0]),
+                (sampled[1], _share(comparison, ranked, label, stiff)),
             ],
             "ratio",
         )
         for label in ratios
     }
     held = judge(Direction(1.0, upwards=True), [*ratios.values(), *excess.values()])
-    newton = contrast(_share(found, ranked, NEWTON, flat), sampled[0], "ratio")
+    newton = contrast(_share(comparison, ranked, NEWTON, flat), sampled[0], "ratio")
     meaning = (
         ": descending does not in itself jump in flat directions"
         if newton.high is not None and newton.high < 1
@@ -270,17 +272,17 @@ def _check_verdict(error: float, recordings: int) -> Verdict:
     )
 
 
-def _table(found: Comparison, ranked: Ranked) -> Table:
+def _table(comparison: Comparison, ranked: Ranked) -> Table:
     flat, stiff = _thirds(ranked)
     count = stiff.stop
     middle = slice(flat.stop, stiff.start)
     rows = []
     for label in ranked:
-        shares = [_share(found, ranked, label, ranks) for ranks in (flat, middle, stiff)]
+        shares = [_share(comparison, ranked, label, ranks) for ranks in (flat, middle, stiff)]
         rows.append([label, *(typical(share).shown(3, 1e3) for share in shares)])
-    term = f"with w_v = {found.velocity_weight:g}" if found.velocity_weight else "without"
+    term = f"with w_v = {comparison.velocity_weight:g}" if comparison.velocity_weight else "without"
     return Table(
-        f"Jitter by stiffness, {term} velocity term" if not found.velocity_weight
+        f"Jitter by stiffness, {term} velocity term" if not comparison.velocity_weight
         else f"Jitter by stiffness, {term}",
         ("solver", f"ranks 1–{flat.stop}, flat [mrad]",
          f"ranks {middle.start + 1}–{middle.stop} [mrad]",

@@ -80,11 +80,11 @@ def coverage(draw: Draw, count: int, draws: int, windows: int = 1, alone: bool =
         ratios = np.exp(np.repeat(draw(rng, count), windows) + rng.normal(0.0, 0.02, total))
         base = 10.0 ** rng.uniform(-2, 0, total)  # recordings differ a hundredfold
         a, b = (Samples([[x] for x in values], units) for values in (ratios * base, base))
-        found = contrast(a, b, "ratio")
-        assert found.low is not None
-        assert found.high is not None
-        covered += found.low <= 1.0 <= found.high
-        shown += judge(Direction(1.0, upwards=False), [found]) != "not shown"
+        estimate = contrast(a, b, "ratio")
+        assert estimate.low is not None
+        assert estimate.high is not None
+        covered += estimate.low <= 1.0 <= estimate.high
+        shown += judge(Direction(1.0, upwards=False), [estimate]) != "not shown"
     return Coverage(covered / draws, shown / draws)
 
 
@@ -92,8 +92,8 @@ def coverage_table(settings: Settings) -> Table:
     """Distributions by numbers of recordings."""
 
     def cells(draw: Draw, windows: int = 1, alone: bool = False) -> list[str]:
-        found = [coverage(draw, n, settings.draws, windows, alone) for n in settings.counts]
-        return [f"{100 * one.covered:.1f} %" for one in found]
+        rows = [coverage(draw, n, settings.draws, windows, alone) for n in settings.counts]
+        return [f"{100 * one.covered:.1f} %" for one in rows]
 
     rows = [[name, *cells(draw)] for name, draw in DRAWS.items()]
     normal = DRAWS["normal"]

@@ -141,10 +141,10 @@ def _at(conditions: Sequence[Condition], noise: float) -> Condition:
 
 def compared(sweep: Sweep, condition: Any, metric: str, kind: Any = "ratio") -> dict[str, Estimate]:
     """The paper's SBR against each baseline of the paper that is here."""
-    found = {
+    estimates = {
         name: sweep.against(PUBLISHED_SBR, name, condition, metric, kind) for name in BASELINES
     }
-    return {name: estimate for name, estimate in found.items() if estimate is not None}
+    return {name: estimate for name, estimate in estimates.items() if estimate is not None}
 
 
 def listed(estimates: dict[str, Estimate]) -> str:
@@ -165,8 +165,8 @@ def signed(change: Estimate, unit: str = "") -> str:
 def ranking(sweep: Sweep, condition: Any, metric: str, best: str = "down") -> list[str]:
     """Methods from best to worst."""
     means = {label: sweep.mean(label, condition, metric) for label in sweep.labels}
-    known = {label: mean.value for label, mean in means.items() if mean is not None}
-    return sorted(known, key=lambda label: known[label] * (1 if best == "down" else -1))
+    values = {label: mean.value for label, mean in means.items() if mean is not None}
+    return sorted(values, key=lambda label: values[label] * (1 if best == "down" else -1))
 
 
 def not_compared(claim: str, paper: str, sweep: Sweep) -> Verdict:
@@ -191,10 +191,10 @@ def _smooth_verdict(sweep: Sweep, noises: Sequence[Condition]) -> Verdict:
     order = ranking(sweep, at, "flatness")
     own = sweep.against("sbr", PUBLISHED_SBR, at, "flatness")
     ours = "" if own is None else f" Our preset realtime has × {own.shown(3)} of its flatness."
-    seen = sweep.human_mean(at, "seen_flatness")
+    noise = sweep.human_mean(at, "seen_flatness")
     human = (
-        "" if seen is None
-        else f" The fingertips that the methods see have {seen.shown(3, 1e6, ' mm²')}."
+        "" if noise is None
+        else f" The fingertips that the methods see have {noise.shown(3, 1e6, ' mm²')}."
     )  # fmt: skip
     return Verdict(
         claimed,
@@ -238,18 +238,19 @@ def _price_verdict(sweep: Sweep, noises: Sequence[Condition]) -> Verdict:
     claimed = "behind a noisy tracker SBR keeps more of the human's motion than the baselines"
     paper = "0.776 against 0.675 to 0.727, no noise added"
     at = _at(noises, NOISE)
-    found = compared(sweep, at, "motion_preservation", "difference")
-    if not found:
+    estimates = compared(sweep, at, "motion_preservation", "difference")
+    if not estimates:
         return not_compared(claimed, paper, sweep)
-    held = judge(Direction(0.0, upwards=True), list(found.values()))
+    held = judge(Direction(0.0, upwards=True), list(estimates.values()))
     order = ranking(sweep, at, "motion_preservation", "up")
     return Verdict(
         claimed,
         paper,
-        f"motion preservation at {at}: {listed_changes(found)}",
+        f"motion preservation at {at}: {listed_changes(estimates)}",
         held,
         "The paper: SBR has the highest motion preservation. Here, against the hand without the "
-        f"noise, it differs at {at} from the baselines' by {listed_changes(found)}. From best to "
+        f"noise, it differs at {at} from the baselines' by {listed_changes(estimates)}. From best "
+        "to "
         f"worst: {', '.join(order)}. Verdict: {held}.",
     )
 

@@ -98,9 +98,11 @@ class Problem:
         moving = dict(
             zip(hand.tree.names, np.moveaxis(hand.landmark_positions(q), -2, 0), strict=True)
         )
-        known = self.hand.tree.keypoints
+        keypoints = self.hand.tree.keypoints
         points = [
-            moving[name] if name in moving else np.broadcast_to(known[name].position, (len(q), 3))
+            moving[name]
+            if name in moving
+            else np.broadcast_to(keypoints[name].position, (len(q), 3))
             for name in (LANDMARKS[i] for i in layout.landmarks)
         ]
         errors = layout.among(points) - self.vectors
@@ -185,11 +187,11 @@ def _targets(
 ) -> tuple[Float[np.ndarray, "T K 3"], Float[np.ndarray, "T K"]]:
     run = _target_program(objective)
     state = objective.config.targets.init(objective.layout)
-    found = []
+    targets = []
     for frame in np.nan_to_num(aligned).astype(np.float32):  # NaN where nothing looks
         (vectors, weights), state = run(frame, state)
-        found.append((np.asarray(vectors), np.asarray(weights)))
-    return np.stack([v for v, _ in found]), np.stack([w for _, w in found])
+        targets.append((np.asarray(vectors), np.asarray(weights)))
+    return np.stack([v for v, _ in targets]), np.stack([w for _, w in targets])
 
 
 def _settled(

@@ -102,12 +102,12 @@ def _smooth_verdict(sweep: Sweep) -> Verdict:
     claimed = "SBR is smoother than the baselines, at any frame rate"
     paper = "7.17e-7 m² against 3.01e-6 and more, at about 100 Hz only"
     by_rate = {rate: compared(sweep, rate, "tip_acceleration") for rate in sweep.conditions}
-    ratios = [one for found in by_rate.values() for one in found.values()]
+    ratios = [one for estimates in by_rate.values() for one in estimates.values()]
     if not ratios:
         return not_compared(claimed, paper, sweep)
     held = judge(Direction(1.0, upwards=False), ratios)
     low, high = sweep.conditions[0], sweep.conditions[-1]
-    each = "; ".join(f"{rate:g} Hz: {listed(found)}" for rate, found in by_rate.items())
+    each = "; ".join(f"{rate:g} Hz: {listed(estimates)}" for rate, estimates in by_rate.items())
     human = [sweep.human_mean(rate, "flatness") for rate in (low, high)]
     grows = (
         f" Flatness as the paper has it hangs on the rate: the human's own is "
@@ -116,7 +116,7 @@ def _smooth_verdict(sweep: Sweep) -> Verdict:
         else ""
     )
     joints = {rate: compared(sweep, rate, "acceleration") for rate in (low, high)}
-    also = "; ".join(f"{rate:g} Hz: {listed(found)}" for rate, found in joints.items())
+    also = "; ".join(f"{rate:g} Hz: {listed(estimates)}" for rate, estimates in joints.items())
     return Verdict(
         claimed,
         paper,
@@ -133,13 +133,15 @@ def _lag_verdict(sweep: Sweep) -> Verdict:
     claimed = "SBR is responsive: its lag stays below one frame, at any frame rate"
     paper = "participants called it responsive; no figure"
     lags = {rate: sweep.mean(PUBLISHED_SBR, rate, "lag_ms") for rate in sweep.conditions}
-    known = {rate: lag for rate, lag in lags.items() if lag is not None}
-    if not known:
+    finite = {rate: lag for rate, lag in lags.items() if lag is not None}
+    if not finite:
         return not_compared(claimed, paper, sweep)
     # in frames, so that one margin serves all rates
-    frames = [Estimate(tuple(1e-3 * rate * ms for ms in lag.points)) for rate, lag in known.items()]
+    frames = [
+        Estimate(tuple(1e-3 * rate * ms for ms in lag.points)) for rate, lag in finite.items()
+    ]
     held = judge(Equality(-1.0, 1.0), frames)
-    each = ", ".join(f"{rate:g} Hz {lag.shown(3, 1.0, ' ms')}" for rate, lag in known.items())
+    each = ", ".join(f"{rate:g} Hz {lag.shown(3, 1.0, ' ms')}" for rate, lag in finite.items())
     at = _near(sweep, CONTROL_HZ)
     slower = compared(sweep, at, "lag_ms", "difference")
     own = sweep.mean("sbr", at, "lag_ms")
@@ -181,12 +183,12 @@ def _filter_verdict(sweep: Sweep) -> Verdict:
 
 def _yardstick(sweep: Sweep, rate: float) -> str:
     """What methods without a memory seem to lag: no time, but the shape of their motion."""
-    found = {
+    values = {
         label: mean
         for label in ("joint_angle", "geort")
         if (mean := sweep.mean(label, rate, "lag_ms")) is not None
     }
-    each = ", ".join(f"{label} {mean.shown(3, 1.0, ' ms')}" for label, mean in found.items())
+    each = ", ".join(f"{label} {mean.shown(3, 1.0, ' ms')}" for label, mean in values.items())
     doubt = [
         f"{label} {mean.value:.2g}"
         for label in sweep.labels

@@ -31,5 +31,5 @@ def experiment(name: str) -> Experiment:
     if name not in EXPERIMENTS:
         raise UnknownNameError("experiment", name, EXPERIMENTS)
     module, kind = EXPERIMENTS[name]
-    made: Experiment = getattr(import_module(f"smooth_operator_research.paper.{module}"), kind)()
-    return made
+    result: Experiment = getattr(import_module(f"smooth_operator_research.paper.{module}"), kind)()
+    return result

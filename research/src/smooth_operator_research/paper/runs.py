@@ -132,7 +132,7 @@ def _compiled(
     weight, words = jnp.float32(velocity_weight), jnp.asarray(seed_words(seed))
     q = jnp.asarray(problem.start, jnp.float32)
     count = len(problem)
-    found, times, evaluations = [], [], []
+    poses, times, evaluations = [], [], []
 
     def call(first: int, q: Array) -> tuple[np.ndarray, np.ndarray]:
         at = np.arange(first, first + CHUNK)
@@ -159,10 +159,10 @@ def _compiled(
         times.append((time.perf_counter() - started) / CHUNK)
         inside = min(CHUNK, count - first)
         q = jnp.asarray(rows[inside - 1])
-        found.append(rows[:inside].astype(np.float64))
+        poses.append(rows[:inside].astype(np.float64))
         evaluations.append(spent[:inside].astype(np.float64))
         advance(inside / count)
-    return np.concatenate(found), np.array(times), np.concatenate(evaluations)
+    return np.concatenate(poses), np.array(times), np.concatenate(evaluations)
 
 
 @dataclass(eq=False)
@@ -178,13 +178,13 @@ def _program(objective: Objective, solver: CompiledSolver) -> _Program:
     """Some frames as one compiled program, the same for all values of the knobs."""
 
     def program(q: Array, frames: Any, weight: Array, words: Array, knobs: Array) -> Any:
-        def frame(q: Array, given: tuple[Array, Array, Array]) -> Any:
-            vectors, weights, at = given
+        def frame(q: Array, frame_data: tuple[Array, Array, Array]) -> Any:
+            vectors, weights, at = frame_data
             goal = FrameGoal(vectors, weights, q, weight)
-            found, spent = solver.solve(objective, goal, q, frame_key(words, at), knobs)
+            pose, spent = solver.solve(objective, goal, q, frame_key(words, at), knobs)
             # an answer that is no number is none: the last one is held
-            found = jnp.where(jnp.isfinite(found).all(), found, q)
-            return found, (found, spent)
+            pose = jnp.where(jnp.isfinite(pose).all(), pose, q)
+            return pose, (pose, spent)
 
         return jax.lax.scan(frame, q, frames)[1]
 
@@ -206,7 +206,7 @@ def _on_host(
     )
     q = problem.start
     evaluate(q.astype(np.float32), problem.goal(0, q, velocity_weight))  # compiles
-    found, times, evaluations = [], [], []
+    poses, times, evaluations = [], [], []
     for t in range(len(problem)):
         started = time.perf_counter()
         goal = problem.goal(t, q, velocity_weight)
@@ -225,7 +225,7 @@ def _on_host(
         if np.isfinite(costs).any():  # or the last answer is held
             q = soft_mean(np.stack([r.x for r in results], axis=-1), costs, starts.temperature)
         times.append(time.perf_counter() - started)
-        found.append(q)
+        poses.append(q)
         evaluations.append(float(np.mean([result.evaluations for result in results])))
         advance(1 / len(problem))
-    return np.stack(found), np.array(times), np.array(evaluations)
+    return np.stack(poses), np.array(times), np.array(evaluations)

@@ -35,37 +35,38 @@ class SolverSwap:
 
     def run(self, context: ExperimentContext) -> Outcome:
         """See ``Experiment``."""
-        found, printed = compare_solvers(context, 0.0), compare_as_printed(context)
+        comparison, printed = compare_solvers(context, 0.0), compare_as_printed(context)
         return Outcome(
-            setup_of(found, context.size),
-            [_loss_verdict(found), _jitter_verdict(found), _printed_verdict(printed)],
+            setup_of(comparison, context.size),
+            [_loss_verdict(comparison), _jitter_verdict(comparison), _printed_verdict(printed)],
             [
-                found.table("Solvers on DexPilot's loss"),
-                against_sampling(found),
+                comparison.table("Solvers on DexPilot's loss"),
+                against_sampling(comparison),
                 printed.table("With the squared norm that the supplement prints"),
-                tuning_table(found),
+                tuning_table(comparison),
             ],
             [
                 Drawing(
                     "solvers",
                     "Tracking loss, joint jitter and time a frame of each solver on DexPilot's "
                     "loss. Bars: 95 % intervals over independent recordings; ticks: recordings.",
-                    comparison_figure([found]),
+                    comparison_figure([comparison]),
                 )
             ],
-            found.figures() | {"as_printed": printed.figures()},
+            comparison.figures() | {"as_printed": printed.figures()},
         )
 
 
-def change(found: Comparison, label: str, other: str, metric: str) -> Estimate:
+def change(comparison: Comparison, label: str, other: str, metric: str) -> Estimate:
     """Relative change of a figure from another solver to this one."""
-    return contrast(found.samples(label, metric), found.samples(other, metric), "change")
+    return contrast(comparison.samples(label, metric), comparison.samples(other, metric), "change")
 
 
-def changes_of(found: Comparison, metric: str) -> dict[str, Estimate]:
+def changes_of(comparison: Comparison, metric: str) -> dict[str, Estimate]:
     """Relative change of a figure from every form of SLSQP to sampling."""
     return {
-        other: change(found, SAMPLING, other, metric) for other in found.solver_grid.of("slsqp")
+        other: change(comparison, SAMPLING, other, metric)
+        for other in comparison.solver_grid.of("slsqp")
     }
 
 
@@ -79,8 +80,8 @@ def percent(change: Estimate) -> str:
     return change.shown(3, 100.0, " %")
 
 
-def _loss_verdict(found: Comparison) -> Verdict:
-    changes = changes_of(found, "loss")
+def _loss_verdict(comparison: Comparison) -> Verdict:
+    changes = changes_of(comparison, "loss")
     held = judge(Equality(-LOSS_MARGIN, LOSS_MARGIN), list(changes.values()))
     return Verdict(
         "all solvers reach about the same tracking loss",
@@ -91,18 +92,19 @@ def _loss_verdict(found: Comparison) -> Verdict:
         "remarkably similar, so that what differs is smoothness alone. Here the loss of sampling "
         f"differs by {against(changes)}; equal means within {100 * LOSS_MARGIN:.0f} %. Newton's "
         "differs by "
-        f"{percent(change(found, NEWTON, found.solver_grid.slsqp, 'loss'))} from SLSQP's. "
+        f"{percent(change(comparison, NEWTON, comparison.solver_grid.slsqp, 'loss'))} from SLSQP's"
+        ". "
         f"Verdict: {held}.",
     )
 
 
-def _jitter_verdict(found: Comparison) -> Verdict:
-    changes = changes_of(found, "jitter")
+def _jitter_verdict(comparison: Comparison) -> Verdict:
+    changes = changes_of(comparison, "jitter")
     held = judge(Effect(0.0, PAPER_REDUCTION), list(changes.values()))
-    newton = change(found, NEWTON, SAMPLING, "jitter")
+    newton = change(comparison, NEWTON, SAMPLING, "jitter")
     more = " The published deviation of sampling is the best of those that it was tuned over."
-    if TUNED in found.runs:
-        tuned = percent(change(found, TUNED, SAMPLING, "jitter"))
+    if TUNED in comparison.runs:
+        tuned = percent(change(comparison, TUNED, SAMPLING, "jitter"))
         more = f" Sampling with a tuned deviation: {tuned} against the published one."
     return Verdict(
         "sampling has less joint jitter than SLSQP",
@@ -116,14 +118,14 @@ def _jitter_verdict(found: Comparison) -> Verdict:
     )
 
 
-def _printed_verdict(found: Comparison) -> Verdict:
-    changes = changes_of(found, "jitter")
+def _printed_verdict(comparison: Comparison) -> Verdict:
+    changes = changes_of(comparison, "jitter")
     held = judge(Effect(0.0, PAPER_REDUCTION), list(changes.values()))
     still, stops = (
-        np.mean([[frozen(run.q) for run in seeds] for seeds in found.runs[label]])
-        for label in (SAMPLING, found.solver_grid.slsqp)
+        np.mean([[frozen(run.q) for run in seeds] for seeds in comparison.runs[label]])
+        for label in (SAMPLING, comparison.solver_grid.slsqp)
     )
-    loss = change(found, SAMPLING, found.solver_grid.slsqp, "loss")
+    loss = change(comparison, SAMPLING, comparison.solver_grid.slsqp, "loss")
     return Verdict(
         "the same, with the squared norm that the supplement prints",
         "−36.4 %",
@@ -143,12 +145,12 @@ def frozen(q: Float[np.ndarray, "T m"]) -> float:
     return float((np.abs(np.diff(q, axis=0)).max(axis=1) <= JOINTS_STILL).mean())
 
 
-def against_sampling(found: Comparison) -> Table:
+def against_sampling(comparison: Comparison) -> Table:
     """Every solver's loss and jitter relative to sampling as published."""
     rows = [
-        (label, percent(change(found, label, SAMPLING, "loss")),
-         percent(change(found, label, SAMPLING, "jitter")))
-        for label in found.runs if label != SAMPLING
+        (label, percent(change(comparison, label, SAMPLING, "loss")),
+         percent(change(comparison, label, SAMPLING, "jitter")))
+        for label in comparison.runs if label != SAMPLING
     ]  # fmt: skip
     return Table(
         "Relative to sampling as published",
@@ -158,14 +160,14 @@ def against_sampling(found: Comparison) -> Table:
     )
 
 
-def tuning_table(found: Comparison) -> Table:
+def tuning_table(comparison: Comparison) -> Table:
     """What was tuned, and over what."""
     rows = []
-    for tuned in found.solver_grid.tuning:
+    for tuned in comparison.solver_grid.tuning:
         for values, cost in tuned.tried:
             chosen = "chosen" if values == tuned.chosen else ""
-            said = ", ".join(f"{name} {value:g}" for name, value in values.items())
-            rows.append((tuned.solver, said, f"{cost:.4g}", chosen))
+            settings = ", ".join(f"{name} {value:g}" for name, value in values.items())
+            rows.append((tuned.solver, settings, f"{cost:.4g}", chosen))
     return Table(
         "Tuning, on frames that are not judged", ("solver", "setting", "mean objective", ""), rows
     )

@@ -111,10 +111,10 @@ def run_experiments(
     context = ExperimentContext(sources, settings.hand, settings.how_much, store, track)
     outcomes = []
     for name in settings.experiments:
-        made = experiment(name)
+        one = experiment(name)
         with styled():
-            outcome = made.run(context)
-        write_outcome(store, name, made, outcome, trial_note(settings.how_much))
+            outcome = one.run(context)
+        write_outcome(store, name, one, outcome, trial_note(settings.how_much))
         outcomes.append((name, outcome))
         write_report(store)
         done(name, outcome)

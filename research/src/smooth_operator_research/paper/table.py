@@ -60,14 +60,14 @@ def table_quality(cell: Cell, advance: object) -> dict[str, np.ndarray]:
 def settled(outcome: Execution) -> Execution:
     """Without the frames of the lead."""
     commands = outcome.commands
-    kept = replace(
+    reduced = replace(
         commands,
         joint_positions=commands.joint_positions[LEAD:],
         stamps=commands.stamps[LEAD:],
         latency_ms=commands.latency_ms[LEAD:],
         status=commands.status[LEAD:],
     )
-    return replace(outcome, commands=kept, tracking_loss=outcome.tracking_loss[LEAD:])
+    return replace(outcome, commands=reduced, tracking_loss=outcome.tracking_loss[LEAD:])
 
 
 def table_latency(
@@ -76,9 +76,9 @@ def table_latency(
     """Median latency of each cell [ms], and the share of the cores that others took."""
     for cell in cells:  # compiled before the machine is watched
         built_for(_plan(cell))
-    found = measure_latency(cells, frames, 0, lambda cell: advance(1 / len(cells)))
-    p50 = [one.summary["p50"] for one in found]
-    others = found[0].others
+    latencies = measure_latency(cells, frames, 0, lambda cell: advance(1 / len(cells)))
+    p50 = [one.summary["p50"] for one in latencies]
+    others = latencies[0].others
     return {
         "p50": np.array([np.nan if value is None else value for value in p50]),
         "others": np.array(np.nan if others is None else others),
@@ -192,9 +192,9 @@ class BenchmarkTable:
     def run(self, context: ExperimentContext) -> Outcome:
         """See ``Experiment``."""
         size, field = more_size(context), field_of(context, METHODS)
-        found = measure_benchmark(context, field)
+        benchmark = measure_benchmark(context, field)
         frames = sum(min(len(recording_of(s)), size.table_frames) for s in context.sources)
-        papers = [label for label in PAPERS if label in found.labels]
+        papers = [label for label in PAPERS if label in benchmark.labels]
         environment = context.store.environment
         return Outcome(
             f"{len(field.choices)} methods on {context.hand}, {frames:,} frames of "
@@ -208,24 +208,28 @@ class BenchmarkTable:
             f"each recording, alone, methods taking turns, on {environment['cpu']}, "
             f"{environment['cpu_cores']} cores, {environment['device']}. "
             f"{PAPER_NOTE}{field.note()}",
-            [_verdict(found, metric, papers) for metric in HEADLINES],
-            [_paper_table(found, papers), _table(found, "sound"), _table(found, "paper")],
+            [_verdict(benchmark, metric, papers) for metric in HEADLINES],
+            [
+                _paper_table(benchmark, papers),
+                _table(benchmark, "sound"),
+                _table(benchmark, "paper"),
+            ],
             [
                 Drawing(
                     "table",
                     "The six metrics of all methods by the paper's definitions. Bars: 95 % "
                     "intervals over recordings. Diamonds: the paper's figures for its four.",
-                    table_figure(_panels(found), found.labels),
+                    table_figure(_panels(benchmark), benchmark.labels),
                 )
             ],
             {
                 "values": [
                     {"definition": d, "method": label, "metric": metric, "recordings": own}
-                    for (d, label, metric), own in found.values.items()
+                    for (d, label, metric), own in benchmark.values.items()
                 ],
                 "paper": PAPER_TABLE,
                 "gaps": field.gaps,
-                "others": found.others,
+                "others": benchmark.others,
             },
         )
 
@@ -256,9 +260,9 @@ def measure_benchmark(context: ExperimentContext, field: Field) -> Benchmark:
         for (name, label), cell in cells.items()
     ]
     values: dict[tuple[Definition, str, str], dict[str, float]] = {}
-    for (name, label), found in zip(cells, context.finish("the six metrics", jobs), strict=True):
+    for (name, label), measured in zip(cells, context.finish("the six metrics", jobs), strict=True):
         for definition in ("paper", "sound"):
-            metrics = json.loads(str(found[definition]))
+            metrics = json.loads(str(measured[definition]))
             for metric in HEADLINES:
                 value = None if metric.name == LATENCY else metric.of(metrics)
                 if isinstance(value, (int, float)):
@@ -280,14 +284,14 @@ def measure_benchmark(context: ExperimentContext, field: Field) -> Benchmark:
         for name, group in groups.items()
     ]  # fmt: skip
     shares = []
-    for name, found in zip(groups, context.finish("latency, alone", jobs), strict=True):
-        shares.append(float(found["others"]))
-        for label, p50 in zip(field.choices, found["p50"], strict=True):
+    for name, measured in zip(groups, context.finish("latency, alone", jobs), strict=True):
+        shares.append(float(measured["others"]))
+        for label, p50 in zip(field.choices, measured["p50"], strict=True):
             for definition in ("paper", "sound"):
                 if np.isfinite(p50):
                     values.setdefault((definition, label, LATENCY), {})[name] = float(p50)
-    known = max((share for share in shares if np.isfinite(share)), default=None)
-    return Benchmark(list(field.choices), values, context.unit_of, known)
+    largest = max((share for share in shares if np.isfinite(share)), default=None)
+    return Benchmark(list(field.choices), values, context.unit_of, largest)
 
 
 def _cut(source: Source, frames: int) -> Source:
@@ -299,7 +303,7 @@ def _cut(source: Source, frames: int) -> Source:
     )
 
 
-def _verdict(found: Benchmark, metric: Metric, papers: Sequence[str]) -> Verdict:
+def _verdict(benchmark: Benchmark, metric: Metric, papers: Sequence[str]) -> Verdict:
     """Does the paper's order of its four methods show here?"""
     paper = {label: PAPER_TABLE[PAPERS[label]][metric.name] for label in papers}
     order = sorted(papers, key=lambda label: -merit(metric, paper[label]))
@@ -307,21 +311,21 @@ def _verdict(found: Benchmark, metric: Metric, papers: Sequence[str]) -> Verdict
         (a, b): estimate
         for i, a in enumerate(order)
         for b in order[i + 1 :]
-        if (estimate := found.better("paper", a, b, metric)) is not None
+        if (estimate := benchmark.better("paper", a, b, metric)) is not None
     }
     better = Direction(0.0, upwards=True)
     held = judge(better, list(pairs.values()))
     judged = [better(one, among=len(pairs)) for one in pairs.values()]
     counts = {word: judged.count(word) for word in ("held", "did not hold")}
-    means = {label: found.mean("paper", label, metric) for label in papers}
-    known = {label: mean.value for label, mean in means.items() if mean is not None}
-    ours = sorted(known, key=lambda label: -merit(metric, known[label]))
-    shown = " > ".join(f"{PAPERS[one]} {shown_value(metric, known[one])}" for one in ours)
+    means = {label: benchmark.mean("paper", label, metric) for label in papers}
+    values = {label: mean.value for label, mean in means.items() if mean is not None}
+    ours = sorted(values, key=lambda label: -merit(metric, values[label]))
+    shown = " > ".join(f"{PAPERS[one]} {shown_value(metric, values[one])}" for one in ours)
     first = order[0] if order else ""
-    wins = judge(better, [found for pair, found in pairs.items() if first in pair])
-    sound = found.winners("sound", metric, papers)
+    wins = judge(better, [benchmark for pair, benchmark in pairs.items() if first in pair])
+    sound = benchmark.winners("sound", metric, papers)
     best_sound = ", ".join(PAPERS[label] for label in papers if label in sound) or "none"
-    every = ", ".join(sorted(found.winners("sound", metric, list(found.labels)))) or "none"
+    every = ", ".join(sorted(benchmark.winners("sound", metric, list(benchmark.labels)))) or "none"
     close = (
         " Latency is of another machine: the paper's SBR ran on an RTX 4090, and the order between "
         "what runs on a processor and what runs on an accelerator is the machine's."
@@ -343,15 +347,16 @@ def _verdict(found: Benchmark, metric: Metric, papers: Sequence[str]) -> Verdict
     )
 
 
-def _paper_table(found: Benchmark, papers: Sequence[str]) -> Table:
+def _paper_table(benchmark: Benchmark, papers: Sequence[str]) -> Table:
     rows = []
     for metric in HEADLINES:
-        winners = found.winners("paper", metric, papers)
+        winners = benchmark.winners("paper", metric, papers)
         theirs = {label: PAPER_TABLE[PAPERS[label]][metric.name] for label in papers}
         lead = max(theirs.values(), key=lambda value: merit(metric, value), default=None)
         rows += [
             [_TITLES[metric.name],
-             *(_shown(found.mean("paper", one, metric), metric, one in winners) for one in papers)],
+             *(_shown(benchmark.mean("paper", one, metric), metric, one in winners)
+               for one in papers)],
             ["    in the paper",
              *(f"{shown_value(metric, v)}{' ★' if v == lead else ''}" for v in theirs.values())],
         ]  # fmt: skip
@@ -360,30 +365,30 @@ def _paper_table(found: Benchmark, papers: Sequence[str]) -> Table:
         ["metric", *(PAPERS[label] for label in papers)],
         rows,
         "★: the best of a row. Means over independent recordings (flatness and latency: geometric "
-        f"ones) with 95 % intervals; by the paper's definitions. {PAPER_NOTE}{_busy(found)}",
+        f"ones) with 95 % intervals; by the paper's definitions. {PAPER_NOTE}{_busy(benchmark)}",
     )
 
 
-def _table(found: Benchmark, definition: Definition) -> Table:
-    winners = {m.name: found.winners(definition, m, list(found.labels)) for m in HEADLINES}
+def _table(benchmark: Benchmark, definition: Definition) -> Table:
+    winners = {m.name: benchmark.winners(definition, m, list(benchmark.labels)) for m in HEADLINES}
     rows = [
-        [label, *(_shown(found.mean(definition, label, m), m, label in winners[m.name])
+        [label, *(_shown(benchmark.mean(definition, label, m), m, label in winners[m.name])
                   for m in HEADLINES)]
-        for label in found.labels
+        for label in benchmark.labels
     ]  # fmt: skip
     return Table(
         f"All methods, by the {'paper’s' if definition == 'paper' else 'sound'} definitions",
         ["method", *(_TITLES[metric.name] for metric in HEADLINES)],
         rows,
         "★: the best of a column. Means over independent recordings (flatness and latency: "
-        f"geometric ones), 95 % intervals.{_busy(found)}",
+        f"geometric ones), 95 % intervals.{_busy(benchmark)}",
     )
 
 
-def _busy(found: Benchmark) -> str:
-    if found.others is None:
+def _busy(benchmark: Benchmark) -> str:
+    if benchmark.others is None:
         return ""
-    share = f"{100 * found.others:.0f} %"
+    share = f"{100 * benchmark.others:.0f} %"
     return f" While latency was measured, other processes took up to {share} of the cores."
 
 
@@ -398,7 +403,7 @@ def _shown(mean: Estimate | None, metric: Metric, winner: bool) -> str:
     return f"{text} ★" if winner else text
 
 
-def _panels(found: Benchmark) -> list[Panel]:
+def _panels(benchmark: Benchmark) -> list[Panel]:
     panels = []
     for metric in HEADLINES:
         percent = metric.name == "workspace_utilisation"
@@ -407,11 +412,11 @@ def _panels(found: Benchmark) -> list[Panel]:
                 "workspace utilisation [%] (↑)" if percent else _TITLES[metric.name],
                 metric.name in ("flatness", LATENCY),
                 100.0 if percent else 1.0,
-                {one: found.mean("paper", one, metric) for one in found.labels},
-                {one: found.each("paper", one, metric) for one in found.labels},
+                {one: benchmark.mean("paper", one, metric) for one in benchmark.labels},
+                {one: benchmark.each("paper", one, metric) for one in benchmark.labels},
                 {
                     label: PAPER_TABLE[name][metric.name]
-                    for label, name in PAPERS.items() if label in found.labels
+                    for label, name in PAPERS.items() if label in benchmark.labels
                 },
                 1.0 if metric.goal == "->1" else None,
             )

@@ -56,9 +56,13 @@ class VelocityTerm:
         )  # fmt: skip
 
 
-def _of_the_paper(found: Comparison) -> list[str]:
+def _of_the_paper(comparison: Comparison) -> list[str]:
     """The solvers that the paper's average is over: not our own, nor its sampler tuned by us."""
-    return [SAMPLING, found.solver_grid.batched("slsqp"), found.solver_grid.batched("rmsprop")]
+    return [
+        SAMPLING,
+        comparison.solver_grid.batched("slsqp"),
+        comparison.solver_grid.batched("rmsprop"),
+    ]
 
 
 def _common(without: Comparison, held: Comparison) -> list[str]:
@@ -105,16 +109,20 @@ def _loss_verdict(added: Estimate, without: Comparison) -> Verdict:
     )
 
 
-def _comparable_verdict(found: Comparison) -> Verdict:
-    forms = found.solver_grid.of("slsqp")
+def _comparable_verdict(comparison: Comparison) -> Verdict:
+    forms = comparison.solver_grid.of("slsqp")
     ratios = [
-        contrast(found.samples(other, "jitter"), found.samples(SAMPLING, "jitter"), "ratio")
+        contrast(
+            comparison.samples(other, "jitter"), comparison.samples(SAMPLING, "jitter"), "ratio"
+        )
         for other in forms
     ]
-    losses = [change(found, other, SAMPLING, "loss") for other in forms]
+    losses = [change(comparison, other, SAMPLING, "loss") for other in forms]
     each = "; ".join(f"{one} × {own.shown(3)}" for one, own in zip(forms, ratios, strict=True))
     held = judge(Equality(1 / COMPARABLE, COMPARABLE), ratios)
-    newton = contrast(found.samples(NEWTON, "jitter"), found.samples(SAMPLING, "jitter"), "ratio")
+    newton = contrast(
+        comparison.samples(NEWTON, "jitter"), comparison.samples(SAMPLING, "jitter"), "ratio"
+    )
     return Verdict(
         "with the term, gradient solvers reach jitter comparable to sampling's",
         "comparable, no figure",

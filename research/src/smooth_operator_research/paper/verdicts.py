@@ -55,7 +55,7 @@ class Verdict:
 class Judge(Protocol):
     """Judges a part of a claim."""
 
-    def __call__(self, found: Estimate, *, among: int = 1) -> Held:
+    def __call__(self, estimate: Estimate, *, among: int = 1) -> Held:
         """The verdict on one of ``among`` parts."""
 
 
@@ -71,9 +71,9 @@ class Direction:
     none: float
     upwards: bool
 
-    def __call__(self, found: Estimate, *, among: int = 1) -> Held:
+    def __call__(self, estimate: Estimate, *, among: int = 1) -> Held:
         """See ``Judge``."""
-        low, high = found.interval(among)
+        low, high = estimate.interval(among)
         if low is None or high is None or low <= self.none <= high:
             return "not shown"
         return "held" if (low > self.none) == self.upwards else "did not hold"
@@ -91,14 +91,16 @@ class Effect:
     none: float
     claimed: float
 
-    def __call__(self, found: Estimate, *, among: int = 1) -> Held:
+    def __call__(self, estimate: Estimate, *, among: int = 1) -> Held:
         """See ``Judge``."""
         upwards = self.claimed > self.none
-        shown = Direction(self.none, upwards)(found, among=among)
+        shown = Direction(self.none, upwards)(estimate, among=among)
         if shown != "held":
             return shown
-        least = found.part_of(self.claimed, self.none, SHARE)
-        return "held" if Direction(least, upwards)(found, among=among) == "held" else "held in part"
+        least = estimate.part_of(self.claimed, self.none, SHARE)
+        return (
+            "held" if Direction(least, upwards)(estimate, among=among) == "held" else "held in part"
+        )
 
 
 @dataclass(frozen=True)
@@ -112,9 +114,9 @@ class Equality:
     low: float
     high: float
 
-    def __call__(self, found: Estimate, *, among: int = 1) -> Held:
+    def __call__(self, estimate: Estimate, *, among: int = 1) -> Held:
         """See ``Judge``."""
-        low, high = found.interval(among)
+        low, high = estimate.interval(among)
         if low is None or high is None:
             return "not shown"
         if self.low <= low and high <= self.high:
@@ -122,21 +124,21 @@ class Equality:
         return "did not hold" if high < self.low or low > self.high else "not shown"
 
 
-def judge(judging: Judge, found: Sequence[Estimate], missing: int = 0) -> Held:
+def judge(judging: Judge, estimates: Sequence[Estimate], missing: int = 0) -> Held:
     """The verdict on a claim of one part or several.
 
     Args:
         judging: judges a part.
-        found: what was measured of each part.
+        estimates: what was measured of each part.
         missing: parts without a measurement: the claim can't hold as a whole then.
     """
-    parts = len(found) + missing
-    plain = [judging(one) for one in found]
-    if found and not missing and all(one == "held" for one in plain):
+    parts = len(estimates) + missing
+    plain = [judging(one) for one in estimates]
+    if estimates and not missing and all(one == "held" for one in plain):
         return "held"
-    if found and not missing and all(one.startswith("held") for one in plain):
+    if estimates and not missing and all(one.startswith("held") for one in plain):
         return "held in part"  # every direction is shown, which needs no correction
-    strict = plain if parts < 2 else [judging(one, among=parts) for one in found]
+    strict = plain if parts < 2 else [judging(one, among=parts) for one in estimates]
     shown = any(one.startswith("held") for one in strict)
     opposite = any(one == "did not hold" for one in strict)
     if shown:

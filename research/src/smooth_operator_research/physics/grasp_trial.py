@@ -285,8 +285,8 @@ def recording_units(
     ]
     units = []
     for source in load_sources(requests):
-        if source.recording is not None and (found := find(source.recording)):
-            effort = source.recording.duration + _GRASP_S * len(found)
+        if source.recording is not None and (trials := find(source.recording)):
+            effort = source.recording.duration + _GRASP_S * len(trials)
             units.append(Unit(source.name, source.digest, source.recording, effort))
     return units
 
@@ -339,5 +339,5 @@ def _column(name: str) -> str:
 
 
 def _mean(values: Sequence[float | bool | None]) -> float | None:
-    known = [float(value) for value in values if value is not None]
-    return float(np.mean(known)) if known else None
+    finite = [float(value) for value in values if value is not None]
+    return float(np.mean(finite)) if finite else None

@@ -52,7 +52,7 @@ def find_closings(recording: HandRecording) -> list[HumanClosing]:
     straight = finger_straightness(recording)
     bent, stamps = straight.mean(axis=1), recording.stamps
     spans = _spans(straight)
-    found = []
+    closings = []
     for begin, end in spans:
         closed = begin + np.flatnonzero(straight[begin:end].max(axis=1) < CLOSED)
         if stamps[closed[-1]] - stamps[closed[0]] < LEAST_S:
@@ -71,8 +71,8 @@ def find_closings(recording: HandRecording) -> list[HumanClosing]:
         after = [following for following, _ in spans if following > begin]
         last = min([last, *after])
         shut = tight + int(loose[0]) if len(loose) else min(end, len(stamps) - 1)
-        found.append(HumanClosing(first, tight, shut, opened, last))
-    return found
+        closings.append(HumanClosing(first, tight, shut, opened, last))
+    return closings
 
 
 def finger_straightness(recording: HandRecording) -> Float[np.ndarray, "T 4"]:
@@ -82,8 +82,8 @@ def finger_straightness(recording: HandRecording) -> Float[np.ndarray, "T 4"]:
         (T, 4); 1 for a straight finger, NaN where a landmark of it is not known.
     """
     assert recording.valid is not None  # filled in on construction
-    known = np.where(recording.valid[..., None], recording.landmarks, np.nan)
-    chains = known[:, [range(base, base + 4) for base in BASES[1:]]]
+    points = np.where(recording.valid[..., None], recording.landmarks, np.nan)
+    chains = points[:, [range(base, base + 4) for base in BASES[1:]]]
     bones = np.linalg.norm(np.diff(chains, axis=2), axis=-1).sum(axis=-1)
     share: np.ndarray = np.linalg.norm(chains[:, :, -1] - chains[:, :, 0], axis=-1) / bones
     return share

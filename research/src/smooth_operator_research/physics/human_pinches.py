@@ -91,7 +91,7 @@ def find_pinches(recording: HandRecording) -> list[HumanPinch]:
     Closed and opened by hysteresis in the distance of the tips. Of pinches of several fingers at
     one time the tightest counts.
     """
-    found: list[HumanPinch] = []
+    pinches: list[HumanPinch] = []
     gaps = _tip_gaps(recording)
     for number, finger in enumerate(FINGERS[1:]):
         gap = gaps[:, number]
@@ -102,12 +102,14 @@ def find_pinches(recording: HandRecording) -> list[HumanPinch]:
                 after = np.flatnonzero(gap[end:] > OPENED)
                 opened = end + int(after[0]) if len(after) else len(gap) - 1
                 first, last = _window(recording.stamps, gap, contact, begin, opened)
-                found.append(HumanPinch(finger, first, tight, opened, last, contact, gap - contact))
-    if not found:
+                pinches.append(
+                    HumanPinch(finger, first, tight, opened, last, contact, gap - contact)
+                )
+    if not pinches:
         return []
-    nearest = min(pinch.contact for pinch in found)
-    found = [pinch for pinch in found if pinch.contact <= nearest + NEAR_MISS]
-    return sorted(_tightest(found, gaps), key=lambda pinch: pinch.tight)
+    nearest = min(pinch.contact for pinch in pinches)
+    pinches = [pinch for pinch in pinches if pinch.contact <= nearest + NEAR_MISS]
+    return sorted(_tightest(pinches, gaps), key=lambda pinch: pinch.tight)
 
 
 def with_holds(
@@ -136,13 +138,13 @@ def with_holds(
     def longer(values: np.ndarray | None) -> np.ndarray | None:
         return None if values is None else values[index]
 
-    made = replace(
+    pinches = replace(
         recording,
         landmarks=recording.landmarks[index], stamps=stamps, valid=longer(recording.valid),
         metacarpals=longer(recording.metacarpals), orientations=longer(recording.orientations),
         T_world_wrist=longer(recording.T_world_wrist),
     )  # fmt: skip
-    return made, moments
+    return pinches, moments
 
 
 def _tip_gaps(recording: HandRecording) -> Float[np.ndarray, "T 4"]:
@@ -186,10 +188,10 @@ def _window(
     return earliest + int(wide[-1] if len(wide) else np.argmax(before)), latest
 
 
-def _tightest(found: Sequence[HumanPinch], gaps: Float[np.ndarray, "T 4"]) -> list[HumanPinch]:
+def _tightest(pinches: Sequence[HumanPinch], gaps: Float[np.ndarray, "T 4"]) -> list[HumanPinch]:
     """Without those in which another finger is nearer to the thumb."""
     return [
         pinch
-        for pinch in found
+        for pinch in pinches
         if FINGERS.index(pinch.finger) - 1 == int(np.nanargmin(gaps[pinch.tight]))
     ]

@@ -296,8 +296,8 @@ def clip_record(clip: Clip) -> dict[str, Any]:
     """A clip with a JSON form, at 30 frames a second."""
     stamps = clip.stamps
     count = min(len(stamps), max(2, int((stamps[-1] - stamps[0]) * RATE_HZ) + 1))
-    wanted = np.linspace(stamps[0], stamps[-1], count)
-    chosen = np.unique(np.searchsorted(stamps, wanted).clip(0, len(stamps) - 1))
+    times = np.linspace(stamps[0], stamps[-1], count)
+    chosen = np.unique(np.searchsorted(stamps, times).clip(0, len(stamps) - 1))
     arrays = {name: getattr(clip, name) for name in _SCALES}
     return {
         "stamps": [round(float(t), 4) for t in stamps[chosen]],

@@ -133,22 +133,22 @@ def write_report(settings: PhysicsSettings, outcomes: Sequence[MeasureOutcome]) 
         columns = ("measure", "hand", "method", "condition", "unit", "reason")
         body = text_table(columns, [[row[name] or "" for name in columns] for row in failed])
         sections.append(("Failures", "failures", body))
-    asked = {
+    settings_table = {
         "measures": ", ".join(outcome.measure.name for outcome in outcomes),
         "hands": ", ".join(settings.hands),
         "methods": ", ".join(settings.methods),
         "seed": settings.seed,
         "quick": settings.quick,
     }
-    environs = join([facts_table(asked), facts_table(environment())])
+    environs = join([facts_table(settings_table), facts_table(environment())])
     sections.append(("Environment", "environment", environs))
     count = sum(len(outcome.results.rows) for outcome in outcomes)
-    said = f"{count} cases" + (f", {len(failed)} of them failed" if failed else "")
+    summary = f"{count} cases" + (f", {len(failed)} of them failed" if failed else "")
     here = files("smooth_operator.lab.benchmark.page")
     return write_report_page(
         settings.output / REPORT,
         "What the hand achieves",
-        join([element("h1", "What the hand achieves"), paragraph(said, "soft")]),
+        join([element("h1", "What the hand achieves"), paragraph(summary, "soft")]),
         sections,
         f"Made by smooth-operator {COMMAND}. Figures: results.json, summary.csv and a CSV for each "
         "measure; plots as files: plots/.",
@@ -161,12 +161,12 @@ def write_report(settings: PhysicsSettings, outcomes: Sequence[MeasureOutcome]) 
 def _section(outcome: MeasureOutcome, plots: Plots, colors: Mapping[str, str], hands: int) -> Html:
     measure, results = outcome.measure, outcome.results
     count = len({row["unit"] for row in results.rows})
-    said = (
+    summary = (
         f"Figures are means or shares over {count} independent {measure.unit}"
         f"{'s' if count != 1 else ''}, with 95 % intervals: Student's t for means, Wilson's for "
         f"shares. The definition in full: research/{measure.page}."
     )
-    parts = [paragraph(measure.definition), paragraph(said, "soft")]
+    parts = [paragraph(measure.definition), paragraph(summary, "soft")]
     for panel in results.panels:
         hand, side, condition = panel
         title = f"{hand} {side}" + (f", {condition}" if condition else "")

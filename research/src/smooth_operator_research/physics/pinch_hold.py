@@ -115,10 +115,12 @@ class PinchHold:
             for thing in things:
                 if pinch.opening_before < thing.width + HYSTERESIS:
                     continue  # the human could not have taken it
-                asked = robot_pinch(case.hand, pinch, thing, longer.stamps, moments, commands, gaps)
+                pinch_commands = robot_pinch(
+                    case.hand, pinch, thing, longer.stamps, moments, commands, gaps
+                )
                 physics = _physics(case.hand_name, case.side, thing)
                 before = physics.resets
-                tried[thing.name].append(try_pinch(physics, asked))
+                tried[thing.name].append(try_pinch(physics, pinch_commands))
                 diverged += physics.resets > before
         row = grasp_row(tried)
         row["overlap_mm"] = float(np.mean(overlaps))

@@ -120,8 +120,8 @@ def joint_motion(
         pinches += pinch
         deepest = max(deepest, depth)
     joints = spline(control, per_knot)[:count]
-    seen = penetration_depths(hand, hand.full_configuration(joints[:1])) is not None
-    return JointMotion(np.arange(count) / rate_hz, joints, pinches, deepest if seen else None)
+    measurable = penetration_depths(hand, hand.full_configuration(joints[:1])) is not None
+    return JointMotion(np.arange(count) / rate_hz, joints, pinches, deepest if measurable else None)
 
 
 def spline(control: list[np.ndarray], per_knot: int) -> Float[np.ndarray, "T m"]:
@@ -152,8 +152,8 @@ class _KeyPoses:
     def __init__(self, hand: Hand, rng: np.random.Generator) -> None:
         self.hand, self._rng = hand, rng
         self._low, self._high = hand.limits.T
-        found = [self._pinches(finger) for finger in range(1, len(hand.fingers))]
-        self._found = [poses for poses in found if len(poses)]
+        pinches = [self._pinches(finger) for finger in range(1, len(hand.fingers))]
+        self._found = [poses for poses in pinches if len(poses)]
 
     @property
     def can_pinch(self) -> bool:
@@ -193,17 +193,17 @@ class _KeyPoses:
         for _ in range(_STEPS):
             apart, jacobian = self._gap(pose, finger)
             gap = np.linalg.norm(apart, axis=1, keepdims=True)
-            wanted = -apart * np.minimum(1.0, _NEAR / np.maximum(gap, 1e-9))
+            target_step = -apart * np.minimum(1.0, _NEAR / np.maximum(gap, 1e-9))
             square = jacobian @ jacobian.transpose(0, 2, 1) + _DAMPING * np.eye(3)
-            solved = np.linalg.solve(square, wanted[..., None])
+            solved = np.linalg.solve(square, target_step[..., None])
             step = (jacobian.transpose(0, 2, 1) @ solved)[..., 0]
             step *= np.minimum(1.0, _TURN / np.maximum(np.abs(step).max(1, keepdims=True), 1e-9))
             pose = np.clip(pose + step, self._low, self._high)
             path.append(pose)
-        found = self._touching(np.stack(path, axis=1))
-        gaps = np.linalg.norm(self._gap(found, finger)[0], axis=1)
+        touching = self._touching(np.stack(path, axis=1))
+        gaps = np.linalg.norm(self._gap(touching, finger)[0], axis=1)
         order = np.argsort(gaps, kind="stable")[: _STARTS // 2]
-        chosen: np.ndarray = found[order[gaps[order] < PINCH_GAP]]
+        chosen: np.ndarray = touching[order[gaps[order] < PINCH_GAP]]
         return chosen
 
     def _gap(self, pose: np.ndarray, finger: int) -> tuple[np.ndarray, np.ndarray]:
@@ -355,17 +355,17 @@ class ReachableMotion:
         """Retargets one motion."""
         duration = QUICK_SECONDS if case.quick else SECONDS
         motion = _motion(case.hand_name, case.side, case.unit.data, duration)
-        asked = _asked(case.hand, motion, case.unit.data, NOISE[case.condition])
-        commands = case.commands(asked.recording)
-        row = motion_figures(case.hand, asked, commands.joint_positions)
+        request = _asked(case.hand, motion, case.unit.data, NOISE[case.condition])
+        commands = case.commands(request.recording)
+        row = motion_figures(case.hand, request, commands.joint_positions)
         row["held_frames"] = int((commands.status != Status.OK).sum())
-        human = align_recording(asked.recording, case.hand, case.config.alignment)
+        human = align_recording(request.recording, case.hand, case.config.alignment)
         own = [TIPS[FINGERS.index(finger)] for finger in case.hand.fingers]
-        off = np.linalg.norm(human[:, own] - asked.tips, axis=-1)
-        row["input_error_mm"] = 1e3 * float(off[_warm(asked) :].mean())
+        off = np.linalg.norm(human[:, own] - request.tips, axis=-1)
+        row["input_error_mm"] = 1e3 * float(off[_warm(request) :].mean())
         if not case.clip:
             return Measured(row)
-        return Measured(row, Clip(asked.recording.stamps, human, commands.joint_positions))
+        return Measured(row, Clip(request.recording.stamps, human, commands.joint_positions))
 
     def draw(self, results: MeasureResults, colors: Mapping[str, str]) -> Sequence[Drawing]:
         """Fingertip error, pinch gap error and lag of each method."""
@@ -373,28 +373,28 @@ class ReachableMotion:
 
 
 def motion_figures(
-    hand: Hand, asked: AskedMotion, joints: Float[np.ndarray, "T n"]
+    hand: Hand, request: AskedMotion, joints: Float[np.ndarray, "T n"]
 ) -> dict[str, float | int | str | None]:
     """The figures of one motion; the first half second is left out.
 
     Args:
         hand: the robot hand.
-        asked: what it was asked for.
+        request: what it was asked for.
         joints: (T, n) what it was commanded [rad].
     """
-    warm = _warm(asked)
+    warm = _warm(request)
     tips = hand.tips(joints)
-    off = (tips - asked.tips)[warm:]
+    off = (tips - request.tips)[warm:]
     error = np.linalg.norm(off, axis=-1)
-    gaps, wanted = (_thumb_gaps(points)[warm:] for points in (tips, asked.tips))
-    pinched = wanted < PINCH_GAP
-    apart = np.abs(gaps - wanted)[pinched]
-    period = float(np.median(np.diff(asked.recording.stamps)))
+    gaps, human_gaps = (_thumb_gaps(points)[warm:] for points in (tips, request.tips))
+    pinched = human_gaps < PINCH_GAP
+    apart = np.abs(gaps - human_gaps)[pinched]
+    period = float(np.median(np.diff(request.recording.stamps)))
     return {
         "tip_error_mm": 1e3 * float(error.mean()),
         "tip_p95_mm": 1e3 * float(np.percentile(error, 95)),
         "pinch_gap_error_mm": 1e3 * float(apart.mean()) if apart.size else None,
-        "lag_ms": 1e3 * period * lag_frames(asked.tips[warm:], tips[warm:]),
+        "lag_ms": 1e3 * period * lag_frames(request.tips[warm:], tips[warm:]),
         "exact": float((error.max(axis=1) <= EXACT).mean()),
         "common_shift_mm": 1e3 * float(np.linalg.norm(off.mean(axis=1), axis=-1).mean()),
         **{
@@ -403,14 +403,16 @@ def motion_figures(
         },
         "pinched_frames": int(pinched.any(axis=1).sum()),
         "frames": len(error),
-        "asked_peak_speed_rad_s": asked.motion.peak_speed,
-        "asked_overlap_mm": None if asked.motion.deepest is None else 1e3 * asked.motion.deepest,
+        "asked_peak_speed_rad_s": request.motion.peak_speed,
+        "asked_overlap_mm": None
+        if request.motion.deepest is None
+        else 1e3 * request.motion.deepest,
     }
 
 
-def _warm(asked: AskedMotion) -> int:
+def _warm(request: AskedMotion) -> int:
     """How many frames are left out."""
-    stamps = asked.recording.stamps
+    stamps = request.recording.stamps
     return int(np.searchsorted(stamps, stamps[0] + WARM_UP_S))
 
 
@@ -420,26 +422,26 @@ def _thumb_gaps(tips: Float[np.ndarray, "T F 3"]) -> Float[np.ndarray, "T f"]:
     return gaps
 
 
-def lag_frames(asked: Float[np.ndarray, "T F 3"], given: Float[np.ndarray, "T F 3"]) -> float:
+def lag_frames(human: Float[np.ndarray, "T F 3"], robot: Float[np.ndarray, "T F 3"]) -> float:
     """By how many frames one motion trails another.
 
     The whole number of frames with the smallest mean squared distance, and the fraction that the
     remaining distance makes along the asked velocity, by least squares. What is exact has lag 0.
 
     Args:
-        asked: (T, F, 3) points [m].
-        given: (T, F, 3) the points that follow.
+        human: (T, F, 3) points [m].
+        robot: (T, F, 3) the points that follow.
 
     Returns:
         frames, down to -1; 0 where nothing moves or the motion is too short to tell.
     """
-    most = min(_MOST_LAG, len(asked) // 4)
+    most = min(_MOST_LAG, len(human) // 4)
     if most < 1:
         return 0.0
-    own = given[most:]
-    ahead = [asked[most - k : len(asked) - k] for k in range(most + 1)]
+    own = robot[most:]
+    ahead = [human[most - k : len(human) - k] for k in range(most + 1)]
     shift = int(np.argmin([np.mean((own - part) ** 2) for part in ahead]))
-    velocity = np.gradient(asked, axis=0)[most - shift : len(asked) - shift]
+    velocity = np.gradient(human, axis=0)[most - shift : len(human) - shift]
     square = float((velocity**2).sum())
     if square == 0.0:
         return 0.0

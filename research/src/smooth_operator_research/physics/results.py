@@ -88,17 +88,17 @@ def wilson(successes: float, trials: float) -> tuple[float, float]:
 
 def summarise(figure: Figure, rows: Iterable[Mapping[str, Any]]) -> Summary:
     """A figure over rows; those without it, failures too, are left out."""
-    known = [row for row in rows if row.get(figure.name) is not None]
+    measured = [row for row in rows if row.get(figure.name) is not None]
     if figure.share:
-        good = sum(float(row[figure.name]) for row in known)
-        trials = sum(float(row[figure.trials]) if figure.trials else 1.0 for row in known)
+        good = sum(float(row[figure.name]) for row in measured)
+        trials = sum(float(row[figure.trials]) if figure.trials else 1.0 for row in measured)
         if not trials:
             return Summary(None, None, None, 0)
         return Summary(good / trials, *wilson(good, trials), round(trials))
-    if not known:
+    if not measured:
         return Summary(None, None, None, 0)
     samples = Samples(
-        [[float(row[figure.name])] for row in known], [str(row["unit"]) for row in known]
+        [[float(row[figure.name])] for row in measured], [str(row["unit"]) for row in measured]
     )
     mean = mean_of(samples)
     return Summary(mean.value, mean.low, mean.high, mean.units)
@@ -216,14 +216,14 @@ def best_of(lines: Sequence[Line], figure: Figure) -> str | None:
     Where less is better, the nearest to 0 is best: a lag may be below 0.
     """
     values = {line.method: line.summaries[figure.name].value for line in lines}
-    known = {method: value for method, value in values.items() if value is not None}
-    if not figure.goal or len(set(known.values())) < 2:
+    finite = {method: value for method, value in values.items() if value is not None}
+    if not figure.goal or len(set(finite.values())) < 2:
         return None
     if figure.goal == "->1":
-        return min(known, key=lambda method: abs(known[method] - 1))
+        return min(finite, key=lambda method: abs(finite[method] - 1))
     if figure.goal == "down":
-        return min(known, key=lambda method: abs(known[method]))
-    return max(known, key=known.__getitem__)
+        return min(finite, key=lambda method: abs(finite[method]))
+    return max(finite, key=finite.__getitem__)
 
 
 def row_method(row: Mapping[str, Any]) -> str:

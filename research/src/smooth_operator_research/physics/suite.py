@@ -71,8 +71,8 @@ def find_measure(name: str) -> Measure:
     if name not in measure_names():
         raise UnknownNameError("measure", name, measure_names())
     module, kind = MEASURES[name]
-    made: Measure = getattr(import_module(f"smooth_operator_research.physics.{module}"), kind)()
-    return made
+    measure: Measure = getattr(import_module(f"smooth_operator_research.physics.{module}"), kind)()
+    return measure
 
 
 COMMAND: Final = "bench --physics"
@@ -168,13 +168,13 @@ def _run_measure(
     name: str, cases: Sequence[Case], settings: PhysicsSettings, log: ResultLog, track: Track
 ) -> MeasureOutcome:
     measure = find_measure(name)
-    found, missing = find_results([_job(measure, case) for case in cases], log)
-    done: dict[tuple[str, ...], JobResult[Case]] = {r.job.task.key: r for r in found}
+    results, missing = find_results([_job(measure, case) for case in cases], log)
+    done: dict[tuple[str, ...], JobResult[Case]] = {r.job.task.key: r for r in results}
 
     def execute(tasks: Sequence[Case]) -> Iterable[TaskResult[Measured]]:
         return run_tasks(run_case, tasks, workers=settings.workers, cluster=settings.cluster)
 
-    with track(name, len(cases), len(found)) as advance:
+    with track(name, len(cases), len(results)) as advance:
         for result in compute_results(missing, log, execute, _to_keep):
             done[result.job.task.key] = result
             advance(result.job.label, result.error)

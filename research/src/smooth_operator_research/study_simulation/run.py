@@ -265,7 +265,7 @@ def simulate_study(
     code = _code()
     jobs = [Job("", chunk.key, code, chunk) for chunk in chunks(settings)]
     log = ResultLog(folder / LOG, note)
-    known = dict(
+    settings_known = dict(
         chunk_values(
             jobs,
             log,
@@ -280,7 +280,7 @@ def simulate_study(
             report=report,
         )
     )
-    rows = [row for job in jobs for row in _rows(job.task, known[job.task])]
+    rows = [row for job in jobs for row in _rows(job.task, settings_known[job.task])]
     _write(settings, folder, rows)
     return rows
 
@@ -309,7 +309,7 @@ def _rows(chunk: Chunk, trials: Sequence[dict[str, Any]]) -> list[dict[str, Any]
 
 
 def _write(settings: SimulationSettings, folder: Path, rows: Sequence[dict[str, Any]]) -> None:
-    asked = [
+    request = [
         {
             "operator": PREFIX + block.operator,
             "task": block.task.name,
@@ -321,8 +321,8 @@ def _write(settings: SimulationSettings, folder: Path, rows: Sequence[dict[str, 
         for point in block.questionnaires.values()
     ]
     tables = {"trials.csv": (TRIAL_COLUMNS, rows), "details.csv": (_DETAILS, rows)}
-    if asked:
-        tables["tlx.csv"] = (QUESTIONNAIRE_COLUMNS, asked)
+    if request:
+        tables["tlx.csv"] = (QUESTIONNAIRE_COLUMNS, request)
     for name, (columns, table) in tables.items():
         with atomic_write(folder / name) as file:
             file.write(csv_text(columns, table).encode("utf-8"))

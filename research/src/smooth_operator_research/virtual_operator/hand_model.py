@@ -174,14 +174,14 @@ class MatchedHand(HandModel):
         self.lower, self.upper = hand.limits.T
         self.relaxed = hand.neutral
         self._points = HandPoints(hand, hand.tree.names)
-        known = [LANDMARKS.index(name) for name in hand.tree.names]
+        indices = [LANDMARKS.index(name) for name in hand.tree.names]
         # All landmarks are the known ones, or lie between two of them, or stand still.
         still = human_landmarks(hand, hand.neutral[None])[0]
-        share = np.zeros((len(LANDMARKS), len(known)))
-        share[known, range(len(known))] = 1.0
+        share = np.zeros((len(LANDMARKS), len(indices)))
+        share[indices, range(len(indices))] = 1.0
         for name in hand.fingers:
             first = BASES[FINGERS.index(name)]
-            own = [i for i in range(first, first + 4) if i in known]
+            own = [i for i in range(first, first + 4) if i in indices]
             for i in set(range(first, first + 4)) - set(own):
                 below, above = max(k for k in own if k < i), min(k for k in own if k > i)
                 part = (i - below) / (above - below)
@@ -253,13 +253,13 @@ class ReachingHand:
             (21, 3) landmarks [m].
         """
         model, start = self._model, self.angles
-        wanted = np.isfinite(tips).all(axis=1)
-        goals = tips[wanted]
+        finite = np.isfinite(tips).all(axis=1)
+        goals = tips[finite]
         x = start
         for _ in range(rounds):
             points, derivatives = model.landmarks(x)
-            jacobian = derivatives[wanted].reshape(-1, len(x)) / _TIP_M
-            error = (goals - points[list(TIPS)][wanted]).ravel() / _TIP_M
+            jacobian = derivatives[finite].reshape(-1, len(x)) / _TIP_M
+            error = (goals - points[list(TIPS)][finite]).ravel() / _TIP_M
             posture, motion = (model.relaxed - x) / _POSTURE**2, (start - x) / _MOTION**2
             pull = jacobian.T @ error + posture + motion
             # A joint at its limit that is wanted beyond it takes no part.
@@ -342,13 +342,13 @@ class GripReach:
             top: height of the table [m].
             gap: between the fingertips [m].
         """
-        found = []
+        places = []
         for finger in (1, 2):
             for side in (0.0, 0.01, -0.01, 0.02, -0.02):
                 low = np.array([x, y + side, top - gap / 2 + 0.001])
                 off = self.off({0: low, finger: low + np.array([0.0, 0.0, gap])})
-                found.append((off + 0.05 * abs(side), finger, y + side))
-        _, finger, place = min(found)
+                places.append((off + 0.05 * abs(side), finger, y + side))
+        _, finger, place = min(places)
         return finger, place
 
     def turn(
@@ -395,7 +395,7 @@ class GripReach:
         key = tuple(np.round(centre, 2))
         if key not in self._turns:
             angles = np.arange(-np.pi, np.pi, _STEP)
-            found = {}
+            ranges = {}
             for finger in (1, 2):
                 away = self.relaxed[finger] - self.relaxed[0]
                 nominal = np.arctan2(away[1], away[0])
@@ -414,9 +414,9 @@ class GripReach:
                     )
                 span = _longest_run(np.array(fits))
                 if span is not None:
-                    found[finger] = (float(angles[span[0]]), float(angles[span[0]]
+                    ranges[finger] = (float(angles[span[0]]), float(angles[span[0]]
                                      + _STEP * (span[1] - span[0])))  # fmt: skip
-            self._turns[key] = found
+            self._turns[key] = ranges
         return self._turns[key]
 
     def across(
@@ -440,7 +440,7 @@ class GripReach:
             along: direction to the handle's end.
             width: of fingertips from the handle's axis [m].
         """
-        found = []
+        fingers = []
         for pivot, second in ((1, 2), (2, 3), (2, 1)):
             if second >= len(self._rows):
                 continue
@@ -452,8 +452,8 @@ class GripReach:
                         second: centre + apart * along - width * across,
                     }
                 )
-                found.append((off, pivot, second, apart))
-        return min(found)[1:]
+                fingers.append((off, pivot, second, apart))
+        return min(fingers)[1:]
 
 
 def _longest_run(fits: np.ndarray) -> tuple[int, int] | None:

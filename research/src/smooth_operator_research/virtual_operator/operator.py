@@ -32,7 +32,12 @@ from smooth_operator_research.virtual_operator.hand_model import (
     SeenTips,
 )
 from smooth_operator_research.virtual_operator.person import MotorNoise, Person, movement_time
-from smooth_operator_research.virtual_operator.strategies import STRATEGIES, Seen, Step, Strategy
+from smooth_operator_research.virtual_operator.strategies import (
+    STRATEGIES,
+    Observation,
+    Step,
+    Strategy,
+)
 from smooth_operator_research.virtual_operator.visual_feedback import (
     CrossoverCorrection,
     DelayedView,
@@ -44,8 +49,8 @@ class _Image:
     """What there was to see at one moment, and where fingertips were wanted."""
 
     time: float
-    seen: Seen
-    wanted: Float[np.ndarray, "f 3"]
+    obs: Observation
+    targets: Float[np.ndarray, "f 3"]
     error: Float[np.ndarray, "f 3"]
 
 
@@ -132,16 +137,16 @@ class VirtualOperator:
         share = 1.0 - np.exp(-seconds / self._lag)
         self._foreseen = self._foreseen + share * (self._goal - self._foreseen)
         tips = self._tips.read() @ self._turn.T + self._at
-        seen = Seen(state, self._scorer, tips, self._goal)
-        self._view.show(time, _Image(time, seen, self._foreseen, self._error(seen)))
+        obs = Observation(state, self._scorer, tips, self._goal)
+        self._view.show(time, _Image(time, obs, self._foreseen, self._error(obs)))
 
-    def _error(self, seen: Seen) -> Float[np.ndarray, "f 3"]:
+    def _error(self, obs: Observation) -> Float[np.ndarray, "f 3"]:
         """(f, 3) how far fingertips are from where they should be, as far as it is corrected."""
-        error, step = np.zeros_like(seen.tips), self._step
+        error, step = np.zeros_like(obs.tips), self._step
         if step is None or step.via:
             return error
-        free = [finger for finger in step.aims(1.0, seen) if finger not in step.presses]
-        error[free] = self._foreseen[free] - seen.tips[free]
+        free = [finger for finger in step.aims(1.0, obs) if finger not in step.presses]
+        error[free] = self._foreseen[free] - obs.tips[free]
         return error
 
     def landmarks(
@@ -151,7 +156,7 @@ class VirtualOperator:
         seconds = 0.0 if np.isnan(self._last) else max(0.0, time - self._last)
         self._last = time
         before = self._goal
-        image = self._view.seen(time) if time >= 0.0 else None
+        image = self._view.latest(time) if time >= 0.0 else None
         if image is not None:
             self._correction.update(image.error @ self._turn, seconds)
             self._proceed(time, image)
@@ -173,11 +178,11 @@ class VirtualOperator:
     def _proceed(self, time: float, image: _Image) -> None:
         """Go on with the step, or begin the next."""
         if self._strategy is None:
-            self._strategy = STRATEGIES[self._task.name](self._scene, self._reach, image.seen)
-            self._begin(next(self._strategy), time, image.seen)
+            self._strategy = STRATEGIES[self._task.name](self._scene, self._reach, image.obs)
+            self._begin(next(self._strategy), time, image.obs)
         assert self._step is not None
         step, share = self._step, self._share(time)
-        aims = step.aims(share, image.seen)
+        aims = step.aims(share, image.obs)
         goal = self._from + share * (self._reach.relaxed - self._from)
         for finger, aim in aims.items():
             start = self._from[finger]
@@ -185,14 +190,14 @@ class VirtualOperator:
         self._goal = goal
         if self._over(step, time, image, list(aims)):
             try:
-                self._begin(self._strategy.send(image.seen), time, image.seen)
+                self._begin(self._strategy.send(image.obs), time, image.obs)
             except StopIteration:
                 self.gave_up = True
 
     def _over(self, step: Step, time: float, image: _Image, used: list[int]) -> bool:
         """Whether what the step is for is seen, or the person waits no longer."""
         waited = time - self._since - self._duration
-        if step.until is not None and image.time >= self._since and step.until(image.seen):
+        if step.until is not None and image.time >= self._since and step.until(image.obs):
             return True
         if waited < 0.0:
             return False
@@ -200,17 +205,17 @@ class VirtualOperator:
             return True
         if step.until is not None or step.presses or image.time < self._since + self._duration:
             return False
-        apart = np.linalg.norm(image.wanted - image.seen.tips, axis=-1)[used]
+        apart = np.linalg.norm(image.targets - image.obs.tips, axis=-1)[used]
         return bool(np.all(apart <= self._person.tolerance_m))
 
     def _share(self, time: float) -> float:
         share = float(np.clip((time - self._since) / self._duration, 0.0, 1.0))
         return share * share * (3.0 - 2.0 * share)
 
-    def _begin(self, step: Step, time: float, seen: Seen) -> None:
+    def _begin(self, step: Step, time: float, obs: Observation) -> None:
         """Set out for the aims of a step."""
         self._step, self._since, self._from = step, time, self._goal
-        ends = step.aims(1.0, seen)
+        ends = step.aims(1.0, obs)
         ways = [float(np.linalg.norm(aim - self._goal[finger])) for finger, aim in ends.items()]
         if not ways:
             ways = np.linalg.norm(self._reach.relaxed - self._goal, axis=1).tolist()

@@ -55,7 +55,7 @@ Aims: TypeAlias = dict[int, Float[np.ndarray, "3"]]
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class Observation:
     """What a person sees at one moment.
 
     Attributes:
@@ -92,8 +92,8 @@ class Step:
         reset: ask for the object to be put back, as the step begins.
     """
 
-    aims: Callable[[float, Seen], Aims]
-    until: Callable[[Seen], bool] | None = None
+    aims: Callable[[float, Observation], Aims]
+    until: Callable[[Observation], bool] | None = None
     presses: tuple[int, ...] = ()
     longest_s: float = 2.0
     seconds: float = 0.0
@@ -103,13 +103,13 @@ class Step:
     reset: bool = False
 
 
-Strategy: TypeAlias = Generator[Step, Seen, None]
+Strategy: TypeAlias = Generator[Step, Observation, None]
 """Steps of a person; it ends when the person gives up."""
 
 
-def still(aims: Aims) -> Callable[[float, Seen], Aims]:
+def still(aims: Aims) -> Callable[[float, Observation], Aims]:
     """Aims that do not change."""
-    return lambda share, seen: aims
+    return lambda share, obs: aims
 
 
 class Closing:
@@ -127,13 +127,13 @@ class Closing:
         self._wide, self._inward, self._press = wide, inward, press
         self.contact: Aims = {}
 
-    def __call__(self, share: float, seen: Seen) -> Aims:
+    def __call__(self, share: float, obs: Observation) -> Aims:
         """Aims of the step; remembers what is seen to touch."""
         for finger in self._wide:
-            if finger not in self.contact and seen.touches(finger):
-                self.contact[finger] = seen.tips[finger].copy()
-        found = self.pressed(self._press)
-        return found | {
+            if finger not in self.contact and obs.touches(finger):
+                self.contact[finger] = obs.tips[finger].copy()
+        touches = self.pressed(self._press)
+        return touches | {
             finger: place + share * (self._opened + _SEEK_M) * self._inward[finger]
             for finger, place in self._wide.items()
             if finger not in self.contact
@@ -152,14 +152,14 @@ class Closing:
     def step(self) -> Step:
         """The step: slow, until all fingers have been seen to touch."""
         return Step(
-            self, lambda seen: self.complete, presses=tuple(self._wide), longest_s=0.5,
+            self, lambda obs: self.complete, presses=tuple(self._wide), longest_s=0.5,
             seconds=CLOSING_S, path=True,
         )  # fmt: skip
 
 
-def along(start: Aims, end: Aims) -> Callable[[float, Seen], Aims]:
+def along(start: Aims, end: Aims) -> Callable[[float, Observation], Aims]:
     """A straight way of fingertips; for steps with ``path``."""
-    return lambda share, seen: {f: place + share * (end[f] - place) for f, place in start.items()}
+    return lambda share, obs: {f: place + share * (end[f] - place) for f, place in start.items()}
 
 
 def turned(aims: Aims, centre: Float[np.ndarray, "3"], angle: float) -> Aims:
@@ -174,9 +174,9 @@ def moved(aims: Aims, by: Float[np.ndarray, "3"]) -> Aims:
     return {finger: place + by for finger, place in aims.items()}
 
 
-def again(seen: Seen, reset: bool = False) -> Generator[Step, Seen, Seen]:
+def again(obs: Observation, reset: bool = False) -> Generator[Step, Observation, Observation]:
     """Open the hand after an attempt, and ask for a reset if the object can't be worked on."""
-    reset = reset or bool(seen.scorer.standing.stuck)
+    reset = reset or bool(obs.scorer.standing.stuck)
     return (yield Step(lambda share, s: {}, longest_s=0.5, attempt=True, reset=reset))
 
 
@@ -190,18 +190,18 @@ _BESIDE_M: Final = 0.015  # the card is pressed on so far to the side of the pin
 _STICKS_OUT: Final = 0.025  # of the card over the edge, before it is pinched [m]
 
 
-def card_strategy(scene: CardScene, reach: GripReach, seen: Seen) -> Strategy:
+def card_strategy(scene: CardScene, reach: GripReach, obs: Observation) -> Strategy:
     """Press on the card, draw it over the edge, pinch it, pull it off.
 
     Args:
         scene: where.
         reach: of the hand.
-        seen: at the start.
+        obs: at the start.
     """
     edge, top = scene.edge, scene.top
     above = top + CARD[2] + PAD_M
     finger, y = reach.edge_pinch(
-        edge - _PINCH_M, float(seen.state.position[1]), top, CARD[2] + 2 * PAD_M
+        edge - _PINCH_M, float(obs.state.position[1]), top, CARD[2] + 2 * PAD_M
     )
     press = PRESS_M
     both = (THUMB, finger)
@@ -209,79 +209,79 @@ def card_strategy(scene: CardScene, reach: GripReach, seen: Seen) -> Strategy:
     x = edge - _PINCH_M
     below = np.array([edge - 0.016, y, top - 0.022])
     while True:
-        far = min(scene.reach - 0.012, float(seen.state.position[0]) + CARD[0] / 2 - 0.012)
-        aside = float(np.clip(seen.state.position[1] - y, -_BESIDE_M, _BESIDE_M))
+        far = min(scene.reach - 0.012, float(obs.state.position[0]) + CARD[0] / 2 - 0.012)
+        aside = float(np.clip(obs.state.position[1] - y, -_BESIDE_M, _BESIDE_M))
         over = np.array([far, y + aside, above]) + lift
-        seen = yield Step(still({THUMB: below, finger: over}))
+        obs = yield Step(still({THUMB: below, finger: over}))
         for _ in range(4):
-            if _protrudes(seen) >= _STICKS_OUT:
+            if _protrudes(obs) >= _STICKS_OUT:
                 break
             touch = Closing({finger: over}, {finger: down}, press)
-            seen = yield _with_thumb(touch.step(), below)
+            obs = yield _with_thumb(touch.step(), below)
             start = touch.pressed(press).get(finger, over - lift)
             end = np.array([edge + 0.001, y, start[2]])
 
             def drawn(
-                share: float, s: Seen, a: _Place = start, b: _Place = end, p: float = press
+                share: float, s: Observation, a: _Place = start, b: _Place = end, p: float = press
             ) -> Aims:
                 place = a + share * (b - a)
                 if s.touches(finger):  # the pad rolls: press as far beyond where it is seen
                     place = np.array([place[0], place[1], s.tips[finger][2] - p])
                 return {THUMB: below, finger: place}
 
-            seen = yield Step(
+            obs = yield Step(
                 drawn,
                 lambda s: _protrudes(s) >= _STICKS_OUT, presses=(finger,),
                 longest_s=0.4, path=True,
             )  # fmt: skip
-            seen = yield Step(still({THUMB: below, finger: seen.tips[finger] + lift}), via=True)
-            if _protrudes(seen) < _STICKS_OUT:  # another stroke
-                seen = yield Step(still({THUMB: below, finger: over}))
+            obs = yield Step(still({THUMB: below, finger: obs.tips[finger] + lift}), via=True)
+            if _protrudes(obs) < _STICKS_OUT:  # another stroke
+                obs = yield Step(still({THUMB: below, finger: over}))
         # The finger goes over the part that sticks out, the thumb below it, and both close.
         wide = {
             THUMB: np.array([x, y, top - PAD_M]) - lift, finger: np.array([x, y, above]) + lift
         }  # fmt: skip
-        seen = yield Step(still(wide))
+        obs = yield Step(still(wide))
         pinch = Closing(wide, {THUMB: -down, finger: down}, press)
-        seen = yield pinch.step()
+        obs = yield pinch.step()
         if pinch.complete:
             firm = pinch.pressed(press + _SQUEEZE_M)
             closed, off = pinch.pressed(press), moved(firm, _PULL)
-            seen = yield Step(
+            obs = yield Step(
                 along(closed, off), presses=both, longest_s=0.2, seconds=STROKE_S,
                 path=True,
             )  # fmt: skip
-            seen = yield Step(
+            obs = yield Step(
                 along(off, moved(off, _LIFT)),
                 lambda s: _clear(s, 0.2) or not s.touches(*both), presses=both,
                 longest_s=1.0, seconds=STROKE_S, path=True,
             )  # fmt: skip
-            held = {f: seen.sent[f] for f in both}
-            while seen.touches(*both) and _clear(seen, 0.0):
-                seen = yield Step(still(held), presses=both, longest_s=0.5)
-            if seen.touches(*both):  # it does not come off: put it back
-                seen = yield Step(
+            held = {f: obs.sent[f] for f in both}
+            while obs.touches(*both) and _clear(obs, 0.0):
+                obs = yield Step(still(held), presses=both, longest_s=0.5)
+            if obs.touches(*both):  # it does not come off: put it back
+                obs = yield Step(
                     along(held, closed), presses=both, longest_s=0.2,
                     seconds=STROKE_S, path=True,
                 )  # fmt: skip
-        seen = yield from again(seen)
+        obs = yield from again(obs)
         press = min(press * 1.5, 3 * PRESS_M)
 
 
 def _with_thumb(step: Step, place: Float[np.ndarray, "3"]) -> Step:
     """The step, with the thumb at a place meanwhile."""
     aims = step.aims
-    return replace(step, aims=lambda share, seen: {THUMB: place, **aims(share, seen)})
+    return replace(step, aims=lambda share, obs: {THUMB: place, **aims(share, obs)})
 
 
-def _clear(seen: Seen, seconds: float) -> bool:
+def _clear(obs: Observation, seconds: float) -> bool:
     """Whether the card has been in the pinch alone for so long."""
-    since = seen.scorer.pinched
-    return since is not None and seen.state.time - since >= seconds
+    since = obs.scorer.pinched
+    return since is not None and obs.state.time - since >= seconds
 
 
-def _protrudes(seen: Seen) -> float:
-    scorer: CardScorer = seen.scorer
+def _protrudes(obs: Observation) -> float:
+    scorer: CardScorer = obs.scorer
     return scorer.protrusion
 
 
@@ -293,30 +293,30 @@ _NEARLY: Final = np.radians(10.0)  # a cube that is so near its goal is let be [
 _STOPS: Final = np.radians(3.0)  # a stroke ends so long before the goal [rad]
 
 
-def cube_strategy(scene: CubeScene, reach: GripReach, seen: Seen) -> Strategy:
+def cube_strategy(scene: CubeScene, reach: GripReach, obs: Observation) -> Strategy:
     """Grip the cube, turn it as far as the fingers reach, let go, and again until it is turned.
 
     Args:
         scene: where.
         reach: of the hand.
-        seen: at the start.
+        obs: at the start.
     """
     sign, press, above = 0.0, _PRESS_M, True
     near = EDGE / 2 + PAD_M
     out = near + _OPEN_M
     while True:
-        missing = GOAL - sign * seen.scorer.turned
+        missing = GOAL - sign * obs.scorer.turned
         if sign and abs(missing) < _NEARLY:  # let it be, and look
-            seen = yield Step(lambda share, s: {}, lambda s: False, longest_s=0.5)
+            obs = yield Step(lambda share, s: {}, lambda s: False, longest_s=0.5)
             above = True
             continue
-        centre = seen.state.position + np.array([0.0, 0.0, _HIGH_M])
+        centre = obs.state.position + np.array([0.0, 0.0, _HIGH_M])
         way = sign * float(np.sign(missing))
-        stroke = reach.turn(centre, _normals(seen), way, abs(missing), near, out)
+        stroke = reach.turn(centre, _normals(obs), way, abs(missing), near, out)
         if stroke is None:  # it stands where the fingers can't turn it
-            starts = seen.state.starts
-            seen = yield from again(seen, reset=True)
-            if seen.state.starts == starts:
+            starts = obs.state.starts
+            obs = yield from again(obs, reset=True)
+            if obs.state.starts == starts:
                 return
             sign, above = 0.0, True
             continue
@@ -325,50 +325,50 @@ def cube_strategy(scene: CubeScene, reach: GripReach, seen: Seen) -> Strategy:
         n = np.array([np.cos(start), np.sin(start), 0.0])
         wide = {THUMB: centre - out * n, finger: centre + out * n}
         if above:
-            seen = yield Step(still(moved(wide, _ABOVE)), via=True)
-        seen = yield Step(still(wide))
+            obs = yield Step(still(moved(wide, _ABOVE)), via=True)
+        obs = yield Step(still(wide))
         touch = Closing(wide, {THUMB: n, finger: -n}, press, _OPEN_M)
-        seen = yield touch.step()
-        before = seen.scorer.turned
+        obs = yield touch.step()
+        before = obs.scorer.turned
         if touch.complete:
             closed = touch.pressed(press)
-            seen = yield Step(still(closed), presses=(THUMB, finger), longest_s=0.3)
-            seen = yield Step(
-                _around(closed, centre, end - start), _has_turned(seen, abs(missing) - _STOPS),
+            obs = yield Step(still(closed), presses=(THUMB, finger), longest_s=0.3)
+            obs = yield Step(
+                _around(closed, centre, end - start), _has_turned(obs, abs(missing) - _STOPS),
                 presses=(THUMB, finger), longest_s=0.4, path=True, seconds=STROKE_S,
             )  # fmt: skip
-        at = _angle(seen, centre, finger)
+        at = _angle(obs, centre, finger)
         m = np.array([np.cos(at), np.sin(at), 0.0])
         back = {THUMB: centre - out * m, finger: centre + out * m}
-        seen = yield Step(still(back), via=True)
-        if seen.scorer.standing.stuck:
-            seen = yield from again(seen)
+        obs = yield Step(still(back), via=True)
+        if obs.scorer.standing.stuck:
+            obs = yield from again(obs)
             sign, above = 0.0, True
             continue
-        if abs(seen.scorer.turned - before) < np.radians(5.0):
+        if abs(obs.scorer.turned - before) < np.radians(5.0):
             press = min(press * 1.5, 3 * _PRESS_M)
         above = False
 
 
 def _around(
     aims: Aims, centre: Float[np.ndarray, "3"], angle: float
-) -> Callable[[float, Seen], Aims]:
-    return lambda share, seen: turned(aims, centre, share * angle)
+) -> Callable[[float, Observation], Aims]:
+    return lambda share, obs: turned(aims, centre, share * angle)
 
 
-def _has_turned(before: Seen, angle: float) -> Callable[[Seen], bool]:
-    return lambda seen: abs(seen.scorer.turned - before.scorer.turned) >= angle
+def _has_turned(before: Observation, angle: float) -> Callable[[Observation], bool]:
+    return lambda obs: abs(obs.scorer.turned - before.scorer.turned) >= angle
 
 
-def _angle(seen: Seen, centre: Float[np.ndarray, "3"], finger: int) -> float:
+def _angle(obs: Observation, centre: Float[np.ndarray, "3"], finger: int) -> float:
     """Direction from the thumb to a finger about the vertical [rad]."""
-    x, y, _ = seen.tips[finger] - seen.tips[THUMB]
+    x, y, _ = obs.tips[finger] - obs.tips[THUMB]
     return float(np.arctan2(y, x))
 
 
-def _normals(seen: Seen) -> Float[np.ndarray, "4"]:
+def _normals(obs: Observation) -> Float[np.ndarray, "4"]:
     """(4,) directions of the cube's vertical faces about the vertical [rad]."""
-    turn = rotation(seen.state.quaternion)
+    turn = rotation(obs.state.quaternion)
     axes = [turn[:, k] for k in range(3) if abs(turn[2, k]) < 0.7]
     heading = float(np.arctan2(axes[0][1], axes[0][0]))
     return heading + np.pi / 2 * np.arange(4)
@@ -378,19 +378,19 @@ _LIGHT: Final = 0.3  # share of the first grip's press that is the least for a h
 _LOOSENS_M: Final = 0.0002  # by so much the grip is loosened between two looks [m]
 
 
-def screwdriver_strategy(scene: ScrewdriverScene, reach: GripReach, seen: Seen) -> Strategy:
+def screwdriver_strategy(scene: ScrewdriverScene, reach: GripReach, obs: Observation) -> Strategy:
     """Take the handle between thumb and fingers, loosen until the blade hangs, and hold.
 
     Args:
         scene: where.
         reach: of the hand.
-        seen: at the start.
+        obs: at the start.
     """
     press = PRESS_M
-    across = reach.across(seen.state.position, rotation(scene.start[1])[:, 2])
+    across = reach.across(obs.state.position, rotation(scene.start[1])[:, 2])
     along = -rotation(scene.start[1])[:, 2]  # towards the handle's end
     out = HANDLE[0] + PAD_M
-    pivot, second, apart = reach.handle_fingers(seen.state.position, across, along, out)
+    pivot, second, apart = reach.handle_fingers(obs.state.position, across, along, out)
 
     def grip(width: float, centre: Float[np.ndarray, "3"], other: float | None) -> Aims:
         aims = {THUMB: centre + width * across, pivot: centre - width * across}
@@ -399,17 +399,17 @@ def screwdriver_strategy(scene: ScrewdriverScene, reach: GripReach, seen: Seen) 
         return aims
 
     while True:
-        centre = seen.state.position.copy()
+        centre = obs.state.position.copy()
         wide = grip(out + OPEN_M, centre, out + OPEN_M)
-        seen = yield Step(still(wide))
+        obs = yield Step(still(wide))
         inward = {f: (-1.0 if f == THUMB else 1.0) * across for f in wide}
         touch = Closing(wide, inward, press)
-        seen = yield touch.step()
-        seen = yield Step(
+        obs = yield touch.step()
+        obs = yield Step(
             still(touch.pressed(press)), lambda s: not s.state.fixed, presses=tuple(wide),
             longest_s=1.5,
         )  # fmt: skip
-        if seen.state.fixed:
+        if obs.state.fixed:
             press = min(press * 1.5, 3 * PRESS_M)
             continue
 
@@ -417,22 +417,22 @@ def screwdriver_strategy(scene: ScrewdriverScene, reach: GripReach, seen: Seen) 
             aims = t.pressed(press) | {second: w[second]}
             return Step(still(aims), presses=(THUMB, pivot), longest_s=0.1)
 
-        seen = yield held(press)
-        squeeze, high = press, float(seen.state.position[2])
+        obs = yield held(press)
+        squeeze, high = press, float(obs.state.position[2])
         while True:
-            scorer: ScrewdriverScorer = seen.scorer
-            if scorer.angle <= DOWN or high - seen.state.position[2] > 0.004:
+            scorer: ScrewdriverScorer = obs.scorer
+            if scorer.angle <= DOWN or high - obs.state.position[2] > 0.004:
                 squeeze = press
-            elif np.linalg.norm(seen.state.spin) < 0.5:
+            elif np.linalg.norm(obs.state.spin) < 0.5:
                 if scorer.angle <= CLOSE and squeeze <= _LIGHT * press:  # looser would drop it
                     return
                 squeeze = max(squeeze - _LOOSENS_M, -PRESS_M)
-            seen = yield held(squeeze)
-            if seen.state.fixed:  # it was put back
+            obs = yield held(squeeze)
+            if obs.state.fixed:  # it was put back
                 break
 
 
-STRATEGIES: Final[dict[str, Callable[[Any, GripReach, Seen], Strategy]]] = {
+STRATEGIES: Final[dict[str, Callable[[Any, GripReach, Observation], Strategy]]] = {
     "card": card_strategy,
     "cube": cube_strategy,
     "screwdriver": screwdriver_strategy,

@@ -121,7 +121,7 @@ def simulate_trial(
                       seed)  # fmt: skip
     result = run_trial(
         familiar.retargeter, scene, task, source, rate_hz=LOOKS_HZ, seconds=seconds, lead_s=LEAD_S,
-        seed=seed, asked=source.asked,
+        seed=seed, interventions=source.intervention,
     )  # fmt: skip
     outcome = Outcome(
         result.score, result.line, result.seconds, result.ended, result.reason, result.resets
@@ -161,7 +161,7 @@ class _Tracked:
         noise = self._rng.normal(0.0, self._person.tracker_noise, len(body.angles))
         return None if self._rng.random() < self._person.frame_loss else body.tracked(noise)
 
-    def asked(self) -> Literal["reset", "finish"] | None:
+    def intervention(self) -> Literal["reset", "finish"] | None:
         """See ``perform``."""
         if self.operator.gave_up:
             return "finish"

@@ -34,17 +34,17 @@ class DelayedView(Generic[T]):
     def __init__(self, delay_s: float) -> None:
         self._delay = delay_s
         self._waiting: deque[tuple[float, T]] = deque()
-        self._seen: T | None = None
+        self._latest: T | None = None
 
     def show(self, time: float, image: T) -> None:
         """An image of a moment, later than the last one."""
         self._waiting.append((time, image))
 
-    def seen(self, time: float) -> T | None:
+    def latest(self, time: float) -> T | None:
         """The newest image that is at least as old as the delay; None before the first."""
         while self._waiting and self._waiting[0][0] <= time - self._delay + 1e-9:
-            self._seen = self._waiting.popleft()[1]
-        return self._seen
+            self._latest = self._waiting.popleft()[1]
+        return self._latest
 
 
 class CrossoverCorrection:

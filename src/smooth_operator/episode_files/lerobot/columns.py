@@ -291,12 +291,12 @@ def episode_columns(
             if value is not None:
                 columns[name] = value.reshape(count, -1)
     if commands is not None:
-        rows, kept = _rows(episode)
+        rows, chosen = _rows(episode)
 
         def spread(values: Any, empty: float) -> np.ndarray:
             values = np.asarray(values)
             out = np.full((count, *values.shape[1:]), empty, values.dtype)
-            out[rows] = values[kept]
+            out[rows] = values[chosen]
             return out
 
         positions = spread(np.asarray(commands.joint_positions, np.float64), np.nan)
@@ -307,7 +307,7 @@ def episode_columns(
         times = np.full((count, len(layout.stages)), np.nan)
         for i, stage in enumerate(layout.stages):
             if stage in episode.stages_ms:
-                times[rows, i] = np.asarray(episode.stages_ms[stage])[kept]
+                times[rows, i] = np.asarray(episode.stages_ms[stage])[chosen]
         columns["stages_ms"] = times
         wrist, none = episode.wrist, np.zeros(len(commands), bool)
         poses = np.full((len(commands), 7), np.nan) if wrist is None else wrist.poses
@@ -341,10 +341,10 @@ def episode_columns(
 def _rows(episode: Episode) -> tuple[np.ndarray, np.ndarray]:
     """Row of each command that has one, and which commands these are."""
     rows = episode.answered()
-    kept = np.arange(len(rows))
+    frames = np.arange(len(rows))
     if episode.live:  # while the tracker is silent, a loop holds the hand
-        kept = np.flatnonzero(rows >= 0)
-        rows = rows[kept]
+        frames = np.flatnonzero(rows >= 0)
+        rows = rows[frames]
     lost, doubled = int((rows < 0).sum()), bool((np.diff(rows) <= 0).any())
     if lost or doubled:
         what = f"{lost} commands answer no frame" if lost else "several commands answer one frame"
@@ -352,4 +352,4 @@ def _rows(episode: Episode) -> tuple[np.ndarray, np.ndarray]:
             f"{episode.name}: {what}, and a row of a LeRobot dataset holds one frame and its one "
             "command; convert it to .mcap or .h5, which hold them apart"
         )
-    return rows, kept
+    return rows, frames

@@ -130,8 +130,8 @@ def open_dataset(path: Path) -> Dataset:
     rows: list[dict[str, Any]] = []
     for file in sorted((path / "meta" / "episodes").glob("*/*.parquet")):
         table = read_table(file)
-        kept = [name for name in table.column_names if not name.startswith("stats/")]
-        rows += table.select(kept).to_pylist()
+        columns = [name for name in table.column_names if not name.startswith("stats/")]
+        rows += table.select(columns).to_pylist()
     if not rows or any(type(row.get("episode_index")) is not int for row in rows):
         raise RecordingError(
             f"{path}: meta/episodes holds no episodes; the dataset is incomplete, copy it again"
@@ -187,7 +187,7 @@ def read_dataset_episode(
         check_rate(stamps, rate, str(file))
         if not own:
             where = f"{dataset.path}, {name}"
-            check_anatomy(recording, where, asked=side)
+            check_anatomy(recording, where, side=side)
             check_recording(recording, where)
             recording = without_outliers(recording)
         if recording.meta["side_assumed"]:
@@ -299,7 +299,7 @@ def _recording(
     if not labels and "left_hand" in table.column_names:
         flags = numbers(table, "left_hand", 1, file)[:, 0].astype(bool)
         labels = {"left" if left else "right" for left in flags.tolist()}
-    found, assumed = check_side(labels, side, str(file))
+    recorded_side, assumed = check_side(labels, side, str(file))
     check_stamps(stamps, f"{file}, {name}")
     stored = own.get("meta")
     meta = {
@@ -328,7 +328,7 @@ def _recording(
     return HandRecording(
         in_our_order(landmarks, layout),
         stamps,
-        found,
+        recorded_side,
         valid=valid[:, picked],
         name=name,
         meta=meta,
@@ -388,9 +388,9 @@ def _commands(
     if "stages_ms" in features:
         labels = _names(features["stages_ms"])
         times = numbers(table, "stages_ms", len(labels), file)[there]
-        wanted = own.get("stages", labels)
-        wanted = wanted if isinstance(wanted, list) else labels
-        stages = {n: times[:, i].copy() for i, n in enumerate(labels) if n in wanted}
+        stage_names = own.get("stages", labels)
+        stage_names = stage_names if isinstance(stage_names, list) else labels
+        stages = {n: times[:, i].copy() for i, n in enumerate(labels) if n in stage_names}
     commands = CommandTrajectory(
         joint_positions=numbers(table, "joint_positions", len(names), file)[there],
         joint_names=names,

@@ -43,18 +43,18 @@ def make_clip(panel: Panel, colors: Mapping[str, str], hands: int) -> dict[str, 
     allowed = max(MIN_FRAMES, int(BUDGET / (max(hands, 1) * _POINTS)))
     duration = float(stamps[-1] - stamps[0])
     count = min(len(stamps), allowed, max(2, int(duration * RATE_HZ) + 1))
-    wanted = np.linspace(stamps[0], stamps[-1], count)
-    chosen = np.unique(np.searchsorted(stamps, wanted).clip(0, len(stamps) - 1)) + cut.start
+    times = np.linspace(stamps[0], stamps[-1], count)
+    chosen = np.unique(np.searchsorted(stamps, times).clip(0, len(stamps) - 1)) + cut.start
 
     basis = view_basis(panel.hand)
     humans: list[np.ndarray] = []
     panes: list[dict[str, Any]] = []
-    seen = [run.robot[chosen] @ basis.T for run in panel.runs]
-    points = np.concatenate([panel.runs[0].human[chosen] @ basis.T, *seen]).reshape(-1, 3)
+    drawn = [run.robot[chosen] @ basis.T for run in panel.runs]
+    points = np.concatenate([panel.runs[0].human[chosen] @ basis.T, *drawn]).reshape(-1, 3)
     points = points[np.isfinite(points).all(axis=-1)]
     middle = (points.min(axis=0) + points.max(axis=0)) / 2 if len(points) else np.zeros(3)
     reach = float(np.linalg.norm(points - middle, axis=-1).max()) if len(points) else 0.1
-    for run, robot in zip(panel.runs, seen, strict=True):
+    for run, robot in zip(panel.runs, drawn, strict=True):
         human = run.human[chosen] @ basis.T
         # Methods that align alike share one human.
         same = (i for i, h in enumerate(humans) if np.array_equal(h, human, equal_nan=True))

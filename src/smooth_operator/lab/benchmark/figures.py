@@ -53,10 +53,10 @@ def tradeoff_figure(rows: Sequence[Row], colors: Mapping[str, str]) -> Figure | 
             )  # fmt: skip
         x, y = (float(np.exp(np.mean(np.log([p[k] for p in own])))) for k in (0, 1))
         if len(own) > 1:
-            said = f"{method}, mean of {len(own)} recordings: {x:.3g} m/s², {y:.2g}"
+            label = f"{method}, mean of {len(own)} recordings: {x:.3g} m/s², {y:.2g}"
             ax.scatter(
                 x, y, color=colors[method], marker="o", s=150, linewidths=0,
-                gid=series(method, said),
+                gid=series(method, label),
             )  # fmt: skip
         means[method] = x, y
     ax.set_xscale("log")
@@ -87,17 +87,20 @@ def latency_figure(
         samples: method -> its samples on each recording [ms].
         colors: method -> colour.
     """
-    known = {m: [kept for v in taken if len(kept := v[v > 0])] for m, taken in samples.items()}
-    known = {method: taken for method, taken in known.items() if taken}
-    if not known:
+    times = {
+        m: [positive for v in measured if len(positive := v[v > 0])]
+        for m, measured in samples.items()
+    }
+    times = {method: measured for method, measured in times.items() if measured}
+    if not times:
         return None
-    height = 1.1 + 0.5 * len(known)
+    height = 1.1 + 0.5 * len(times)
     figure = _figure((8.6, height))
     ax = figure.add_axes((0.17, 0.62 / height, 0.8, 1 - 0.95 / height))
     spread = np.random.default_rng(0)  # where dots lie within a strip says nothing
-    for row, (method, taken) in enumerate(known.items()):
-        values = np.concatenate(taken)
-        at50, at95, at99 = np.mean([np.percentile(v, (50, 95, 99)) for v in taken], axis=0)
+    for row, (method, measured) in enumerate(times.items()):
+        values = np.concatenate(measured)
+        at50, at95, at99 = np.mean([np.percentile(v, (50, 95, 99)) for v in measured], axis=0)
         shown = values if len(values) <= 700 else spread.choice(values, 700, replace=False)
         height_of = row + spread.uniform(-0.26, 0.26, len(shown))
         # One path of dots: thousands of markers would make a heavy file.
@@ -112,8 +115,8 @@ def latency_figure(
         )  # fmt: skip
     ax.set_xscale("log")
     plain_logs(ax, both=False)
-    ax.set_ylim(len(known) - 0.4, -0.75)
-    ax.set_yticks(range(len(known)), list(known))
+    ax.set_ylim(len(times) - 0.4, -0.75)
+    ax.set_yticks(range(len(times)), list(times))
     ax.grid(visible=False, axis="y")
     ax.set_xlabel("latency, landmarks to command [ms]")
     styles = {"p50": "-", "p95": "--", "p99": ":"}
@@ -184,9 +187,9 @@ def still_figure(panel: Panel, colors: Mapping[str, str]) -> Figure:
     moments = np.linspace(cut.start, cut.stop - 1, STILLS + 2).round().astype(int)[1:-1]
     rows, columns = len(panel.runs), len(moments)
     figure, axes = _grid(rows, columns, (2.1, 2.1), (0.1, 0.1), share=False)
-    seen = [run.human[m] @ basis.T for run in panel.runs for m in moments]
-    seen += [run.robot[m] @ basis.T for run in panel.runs for m in moments]
-    points = np.concatenate(seen)
+    drawn = [run.human[m] @ basis.T for run in panel.runs for m in moments]
+    drawn += [run.robot[m] @ basis.T for run in panel.runs for m in moments]
+    points = np.concatenate(drawn)
     points = points[np.isfinite(points).all(axis=-1)]
     middle, reach = _frame(points)
     for i, run in enumerate(panel.runs):

@@ -101,8 +101,8 @@ def overall(rows: Iterable[Row], metrics: Sequence[Metric] | None = None) -> lis
         good = [row for row in own if row["status"] == "ok"]
         values: dict[str, float | None] = {}
         for metric in metrics:
-            known = [v for row in good if (v := value_of(row, metric)) is not None]
-            values[metric.name] = sum(known) / len(known) if known else None
+            finite = [v for row in good if (v := value_of(row, metric)) is not None]
+            values[metric.name] = sum(finite) / len(finite) if finite else None
         failed = None if good else str(own[0]["reason"])
         of = sum(row["recording"] in usable for row in own)
         lines.append(Line(method, values, failed, len(good), of))

@@ -78,15 +78,15 @@ class Request:
         Raises:
             ConfigError: the length of the hand or the tempo is outside its range.
         """
-        made = SyntheticOperator(
+        operator = SyntheticOperator(
             seed=self.seed,
             side=self.side or "right",
             speed=self.speed,
             tracker=TrackerModel(noise=self.noise, seed=self.seed),
         )
         if self.hand_length is not None:
-            made = replace(made, hand_length=self.hand_length)
-        return made if self.rate is None else replace(made, rate_hz=self.rate)
+            operator = replace(operator, hand_length=self.hand_length)
+        return operator if self.rate is None else replace(operator, rate_hz=self.rate)
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,8 +201,8 @@ def load_sources(requests: Iterable[Request]) -> list[Source]:
     Raises:
         RecordingError: not one of them can be read; with the reason of the first.
     """
-    asked = dict.fromkeys(one for request in requests for one in _expanded(request))
-    sources = [_load(request) for request in asked]
+    unique = dict.fromkeys(one for request in requests for one in _expanded(request))
+    sources = [_load(request) for request in unique]
     if all(source.recording is None for source in sources):
         first = sources[0].error if sources else "no recording is named"
         more = f" (nor can the {len(sources) - 1} others be read)" if len(sources) > 1 else ""
@@ -252,8 +252,8 @@ def _ranged(name: str, source: Source) -> str:
 def _expanded(request: Request) -> list[Request]:
     if request.path is None or not request.path.is_dir():
         return [request]
-    found, _ = find_recordings(request.path)
-    paths = sorted((item.path for item in found), key=lambda path: path.as_posix())
+    recordings, _ = find_recordings(request.path)
+    paths = sorted((item.path for item in recordings), key=lambda path: path.as_posix())
     return [replace(request, path=path) for path in paths] or [request]
 
 
@@ -306,8 +306,8 @@ def _suffix(request: Request) -> str:
 
 def _digest(recording: HandRecording) -> str:
     assert recording.valid is not None  # filled in on construction
-    known = np.where(recording.valid[..., None], recording.landmarks, np.nan)
+    points = np.where(recording.valid[..., None], recording.landmarks, np.nan)
     total = hashlib.sha256(recording.side.encode())
-    for array in (known, recording.stamps):
+    for array in (points, recording.stamps):
         total.update(np.ascontiguousarray(array, "<f8").tobytes())
     return total.hexdigest()

@@ -56,7 +56,7 @@ def _row(finished: Finished, settings: Settings) -> Row:
     }
     if measured is None:
         return row
-    made = measured.configuration
+    configuration = measured.configuration
     none = dict.fromkeys(("mean", "p50", "p95", "p99", "first"))
     alone = none if latency is None else latency.summary
     return row | {
@@ -65,9 +65,9 @@ def _row(finished: Finished, settings: Settings) -> Row:
         "latency": None if latency is None else latency.facts,
         "cell": f"{CELLS}/{cell.slug}.npz",
         "seconds": measured.seconds,
-        "versions": made.get("versions"),
-        "hardware": {key: made.get(key) for key in _HARDWARE},
-        "date": made.get("created"),
+        "versions": configuration.get("versions"),
+        "hardware": {key: configuration.get(key) for key in _HARDWARE},
+        "date": configuration.get("created"),
     }
 
 

@@ -81,8 +81,8 @@ def only_side(hands: tuple[str, ...]) -> Side | None:
     Args:
         hands: names; of one that is not known, ``select_hands`` says so.
     """
-    known = known_hands()
-    sides = {known[name].default_side for name in select_hands(hands) if name in known}
+    catalogue = known_hands()
+    sides = {catalogue[name].default_side for name in select_hands(hands) if name in catalogue}
     return "left" if sides == {"left"} else None
 
 

@@ -106,8 +106,8 @@ def run_suite(
     store = BenchmarkFolder(settings, note)
     reasons = {c.key: c.source.error for c in cells if c.source.error is not None}
     jobs = [store.job(cell) for cell in cells if cell.key not in reasons]
-    found, missing = find_results(jobs, store.measured)
-    measured: dict[RowKey, Measured] = {r.job.task.key: r.value for r in found}  # type: ignore[misc]
+    results, missing = find_results(jobs, store.measured)
+    measured: dict[RowKey, Measured] = {r.job.task.key: r.value for r in results}  # type: ignore[misc]
     before = set(measured)
     _measure_quality(store, missing, measured, reasons, track)
     latencies: dict[tuple[str, ...], Latency] = {}
@@ -182,10 +182,10 @@ def _measure_latency(
     groups = [list(g) for _, g in groupby(ordered, lambda c: (c.hand, c.side, c.source.name))]
     todo = []
     for group in groups:
-        found = [store.load_latency(cell) for cell in group]
+        loaded = [store.load_latency(cell) for cell in group]
         # All of a group or none: figures that shall be compared are taken side by side.
-        if all(latency is not None for latency in found):
-            latencies |= {c.key: ms for c, ms in zip(group, found, strict=True) if ms is not None}
+        if all(latency is not None for latency in loaded):
+            latencies |= {c.key: ms for c, ms in zip(group, loaded, strict=True) if ms is not None}
         else:
             todo.append(group)
     left = sum(len(group) for group in todo)

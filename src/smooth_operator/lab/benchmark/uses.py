@@ -113,15 +113,15 @@ def verdict(lines: Sequence[Line]) -> str:
 
 
 def _use(
-    name: str, lines: Sequence[Line], by: Metric, said: Sequence[Metric], why_none: str
+    name: str, lines: Sequence[Line], by: Metric, shown: Sequence[Metric], why_none: str
 ) -> Use:
-    known = [line for line in lines if line.values.get(by.name) is not None]
-    if not known:
+    measured = [line for line in lines if line.values.get(by.name) is not None]
+    if not measured:
         return Use(name, (), why_none if not lines else f"no {_words(by)} was measured")
-    tops = best(known, by) or set(range(len(known)))
-    top = known[min(tops)]
-    figures = ", ".join(f"{_words(m)} {_with_unit(m, top)}" for m in said)
-    return Use(name, tuple(known[i].method for i in sorted(tops)), figures)
+    tops = best(measured, by) or set(range(len(measured)))
+    top = measured[min(tops)]
+    figures = ", ".join(f"{_words(m)} {_with_unit(m, top)}" for m in shown)
+    return Use(name, tuple(measured[i].method for i in sorted(tops)), figures)
 
 
 def _words(metric: Metric) -> str:

@@ -38,12 +38,12 @@ class ObjectTrack:
     scale: float = 1.0
 
     def __post_init__(self) -> None:
-        found = np.asarray(self.T_world_object, np.float64)
-        if found.ndim != 2 or found.shape[1] != 7:
+        places = np.asarray(self.T_world_object, np.float64)
+        if places.ndim != 2 or places.shape[1] != 7:
             raise RecordingError(
-                f"object {self.name!r}: poses must have shape (frames, 7), not {found.shape}"
+                f"object {self.name!r}: poses must have shape (frames, 7), not {places.shape}"
             )
-        object.__setattr__(self, "T_world_object", unit_poses(found))
+        object.__setattr__(self, "T_world_object", unit_poses(places))
 
 
 @dataclass(frozen=True, eq=False)

@@ -177,9 +177,9 @@ def _reasons(figures: dict[str, float], limits: Limits) -> Iterator[tuple[str, s
     if seconds < limits.min_seconds:
         yield "min_seconds", f"{seconds:.2f} s long"
     shares = [value for name, value in figures.items() if name.endswith(".valid")]
-    seen = (max if limits.hands == "any" else min)(shares)
-    if seen < limits.min_valid:
-        yield "min_valid", f"a hand is seen in {seen:.0%} of the frames"
+    share = (max if limits.hands == "any" else min)(shares)
+    if share < limits.min_valid:
+        yield "min_valid", f"a hand is seen in {share:.0%} of the frames"
     if not limits.cut:
         yield from _of_whole(figures, limits)
     checks: tuple[tuple[str, str, float, str], ...] = (

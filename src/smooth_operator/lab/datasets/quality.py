@@ -113,7 +113,7 @@ def quality_tracks(
     depths = penetration_depths(
         hand, np.concatenate([c.joint_positions[at] for c, at in zip(commands, looks, strict=True)])
     )
-    found: list[Tracks] = []
+    tracks: list[Tracks] = []
     start = looked = 0
     for recording, look, loss in zip(recordings, looks, losses, strict=True):
         own = slice(start, start + len(recording))
@@ -122,7 +122,7 @@ def quality_tracks(
         if depths is not None:
             penetration[look] = depths[looked : looked + len(penetration[look])]
         looked += len(penetration[look])
-        found.append(
+        tracks.append(
             {
                 "speed": _speed(recording, tips[own] - human[own, WRIST, None]),
                 "tip_error": error[own].mean(axis=-1),
@@ -132,7 +132,7 @@ def quality_tracks(
                 "loss": np.asarray(loss, np.float64),
             }
         )
-    return found
+    return tracks
 
 
 def hand_length(hand: Hand) -> float:
@@ -156,24 +156,24 @@ def quality_figures(episode: RobotClip) -> dict[str, float]:
     stamps = episode.clip.stamps
     steps = np.diff(stamps)
     period = float(np.median(steps)) if len(steps) else 0.0
-    found: dict[str, float | None] = {
+    figures: dict[str, float | None] = {
         "frames": float(len(stamps)),
         "seconds": float(stamps[-1] - stamps[0]) + period if len(stamps) else 0.0,
         "rate_hz": 1.0 / period if period > 0 else None,
     }
     for side in episode.commands:
         own = _of_hand(episode, side, period)
-        found |= {f"{side}.{name}": value for name, value in own.items()}
-    return {name: float(value) for name, value in found.items() if value is not None}
+        figures |= {f"{side}.{name}": value for name, value in own.items()}
+    return {name: float(value) for name, value in figures.items() if value is not None}
 
 
 def worst(figures: Mapping[str, float], name: str) -> float | None:
     """A figure of the hand that is worse off; None if it is known of neither."""
     better = next(figure.better for figure in FIGURES if figure.name == name)
-    known = [value for key, value in figures.items() if key.partition(".")[2] == name]
-    if not known:
+    values = [value for key, value in figures.items() if key.partition(".")[2] == name]
+    if not values:
         return None
-    return min(known) if better == "up" else max(known)
+    return min(values) if better == "up" else max(values)
 
 
 def _of_hand(episode: RobotClip, side: Side, period: float) -> dict[str, float | None]:
@@ -211,9 +211,9 @@ def _at_objects(episode: RobotClip, side: Side) -> dict[str, float | None]:
         return {}
     split = {tuple(name.split(".", 1)): values for name, values in episode.tracks.items()}
     own = {name: values for (of, name), values in split.items() if of == side}
-    found = interaction_figures(own)
-    chosen = {name: found[name] for name in _CONTACTS} | {
-        "object_depth_mm": found["penetration_max_mm"]
+    figures = interaction_figures(own)
+    chosen = {name: figures[name] for name in _CONTACTS} | {
+        "object_depth_mm": figures["penetration_max_mm"]
     }
     return {name: None if np.isnan(value) else value for name, value in chosen.items()}
 

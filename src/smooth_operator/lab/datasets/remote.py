@@ -59,12 +59,12 @@ def list_remote(address: str) -> Iterator[RemoteFile]:
     root = path.rstrip("/")
     with _about(address):
         wild = any(sign in path for sign in "*?[")
-        found: dict[str, Any] = system.glob(path, detail=True) if wild else {}
+        listing: dict[str, Any] = system.glob(path, detail=True) if wild else {}
         if wild:
             root = str(PurePosixPath(path.split("*")[0].split("?")[0].split("[")[0] + "x").parent)
         else:
-            found = system.find(path, detail=True)
-        files = {name: info for name, info in found.items() if info.get("type") == "file"}
+            listing = system.find(path, detail=True)
+        files = {name: info for name, info in listing.items() if info.get("type") == "file"}
     if not files:
         raise RecordingError(f"{address}: no files are there")
     for name, info in sorted(files.items()):
@@ -116,8 +116,8 @@ def _about(address: str) -> Iterator[None]:
     except FileNotFoundError as error:
         raise RecordingError(f"{address}: nothing is there") from error
     except Exception as error:  # of libraries of storages: anything
-        said = " ".join(str(error).split())
+        reason = " ".join(str(error).split())
         raise RecordingError(
-            f"{address}: can't be read: {type(error).__name__}: {said}; look at the address, the "
+            f"{address}: can't be read: {type(error).__name__}: {reason}; look at the address, the "
             "network and your credentials"
         ) from error

@@ -54,13 +54,13 @@ class FigureTable:
 
     def percentiles(self) -> dict[str, dict[str, float]]:
         """Name of figure -> percentiles over the episodes that are kept."""
-        found = {}
+        result = {}
         for name, values in self.kept.items():
             at = np.percentile(np.asarray(values), _PERCENTILES)
-            found[name] = {
+            result[name] = {
                 f"p{p}": round(float(v), 6) for p, v in zip(_PERCENTILES, at, strict=True)
             }
-        return found
+        return result
 
 
 def write_report(output: Path, content: Mapping[str, Any], figures: FigureTable) -> None:
@@ -148,10 +148,10 @@ def _reasons(content: Mapping[str, Any]) -> Html:
 
 
 def _percentiles(content: Mapping[str, Any]) -> Html:
-    known = {figure.name: figure for figure in FIGURES}
+    figures = {figure.name: figure for figure in FIGURES}
     rows = []
     for name, values in content["figures"].items():
-        figure = known.get(name)
+        figure = figures.get(name)
         meaning = "length of the episode" if figure is None else figure.meaning
         unit = "s" if figure is None else figure.unit
         rows.append((name, unit, *(f"{value:.3g}" for value in values.values()), meaning))

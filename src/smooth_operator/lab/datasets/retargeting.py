@@ -82,9 +82,9 @@ class Recipe:
         specs = [self.request.load_hand(side).spec for side in SIDES]
         mano = self.reading.mano
         models = [] if mano is None else [*sorted(mano.glob("MANO_*"))] if mano.is_dir() else [mano]
-        said = [package_version(), self.request, self.frame, self.side, specs]
-        said += ["with objects"] if self.with_objects else []
-        return key_digest([*said, self.reading.rate, [(m.name, digest(m)) for m in models]])
+        parts = [package_version(), self.request, self.frame, self.side, specs]
+        parts += ["with objects"] if self.with_objects else []
+        return key_digest([*parts, self.reading.rate, [(m.name, digest(m)) for m in models]])
 
     def of_item(self, side: Side | None, rate: float | None) -> Recipe:
         """The recipe of one item, for which a list may say the hand and the rate."""
@@ -101,10 +101,10 @@ def retarget_clip(
     Raises:
         SmoothOperatorError: with the reason.
     """
-    (found,) = retarget_clips([clip], recipe, [files], [key])
-    if isinstance(found, SmoothOperatorError):
-        raise found
-    return found
+    (retargeted,) = retarget_clips([clip], recipe, [files], [key])
+    if isinstance(retargeted, SmoothOperatorError):
+        raise retargeted
+    return retargeted
 
 
 def retarget_clips(
@@ -136,11 +136,11 @@ def retarget_clips(
     done: dict[int, dict[Side, _Answer]] = {}
     failed: dict[int, SmoothOperatorError] = {}
     for group in _groups(works, recipe):
-        for work, found in zip(group, _answers(group, recipe), strict=True):
-            if isinstance(found, SmoothOperatorError):
-                failed[work.clip] = found
+        for work, answer in zip(group, _answers(group, recipe), strict=True):
+            if isinstance(answer, SmoothOperatorError):
+                failed[work.clip] = answer
             else:
-                done.setdefault(work.clip, {})[work.side] = found
+                done.setdefault(work.clip, {})[work.side] = answer
     results: list[RobotClip | SmoothOperatorError] = []
     for number, clip in enumerate(todo):
         if isinstance(clip, SmoothOperatorError) or number in failed:
@@ -153,7 +153,7 @@ def retarget_clips(
 
 
 def clip_key(
-    recipe: Recipe, layout: str, part: str, asked: str, files: Sequence[SourceFile]
+    recipe: Recipe, layout: str, part: str, selection: str, files: Sequence[SourceFile]
 ) -> str:
     """Digest of all that a clip's commands depend on: files, reader, hand, method and settings.
 
@@ -161,11 +161,11 @@ def clip_key(
         recipe: what is done to all clips.
         layout: name of the reader.
         part: name of the clip in its file.
-        asked: what a list says of it, as a digest.
+        selection: what a list says of it, as a digest.
         files: what it was read from.
     """
     content = [(file.bytes, file.sha256) for file in files]
-    return key_digest([recipe.digest, layout, part, asked, content])
+    return key_digest([recipe.digest, layout, part, selection, content])
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,8 +240,8 @@ def _answers(group: Sequence[_Work], recipe: Recipe) -> list[_Answer | SmoothOpe
     recordings = [work.plan.recording for work in group]
     first = group[0].plan
     try:
-        found = answers([work.plan for work in group], keep=keep)
-        commands, losses = [each for each, _ in found], [loss for _, loss in found]
+        results = answers([work.plan for work in group], keep=keep)
+        commands, losses = [each for each, _ in results], [loss for _, loss in results]
         alignment = first.config.alignment
         tracks = quality_tracks(recordings, commands, losses, first.hand, alignment)
     except SmoothOperatorError as error:
@@ -254,13 +254,13 @@ def _answers(group: Sequence[_Work], recipe: Recipe) -> list[_Answer | SmoothOpe
 def _with_objects(work: _Work, scene: Clip) -> _Answer | SmoothOperatorError:
     plan = work.plan
     try:
-        found = object_aware(scene, work.side, plan)
+        answer = object_aware(scene, work.side, plan)
         (tracks,) = quality_tracks(
-            [plan.recording], [found.commands], [found.loss], plan.hand, plan.config.alignment
+            [plan.recording], [answer.commands], [answer.loss], plan.hand, plan.config.alignment
         )
     except SmoothOperatorError as error:
         return error
-    return _Answer(found.commands, tracks | dict(found.tracks), found.T_world_wrist)
+    return _Answer(answer.commands, tracks | dict(answer.tracks), answer.T_world_wrist)
 
 
 def _result(
@@ -312,5 +312,5 @@ def _result(
 @functools.lru_cache(maxsize=64)
 def shared_config(text: str) -> dict[str, Any]:
     """A configuration from its JSON; the same object for the same text, as most clips share one."""
-    found: dict[str, Any] = json.loads(text)
-    return found
+    config: dict[str, Any] = json.loads(text)
+    return config

@@ -14,7 +14,7 @@ from smooth_operator.errors import ConfigError, RecordingError, SmoothOperatorEr
 from smooth_operator.lab.datasets.manifest import Row, is_manifest, read_manifest
 from smooth_operator.lab.datasets.registry import DATASETS, ClipRef, DatasetReader
 from smooth_operator.lab.datasets.remote import is_address, list_remote, local_path
-from smooth_operator.parallel.results import describe
+from smooth_operator.parallel.tasks import describe
 from smooth_operator.result_cache import key_digest
 from smooth_operator.types import Side
 
@@ -146,7 +146,7 @@ def each_item(
     if layout is not None:
         DATASETS.load(layout)
     look = _Looking(layout, None if leave_out is None else leave_out.resolve())
-    return (found for source in sources for found in look.through(source))
+    return (item for source in sources for item in look.through(source))
 
 
 def in_shard(item: Item, shard: tuple[int, int] | None) -> bool:
@@ -163,10 +163,10 @@ def find_reader(path: Path, layout: str | None) -> tuple[str, DatasetReader] | N
     Raises:
         UnknownNameError: there is no reader of the name ``layout``.
     """
-    known: dict[str, DatasetReader] = (
+    readers: dict[str, DatasetReader] = (
         DATASETS.loadable() if layout is None else {layout: DATASETS.load(layout)}
     )
-    for name, reader in known.items():
+    for name, reader in readers.items():
         try:
             if reader.matches(path):
                 return name, reader
@@ -190,7 +190,7 @@ class _Looking:
             source = str(local)
         path = Path(source).expanduser()
         if not path.exists() and any(sign in source for sign in _WILD):
-            paths = [Path(found) for found in sorted(glob.glob(str(path), recursive=True))]
+            paths = [Path(match) for match in sorted(glob.glob(str(path), recursive=True))]
             if not paths:
                 raise RecordingError(f"{source}: nothing has a name of this pattern")
             root = _fixed_part(path)
@@ -224,9 +224,9 @@ class _Looking:
     def _named(self, path: Path, root: Path, row: Row) -> Iterator[_Each]:
         """Something that was named, so that it must be of use."""
         layout = row.layout or self._layout
-        found = find_reader(path, layout)
-        if found is not None:
-            yield from _clips(*found, path, root, row)
+        reader = find_reader(path, layout)
+        if reader is not None:
+            yield from _clips(*reader, path, root, row)
         elif path.is_dir():
             yield from self._walk(path, root, row, layout)
         else:
@@ -246,9 +246,9 @@ class _Looking:
             if entry.name.startswith("."):
                 continue
             path = folder / entry.name
-            found = find_reader(path, layout)
-            if found is not None:
-                yield from _clips(*found, path, root, row)
+            reader = find_reader(path, layout)
+            if reader is not None:
+                yield from _clips(*reader, path, root, row)
             elif entry.is_dir():
                 yield from self._walk(path, root, row, layout)
             else:
@@ -301,9 +301,9 @@ def _clips(
 
 def _unique(items: Iterable[Item]) -> Iterator[Item]:
     """Items with names of their own: the second of a name has ``~2`` after it."""
-    taken: dict[str, int] = {}
+    counts: dict[str, int] = {}
     for item in items:
-        count = taken[item.name] = taken.get(item.name, 0) + 1
+        count = counts[item.name] = counts.get(item.name, 0) + 1
         yield item if count == 1 else replace(item, name=f"{item.name}~{count}")
 
 

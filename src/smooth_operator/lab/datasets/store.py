@@ -41,10 +41,10 @@ class Finished:
     """The clips of one item of the work.
 
     Attributes:
-        item: its name.
-        asked: digest of what was asked for it; see ``Item.asked``.
-        files: that were read.
-        clips: the results, by name.
+        item: name of the item.
+        asked: ``Item.asked`` of the item.
+        files: files that were read.
+        clips: results, by name.
     """
 
     item: str
@@ -55,14 +55,14 @@ class Finished:
 
 @dataclass(frozen=True, slots=True)
 class Kept:
-    """Where the clips of an item are.
+    """Place of the clips of an item.
 
     Attributes:
-        pack: the file.
-        position: of the item in it.
-        key: of the clips together.
+        pack: file.
+        position: position of the item in the file.
+        key: digest of all that the clips depend on.
         sides: hands that the clips have.
-        frames: of all clips.
+        frames: number of frames of all clips.
     """
 
     pack: Path
@@ -73,7 +73,7 @@ class Kept:
 
 
 Accept: TypeAlias = Callable[[str, str, tuple[SourceFile, ...]], bool]
-"""Whether an item, by its name, ``asked`` and the files that were read, need not be done again."""
+"""True if an item, by its name, ``asked`` and the files that were read, is done."""
 
 
 @dataclass(eq=False)
@@ -81,7 +81,7 @@ class Store:
     """The packs of one recipe.
 
     Args:
-        folder: where they are, or in folders in it.
+        folder: folder of the packs, however deep.
     """
 
     folder: Path
@@ -89,38 +89,38 @@ class Store:
 
     def find(self, accept: Accept) -> dict[str, Kept]:
         """Name of item -> where it is; a damaged pack is removed, and its clips are made again."""
-        found: dict[str, Kept] = {}
+        packs: dict[str, Kept] = {}
         for path in sorted(self.folder.rglob(f"{_PREFIX}*.zip")):
             try:
                 with _Pack(path) as pack:
                     for position, item in enumerate(pack.index["items"]):
                         files = tuple(SourceFile(**file) for file in item["files"])
                         if accept(item["item"], item["asked"], files) and _shown(item["clips"]):
-                            found[item["item"]] = _kept(path, position, item["clips"])
+                            packs[item["item"]] = _kept(path, position, item["clips"])
             except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile):
                 with contextlib.suppress(OSError):
                     path.unlink()
-        return found
+        return packs
 
-    def read(self, kept: Kept) -> list[RobotClip]:
+    def read(self, stored: Kept) -> list[RobotClip]:
         """The clips of an item.
 
         Raises:
             RecordingError: the pack is damaged; it is removed.
         """
         try:
-            pack = self._open.get(kept.pack)
+            pack = self._open.get(stored.pack)
             if pack is None:
                 self.close()  # items are asked for in the order of the packs
-                pack = self._open[kept.pack] = _Pack(kept.pack)
-            return pack.clips(kept.position)
+                pack = self._open[stored.pack] = _Pack(stored.pack)
+            return pack.clips(stored.position)
         except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
             self.close()
             with contextlib.suppress(OSError):
-                kept.pack.unlink()
+                stored.pack.unlink()
             raise RecordingError(
-                f"{kept.pack} was damaged ({error}) and is removed; run the same command again to "
-                "make its clips again"
+                f"{stored.pack} was damaged ({error}) and is removed; run the same command again "
+                "to make its clips again"
             ) from error
 
     def close(self) -> None:
@@ -173,7 +173,7 @@ def write_pack(folder: Path, items: Sequence[Finished]) -> dict[str, Kept]:
 
 
 def clear_unfinished(folder: Path) -> int:
-    """Deletes what a killed run has left half-written; how many files there were."""
+    """Deletes the unfinished files of a killed run; returns their number."""
     if not folder.is_dir():
         return 0
     return remove_leftovers([folder, *(path for path in folder.rglob("*") if path.is_dir())])
@@ -228,7 +228,7 @@ def _kept(path: Path, position: int, clips: Sequence[Mapping[str, Any]]) -> Kept
 
 
 def _shown(clips: Sequence[Mapping[str, Any]]) -> bool:
-    """Whether the videos and meshes that clips name are still there."""
+    """True if the videos and meshes that clips name are still there."""
     named = {clip["video"] for clip in clips}
     named |= {each["mesh"] for clip in clips for each in clip["objects"]}
     return all(Path(path).exists() for path in named - {None})
@@ -285,6 +285,11 @@ def encoded(whole: RobotClip) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         },
     }
     return stored, document
+
+
+def as_stored(whole: RobotClip) -> RobotClip:
+    """A clip as it is read from a pack: some arrays are rounded to float32 there."""
+    return replace(decoded(*encoded(whole)), config=whole.config)
 
 
 def decoded(arrays: Mapping[str, np.ndarray], document: Mapping[str, Any]) -> RobotClip:

@@ -1,4 +1,4 @@
-"""What a worker does: read clips, retarget them, and write them to a pack."""
+"""Work on clips in a worker: read them, retarget them, and write them to a pack."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ from smooth_operator.lab.datasets.parts import with_side
 from smooth_operator.lab.datasets.registry import DATASETS, ClipRef
 from smooth_operator.lab.datasets.remote import fetched
 from smooth_operator.lab.datasets.retargeting import Recipe, SourceFile, clip_key, retarget_clips
+from smooth_operator.lab.datasets.robot_clip import RobotClip
 from smooth_operator.lab.datasets.sources import Item, find_reader
 from smooth_operator.lab.datasets.store import Finished, Kept, write_pack
 from smooth_operator.lab.offline.finished import digest
-from smooth_operator.parallel.results import describe
+from smooth_operator.parallel.tasks import describe
 
 _MOST_CLIPS = 1_000_000  # of one fetched file
 
@@ -28,14 +29,16 @@ class Job:
     """Items for one worker, which end in one pack.
 
     Attributes:
-        items: what to do.
-        recipe: how.
-        folder: where the pack shall stand.
+        items: clips or fetched files.
+        recipe: hand, method and frame.
+        folder: folder of the pack.
+        retarget: False packs the human clips alone, without commands.
     """
 
     items: tuple[Item, ...]
     recipe: Recipe
     folder: Path
+    retarget: bool = True
 
 
 @dataclass(frozen=True)
@@ -43,9 +46,9 @@ class Entry:
     """The result of one item.
 
     Attributes:
-        item: its name.
-        kept: where its clips are; None if it failed.
-        reason: why it failed.
+        item: name of the item.
+        kept: place of its clips; None if it failed.
+        reason: reason of a failure.
     """
 
     item: str
@@ -58,9 +61,9 @@ class ReadClip:
     """A clip as it was read.
 
     Attributes:
-        item: that it is of.
-        clip: its hands.
-        files: that it was read from.
+        item: item that the clip is part of.
+        clip: hands and scene.
+        files: files that were read.
         key: digest of all that its commands depend on.
     """
 
@@ -88,17 +91,17 @@ def do_job(job: Job) -> list[Entry]:
             reasons[item.name] = str(error)
         except Exception as error:  # of a damaged file, or a plugin: anything; the others go on
             reasons[item.name] = describe(error)
-    finished = _retargeted(read, job.recipe, reasons)
-    kept = write_pack(job.folder, finished) if finished else {}
-    return [Entry(i.name, kept.get(i.name), reasons.get(i.name)) for i in job.items]
+    finished = _retargeted(read, job, reasons)
+    packs = write_pack(job.folder, finished) if finished else {}
+    return [Entry(i.name, packs.get(i.name), reasons.get(i.name)) for i in job.items]
 
 
 def unchanged(item: Item, files: Sequence[SourceFile]) -> bool:
-    """Whether the files of an item are those that were read; compares digests only if dates differ.
+    """True if an item has the files that were read before; digests count only if dates differ.
 
     Args:
-        item: it.
-        files: that were read.
+        item: the item.
+        files: files that were read before.
     """
     if item.ref is None:
         return [(file.bytes, file.changed) for file in files] == [item.mark]
@@ -114,15 +117,19 @@ def unchanged(item: Item, files: Sequence[SourceFile]) -> bool:
     return bool(files)
 
 
-def _retargeted(read: list[ReadClip], recipe: Recipe, reasons: dict[str, str]) -> list[Finished]:
+def _retargeted(read: list[ReadClip], job: Job, reasons: dict[str, str]) -> list[Finished]:
     """The items whose every clip was retargeted; the reasons of the others go into ``reasons``."""
     read = [each for each in read if each.item.name not in reasons]
-    answers = retarget_clips(
-        [each.clip for each in read],
-        recipe,
-        [each.files for each in read],
-        [each.key for each in read],
-    )
+    answers: Sequence[RobotClip | SmoothOperatorError]
+    if job.retarget:
+        answers = retarget_clips(
+            [each.clip for each in read],
+            job.recipe,
+            [each.files for each in read],
+            [each.key for each in read],
+        )
+    else:
+        answers = [RobotClip(each.clip, {}, {}, {}, {}, key=each.key) for each in read]
     finished: dict[str, Finished] = {}
     for each, answer in zip(read, answers, strict=True):
         name = each.item.name
@@ -149,13 +156,13 @@ def read_item(item: Item, recipe: Recipe) -> Iterator[ReadClip]:
         return
     with ExitStack() as stack:
         path = stack.enter_context(fetched(item.address))
-        found = find_reader(path, item.layout)
-        if found is None:
+        recognised = find_reader(path, item.layout)
+        if recognised is None:
             raise RecordingError(
                 f"{item.address}: no reader knows it; layouts of several files have to be copied "
                 "to a folder first"
             )
-        layout, reader = found
+        layout, reader = recognised
         refs = sorted(replace(ref, layout=ref.layout or layout) for ref in reader.clips(path))
         for ref in refs[:_MOST_CLIPS]:
             stem = item.name.rsplit(".", 1)[0]

@@ -72,12 +72,12 @@ class Summary:
         cls,
         output: Path,
         shard: tuple[int, int],
-        kept: Mapping[str, Kept],
+        packs: Mapping[str, Kept],
         failed: Mapping[str, str],
     ) -> Summary:
         """Of a run that retargets its share and writes no data set."""
-        frames = sum(each.frames for each in kept.values())
-        return cls(output, shard, len(kept), frames, failed=dict(failed))
+        frames = sum(each.frames for each in packs.values())
+        return cls(output, shard, len(packs), frames, failed=dict(failed))
 
     def as_json(self) -> dict[str, Any]:
         """As ``report.json`` has it."""
@@ -108,7 +108,7 @@ class Order:
     @property
     def identity(self) -> str:
         """Digest of all that the files of the data set depend on."""
-        content = [(name, kept.key) for name, kept in self.items]
+        content = [(name, pack.key) for name, pack in self.items]
         return key_digest([self.limits, self.format, self.writing, content])
 
 
@@ -134,7 +134,7 @@ def write_episodes(
     """
     summary = Summary(order.output, failed=dict(failed), passed_over=dict(passed_over))
     summary.clips = len(order.items)
-    summary.frames = sum(kept.frames for _, kept in order.items)
+    summary.frames = sum(pack.frames for _, pack in order.items)
     if not order.items:
         _account(order, summary, FigureTable())
         return summary
@@ -147,8 +147,8 @@ def write_episodes(
         atomic_write(order.output / EPISODES) as lines,
         WRITERS.load(order.format).open(target, order.writing) as writer,
     ):
-        for done, (_, kept) in enumerate(order.items, 1):
-            for clip in store.read(kept):
+        for done, (_, pack) in enumerate(order.items, 1):
+            for clip in store.read(pack):
                 for episode in select(clip, order.limits):
                     episode = _written(episode, writer)
                     _count(summary, reasons, episode)
@@ -214,7 +214,7 @@ def _with_joints(order: Order) -> WritingOptions:
     """The settings with the joints of the hands that clips have."""
     if order.writing.joints:
         return order.writing
-    sides: set[Side] = {side for _, kept in order.items for side in kept.sides}
+    sides: set[Side] = {side for _, pack in order.items for side in pack.sides}
     request = order.recipe.request
     joints = {side: request.load_hand(side).joint_names for side in SIDES if side in sides}
     return replace(order.writing, joints=joints)
@@ -241,10 +241,10 @@ def _prepare(order: Order) -> Path:
 
 def _state(order: Order) -> dict[str, Any] | None:
     try:
-        found = read_json(order.output / "work" / _STATE)
+        state = read_json(order.output / "work" / _STATE)
     except (OSError, ValueError):
         return None
-    return found if isinstance(found, dict) and found.get("program") == PROGRAM else None
+    return state if isinstance(state, dict) and state.get("program") == PROGRAM else None
 
 
 def _mark(order: Order, *, whole: bool) -> None:

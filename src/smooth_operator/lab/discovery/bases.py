@@ -44,8 +44,8 @@ def fix_bases(
         points = [at.world(b, offset) for b, offset in zip(bodies, offsets, strict=True)]
         return at.local(palm, np.array(points))
 
-    seen = np.array([places(skeleton.place(q)) for q in reach.poses])  # (s, f, 3)
-    travel = np.linalg.norm(seen[:, None] - seen[None], axis=-1).max(axis=(0, 1))
+    placed = np.array([places(skeleton.place(q)) for q in reach.poses])  # (s, f, 3)
+    travel = np.linalg.norm(placed[:, None] - placed[None], axis=-1).max(axis=(0, 1))
     out, moved = [], {}
     for finger, place, path in zip(fingers, places(neutral), travel, strict=True):
         if path > _STILL:

@@ -94,12 +94,12 @@ class Branches:
             )
         return tuple(hands)
 
-    def at(self, palm: str, wanted: tuple[str, ...] = ()) -> HandTree:
+    def at(self, palm: str, fingers: tuple[str, ...] = ()) -> HandTree:
         """The hand of a palm that is given.
 
         Args:
             palm: body name.
-            wanted: bodies or joints of fingers, to choose from more than five.
+            fingers: bodies or joints of fingers, to choose from more than five.
 
         Raises:
             UnknownNameError: no such body.
@@ -112,9 +112,11 @@ class Branches:
         body = names.index(palm)
         below = tuple(leaf for leaf in self.leaves if body in (0, *self._skeleton.path(leaf)[:-1]))
         hand = self._hand(body, below)
-        if wanted and len(hand.chains) > 5:
-            kept = tuple(c for c in hand.chains if any(holds(self._skeleton, c, w) for w in wanted))
-            hand = HandTree(body, kept, hand.left_out)
+        if fingers and len(hand.chains) > 5:
+            chains = tuple(
+                c for c in hand.chains if any(holds(self._skeleton, c, w) for w in fingers)
+            )
+            hand = HandTree(body, chains, hand.left_out)
         if not 2 <= len(hand.chains) <= 5:
             raise HandModelError(
                 f"{len(hand.chains)} chains of limited joints hang from the palm {palm!r}; "
@@ -159,28 +161,28 @@ class Branches:
             else:
                 left_out.append(f"{self._name(chain)} turns without limits")
         out.sort(key=lambda c: (len(c.joints), c.length), reverse=True)
-        kept: list[Chain] = []
+        branch: list[Chain] = []
         for chain in out:
-            rival = next((k for k in kept if not self._apart(chain, k)), None)
+            rival = next((k for k in branch if not self._apart(chain, k)), None)
             if rival is None:
-                kept.append(chain)
+                branch.append(chain)
             else:
                 left_out.append(f"{self._name(chain)} is a bar of {self._name(rival)}")
-        median = float(np.median([c.length for c in kept])) if kept else 0.0
-        strays = [c for c in kept if len(c.joints) == 1 and c.length < _STRAY * median]
-        if len(kept) - len(strays) >= 2:
+        median = float(np.median([c.length for c in branch])) if branch else 0.0
+        strays = [c for c in branch if len(c.joints) == 1 and c.length < _STRAY * median]
+        if len(branch) - len(strays) >= 2:
             left_out += [f"{self._name(c)} is too short for a finger" for c in strays]
-            kept = [c for c in kept if c not in strays]
-        kept = [
+            branch = [c for c in branch if c not in strays]
+        branch = [
             self._chain(
                 palm,
                 c.last,
-                max((_common(c, other) for other in kept if other is not c), default=0),
+                max((_common(c, other) for other in branch if other is not c), default=0),
             )
-            for c in kept
+            for c in branch
         ]
-        kept.sort(key=lambda c: c.joints)
-        return HandTree(palm, tuple(kept), tuple(left_out))
+        branch.sort(key=lambda c: c.joints)
+        return HandTree(palm, tuple(branch), tuple(left_out))
 
     def _apart(self, chain: Chain, other: Chain) -> bool:
         """Whether two chains are two fingers, and not one with a bar of its linkage."""

@@ -21,7 +21,7 @@ def checklist(
     thumb: Thumb,
     order: tuple[int, ...],
     names: tuple[str, ...],
-    given: frozenset[str],
+    overruled: frozenset[str],
     tips: Mapping[int, Tip],
     coupled: Finding,
     wrist: tuple[Point, float, tuple[str, ...]],
@@ -40,7 +40,7 @@ def checklist(
         thumb: which it is.
         order: chains, thumb first.
         names: their human fingers.
-        given: human fingers whose chains a person named.
+        overruled: human fingers whose chains a person named.
         tips: chain -> tip.
         coupled: finding about joints that follow another.
         wrist: point, confidence, reasons.
@@ -82,7 +82,7 @@ def checklist(
         Finding(
             "order",
             ", ".join(names),
-            1.0 if given >= set(names) else layout.order_confidence,
+            1.0 if overruled >= set(names) else layout.order_confidence,
             layout.order_evidence,
             f"--finger {names[-1]}=BODY (any body or joint of the right one)",
         ),

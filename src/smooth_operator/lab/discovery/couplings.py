@@ -30,7 +30,7 @@ def find_couplings(
     """
     names = {skeleton.joint_names[j] for j in joints}
     tendons = _on_tendons(skeleton)
-    found, said = [], []
+    couplings, notes = [], []
     for c in skeleton.couplings:
         if c.joint not in names:
             continue
@@ -48,23 +48,23 @@ def find_couplings(
                 f" with the factor {c.multiplier:g}, as declared, which its own limits do not "
                 "allow: mend the factor or the limits in the file"
             )
-        found.append(FoundCoupling(c, confidence))
-        said.append(text)
+        couplings.append(FoundCoupling(c, confidence))
+        notes.append(text)
     overrule = "edit the model file"
-    if not found:
+    if not couplings:
         return (), Finding("coupled", "none", 0.9, ("the file declares none",), overrule)
-    least = min(f.confidence for f in found)
-    return tuple(found), Finding(
-        "coupled", f"{len(found)} joints", least, (*said, "as the file declares"), overrule
+    least = min(f.confidence for f in couplings)
+    return tuple(couplings), Finding(
+        "coupled", f"{len(couplings)} joints", least, (*notes, "as the file declares"), overrule
     )
 
 
-def coupling_notes(found: tuple[FoundCoupling, ...]) -> tuple[str, ...]:
+def coupling_notes(couplings: tuple[FoundCoupling, ...]) -> tuple[str, ...]:
     """Warnings: couplings that are not as the file has them."""
     return tuple(
         f"joint {c.joint!r} follows {c.follows!r} with the factor {c.multiplier:g}: {_turned(c)}. "
         "Check it on the hand; if it is the limits that are wrong, mend them in the file"
-        for c in (f.coupling for f in found)
+        for c in (f.coupling for f in couplings)
         if c.turned
     )
 

@@ -46,20 +46,20 @@ class _Analysis:
         chains = tree.chains
         for chain in chains:
             _check_joints(skeleton, chain)
-        said = fingers_said([_names(skeleton, chain) for chain in chains])
+        names = fingers_said([_names(skeleton, chain) for chain in chains])
         self.chosen = _chosen(skeleton, chains, overrules)
         self.tips = tuple(find_tip(skeleton, chain, at) for chain in chains)
         self.bends: tuple[Bending, ...] = find_bending(skeleton, chains, self.tips)
         self.reach = reach = sample_reach(skeleton, chains, self.tips, self.bends)
-        thumb = find_thumb(chains, self.bends, reach, said)
-        given = next((i for i, name in self.chosen.items() if name == "thumb"), None)
-        if given is not None:
-            thumb = Thumb(given, 1.0, ("given",))
+        thumb = find_thumb(chains, self.bends, reach, names)
+        thumb_index = next((i for i, name in self.chosen.items() if name == "thumb"), None)
+        if thumb_index is not None:
+            thumb = Thumb(thumb_index, 1.0, ("given",))
         self.thumb = thumb
         own = [n for chain in chains for n in _names(skeleton, chain)]
         palm = [skeleton.body_name(b) for b in skeleton.rigid(tree.palm)] if tree.palm else []
         self.layout: Layout = find_layout(
-            chains, self.bends, reach, thumb.index, said, side_said([*own, *palm]), side
+            chains, self.bends, reach, thumb.index, names, side_said([*own, *palm]), side
         )
 
 
@@ -95,8 +95,8 @@ def discover(
     skeleton, notes = read_skeleton(path)
     branches = Branches(skeleton)
     if overrules.palm is not None:
-        wanted = tuple(where for _, where in overrules.fingers)
-        trees: tuple[HandTree, ...] = (branches.at(overrules.palm, wanted),)
+        places = tuple(where for _, where in overrules.fingers)
+        trees: tuple[HandTree, ...] = (branches.at(overrules.palm, places),)
     else:
         trees = branches.find()
     analysis = _choose(skeleton, trees, side, overrules, path)
@@ -113,15 +113,15 @@ def _choose(
     if len(trees) == 1:
         return _Analysis(skeleton, trees[0], side, overrules)
     blank = Overrules()
-    seen = [(tree, _Analysis(skeleton, tree, None, blank).layout) for tree in trees]
-    found = "; ".join(
+    layouts = [(tree, _Analysis(skeleton, tree, None, blank).layout) for tree in trees]
+    choices = "; ".join(
         f"palm {skeleton.body_name(tree.palm)!r}, {layout.side} ({layout.side_confidence:.2f})"
-        for tree, layout in seen
+        for tree, layout in layouts
     )
-    fits = [tree for tree, layout in seen if layout.side == side]
+    fits = [tree for tree, layout in layouts if layout.side == side]
     if len(fits) != 1:
         hint = "give --side right or --side left" if side is None else "name one with --palm"
-        raise HandModelError(f"{path} holds {len(trees)} hands ({found}); {hint}")
+        raise HandModelError(f"{path} holds {len(trees)} hands ({choices}); {hint}")
     return _Analysis(skeleton, fits[0], side, overrules)
 
 
@@ -177,7 +177,7 @@ def _described(
     moved = frozenset(j for chain in chains for j in chain.joints)
     coupled, coupled_finding = find_couplings(skeleton, moved)
     assign = min(layout.order_confidence, layout.names_confidence)
-    found = tuple(
+    descriptions = tuple(
         FoundFinger(
             name=finger,
             tip_body=tips[i].point.body,
@@ -197,7 +197,7 @@ def _described(
         thumb=analysis.thumb,
         order=order,
         names=names,
-        given=frozenset(analysis.chosen.values()),
+        overruled=frozenset(analysis.chosen.values()),
         tips=tips,
         coupled=coupled_finding,
         wrist=(wrist, wrist_sure, wrist_why),
@@ -208,7 +208,7 @@ def _described(
         hands=hands,
     )
     notes = (*notes, *coupling_notes(coupled), *tree.left_out)
-    return Discovery(spec, findings, found, coupled, notes)
+    return Discovery(spec, findings, descriptions, coupled, notes)
 
 
 def _ordered(analysis: _Analysis) -> tuple[tuple[int, ...], tuple[str, ...]]:
@@ -217,9 +217,9 @@ def _ordered(analysis: _Analysis) -> tuple[tuple[int, ...], tuple[str, ...]]:
     order, names = list(layout.order), list(layout.names)
     free = [n for n in names if n not in chosen.values()]
     named = {i: chosen.get(i, "") for i in order}
-    for i, found in zip(order, names, strict=True):
+    for i, name in zip(order, names, strict=True):
         if not named[i]:
-            named[i] = found if found in free else free[0]
+            named[i] = name if name in free else free[0]
             free.remove(named[i])
     ranked = sorted(order, key=lambda i: FINGERS.index(named[i])) if chosen else order
     return tuple(ranked), tuple(named[i] for i in ranked)
@@ -294,14 +294,14 @@ def _given_tip(skeleton: Skeleton, chain: Chain, finger: str, point: Point) -> T
 
 
 def _check_tips_differ(tips: list[tuple[str, Tip]]) -> None:
-    seen: dict[Point, str] = {}
+    tip_names: dict[Point, str] = {}
     for finger, tip in tips:
-        if tip.point in seen:
+        if tip.point in tip_names:
             raise HandModelError(
-                f"{seen[tip.point]} and {finger} have the same tip, {tip.point.body!r}; give each "
-                f"its own: --tip {finger}=BODY:x,y,z"
+                f"{tip_names[tip.point]} and {finger} have the same tip, {tip.point.body!r}; give "
+                f"each its own: --tip {finger}=BODY:x,y,z"
             )
-        seen[tip.point] = finger
+        tip_names[tip.point] = finger
 
 
 def _body(skeleton: Skeleton, name: str) -> int:
@@ -322,8 +322,8 @@ def _name(path: Path) -> str:
     """A name from the file's, or its folder's where the file's says nothing."""
     for text in (path.stem, path.absolute().parent.name):
         parts = [w for w in re.split(r"[^A-Za-z0-9]+", text.lower()) if w]
-        kept = [w for w in parts if w not in _GENERIC]
-        if kept:
+        name_words = [w for w in parts if w not in _GENERIC]
+        if name_words:
             words = [w for w in parts if w not in _GENERIC or w == "hand"]
             return "_".join(words)
     return "hand"

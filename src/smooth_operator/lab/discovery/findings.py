@@ -111,13 +111,13 @@ class Discovery:
             ],
             "coupled": [
                 {
-                    "joint": found.coupling.joint,
-                    "follows": found.coupling.follows,
-                    "multiplier": found.coupling.multiplier,
-                    "offset": found.coupling.offset,
-                    "confidence": found.confidence,
+                    "joint": coupling.coupling.joint,
+                    "follows": coupling.coupling.follows,
+                    "multiplier": coupling.coupling.multiplier,
+                    "offset": coupling.coupling.offset,
+                    "confidence": coupling.confidence,
                 }
-                for found in self.coupled
+                for coupling in self.coupled
             ],
             "wrist": {"body": spec.wrist.body, "offset": list(spec.wrist.offset)},
             "align": list(spec.align),

@@ -56,16 +56,16 @@ def finger_points(
     where = at.anchors[base]
     if base == knuckle and not is_thumb:
         where = _level(at, base, end, chain.length)
-    kept: list[tuple[int, np.ndarray]] = []
+    points: list[tuple[int, np.ndarray]] = []
     for j in joints:
         place = _level(at, j, end, chain.length)
-        before = kept[-1][1] if kept else where
+        before = points[-1][1] if points else where
         if np.linalg.norm(place - before) > apart and np.linalg.norm(place - end) > apart:
-            kept.append((j, place))
-    middle = [_point(skeleton, at, j, place) for j, place in kept[-2:]]
+            points.append((j, place))
+    middle = [_point(skeleton, at, j, place) for j, place in points[-2:]]
     if len(middle) == 1:  # a last link that is rigid stands for two human ones
-        half = (kept[-1][1] + end) / 2
-        middle.append(_fixed(skeleton, at, int(skeleton.model.jnt_bodyid[kept[-1][0]]), half))
+        half = (points[-1][1] + end) / 2
+        middle.append(_fixed(skeleton, at, int(skeleton.model.jnt_bodyid[points[-1][0]]), half))
     first_point = _point(skeleton, at, base, where)
     mcp, pip = (middle[0], middle[1]) if middle else (None, None)
     return first_point, mcp, pip, tip

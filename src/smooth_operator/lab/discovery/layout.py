@@ -55,7 +55,7 @@ def find_layout(
     bends: tuple[Bending, ...],
     reach: Reach,
     thumb: int,
-    said: list[str | None],
+    labels: list[str | None],
     side_said: Side | None,
     side_given: Side | None,
 ) -> Layout:
@@ -69,7 +69,7 @@ def find_layout(
         bends: how each bends.
         reach: what they can reach.
         thumb: index of the thumb.
-        said: the human finger that each one's names speak of.
+        labels: the human finger that each one's names speak of.
         side_said: the side that names speak of.
         side_given: the side that a person gave.
     """
@@ -137,16 +137,16 @@ def find_layout(
     if clear < 0.3 and len(others) > 1:
         ordered = min(ordered, 0.4)
         reasons.append("which end is the thumb's follows from the side, which is not clear")
-    if clear < 0.3 and _spoken([said[i] for i in others]):
+    if clear < 0.3 and _spoken([labels[i] for i in others]):
         # what the shape leaves open, names may decide
-        ranked = sorted(others, key=lambda i: FINGERS.index(said[i] or ""))
+        ranked = sorted(others, key=lambda i: FINGERS.index(labels[i] or ""))
         ordered = 0.6
         reasons[1:] = ["its ends are distinguished by names only (weak evidence)"]
         if side_said is None and side_given is None and len(ranked) > 1:
             across = bases @ lateral
             side = "right" if across[ranked[0]] > across[ranked[-1]] else "left"
             evidence[-1] = f"{side}, if the names of its fingers are right"
-    names, how_sure, why = _names([said[i] for i in ranked])
+    names, how_sure, why = _names([labels[i] for i in ranked])
     return Layout(
         forward=forward,
         lateral=lateral,
@@ -162,10 +162,10 @@ def find_layout(
     )
 
 
-def _names(said: list[str | None]) -> tuple[tuple[str, ...], float, list[str]]:
+def _names(labels: list[str | None]) -> tuple[tuple[str, ...], float, list[str]]:
     """Human fingers for the robot's, in their order; names of the model only if they fit."""
-    count = len(said)
-    named = _spoken(said)
+    count = len(labels)
+    named = _spoken(labels)
     if named and list(named) == sorted(named, key=FINGERS.index):
         return named, 0.95, ["named as the model's own names say"]
     names = FINGERS[1 : 1 + count]
@@ -175,10 +175,10 @@ def _names(said: list[str | None]) -> tuple[tuple[str, ...], float, list[str]]:
     return names, 0.85 if count == 3 else 0.75, [drives]
 
 
-def _spoken(said: list[str | None]) -> tuple[str, ...]:
+def _spoken(labels: list[str | None]) -> tuple[str, ...]:
     """What names say of fingers other than the thumb; nothing unless each has one."""
-    named = tuple(name for name in said if name is not None and name != "thumb")
-    return named if len(set(named)) == len(said) else ()
+    named = tuple(name for name in labels if name is not None and name != "thumb")
+    return named if len(set(named)) == len(labels) else ()
 
 
 def _unit(vector: np.ndarray, otherwise: np.ndarray) -> np.ndarray:

@@ -61,16 +61,16 @@ def find_neutral(
         for j in turning:
             start = skeleton.reference[j]
             q[j] = start + _TURNED * (turned[j] - start)
-    said = ["fingers bent by a fifth of their range, the thumb turned towards them"]
+    notes = ["fingers bent by a fifth of their range, the thumb turned towards them"]
     depth = finger_overlap(skeleton, chains, skeleton.coupled(q))
     if depth > _DEEP:
         knuckles = {bend.joints[0]: bend.senses[0] for bend in bends if bend.joints}
         q, less = _opened(skeleton, chains, {j: s for j, s in knuckles.items() if j in named}, q)
-        said.append(
+        notes.append(
             f"fingers would be {1e3 * depth:.0f} mm inside each other so; with their knuckles "
             f"opened it is {1e3 * less:.0f} mm"
         )
-    return {skeleton.joint_names[j]: round(float(q[j]), 4) for j in sorted(named)}, tuple(said)
+    return {skeleton.joint_names[j]: round(float(q[j]), 4) for j in sorted(named)}, tuple(notes)
 
 
 def _opened(

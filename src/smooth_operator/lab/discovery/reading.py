@@ -45,22 +45,22 @@ def read_skeleton(path: Path) -> tuple[Skeleton, tuple[str, ...]]:
         )
     clouds = {b: list(shapes) for b, shapes in geom_points(model).items()}
     notes = []
-    wanted = [m for m in root.iter("mesh") if m.get("filename") or m.get("file")]
+    meshes = [m for m in root.iter("mesh") if m.get("filename") or m.get("file")]
     if loaded.oversize:
         notes.append(
             f"{loaded.why}. They are left out; fingertips and wrist are surer with them, or with "
             "--tip and --wrist"
         )
-    elif wanted and not model.nmesh:
-        found: dict[str, list[np.ndarray]] = {}
-        missing = len(wanted)
+    elif meshes and not model.nmesh:
+        points: dict[str, list[np.ndarray]] = {}
+        missing = len(meshes)
         if root.tag == "robot":
-            found, missing = urdf_mesh_points(root, read_model_files(path).assets)
-        for name, shapes in found.items():
+            points, missing = urdf_mesh_points(root, read_model_files(path).assets)
+        for name, shapes in points.items():
             clouds.setdefault(_body(model, name), []).extend(shapes)
         if missing:
             notes.append(
-                f"{missing} of {len(wanted)} meshes could not be read; joints need none, but "
+                f"{missing} of {len(meshes)} meshes could not be read; joints need none, but "
                 "fingertips and wrist are surer with them: put them where the file says, or set "
                 "what is wrong with --tip and --wrist"
             )
@@ -146,5 +146,5 @@ def _check_limits(root: ElementTree.Element, path: Path) -> dict[str, float]:
 
 def _body(model: mujoco.MjModel, name: str) -> int:
     """Body of a URDF link; MuJoCo makes a root link called world the world itself."""
-    found = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
-    return max(int(found), 0)
+    body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
+    return max(int(body), 0)

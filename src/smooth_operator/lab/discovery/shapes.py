@@ -112,9 +112,9 @@ def _origin(element: ElementTree.Element | None) -> tuple[np.ndarray, np.ndarray
     return out.reshape(3, 3), position
 
 
-def _primitive(kind: mujoco.mjtGeom, given: np.ndarray) -> Float[np.ndarray, "p 3"]:
+def _primitive(kind: mujoco.mjtGeom, sizes: np.ndarray) -> Float[np.ndarray, "p 3"]:
     """Points all over the surface, not at its corners alone: sections of it are looked at."""
-    size = np.asarray(given, np.float64)
+    size = np.asarray(sizes, np.float64)
     points: np.ndarray
     ball = _sphere()
     steps = np.linspace(-1, 1, _RINGS)

@@ -106,14 +106,14 @@ class Skeleton:
         resolved = {}
         for joint in direct:
             leader, gain, offset = direct[joint]
-            seen = {joint}
+            visited = {joint}
             while leader in direct:
-                if leader in seen:
+                if leader in visited:
                     raise HandModelError(
                         f"joint {self.joint_names[joint]!r} follows itself through others; "
                         "remove one of the couplings from the file"
                     )
-                seen.add(leader)
+                visited.add(leader)
                 leader, further, shift = direct[leader]
                 offset += gain * shift
                 gain *= further

@@ -23,7 +23,7 @@ def find_thumb(
     chains: tuple[Chain, ...],
     bends: tuple[Bending, ...],
     reach: Reach,
-    said: list[str | None],
+    labels: list[str | None],
 ) -> Thumb:
     """Finds the thumb by opposition, by the direction in which it closes, by where its base is.
 
@@ -31,7 +31,7 @@ def find_thumb(
         chains: the fingers.
         bends: how each bends.
         reach: what they can reach together.
-        said: the human finger that each one's names speak of; weak evidence.
+        labels: the human finger that each one's names speak of; weak evidence.
     """
     count = len(chains)
     length = float(np.median([chain.length for chain in chains]))
@@ -56,7 +56,7 @@ def find_thumb(
         forward = along[others].mean(axis=0)
         behind = float((bases[others].mean(axis=0) - bases[t]) @ forward) / length
         # a name counts against the others' silence only
-        named = float(said[t] == "thumb" and said.count("thumb") == 1)
+        named = float(labels[t] == "thumb" and labels.count("thumb") == 1)
         scores[t] = (
             1.2 * opposition + across + 0.5 * float(np.clip(behind, -0.5, 0.6)) + 0.35 * named
         )
@@ -76,7 +76,7 @@ def find_thumb(
         evidence.append(f"its base is {behind * length * 1e3:.0f} mm behind the others'")
     if named:
         evidence.append("its names say so (weak evidence)")
-    if said.count("thumb") == 1 and not named:
+    if labels.count("thumb") == 1 and not named:
         evidence.append("though names call another finger the thumb")
         margin -= 0.2
     if count == 2:

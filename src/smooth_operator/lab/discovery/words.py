@@ -65,11 +65,11 @@ def fingers_said(chains: Sequence[Iterable[str]]) -> list[str | None]:
 def _means(word: str, finger: str, initials: bool) -> bool:
     """Whether a word says a finger; initials may as well be a gripper's left and right finger."""
     return any(
-        word == known
-        or (len(known) > 3 and word.startswith(known))
-        or (len(known) == 2 and re.fullmatch(known + _PARTS, word) is not None)
-        for known in _FINGER_WORDS[finger]
-        if initials or len(known) > 2
+        word == synonym
+        or (len(synonym) > 3 and word.startswith(synonym))
+        or (len(synonym) == 2 and re.fullmatch(synonym + _PARTS, word) is not None)
+        for synonym in _FINGER_WORDS[finger]
+        if initials or len(synonym) > 2
     )
 
 
@@ -77,11 +77,11 @@ def side_said(names: Iterable[str]) -> Side | None:
     """The side that names speak of; None if none or both."""
     votes: dict[Side, int] = {"right": 0, "left": 0}
     for name in names:
-        said = words(name)
-        for side, known in _SIDE_WORDS.items():
+        parts = words(name)
+        for side, synonyms in _SIDE_WORDS.items():
             # a letter counts by itself only: r_thumb, but not the L of thumb_L1
             letter = re.search(rf"(^|_){side[0]}(_|$)", name.lower())
-            votes[side] += bool(letter) or any(word in known for word in said)
+            votes[side] += bool(letter) or any(word in synonyms for word in parts)
     if votes["right"] == votes["left"]:
         return None
     return "right" if votes["right"] > votes["left"] else "left"

@@ -71,21 +71,21 @@ class Scene:
         return len(self.solids)
 
 
-def clip_scene(clip: Clip, known: dict[str, Solid] | None = None) -> Scene:
+def clip_scene(clip: Clip, solids: dict[str, Solid] | None = None) -> Scene:
     """The objects of a clip with a shape.
 
     Args:
         clip: with objects.
-        known: shapes by the object's name, in place of its mesh.
+        solids: shapes by the object's name, in place of its mesh.
 
     Raises:
         RecordingError: none has a shape; a mesh can't be read.
     """
-    known = known or {}
+    solids = solids or {}
     tracks: list[tuple[ObjectTrack, Solid]] = []
     for track in clip.objects:
-        if track.name in known:
-            tracks.append((track, known[track.name]))
+        if track.name in solids:
+            tracks.append((track, solids[track.name]))
         elif track.mesh is not None:
             tracks.append((track, read_solid(track.mesh, track.scale)))
     if not tracks:
@@ -183,10 +183,10 @@ def nearest_object(
     place, normal = np.zeros((*shape, 3)), np.zeros((*shape, 3))
     for index, (solid, track) in enumerate(zip(scene.solids, scene.T_world_object, strict=True)):
         local = apply(poses.invert(track), points)
-        known = np.isfinite(local).all(axis=-1)
+        finite = np.isfinite(local).all(axis=-1)
         distance = np.full(shape, np.inf)
         near, at = np.zeros((*shape, 3)), np.zeros((*shape, 3))
-        distance[known], near[known], at[known] = solid.nearest(local[known])
+        distance[finite], near[finite], at[finite] = solid.nearest(local[finite])
         closer = distance < best
         best, which = np.where(closer, distance, best), np.where(closer, index, which)
         place = np.where(closer[..., None], near, place)

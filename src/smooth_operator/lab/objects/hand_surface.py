@@ -17,11 +17,11 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from smooth_operator.errors import HandModelError
-from smooth_operator.hand_files.stand_ins import stand_ins
 from smooth_operator.hands.collision import solid_shapes
 from smooth_operator.hands.differential import PointKinematics
 from smooth_operator.hands.hand import Hand, landmark_points, tree_with
 from smooth_operator.hands.solids import Capsule, shape_capsules
+from smooth_operator.hands.stand_ins import stand_ins
 
 SPACING_M: Final = 0.002
 """Between the points of a surface [m]."""
@@ -115,33 +115,35 @@ class HandSurface:
     @cached_property
     def spheres(self) -> Fixed:
         """Spheres that fill the solid parts."""
-        found: list[tuple[int, np.ndarray, float]] = []
+        spheres: list[tuple[int, np.ndarray, float]] = []
         for capsule in self._estimated:
-            found += _in_capsule(capsule)
+            spheres += _in_capsule(capsule)
         for geom in self._geoms:
             kind = self.hand.model.geom_type[geom]
             if kind == _BOX:
-                found += _in_box(self.hand.model, geom)
+                spheres += _in_box(self.hand.model, geom)
             elif kind == _MESH:
                 points = _mesh_points(self.hand.model, geom, SPACING_M)
-                kept = points[_spread_out(points, _MESH_POINTS)]
-                found += [(int(self.hand.model.geom_bodyid[geom]), p, 0.0) for p in kept]
+                spread = points[_spread_out(points, _MESH_POINTS)]
+                spheres += [(int(self.hand.model.geom_bodyid[geom]), p, 0.0) for p in spread]
             else:
                 for capsule in shape_capsules(self.hand.model, geom):
-                    found += _in_capsule(capsule)
-        return self._fixed(found)
+                    spheres += _in_capsule(capsule)
+        return self._fixed(spheres)
 
     @cached_property
     def surface(self) -> Fixed:
         """Points of the surfaces, ``SPACING_M`` apart, with radius 0: what is measured."""
-        found: list[tuple[int, np.ndarray, float]] = []
+        points_of_bodies: list[tuple[int, np.ndarray, float]] = []
         for capsule in self._estimated:
             points = _capsule_points(capsule, SPACING_M)
-            found += [(capsule.body, p, 0.0) for p in points]
+            points_of_bodies += [(capsule.body, p, 0.0) for p in points]
         for geom in self._geoms:
             body = int(self.hand.model.geom_bodyid[geom])
-            found += [(body, p, 0.0) for p in surface_points(self.hand.model, geom, SPACING_M)]
-        return self._fixed(found)
+            points_of_bodies += [
+                (body, p, 0.0) for p in surface_points(self.hand.model, geom, SPACING_M)
+            ]
+        return self._fixed(points_of_bodies)
 
     def fingertips(self, points: Fixed) -> tuple[Int[np.ndarray, " p"], ...]:
         """For each finger the indices of points that belong to its fingertip.
@@ -193,14 +195,14 @@ class HandSurface:
             body = int(self.hand.model.body_parentid[body])
         return bool(body == palm)
 
-    def _fixed(self, found: list[tuple[int, np.ndarray, float]]) -> Fixed:
-        local = np.array([place for _, place, _ in found]).reshape(-1, 3)
+    def _fixed(self, rows: list[tuple[int, np.ndarray, float]]) -> Fixed:
+        local = np.array([place for _, place, _ in rows]).reshape(-1, 3)
         share = np.concatenate([1.0 - local.sum(axis=1, keepdims=True), local], axis=1)
         index = {body: i for i, body in enumerate(self.bodies)}
         return Fixed(
-            np.array([index[body] for body, _, _ in found], int),
+            np.array([index[body] for body, _, _ in rows], int),
             share,
-            np.array([radius for _, _, radius in found], float),
+            np.array([radius for _, _, radius in rows], float),
         )
 
 

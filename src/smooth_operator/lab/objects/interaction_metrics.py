@@ -78,14 +78,14 @@ def hand_depths(
         least = np.full((len(rough), len(points.body)), FAR_M)
         some = points.of(chosen_points)
         least[:, chosen_points] = _least(some, frames[part], T_world_palm[part], scene, part)
-        seen = np.isfinite(least).all(axis=1)
-        deepest[part] = np.where(seen, np.maximum(-least.min(axis=1), 0.0), np.nan)
+        finite = np.isfinite(least).all(axis=1)
+        deepest[part] = np.where(finite, np.maximum(-least.min(axis=1), 0.0), np.nan)
         for f, chosen in enumerate(tips):
             world = apply(T_world_palm[part], points.of(chosen).at(frames[part]))
             nearest = least[:, chosen].argmin(axis=1)
             row = np.arange(len(nearest))
-            clearance[part, f] = np.where(seen, least[row, chosen[nearest]], np.nan)
-            place[part, f] = np.where(seen[:, None], world[row, nearest], np.nan)
+            clearance[part, f] = np.where(finite, least[row, chosen[nearest]], np.nan)
+            place[part, f] = np.where(finite[:, None], world[row, nearest], np.nan)
     return Depths(deepest, clearance, place)
 
 
@@ -102,10 +102,10 @@ def _least(
     least = np.full(world.shape[:2], np.inf)
     for solid, track in zip(scene.solids, scene.T_world_object, strict=True):
         local = apply(poses.invert(track[part]), world)
-        known = np.isfinite(local).all(axis=-1)
-        distance = np.full(known.shape, np.inf)
+        finite = np.isfinite(local).all(axis=-1)
+        distance = np.full(finite.shape, np.inf)
         measured = _distances if exact else _roughly
-        distance[known] = measured(solid, local[known])
+        distance[finite] = measured(solid, local[finite])
         least = np.minimum(least, distance)
     return least
 
@@ -220,20 +220,20 @@ def interaction_figures(tracks: Mapping[str, Float[np.ndarray, " T"]]) -> dict[s
         clip and in the mean; ``contacts``, how many the human has.
     """
     names = ("shared_contacts", "robot_contacts", "human_contacts")
-    found = Agreement(*(int(tracks[name].sum()) for name in names))
+    agreement = Agreement(*(int(tracks[name].sum()) for name in names))
     deep = tracks["object_depth"][np.isfinite(tracks["object_depth"])]
 
     def each(name: str) -> float:
         total = 1e3 * float(tracks[name].sum())
-        return total / found.human if found.human else float("nan")
+        return total / agreement.human if agreement.human else float("nan")
 
     return {
-        "contact_precision": found.precision,
-        "contact_recall": found.recall,
-        "contact_f1": found.f1,
+        "contact_precision": agreement.precision,
+        "contact_recall": agreement.recall,
+        "contact_f1": agreement.f1,
         "contact_error_mm": each("contact_error"),
         "contact_place_mm": each("contact_place"),
         "penetration_max_mm": 1e3 * float(deep.max(initial=0.0)) if len(deep) else float("nan"),
         "penetration_mean_mm": 1e3 * float(deep.mean()) if len(deep) else float("nan"),
-        "contacts": float(found.human),
+        "contacts": float(agreement.human),
     }

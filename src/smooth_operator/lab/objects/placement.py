@@ -70,15 +70,15 @@ def palm_in_world(
     """
     points = landmarks_in_world(recording)
     chosen = list(hand.align_indices)
-    known = np.isfinite(points[:, chosen]).all(axis=(1, 2))
-    safe = np.where(known[:, None, None], points, reference_landmarks(hand))
+    usable = np.isfinite(points[:, chosen]).all(axis=(1, 2))
+    safe = np.where(usable[:, None, None], points, reference_landmarks(hand))
     fit = palm_alignment(safe, hand, alignment)
-    known &= np.asarray(fit.condition) >= MIN_CONDITION
+    usable &= np.asarray(fit.condition) >= MIN_CONDITION
     turn = np.swapaxes(np.asarray(fit.rotation), -1, -2)  # palm to world
     centre = safe[:, chosen].mean(axis=1)
     place = centre - np.einsum("tij,j->ti", turn, hand.align_points.mean(axis=0))
-    found = np.concatenate([place, poses.quaternions(turn)], axis=-1)
-    return np.where(known[:, None], found, np.nan)
+    placed = np.concatenate([place, poses.quaternions(turn)], axis=-1)
+    return np.where(usable[:, None], placed, np.nan)
 
 
 def wrist_in_palm(hand: Hand) -> Float[np.ndarray, "7"]:

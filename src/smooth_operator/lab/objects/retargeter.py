@@ -19,7 +19,7 @@ from smooth_operator import poses
 from smooth_operator.compilation.cache import jax_cache
 from smooth_operator.compilation.start import dispatch_here
 from smooth_operator.errors import ConfigError, RecordingError
-from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.hand import Hand, fingerprint
 from smooth_operator.lab.datasets.clip import Clip
 from smooth_operator.lab.objects.contacts import (
     Contacts,
@@ -41,7 +41,6 @@ from smooth_operator.lab.offline.trajectory_retargeter import TrajectoryRetarget
 from smooth_operator.lab.offline.trajectory_solver import FrameBlocks
 from smooth_operator.methods.method import MethodConfig, TrajectoryMethodConfig
 from smooth_operator.methods.presets import method_config
-from smooth_operator.methods.shared import fingerprint
 from smooth_operator.planning import Plan
 from smooth_operator.types import CommandTrajectory, Side
 
@@ -97,9 +96,9 @@ class _Terms:
         frames = ObjectFrame(*(values[part] for values in self.frames))
         return self.costs_of.all_costs(self.shapes, x, frames)
 
-    def settle(self, found: Float[np.ndarray, "T 6"]) -> None:
+    def settle(self, pose: Float[np.ndarray, "T 6"]) -> None:
         """Takes the solution."""
-        self.found = found
+        self.found = pose
 
 
 class ObjectAwareRetargeter:
@@ -133,20 +132,20 @@ class ObjectAwareRetargeter:
         self.blind = TrajectoryRetargeter(hand, chosen, seed)
         self.costs = ObjectCosts(hand, ObjectSettings() if settings is None else settings)
 
-    def run(self, clip: Clip, side: Side, known: Mapping[str, Solid] | None = None) -> ObjectAware:
+    def run(self, clip: Clip, side: Side, solids: Mapping[str, Solid] | None = None) -> ObjectAware:
         """One hand of a clip.
 
         Args:
             clip: with wrist poses and objects.
             side: which hand.
-            known: shapes of objects by name, in place of their meshes.
+            solids: shapes of objects by name, in place of their meshes.
 
         Raises:
             RecordingError: the clip lacks the hand, its wrist, or an object with a shape.
         """
         if side not in clip.hands:
             raise RecordingError(f"{clip.name}: there is no {side} hand, only {list(clip.hands)}")
-        recording, scene = clip.hands[side], clip_scene(clip, dict(known or {}))
+        recording, scene = clip.hands[side], clip_scene(clip, dict(solids or {}))
         contacts = find_contacts(clip, side, scene, self.contact_settings)
         palm = palm_in_world(recording, self.hand, self.config.alignment)
         settings = self.costs.settings
@@ -212,12 +211,12 @@ def object_aware(clip: Clip, side: Side, plan: Plan) -> ObjectAware:
 def _retargeter(hand: Hand, config: TrajectoryMethodConfig, seed: int) -> ObjectAwareRetargeter:
     """Programs are compiled once for a hand and a configuration."""
     key = (fingerprint(hand), config, seed)
-    found = _known.pop(key, None)
-    if found is None:
+    retargeter = _known.pop(key, None)
+    if retargeter is None:
         dispatch_here()
         with jax_cache():
-            found = ObjectAwareRetargeter(hand, config, seed=seed)
-    _known[key] = found
+            retargeter = ObjectAwareRetargeter(hand, config, seed=seed)
+    _known[key] = retargeter
     while len(_known) > _KEPT:
         _known.popitem(last=False)
-    return found
+    return retargeter

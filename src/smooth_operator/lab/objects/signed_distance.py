@@ -174,15 +174,15 @@ class Mesh:
 
         if not len(points):
             return np.empty(0), np.empty((0, 3))
-        found = igl.signed_distance(
+        results = igl.signed_distance(
             np.ascontiguousarray(points, np.float64),
             np.ascontiguousarray(self.vertices, np.float64),
             np.ascontiguousarray(self.faces, np.int64),
             igl.SIGNED_DISTANCE_TYPE_FAST_WINDING_NUMBER,
         )
-        place = np.asarray(found[2], np.float64)
+        place = np.asarray(results[2], np.float64)
         # libigl's value is weighted by an approximate winding number: only its sign is taken
-        sign = np.where(np.asarray(found[0]).ravel() < 0, -1.0, 1.0)
+        sign = np.where(np.asarray(results[0]).ravel() < 0, -1.0, 1.0)
         return sign * np.linalg.norm(points - place, axis=-1), place
 
     def grid(self, cells: int = CELLS, margin: float = MARGIN_M) -> Grid:
@@ -271,8 +271,11 @@ def _read_solid(path: Path, scale: float, changed: int, size: int) -> Solid:
     import trimesh
 
     try:
-        found: Any = trimesh.load(path, force="mesh", skip_materials=True)
-        vertices, faces = np.asarray(found.vertices, np.float64), np.asarray(found.faces, np.int64)
+        loaded: Any = trimesh.load(path, force="mesh", skip_materials=True)
+        vertices, faces = (
+            np.asarray(loaded.vertices, np.float64),
+            np.asarray(loaded.faces, np.int64),
+        )
     except Exception as error:  # what trimesh raises depends on the format
         raise RecordingError(
             f"{path}: expected a mesh (OBJ, PLY, STL, OFF, GLB), and it can't be read: "

@@ -134,8 +134,8 @@ def object_frames(
         settings: weights.
     """
     palm = poses.relative(scene.T_world_object, T_world_palm[None])  # (O, T, 7) T_object_palm
-    known = poses.is_valid(palm)
-    safe = np.where(known[..., None], palm, poses.IDENTITY)
+    valid = poses.is_valid(palm)
+    safe = np.where(valid[..., None], palm, poses.IDENTITY)
     rows = [FINGERS.index(finger) for finger in hand.fingers]
     clearance = contacts.clearance[:, rows]
     touching = contacts.touching[:, rows]
@@ -144,7 +144,7 @@ def object_frames(
     return ObjectFrame(
         np.moveaxis(poses.rotation_matrices(safe[..., 3:]), 0, 1),
         np.moveaxis(safe[..., :3], 0, 1),
-        known.T,
+        valid.T,
         contact,
         np.where(touching, -1.0, far),
         contacts.which[:, rows],
@@ -234,17 +234,17 @@ class ObjectCosts:
         rows = jnp.einsum("kc,kcv->kv", normal, move)
 
         count = len(deepest)
-        known = frame.known.any()
+        valid = frame.known.any()
         inside = jnp.maximum(settings.margin - gap[:count], 0.0)
-        weight = jnp.where(known, settings.penetration / TRANSITION, 0.0) * jnp.ones(count)
-        found = _Sum.of(weight * (inside > 0), -inside, rows[:count])
+        weight = jnp.where(valid, settings.penetration / TRANSITION, 0.0) * jnp.ones(count)
+        total = _Sum.of(weight * (inside > 0), -inside, rows[:count])
         tip, tips = gap[count:], rows[count:]
-        touch = jnp.where(known, frame.contact, 0.0) * (settings.contact / TRANSITION)
-        found += _Sum.huber(touch, tip, tips, settings.reach)
-        keeps = known & (frame.clear >= 0) & (frame.contact < 1)
+        touch = jnp.where(valid, frame.contact, 0.0) * (settings.contact / TRANSITION)
+        total += _Sum.huber(touch, tip, tips, settings.reach)
+        keeps = valid & (frame.clear >= 0) & (frame.contact < 1)
         near = jnp.maximum(frame.clear - tip, 0.0)
         away = (1 - frame.contact) * (settings.apart / TRANSITION)
-        found += _Sum.of(jnp.where(keeps & (near > 0), away, 0.0), -near, tips)
+        total += _Sum.of(jnp.where(keeps & (near > 0), away, 0.0), -near, tips)
 
         # Offset along the surface, in the frame of the object that is touched
         turn = frame.rotation[frame.which]
@@ -257,7 +257,7 @@ class ObjectCosts:
         slip = jnp.where(there, frame.contact, 0.0) * (settings.place / TRANSITION)
         size = jnp.sqrt(1.0 + (along * along).sum(-1) / settings.slip**2)
         cost = (slip * settings.slip**2 * (size - 1.0)).sum()
-        found += _Sum(
+        total += _Sum(
             cost,
             jnp.einsum("f,fi,fiv->v", slip / size, along, by),
             jnp.einsum("f,fiv,fiu->vu", slip / size, by, by),
@@ -266,8 +266,8 @@ class ObjectCosts:
         arms = jnp.asarray(UNITS, x.dtype) * lever
         pull = jnp.full(6, settings.wrist / TRANSITION, x.dtype)
         arm_rows = jnp.concatenate([jnp.zeros((6, joints)), jnp.diag(arms)], axis=1)
-        found += _Sum.of(pull, wrist * lever, arm_rows)
-        return found.cost, found.gradient, found.hessian
+        total += _Sum.of(pull, wrist * lever, arm_rows)
+        return total.cost, total.gradient, total.hessian
 
     def _moved(self, points: Array, wrist: Array) -> Array:
         """Points of the palm frame after the wrist's correction, about the palm's centre."""

@@ -16,7 +16,7 @@ from smooth_operator.formats.jsonable import to_json
 from smooth_operator.lab.offline.discovery import Found, clashes, find_recordings
 from smooth_operator.lab.offline.finished import finished, foreign, remove_leftovers
 from smooth_operator.lab.offline.jobs import Entry, Job, retarget_group
-from smooth_operator.parallel import TaskResult, run_tasks, usable_cores
+from smooth_operator.parallel import TaskResult, run_groups, usable_cores
 from smooth_operator.planning import RetargetRequest
 
 SUMMARY: Final = "summary.json"
@@ -66,14 +66,14 @@ def check_folders(folder: Path, output: Path) -> None:
 
 
 def survey(
-    folder: Path, output: Path, asked: RetargetRequest, *, overwrite: bool = False
+    folder: Path, output: Path, request: RetargetRequest, *, overwrite: bool = False
 ) -> Survey:
     """Looks what there is and what is left to do; deletes what a killed run left unfinished.
 
     Args:
         folder: of the recordings.
         output: of the results; see ``claimed``.
-        asked: what is to be done.
+        request: what is to be done.
         overwrite: do again what is done.
 
     Raises:
@@ -81,17 +81,17 @@ def survey(
         OutputError: results would stand among the recordings.
     """
     check_folders(folder, output)
-    found, commands = find_recordings(folder, leave_out=output)
-    refused = clashes(found)
-    leftovers = remove_leftovers({output} | {(output / item.output).parent for item in found})
-    as_json = json.loads(to_json(asked))
+    recordings, commands = find_recordings(folder, leave_out=output)
+    refused = clashes(recordings)
+    leftovers = remove_leftovers({output} | {(output / item.output).parent for item in recordings})
+    as_json = json.loads(to_json(request))
 
     def earlier(item: Found) -> dict[str, Any] | None:
         return None if overwrite else finished(output / item.output, item.path, as_json)
 
     jobs, settled, remade = [], [], 0
     with ThreadPoolExecutor() as threads:  # digests are computed outside Python's lock
-        for item, config in zip(found, threads.map(earlier, found), strict=True):
+        for item, config in zip(recordings, threads.map(earlier, recordings), strict=True):
             path = output / item.output
             reason = refused.get(item.name) or _refusal(path, output)
             if reason is not None:
@@ -100,7 +100,7 @@ def survey(
             elif config is not None:
                 settled.append(_kept(item, config))
             else:
-                jobs.append(Job(item, path, asked))
+                jobs.append(Job(item, path, request))
                 remade += path.exists()
     return Survey(jobs, settled, commands, remade, leftovers)
 
@@ -125,22 +125,14 @@ def retarget_all(
         the result of each, as they finish.
     """
     repeated = False
-    again: list[Job] = []
     groups = grouped(jobs, workers, cluster)
-    for result in run_tasks(retarget_group, groups, workers=workers, cluster=cluster):
-        group = groups[result.index]
+    for group, result in run_groups(
+        retarget_group, groups, lambda group: [(job,) for job in group],
+        workers=workers, cluster=cluster,
+    ):  # fmt: skip
         repeated = repeated or result.attempts > 1
-        if result.value is not None:
-            yield from (replace(entry, attempts=result.attempts) for entry in result.value)
-        elif len(group) > 1:  # its worker died: one of them may be at fault
-            again += group
-        else:
-            yield _lost(group[0], result)
-    for result in run_tasks(
-        retarget_group, [(j,) for j in again], workers=workers, cluster=cluster
-    ):
-        entry = _lost(again[result.index], result) if result.value is None else result.value[0]
-        yield replace(entry, attempts=result.attempts)
+        entries = [_lost(job, result) for job in group] if result.value is None else result.value
+        yield from (replace(entry, attempts=result.attempts) for entry in entries)
     if repeated:  # a worker that died in the middle of a write leaves its file; no other writes now
         remove_leftovers({job.output.parent for job in jobs})
 
@@ -166,12 +158,12 @@ def grouped(jobs: Sequence[Job], workers: int | None, cluster: str | None) -> li
 
 
 def _lost(job: Job, result: TaskResult[tuple[Entry, ...]]) -> Entry:
-    found = job.found
+    recording = job.found
     return Entry(
-        found.name,
-        found.output,
+        recording.name,
+        recording.output,
         "failed",
-        found.frames,
+        recording.frames,
         reason=result.error,
         seconds=result.seconds,
         attempts=result.attempts,

@@ -60,7 +60,7 @@ def find_recordings(folder: Path, *, leave_out: Path | None = None) -> tuple[lis
     Raises:
         RecordingError: the folder can't be read.
     """
-    found, commands = [], 0
+    recordings, commands = [], 0
     for path in _files(folder, leave_out):
         frames, exact = _size(path) // _BYTES_PER_FRAME, False
         # What is wrong with a file is reported by its reader.
@@ -75,15 +75,15 @@ def find_recordings(folder: Path, *, leave_out: Path | None = None) -> tuple[lis
             else:
                 counted = find_reader(kind).count_frames(path)
                 frames, exact = (frames, False) if counted is None else (counted, True)
-        found.append(Found(path, path.relative_to(folder).as_posix(), frames, exact))
+        recordings.append(Found(path, path.relative_to(folder).as_posix(), frames, exact))
     # By name among equals, so that the order is the same everywhere.
-    return sorted(found, key=lambda item: (-item.frames, item.name)), commands
+    return sorted(recordings, key=lambda item: (-item.frames, item.name)), commands
 
 
-def clashes(found: list[Found]) -> dict[str, str]:
+def clashes(recordings: list[Found]) -> dict[str, str]:
     """Names of files whose results would stand in the same place, each with the reason."""
     by_output: dict[str, list[str]] = defaultdict(list)
-    for item in found:
+    for item in recordings:
         by_output[item.output].append(item.name)
     return {
         name: f"{' and '.join(sorted(names))} would both become {output}; rename one, or remove it"
@@ -98,14 +98,14 @@ def _files(folder: Path, leave_out: Path | None) -> Iterator[Path]:
         raise RecordingError(f"{error.filename}: can't be read: {error.strerror}") from error
 
     skipped = None if leave_out is None else leave_out.resolve()
-    seen: set[Path] = set()
+    visited: set[Path] = set()
     suffixes = recording_suffixes()  # other files of a folder are left alone
     for at, folders, files in os.walk(folder, onerror=refuse, followlinks=True):
         real = Path(at).resolve()
-        if real in seen or real == skipped:
+        if real in visited or real == skipped:
             folders.clear()
             continue
-        seen.add(real)
+        visited.add(real)
         folders[:] = sorted(name for name in folders if not name.startswith("."))
         for name in files:
             path = Path(at, name)

@@ -79,11 +79,11 @@ def finished(output: Path, source: Path, request: Mapping[str, Any]) -> dict[str
             return None
         if config["versions"][PROGRAM] != package_version():
             return None
-        known, stat = config["source"], source.stat()
+        recorded, stat = config["source"], source.stat()
         check_plain_file(source)
-        if known["bytes"] != stat.st_size:
+        if recorded["bytes"] != stat.st_size:
             return None
-        if known["modified_ns"] != stat.st_mtime_ns and known["sha256"] != digest(source):
+        if recorded["modified_ns"] != stat.st_mtime_ns and recorded["sha256"] != digest(source):
             return None
         return config if config["commands"]["sha256"] == digest(output) else None
     except (
@@ -107,9 +107,9 @@ def foreign(output: Path) -> str | None:
         output: ``OUT.npz``.
     """
     config_file = config_path(output)
-    for taken in (output, config_file):
-        if taken.exists() and not taken.is_file():
-            return f"can't write {str(taken)!r}: it is not a plain file; remove it first"
+    for existing in (output, config_file):
+        if existing.exists() and not existing.is_file():
+            return f"can't write {str(existing)!r}: it is not a plain file; remove it first"
     if read_configuration(config_file) is not None:
         return None  # and the other file is its result, complete or cut off
     if config_file.exists():

@@ -21,7 +21,7 @@ from smooth_operator.lab.offline.answers import answers, tools_of
 from smooth_operator.lab.offline.discovery import Found
 from smooth_operator.lab.offline.finished import digest, identity
 from smooth_operator.lab.offline.trajectory_retargeter import check_method
-from smooth_operator.parallel.results import timed
+from smooth_operator.parallel.tasks import timed
 from smooth_operator.planning import Plan, RetargetRequest, configuration, plan
 from smooth_operator.types import CommandTrajectory, HandRecording, Side, Status
 
@@ -29,7 +29,7 @@ State: TypeAlias = Literal["done", "kept", "failed"]
 """Made now, found whole from an earlier run, or not there."""
 
 
-def checked(asked: RetargetRequest) -> RetargetRequest:
+def checked(request: RetargetRequest) -> RetargetRequest:
     """A request whose every part is possible, so that it does not fail once per recording.
 
     As ``build``, it lets JAX run on the calling thread.
@@ -40,35 +40,35 @@ def checked(asked: RetargetRequest) -> RetargetRequest:
         ConfigError: scale, rate, frames or operator can't be.
     """
     dispatch_here()
-    hand = _hand(asked)
-    if asked.operator is not None:
-        asked.operator.check(hand)
-    config = asked.config
+    hand = _hand(request)
+    if request.operator is not None:
+        request.operator.check(hand)
+    config = request.config
     check_method(config, hand)
-    if isinstance(asked.scale, float | int):
-        replace(config.alignment, scale=float(asked.scale))  # refuses what is none
-    stamps_from_rate(0, asked.rate, "--rate")  # refuses one that can't be
-    if asked.frames is not None:
+    if isinstance(request.scale, float | int):
+        replace(config.alignment, scale=float(request.scale))  # refuses what is none
+    stamps_from_rate(0, request.rate, "--rate")  # refuses one that can't be
+    if request.frames is not None:
         try:
-            frame_slice(asked.frames, 10**9)
+            frame_slice(request.frames, 10**9)
         except ConfigError as error:
             raise ConfigError(
                 f"frames must be a range A:B with something in it, such as ':500', '2600:3100' or "
-                f"'-500:', not {asked.frames!r}"
+                f"'-500:', not {request.frames!r}"
             ) from error
-    return asked
+    return request
 
 
-def notes(asked: RetargetRequest) -> tuple[str, ...]:
+def notes(request: RetargetRequest) -> tuple[str, ...]:
     """What the method of a checked request lacks on its hand, in sentences for a person."""
-    return asked.config.notes(_hand(asked))
+    return request.config.notes(_hand(request))
 
 
-def _hand(asked: RetargetRequest) -> Hand:
+def _hand(request: RetargetRequest) -> Hand:
     """The robot hand of a request, of the side that it names, or its operator is of."""
-    operator = asked.operator
-    side = asked.side or (default_side(asked.hand) if operator is None else operator.side)
-    return asked.load_hand(side)
+    operator = request.operator
+    side = request.side or (default_side(request.hand) if operator is None else operator.side)
+    return request.load_hand(side)
 
 
 @dataclass(frozen=True)
@@ -162,27 +162,27 @@ class _Read:
 
 
 def _read_job(job: Job) -> _Read:
-    asked = job.request
+    request = job.request
     source = identity(job.found.path)
-    recording, rate = _read(job.found.path, asked)
+    recording, rate = _read(job.found.path, request)
     total = len(recording)
-    frames = slice(0, total) if asked.frames is None else frame_slice(asked.frames, total)
-    todo = plan(recording[frames], asked)
-    alone = asked.scale == "calibrate"  # each scale is a program
+    frames = slice(0, total) if request.frames is None else frame_slice(request.frames, total)
+    todo = plan(recording[frames], request)
+    alone = request.scale == "calibrate"  # each scale is a program
     tools = object() if alone else tools_of(todo)
     return _Read(job, recording, rate, source, frames, todo, tools)
 
 
 def _batch(reads: Sequence[_Read]) -> list[Entry]:
     """Recordings for one retargeter; if they fail together, each is tried by itself."""
-    found, reason, seconds = timed(_retarget, reads)
-    if found is None:
+    outcome, reason, seconds = timed(_retarget, reads)
+    if outcome is None:
         if len(reads) == 1:
             return [_failed(reads[0].job, reason)]
         return [entry for read in reads for entry in _batch([read])]
-    total = max(1, sum(len(commands) for commands, _ in found))
+    total = max(1, sum(len(commands) for commands, _ in outcome))
     entries = []
-    for read, (commands, loss) in zip(reads, found, strict=True):
+    for read, (commands, loss) in zip(reads, outcome, strict=True):
         entry, reason, more = timed(lambda _: _written(read, commands, loss), None)  # noqa: B023
         share = seconds * len(commands) / total
         entry = _failed(read.job, reason) if entry is None else entry
@@ -196,8 +196,8 @@ def _retarget(reads: Sequence[_Read]) -> list[tuple[CommandTrajectory, np.ndarra
 
 
 def _failed(job: Job, reason: str | None) -> Entry:
-    found = job.found
-    return Entry(found.name, found.output, "failed", found.frames, reason=reason)
+    recording = job.found
+    return Entry(recording.name, recording.output, "failed", recording.frames, reason=reason)
 
 
 def _written(read: _Read, commands: CommandTrajectory, loss: np.ndarray) -> Entry:
@@ -238,10 +238,10 @@ def _written(read: _Read, commands: CommandTrajectory, loss: np.ndarray) -> Entr
     return entry
 
 
-def _read(path: Path, asked: RetargetRequest) -> tuple[HandRecording, float | None]:
+def _read(path: Path, request: RetargetRequest) -> tuple[HandRecording, float | None]:
     """The recording, and the rate if it needed one: others of the folder may have their own."""
 
     def read(rate: float | None) -> HandRecording:
-        return asked.read_recording(path, rate)
+        return request.read_recording(path, rate)
 
-    return rated_if_unstamped(read, asked.rate)
+    return rated_if_unstamped(read, request.rate)

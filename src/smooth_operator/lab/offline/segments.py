@@ -26,16 +26,16 @@ def even_stamps(stamps: Float[np.ndarray, " T"]) -> Float[np.ndarray, " T"]:
 
 
 def segments(
-    seen: Bool[np.ndarray, " T"], stamps: Float[np.ndarray, " T"], bridge: float
+    valid: Bool[np.ndarray, " T"], stamps: Float[np.ndarray, " T"], bridge: float
 ) -> list[slice]:
     """Stretches that begin and end with a frame that was seen, without long gaps inside.
 
     Args:
-        seen: (T,) frames with a usable hand.
+        valid: (T,) frames with a usable hand.
         stamps: (T,) times [s].
         bridge: longest time from one seen frame to the next within a stretch, plus a period [s].
     """
-    at = np.flatnonzero(seen)
+    at = np.flatnonzero(valid)
     if not len(at):
         return []
     period = float(np.median(np.diff(stamps))) if len(stamps) > 1 else 0.0
@@ -45,7 +45,7 @@ def segments(
     return [slice(int(at[i]), int(at[j]) + 1) for i, j in zip(starts, ends, strict=True)]
 
 
-def tracker_noise(points: Float[np.ndarray, "T N 3"], seen: Bool[np.ndarray, " T"]) -> float:
+def tracker_noise(points: Float[np.ndarray, "T N 3"], valid: Bool[np.ndarray, " T"]) -> float:
     """What a tracker usually adds to a point, as a second difference [m].
 
     Of each frame the median of the points, over time the mean of roots: as
@@ -53,9 +53,9 @@ def tracker_noise(points: Float[np.ndarray, "T N 3"], seen: Bool[np.ndarray, " T
 
     Args:
         points: (T, N, 3) [m].
-        seen: (T,) frames that count; the noise needs three of those in a row.
+        valid: (T,) frames that count; the noise needs three of those in a row.
     """
-    usable = seen[2:] & seen[1:-1] & seen[:-2]
+    usable = valid[2:] & valid[1:-1] & valid[:-2]
     if not usable.any():
         return 0.0
     bend = np.linalg.norm(points[2:] - 2 * points[1:-1] + points[:-2], axis=-1)[usable]
@@ -63,7 +63,7 @@ def tracker_noise(points: Float[np.ndarray, "T N 3"], seen: Bool[np.ndarray, " T
 
 
 def without_jumps(
-    points: Float[np.ndarray, "T N 3"], seen: Bool[np.ndarray, " T"], jump: float
+    points: Float[np.ndarray, "T N 3"], valid: Bool[np.ndarray, " T"], jump: float
 ) -> Float[np.ndarray, "T N 3"]:
     """Points that are followed without jumps, and neither late nor early.
 
@@ -73,10 +73,10 @@ def without_jumps(
 
     Args:
         points: (T, N, 3) [m].
-        seen: (T,) frames that count; the others stay as they are.
+        valid: (T,) frames that count; the others stay as they are.
         jump: the filter follows half of a step of this length in a frame [m]; 0 follows all.
     """
-    at = np.flatnonzero(seen)
+    at = np.flatnonzero(valid)
     if not jump or len(at) < 2:
         return points
     followed = np.zeros((2, *points.shape))

@@ -111,9 +111,10 @@ class TrajectoryRetargeter:
             count = at.shape[1] * 3
             return at.reshape(len(q), count), jacobian.reshape(len(q), count, -1)
 
-        of = (method.hand, config.causal, "recording")
-        kept = [CompiledProgram(f, *of, f.__name__) for f in (aligned, follow, costs, points)]
-        self._aligned, self._follow, self._costs, self._points = kept
+        self._aligned, self._follow, self._costs, self._points = (
+            CompiledProgram(f, "recording", f.__name__, hand=method.hand, config=config.causal)
+            for f in (aligned, follow, costs, points)
+        )
 
     def warm_up(self) -> float:
         """Compiles the method's own program.

@@ -55,7 +55,7 @@ class ExtraTerms(Protocol):
     def costs(self, x: Float[np.ndarray, "t v"], part: slice) -> FrameBlocks:
         """Costs (t,), gradients (t, m + V) and Hessians of the frames of a part."""
 
-    def settle(self, found: Float[np.ndarray, "T V"]) -> None:
+    def settle(self, pose: Float[np.ndarray, "T V"]) -> None:
         """Takes the solution."""
 
 
@@ -150,15 +150,15 @@ def smooth_trajectory(
         free = ~(held | outwards)
         speeding = SPEEDING * (too_much != 0)
         band = _band(hessian, coupling, price, speeding, free, damping)
-        found = np.clip(q - _newton_step(band, slope, free), low, high)
-        new = look(found)
-        moved = float(np.abs(found - q).max(initial=0.0))
+        trial = np.clip(q - _newton_step(band, slope, free), low, high)
+        new = look(trial)
+        moved = float(np.abs(trial - q).max(initial=0.0))
         if not new[0] <= value:  # too far: closer to where the step was worked out for
             if damping >= _DAMPING_MOST or moved <= config.tolerance:
                 return TrajectoryResult(q, value, done, True)
             damping = max(10.0 * damping, _DAMPING_FIRST)
             continue
-        q, (value, gradient, hessian, coupling) = found, new
+        q, (value, gradient, hessian, coupling) = trial, new
         damping = 0.0 if damping <= _DAMPING_FIRST else 0.1 * damping
         if moved <= config.tolerance:
             return TrajectoryResult(q, value, done, True)

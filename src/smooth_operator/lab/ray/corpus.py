@@ -1,8 +1,8 @@
 """A corpus of clips into a data set of robot episodes: read, retarget, filter, write, on Ray Data.
 
-The list of clips is cut into shards. A shard is one task of the engine: its worker reads ahead by a
-few clips, retargets, filters, and writes its own part of the output. So no array passes through
-the driver or the object store, whatever dies costs a few clips, and the driver knows numbers alone.
+The list of clips is cut into shards. A shard is one task: its worker reads, retargets, filters, and
+writes its own part of the output. So no array passes through the driver or the object store,
+whatever dies costs a few clips, and the driver knows numbers alone.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from smooth_operator.lab.ray.manifest import write_manifest
 from smooth_operator.lab.ray.settings import CorpusRun, CorpusSettings, run_digest, state_folder
 from smooth_operator.lab.ray.shards import ShardReport, ShardWorker, read_report
 from smooth_operator.parallel import run_tasks
+from smooth_operator.parallel.cluster import run_on_cluster
 
 
 @dataclass
@@ -51,8 +52,8 @@ class Progress:
     @property
     def left_s(self) -> float | None:
         """Time until the end at the pace so far [s]; None while there is none."""
-        made = self.done - self.kept
-        return self.elapsed_s / made * (self.clips - self.done) if made else None
+        since_start = self.done - self.kept
+        return self.elapsed_s / since_start * (self.clips - self.done) if since_start else None
 
 
 def retarget_corpus(
@@ -91,7 +92,7 @@ def retarget_corpus(
         ConfigError: there are no clips, or a number is not a possible one.
         OutputError: the folder holds something else, or a result can't be written.
         WorkerError: the cluster can't be reached, or a worker can't do what is asked for.
-        MissingExtraError: Ray or PyArrow is not installed.
+        MissingExtraError: Ray is not installed, or a library of the output format.
     """
     output = output.absolute()
     state = state_folder(output)
@@ -104,11 +105,7 @@ def retarget_corpus(
         so_far = Progress(clips, run.shards)
         totals: dict[str, float] = {}
         began: float | None = None
-        engine = (
-            _in_pool(run, workers)
-            if cluster is None
-            else _on_ray(run, cluster, workers, least_workers, gpus)
-        )
+        engine = _reports(run, workers, least_workers, cluster, gpus)
         with contextlib.closing(engine) as reports:
             for report in reports:
                 if report.error:
@@ -129,7 +126,7 @@ def retarget_corpus(
 def _begin(items: Iterable[Item], output: Path, settings: CorpusSettings) -> tuple[CorpusRun, int]:
     """Writes the list of clips, and refuses a folder that another run has begun."""
     state = state_folder(output)
-    clips, listed = write_manifest(state / "manifest.arrow", items, settings.clips_per_shard)
+    clips, listed = write_manifest(state / "clips", items, settings.clips_per_shard)
     if not clips:
         raise ConfigError("there are no clips to retarget; look at what the sources hold")
     document = settings.document()
@@ -140,16 +137,16 @@ def _begin(items: Iterable[Item], output: Path, settings: CorpusSettings) -> tup
         -(-clips // settings.clips_per_shard),
     )
     mark = state / "run.json"
-    asked = json.loads(to_json({**document, "clips": clips, "list": listed}))
+    expected = json.loads(to_json({**document, "clips": clips, "list": listed}))
     try:
         stood = read_json(mark)
     except FileNotFoundError:
-        write_json(mark, asked)
+        write_json(mark, expected)
         return run, clips
     except (OSError, DocumentError) as error:
         raise OutputError(f"{mark}: can't be read ({error}); write to a new folder") from error
-    for name in asked:
-        if not isinstance(stood, dict) or stood.get(name) != asked[name]:
+    for name in expected:
+        if not isinstance(stood, dict) or stood.get(name) != expected[name]:
             what = "another list of clips" if name == "list" else f"another {name}"
             raise OutputError(
                 f"can't write into {str(output)!r}: it was begun with {what}; go on with the same, "
@@ -158,11 +155,20 @@ def _begin(items: Iterable[Item], output: Path, settings: CorpusSettings) -> tup
     return run, clips
 
 
-def _in_pool(run: CorpusRun, workers: int | None) -> Generator[ShardReport, None, None]:
+def _reports(
+    run: CorpusRun, workers: int | None, least: int | None, cluster: str | None, gpus: float
+) -> Generator[ShardReport, None, None]:
     tasks = [(run, shard) for shard in range(run.shards)]
-    # A worker's death is counted clip by clip, in the spool.
+    # A worker's death is counted clip by clip, in the shard's journal.
     retries = run.settings.attempts * run.settings.clips_per_shard
-    for result in run_tasks(make_shard, tasks, workers=workers, retries=retries):
+    if cluster is None:
+        results = run_tasks(make_shard, tasks, workers=workers, retries=retries)
+    else:
+        results = run_on_cluster(
+            make_shard, tasks, cluster,
+            workers=workers, least_workers=least, gpus=gpus, retries=retries,
+        )  # fmt: skip
+    for result in results:
         if result.value is None:
             yield ShardReport(result.index, error=result.error or "no result")
         else:
@@ -181,14 +187,6 @@ def make_shard(task: tuple[CorpusRun, int]) -> ShardReport:
         _workers.clear()
         worker = _workers[name] = ShardWorker(run)
     return worker.make(shard)
-
-
-def _on_ray(
-    run: CorpusRun, cluster: str, workers: int | None, least: int | None, gpus: float
-) -> Generator[ShardReport, None, None]:
-    from smooth_operator.lab.ray.engine import shard_reports
-
-    return shard_reports(run, cluster, workers, least, gpus)
 
 
 def _add(totals: dict[str, float], report: ShardReport) -> None:

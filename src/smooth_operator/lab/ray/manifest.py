@@ -1,95 +1,72 @@
-"""The list of the clips of a run, in one file from which any worker reads its part."""
+"""The list of the clips of a run: a file for each shard, which any worker reads."""
 
 from __future__ import annotations
 
 import hashlib
-import json
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
-from smooth_operator.atomic_files import atomic_write
-from smooth_operator.errors import MissingExtraError, OutputError
+from smooth_operator.atomic_files import atomic_write, output_error
+from smooth_operator.errors import DocumentError, OutputError
 from smooth_operator.formats.jsonable import to_json
+from smooth_operator.io.documents import read_json
 from smooth_operator.lab.datasets.registry import ClipRef
 from smooth_operator.lab.datasets.sources import Item
 
-
-def arrow() -> Any:
-    """PyArrow.
-
-    Raises:
-        MissingExtraError: it is not installed.
-    """
-    try:
-        import pyarrow
-    except ImportError as error:
-        raise MissingExtraError("a corpus in shards", "cluster") from error
-    return pyarrow
+_MOST_BYTES: Final = 1_000_000_000
 
 
-def write_manifest(path: Path, items: Iterable[Item], per_shard: int) -> tuple[int, str]:
-    """Writes the items, one record batch for each shard; holds one shard in memory.
+def write_manifest(folder: Path, items: Iterable[Item], per_shard: int) -> tuple[int, str]:
+    """Writes the items, one file for each shard; holds one shard in memory.
 
     Args:
-        path: of the file.
-        items: in the order of their shards.
+        folder: folder of the files; made if need be.
+        items: clips in the order of their shards.
         per_shard: clips in a shard.
 
     Returns:
-        how many there are, and the digest of all of them.
+        number of clips, and the digest of all of them.
 
     Raises:
-        OutputError: it can't be written.
+        OutputError: a file can't be written.
     """
-    pa = arrow()
-    schema = pa.schema([("item", pa.string())])
-    count, found = 0, hashlib.sha256(str(per_shard).encode())
-    with atomic_write(path) as file, pa.ipc.new_file(file, schema) as writer:
-        left = iter(items)
-        while texts := [to_json(_absolute(item)) for item in islice(left, per_shard)]:
-            writer.write_batch(pa.RecordBatch.from_arrays([pa.array(texts)], schema=schema))
-            found.update("\n".join(texts).encode())
-            count += len(texts)
-    return count, found.hexdigest()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise output_error(folder, error) from error
+    count, shard, digest = 0, 0, hashlib.sha256(str(per_shard).encode())
+    left = iter(items)
+    while texts := [to_json(_absolute(item)) for item in islice(left, per_shard)]:
+        with atomic_write(folder / f"{shard:06d}.json") as file:
+            file.write(f"[{', '.join(texts)}]".encode())
+        digest.update("\n".join(texts).encode())
+        count, shard = count + len(texts), shard + 1
+    return count, digest.hexdigest()
 
 
-class Manifest:
-    """The clips of a run, read shard by shard; nothing else of it is held in memory.
-
-    Args:
-        path: of the file.
+def shard_items(folder: Path, shard: int) -> list[Item]:
+    """Clips of a shard; the second of a name has ``~2`` after it.
 
     Raises:
-        OutputError: there is none, or it is not whole.
+        OutputError: the list can't be read.
     """
-
-    def __init__(self, path: Path) -> None:
-        pa = arrow()
-        try:
-            self._file = pa.ipc.open_file(pa.memory_map(str(path)))
-        except (OSError, pa.ArrowInvalid) as error:
-            raise OutputError(
-                f"{path}: can't be read ({error}); start the run again, which writes it"
-            ) from error
-
-    def __len__(self) -> int:
-        """Shards."""
-        return int(self._file.num_record_batches)
-
-    def items(self, shard: int) -> list[Item]:
-        """Those of a shard; the second of a name has ``~2`` after it."""
-        found: list[Item] = []
-        taken: Counter[str] = Counter()
-        for text in self._file.get_batch(shard)[0].to_pylist():
-            item = _item(json.loads(text))
-            taken[item.name] += 1
-            again = taken[item.name]
-            found.append(item if again == 1 else replace(item, name=f"{item.name}~{again}"))
-        return found
+    path = folder / f"{shard:06d}.json"
+    try:
+        items = [_item(values) for values in read_json(path, most_bytes=_MOST_BYTES)]
+    except (OSError, DocumentError, KeyError, TypeError) as error:
+        raise OutputError(
+            f"{path}: can't be read ({error}); start the run again, which writes it"
+        ) from error
+    counts: Counter[str] = Counter()
+    for position, item in enumerate(items):
+        counts[item.name] += 1
+        if counts[item.name] > 1:
+            items[position] = replace(item, name=f"{item.name}~{counts[item.name]}")
+    return items
 
 
 def _absolute(item: Item) -> Item:

@@ -15,13 +15,12 @@ from smooth_operator.lab.datasets.readers.packed import clip_of_row
 from smooth_operator.lab.datasets.registry import ClipRef, ReadingOptions
 from smooth_operator.lab.datasets.robot_clip import RobotClip
 from smooth_operator.lab.datasets.sources import Item
+from smooth_operator.lab.datasets.store import as_stored
 from smooth_operator.lab.datasets.work import ReadClip
 from smooth_operator.lab.datasets.writers.parquet import clips_table
-from smooth_operator.lab.ray.episode_bytes import decode, encode
 from smooth_operator.lab.ray.settings import CorpusSettings
 from smooth_operator.lab.ray.work import ClipWork
-from smooth_operator.parallel.results import describe
-from smooth_operator.parallel.threads import one_thread
+from smooth_operator.parallel.tasks import describe, one_thread
 from smooth_operator.result_cache import key_digest
 
 
@@ -94,7 +93,7 @@ class RetargetClips:
         Returns:
             an Arrow table.
         """
-        found: list[tuple[int, str, RobotClip | str]] = []
+        results: list[tuple[int, str, RobotClip | str]] = []
         read: list[tuple[int, str, ReadClip]] = []
         for row in range(batch.num_rows):
             name = str(row)
@@ -102,18 +101,16 @@ class RetargetClips:
                 name, clips = self._read(batch, row)
                 read += [(row, name, each) for each in clips]
             except Exception as error:  # of one row: a damaged file, a foreign reader
-                found.append((row, name, describe(error)))
+                results.append((row, name, describe(error)))
         answers = self._work.retarget([each for _, _, each in read]) if read else []
         for (row, name, _), answer in zip(read, answers, strict=True):
             if isinstance(answer, RobotClip):
-                whole = decode(
-                    encode(answer)
-                )  # as the pipeline keeps it, so that figures are equal
-                found += [(row, name, _judged(each)) for each in self._work.select(whole)]
+                whole = as_stored(answer)  # so that figures are those of the pipeline
+                results += [(row, name, _judged(each)) for each in self._work.select(whole)]
             else:
-                found.append((row, name, describe(answer)))
-        found.sort(key=lambda each: each[0])
-        return _table([name for _, name, _ in found], [each for _, _, each in found])
+                results.append((row, name, describe(answer)))
+        results.sort(key=lambda each: each[0])
+        return _table([name for _, name, _ in results], [each for _, _, each in results])
 
     def _read(self, batch: Any, row: int) -> tuple[str, list[ReadClip]]:
         columns = batch.column_names
@@ -147,17 +144,17 @@ def _judged(episode: RobotClip | Dropped) -> RobotClip | str:
     """An episode, or why it is not kept."""
     if isinstance(episode, RobotClip):
         return episode
-    return "; ".join(f"{limit}: {found}" for limit, found in episode.reasons.items())
+    return "; ".join(f"{limit}: {value}" for limit, value in episode.reasons.items())
 
 
 def _content(clip: Clip) -> str:
     """Digest of the hands of a clip that has no file."""
-    found = hashlib.sha256(clip.stamps.tobytes())
+    content = hashlib.sha256(clip.stamps.tobytes())
     for side, hand in sorted(clip.hands.items()):
-        found.update(side.encode() + hand.landmarks.tobytes())
+        content.update(side.encode() + hand.landmarks.tobytes())
         if hand.T_world_wrist is not None:
-            found.update(hand.T_world_wrist.tobytes())
-    return found.hexdigest()
+            content.update(hand.T_world_wrist.tobytes())
+    return content.hexdigest()
 
 
 def _table(names: list[str], rows: list[RobotClip | str]) -> Any:

@@ -82,9 +82,18 @@ class CorpusRun:
         """Folder of what the run knows of itself."""
         return state_folder(self.output)
 
+    @property
+    def clips(self) -> Path:
+        """Folder of the list of clips."""
+        return self.state / "clips"
+
     def report(self, shard: int) -> Path:
         """File that says that a shard is whole, and what was dropped from it."""
         return self.state / "shards" / f"{shard:06d}.json"
+
+    def packs(self, shard: int) -> Path:
+        """Folder of the finished clips of a shard that is not whole."""
+        return self.state / "packs" / f"{shard:06d}"
 
 
 def state_folder(output: Path) -> Path:

@@ -1,34 +1,33 @@
 """A shard of a corpus, from its list of clips to its part of the output, by one worker.
 
-Reading runs ahead in a thread, by a bounded number of clips. Each clip that is done is on disk
-before the next group begins, so a worker that dies loses the clips that it had in hand.
+The clips go through ``do_job`` in groups, as those of ``smooth-operator dataset`` do. Each group is
+a pack on disk before the next one begins, so a worker that dies loses one group.
 """
 
 from __future__ import annotations
 
 import contextlib
 import os
+import shutil
 import socket
 import time
-from collections import deque
-from collections.abc import Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any, Final
 
-from smooth_operator.atomic_files import write_json
+from smooth_operator.atomic_files import output_error, write_json
 from smooth_operator.errors import DocumentError, OutputError, SmoothOperatorError
 from smooth_operator.io.documents import read_json
 from smooth_operator.lab.datasets.robot_clip import RobotClip
 from smooth_operator.lab.datasets.sources import Item
-from smooth_operator.lab.datasets.work import ReadClip
-from smooth_operator.lab.ray.episode_bytes import decode, encode
-from smooth_operator.lab.ray.manifest import Manifest
+from smooth_operator.lab.datasets.store import Kept, Store
+from smooth_operator.lab.datasets.work import Job, do_job
+from smooth_operator.lab.ray.manifest import shard_items
 from smooth_operator.lab.ray.settings import CorpusRun
-from smooth_operator.lab.ray.spool import Done, Spool
 from smooth_operator.lab.ray.work import ClipWork
-from smooth_operator.parallel.results import describe
+from smooth_operator.parallel.tasks import describe
 
 _MOST_BYTES: Final = 256_000_000
 
@@ -50,9 +49,8 @@ class ShardReport:
         computed: clips that were retargeted for it now.
         recovered: clips whose result an attempt before had left.
         repeated: clips that an attempt before had begun to retarget, in vain.
-        retarget_s: time in retargeting, quality figures included [s].
-        read_s: time in which nothing could be done before a clip was read [s].
-        write_s: time for spooling, filtering and writing the output [s].
+        retarget_s: time for reading, retargeting and the packs, quality figures included [s].
+        write_s: time for filtering and writing the output [s].
         busy_s: time from begin to end [s].
         cpu_s: time of processors that the worker's process took meanwhile [s].
         idle_s: time that the worker had waited before for a shard [s].
@@ -75,7 +73,6 @@ class ShardReport:
     recovered: int = 0
     repeated: int = 0
     retarget_s: float = 0.0
-    read_s: float = 0.0
     write_s: float = 0.0
     busy_s: float = 0.0
     cpu_s: float = 0.0
@@ -84,21 +81,6 @@ class ShardReport:
     memory_mb: float = 0.0
     worker: str = ""
     error: str = ""
-
-
-@dataclass
-class _Times:
-    retarget: float = 0.0
-    read: float = 0.0
-    write: float = 0.0
-
-    @contextlib.contextmanager
-    def spent(self, name: str) -> Iterator[None]:
-        started = time.perf_counter()
-        try:
-            yield
-        finally:
-            setattr(self, name, getattr(self, name) + time.perf_counter() - started)
 
 
 class ShardWorker:
@@ -117,10 +99,8 @@ class ShardWorker:
         self._trouble = ""
         try:
             self._work = ClipWork(run.settings)
-            self._manifest = Manifest(run.state / "manifest.arrow")
         except SmoothOperatorError as error:
             self._trouble = describe(error)
-        self._ahead = ThreadPoolExecutor(1, "reader")
         self._free_since = time.perf_counter()
         self._start_s = self._free_since - started
 
@@ -135,159 +115,161 @@ class ShardWorker:
         if self._trouble:
             return ShardReport(shard, error=self._trouble, **own)
         try:
-            found = self._kept(shard) or self._made(shard)
+            counts = self._finished(shard) or self._made(shard)
         except SmoothOperatorError as error:
-            found = {"error": describe(error)}
+            # A second attempt, by a worker that was taken for dead, may have finished it meanwhile.
+            counts = self._finished(shard) or {"error": describe(error)}
         self._start_s = 0.0
         self._free_since = time.perf_counter()
         own |= {"busy_s": self._free_since - began, "cpu_s": time.process_time() - cpu}
         own["memory_mb"] = _peak_memory_mb()
-        return ShardReport(shard, **found, **own)
+        return ShardReport(shard, **counts, **own)
 
-    def _kept(self, shard: int) -> dict[str, Any] | None:
+    def _finished(self, shard: int) -> dict[str, Any] | None:
         content = read_report(self._run, shard)
         return None if content is None else {**content["counts"], "kept": True}
 
     def _made(self, shard: int) -> dict[str, Any]:
-        items = self._manifest.items(shard)
-        folder = self._run.state / "spool"
-        folder.mkdir(parents=True, exist_ok=True)
-        spool, times = Spool(folder, shard, self._run.digest), _Times()
-        whole = False
-        try:
-            left = [item for item in items if item.name not in spool.done]
-            again = len(spool.retargeted)
-            # One death has many causes. Where workers died twice, each clip that was in hand both
-            # times is alone, with nothing else at work meanwhile.
-            suspects = [item for item in left if spool.begun[item.name] > 1]
-            computed = sum(self._alone(item, spool, times) for item in suspects)
-            left = [item for item in left if spool.begun[item.name] < 2]
-            computed += sum(
-                self._group(group, spool, times) for group in self._groups(left, spool, times)
-            )
-            with times.spent("write"):
-                content = self._written(shard, items, spool)
-                path = self._run.report(shard)
-                path.parent.mkdir(parents=True, exist_ok=True)
-                write_json(path, content)
-            whole = True
-        finally:
-            spool.close(remove=whole)
+        began = time.perf_counter()
+        items = {item.name: item for item in shard_items(self._run.clips, shard)}
+        folder = self._run.packs(shard)
+        journal, store = Journal(folder, self._run.digest), Store(folder)
+        packs = store.find(lambda name, requested, files: name in items)
+        recovered = len(packs) + len(journal.failed)
+        repeated = journal.repeated(packs)
+        for group in self._groups(items, packs, journal):
+            journal.begin([item.name for item in group])
+            job = Job(tuple(group), self._work.recipe, folder, self._run.settings.retarget)
+            for entry in do_job(job):
+                if entry.kept is None:
+                    journal.failed[entry.item] = entry.reason or "RecordingError: no clip is in it"
+                else:
+                    packs[entry.item] = entry.kept
+        retargeted = time.perf_counter()
+        with contextlib.closing(store):
+            content = self._written(shard, items, packs, store, journal.failed)
+        path = self._run.report(shard)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_json(path, content)
+        shutil.rmtree(folder, ignore_errors=True)
         return {
             **content["counts"],
-            "computed": computed,
-            "recovered": spool.recovered,
-            "repeated": again,
-            **{f"{name}_s": seconds for name, seconds in asdict(times).items()},
+            "computed": len(packs) + len(journal.failed) - recovered,
+            "recovered": recovered,
+            "repeated": repeated,
+            "retarget_s": retargeted - began,
+            "write_s": time.perf_counter() - retargeted,
         }
 
-    def _alone(self, item: Item, spool: Spool, times: _Times) -> int:
-        died = spool.begun[item.name]
-        if died >= self._run.settings.attempts:
-            spool.finish(item.name, "failed", [f"WorkerDied: {died} times at it"])
-            return 0
-        return sum(self._group(group, spool, times) for group in self._groups([item], spool, times))
-
     def _groups(
-        self, left: list[Item], spool: Spool, times: _Times
-    ) -> Iterator[list[tuple[Item, list[ReadClip]]]]:
-        """Clips that have been read, in groups; reading is ahead by a group."""
-        size = self._run.settings.group
-        waiting: deque[tuple[Item, Future[list[ReadClip]]]] = deque()
-        coming = iter(left)
-        group: list[tuple[Item, list[ReadClip]]] = []
-        while True:
-            while len(waiting) < 2 * size and (item := next(coming, None)) is not None:
-                spool.begin(item.name)
-                waiting.append((item, self._ahead.submit(self._work.read, item)))
-            if not waiting:
-                break
-            item, future = waiting.popleft()
-            with times.spent("read"):
-                try:
-                    group.append((item, future.result()))
-                except Exception as error:  # of a reader, which may be a plugin's
-                    spool.finish(item.name, "failed", [describe(error)])
-            if len(group) == size:
-                yield group
-                group = []
-        if group:
+        self, items: dict[str, Item], packs: dict[str, Kept], journal: Journal
+    ) -> Iterator[Sequence[Item]]:
+        """Clips that are left, in groups; a clip at which workers died is alone, or given up.
+
+        One death has many causes. Where workers died twice, each clip that was in hand both times
+        is alone, with nothing else at work meanwhile.
+        """
+        done = {*packs, *journal.failed}
+        left = [item for name, item in items.items() if name not in done]
+        together = iter([item for item in left if journal.deaths.get(item.name, 0) < 2])
+        for item in left:
+            deaths = journal.deaths.get(item.name, 0)
+            if deaths >= self._run.settings.attempts:
+                journal.failed[item.name] = f"WorkerDied: {deaths} times at it"
+            elif deaths > 1:
+                yield [item]
+        while group := list(islice(together, self._run.settings.group)):
             yield group
 
-    def _group(self, group: list[tuple[Item, list[ReadClip]]], spool: Spool, times: _Times) -> int:
-        with times.spent("write"):
-            for item, _ in group:
-                spool.retarget(item.name)
-        with times.spent("retarget"):
-            results = iter(self._retargeted([each for _, read in group for each in read]))
-        with times.spent("write"):
-            for item, read in group:
-                self._finish(item.name, [next(results) for _ in read], spool)
-        return len(group)
-
-    @staticmethod
-    def _finish(name: str, results: list[RobotClip | Exception], spool: Spool) -> None:
-        episodes: list[bytes] = []
-        frames = hand_frames = 0
-        for found in results:
-            if isinstance(found, Exception):
-                spool.finish(name, "failed", [describe(found)])
-                return
-            episodes.append(encode(found))
-            frames += len(found.clip)
-            hand_frames += len(found.clip) * max(len(found.commands), 1)
-        if episodes:
-            spool.finish(name, "made", (), frames, hand_frames, episodes)
-        else:
-            spool.finish(name, "failed", ["RecordingError: no clip is in it"])
-
-    def _retargeted(self, read: list[ReadClip]) -> list[RobotClip | Exception]:
-        if not read:
-            return []
-        try:
-            return list(self._work.retarget(read))
-        except Exception as error:  # of one of them, which must not take the others with it
-            if len(read) == 1:
-                return [error]
-        return [found for each in read for found in self._retargeted([each])]
-
-    def _written(self, shard: int, items: list[Item], spool: Spool) -> dict[str, Any]:
+    def _written(
+        self,
+        shard: int,
+        items: dict[str, Item],
+        packs: dict[str, Kept],
+        store: Store,
+        failed: dict[str, str],
+    ) -> dict[str, Any]:
         """Filters the results in the order of the list and writes the output; the report."""
         counts = dict.fromkeys(
             ("clips", "made", "dropped", "failed", "episodes", "frames", "hand_frames"), 0
         )
         lost: list[dict[str, Any]] = []
         with self._work.writer(self._run, shard) as writer:
-            for item in items:
+            for name in items:
                 counts["clips"] += 1
-                done = spool.done[item.name]
-                if done.state == "failed":
+                if name in failed:
                     counts["failed"] += 1
-                    lost.append({"clip": item.name, "failed": done.reasons[0]})
+                    lost.append({"clip": name, "failed": failed[name]})
                     continue
-                kept = self._episodes(done, writer, lost)
-                counts["made" if kept else "dropped"] += 1
-                counts["episodes"] += kept
-                counts["frames"] += done.frames
-                counts["hand_frames"] += done.hand_frames
+                clips = store.read(packs[name])
+                episodes = self._episodes(name, clips, writer, lost)
+                counts["made" if episodes else "dropped"] += 1
+                counts["episodes"] += episodes
+                counts["frames"] += packs[name].frames
+                counts["hand_frames"] += sum(
+                    len(whole.clip) * max(len(whole.commands), 1) for whole in clips
+                )
         return {"run": self._run.digest, "counts": counts, "lost": lost}
 
-    def _episodes(self, done: Done, writer: Any, lost: list[dict[str, Any]]) -> int:
-        kept = 0
-        for content in done.episodes():
-            for episode in self._work.select(decode(content)):
+    def _episodes(
+        self, name: str, clips: Sequence[RobotClip], writer: Any, lost: list[dict[str, Any]]
+    ) -> int:
+        count = 0
+        for whole in clips:
+            for episode in self._work.select(whole):
                 if not isinstance(episode, RobotClip):
-                    lost.append({"clip": done.name, **asdict(episode)})
+                    lost.append({"clip": name, **asdict(episode)})
                     continue
                 try:
                     writer.write(episode)
-                    kept += 1
+                    count += 1
                 except OutputError:
                     raise
                 except SmoothOperatorError as error:  # the format can't hold it
                     reason = {"name": episode.clip.name, "reasons": {"format": str(error)}}
-                    lost.append({"clip": done.name, **reason})
-        return kept
+                    lost.append({"clip": name, **reason})
+        return count
+
+
+class Journal:
+    """Clips of a shard that failed, that are in hand, and at which workers died.
+
+    Args:
+        folder: of the shard's packs; emptied if it is another run's.
+        digest: of the run.
+
+    Raises:
+        OutputError: the folder can't be written.
+    """
+
+    def __init__(self, folder: Path, digest: str) -> None:
+        self._path, self._digest = folder / "journal.json", digest
+        self.failed: dict[str, str] = {}
+        self.deaths: dict[str, int] = {}
+        self._in_hand: list[str] = []
+        with contextlib.suppress(OSError, DocumentError, KeyError, TypeError):
+            content = read_json(self._path, most_bytes=_MOST_BYTES)
+            if content["run"] == digest:
+                self.failed, self.deaths = dict(content["failed"]), dict(content["deaths"])
+                self._in_hand = list(content["in_hand"])
+                return
+        shutil.rmtree(folder, ignore_errors=True)
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise output_error(folder, error) from error
+
+    def repeated(self, packs: dict[str, Kept]) -> int:
+        """Counts a death at each clip that was in hand and has no result; how many there are."""
+        names = [name for name in self._in_hand if name not in packs and name not in self.failed]
+        for name in names:
+            self.deaths[name] = self.deaths.get(name, 0) + 1
+        return len(names)
+
+    def begin(self, names: Sequence[str]) -> None:
+        """Notes the clips that are worked on, before anything can go wrong with them."""
+        content = {"run": self._digest, "failed": self.failed, "deaths": self.deaths}
+        write_json(self._path, {**content, "in_hand": names})
 
 
 def read_report(run: CorpusRun, shard: int) -> dict[str, Any] | None:

@@ -57,8 +57,6 @@ class ClipWork:
 
     def retarget(self, read: Sequence[ReadClip]) -> list[RobotClip | SmoothOperatorError]:
         """The clips with the commands of their robot hands, whole and unfiltered."""
-        if not self._settings.retarget:
-            return [RobotClip(each.clip, {}, {}, {}, {}, key=each.key) for each in read]
         clips, files, keys = zip(*((r.clip, r.files, r.key) for r in read), strict=True)
         return retarget_clips(clips, self.recipe, files, keys)
 

@@ -42,13 +42,13 @@ def read_checkpoint(path: Path, trainer: GeortTrainer) -> TrainingState:
     path = Path(path)
     if not path.is_file():
         raise ConfigError(f"{path}: there is no checkpoint to resume from; start without --resume")
-    wanted = json.loads(to_json(_identity(trainer)))
+    identity = json.loads(to_json(_identity(trainer)))
     template = trainer.init()
     shapes = [np.asarray(leaf) for leaf in jax.tree.leaves(template)]
     try:
         arrays = open_arrays(path)
-        found = parse_json(arrays["about"].text())
-        different = _differences(wanted, found)
+        stored = parse_json(arrays["about"].text())
+        different = _differences(identity, stored)
         leaves = [] if different else [arrays[f"leaf_{i:03d}"].load() for i in range(len(shapes))]
     except (RecordingError, KeyError, TypeError, ValueError) as error:
         raise ConfigError(f"{path}: not a checkpoint of GeoRT's training ({error})") from error
@@ -81,15 +81,15 @@ def _identity(trainer: GeortTrainer) -> dict[str, Any]:
     }
 
 
-def _differences(wanted: Any, found: Any, where: str = "") -> list[str]:
+def _differences(expected: Any, stored: Any, where: str = "") -> list[str]:
     """Each place where two JSON values differ, as a phrase."""
-    if isinstance(wanted, dict) and isinstance(found, dict):
-        keys = [*wanted, *(key for key in found if key not in wanted)]
+    if isinstance(expected, dict) and isinstance(stored, dict):
+        keys = [*expected, *(key for key in stored if key not in expected)]
         return [
             phrase
             for key in keys
             for phrase in _differences(
-                wanted.get(key), found.get(key), f"{where}.{key}" if where else key
+                expected.get(key), stored.get(key), f"{where}.{key}" if where else key
             )
         ]
-    return [] if wanted == found else [f"its {where} is {found!r}, not {wanted!r}"]
+    return [] if expected == stored else [f"its {where} is {stored!r}, not {expected!r}"]

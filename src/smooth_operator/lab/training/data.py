@@ -94,14 +94,14 @@ def training_data(
     """
     if not recordings:
         raise RecordingError("training needs one recording at least")
-    kept, apart = [], []
+    sets, apart = [], []
     for recording in recordings:
         tips = _tips(recording, hand, settings.alignment)
         at = len(tips) if held_out else round(len(tips) * (1 - settings.validation))
-        kept.append(tips[:at])
+        sets.append(tips[:at])
         apart.append(tips[at:])
     apart += [_tips(recording, hand, settings.alignment) for recording in held_out]
-    train, validation = np.concatenate(kept), np.concatenate(apart)
+    train, validation = np.concatenate(sets), np.concatenate(apart)
     names = {
         "train": [recording.name for recording in recordings],
         "validation": [recording.name for recording in held_out],
@@ -143,9 +143,9 @@ def _seen(tips: Float[np.ndarray, "T F 3"]) -> int:
 def _point_set(tips: Float[np.ndarray, "T F 3"], distance: float) -> PointSet:
     fingers = []
     for finger in np.moveaxis(tips, 1, 0):
-        seen = finger[np.isfinite(finger).all(axis=-1)]
-        _, first = np.unique(np.floor(seen / VOXEL).astype(int), axis=0, return_index=True)
-        fingers.append(seen[np.sort(first)])
+        finite = finger[np.isfinite(finger).all(axis=-1)]
+        _, first = np.unique(np.floor(finite / VOXEL).astype(int), axis=0, return_index=True)
+        fingers.append(finite[np.sort(first)])
     counts = np.array([len(points) for points in fingers])
     points = np.zeros((len(fingers), 3, max(int(counts.max()), 1)))
     for row, own in zip(points, fingers, strict=True):

@@ -97,7 +97,7 @@ class GeortLoss:
         """
         bend = batch.steps * (BEND / _length(batch.steps))
         # one pass through the networks for all that is asked
-        asked = [
+        terms = [
             batch.points,
             batch.around,
             batch.around + batch.steps,
@@ -105,9 +105,9 @@ class GeortLoss:
             batch.around - bend,
             batch.pinches,
         ]
-        cuts = list(np.cumsum([part.shape[-1] for part in asked])[:-1])
+        cuts = list(np.cumsum([part.shape[-1] for part in terms])[:-1])
         covering, at, moved, ahead, behind, pinching = jnp.split(
-            self.tips(weights, jnp.concatenate(asked, axis=-1)), cuts, axis=-1
+            self.tips(weights, jnp.concatenate(terms, axis=-1)), cuts, axis=-1
         )
         losses = (
             _direction(batch.steps, moved - at),

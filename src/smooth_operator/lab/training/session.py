@@ -91,10 +91,10 @@ class TrainingSession:
                 f"{self.folder}: there is a training already: go on with it (--resume), or name "
                 "another folder"
             )
-        taken = [n for n in (MODEL, ABOUT, CURVES, PLOT) if (self.folder / n).exists()]
-        if taken:
+        existing = [n for n in (MODEL, ABOUT, CURVES, PLOT) if (self.folder / n).exists()]
+        if existing:
             raise OutputError(
-                f"{self.folder}: {', '.join(taken)} would be overwritten; name another folder"
+                f"{self.folder}: {', '.join(existing)} would be overwritten; name another folder"
             )
         return self.trainer.init()
 

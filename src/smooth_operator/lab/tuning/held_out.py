@@ -28,9 +28,9 @@ def frame_words(recording: HandRecording) -> set[bytes]:
     """Words of the frames whose wrist and fingertips are valid."""
     points = recording.landmarks[:, [WRIST, *TIPS]]
     assert recording.valid is not None  # filled in on construction
-    known = recording.valid[:, [WRIST, *TIPS]].all(axis=1)
+    valid = recording.valid[:, [WRIST, *TIPS]].all(axis=1)
     first, second = np.triu_indices(points.shape[1], 1)
-    lengths = np.linalg.norm(points[:, first] - points[:, second], axis=-1)[known]
+    lengths = np.linalg.norm(points[:, first] - points[:, second], axis=-1)[valid]
     # A word for either rounding, so that the last bit of a float32 does not make another frame.
     units = lengths / _UNIT
     rounded = (np.floor(units).astype("<i8"), np.floor(units + 0.5).astype("<i8"))
@@ -47,12 +47,14 @@ def check_held_out(sources: Sequence[Source], held_out: Iterable[Source]) -> Non
     Raises:
         ConfigError: a recording holds frames of one that is held out.
     """
-    kept = [(source, frame_words(source.recording)) for source in held_out if source.recording]
+    words_held_out = [
+        (source, frame_words(source.recording)) for source in held_out if source.recording
+    ]
     for source in sources:
         if source.recording is None:
             continue
         words = frame_words(source.recording)
-        for other, theirs in kept:
+        for other, theirs in words_held_out:
             shared = len(words & theirs)
             if shared >= min(MANY, len(words), len(theirs)) and shared:
                 raise ConfigError(

@@ -12,7 +12,6 @@ from jaxtyping import Bool, Float
 
 from smooth_operator.atomic_files import atomic_write
 from smooth_operator.lab.tuning.score import figure
-from smooth_operator.lab.tuning.trial_log import Trial
 from smooth_operator.reporting.drawing import INK, colors_of, name_points, plain_logs, styled
 
 if TYPE_CHECKING:
@@ -90,35 +89,33 @@ MARKS: Final = (("*", 150, "#c2455f"), ("s", 45, "#0072b2"))
 def front(points: Float[np.ndarray, "N 2"]) -> Bool[np.ndarray, " N"]:
     """Which points no other beats in one coordinate without losing in the other; less is better."""
     order = np.lexsort((points[:, 1], points[:, 0]))
-    kept = np.zeros(len(points), bool)
+    chosen = np.zeros(len(points), bool)
     lowest = np.inf
     for i in order:
         if points[i, 1] < lowest:
-            kept[i], lowest = True, points[i, 1]
-    return kept
+            chosen[i], lowest = True, points[i, 1]
+    return chosen
 
 
 def save_pareto(
     path: Path,
-    trials: Sequence[Trial],
+    tried: Sequence[Sequence[Mapping[str, Any]]],
     start: Sequence[Mapping[str, Any]],
-    best: Trial,
+    best: Sequence[Mapping[str, Any]],
     names: Sequence[str],
 ) -> None:
     """Draws a row for each recording, a column for each figure against flatness.
 
     Args:
         path: PNG to write.
-        trials: all of them.
+        tried: figures of each trial, one mapping for each recording.
         start: figures of the configuration that the search began at.
-        best: the trial with the lowest score.
-        names: of the recordings.
+        best: figures of the trial with the lowest score.
+        names: names of the recordings.
 
     Raises:
         OutputError: it can't be written.
     """
-    measured = [trial.metrics for trial in trials if trial.metrics is not None]
-    found = best.metrics or start
     save_trade_offs(
         path,
         [
@@ -127,8 +124,8 @@ def save_pareto(
                     recording if k == 0 else "",
                     FLATNESS,
                     axis,
-                    [metrics[i] for metrics in measured],
-                    {"best score": found[i], "start": start[i]},
+                    [metrics[i] for metrics in tried],
+                    {"best score": best[i], "start": start[i]},
                 )
                 for k, axis in enumerate(AGAINST)
             ]
@@ -168,11 +165,11 @@ def save_trade_offs(path: Path, rows: Sequence[Sequence[TradeOff]]) -> None:
         drawing.set_layout_engine("none")
         for ax, panel in panels:
             places = {name: _place(metrics, panel) for name, metrics in panel.others.items()}
-            seen = [_place(m, panel) for m in (*panel.tried, *panel.marked.values())]
+            points = [_place(m, panel) for m in (*panel.tried, *panel.marked.values())]
             name_points(
                 ax,
                 {name: at for name, at in places.items() if np.isfinite(at).all()},
-                [at for at in seen if np.isfinite(at).all()],
+                [at for at in points if np.isfinite(at).all()],
                 size=7.5,
             )
         with atomic_write(path) as file:

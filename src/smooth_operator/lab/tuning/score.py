@@ -131,12 +131,12 @@ class Scoring:
             if not (weight >= 0 and math.isfinite(weight)):
                 raise ConfigError(f"the weight of {name} must be 0 or more, not {weight}")
         for bound in self.bounds:
-            known = [*REGISTRY, "lag_frames", "joint_step"]
-            if bound.name not in known:
-                raise UnknownNameError("figure", bound.name, known)
-        said = {bound.name for bound in self.bounds}
-        kept = tuple(bound for bound in BOUNDS if bound.name not in said)
-        object.__setattr__(self, "bounds", (*kept, *self.bounds))
+            metrics = [*REGISTRY, "lag_frames", "joint_step"]
+            if bound.name not in metrics:
+                raise UnknownNameError("figure", bound.name, metrics)
+        bounded = {bound.name for bound in self.bounds}
+        others = tuple(bound for bound in BOUNDS if bound.name not in bounded)
+        object.__setattr__(self, "bounds", (*others, *self.bounds))
 
     def score(
         self, metrics: Sequence[Mapping[str, Any]], start: Sequence[Mapping[str, Any]]

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-from smooth_operator.errors import ConfigError, RecordingError
+from smooth_operator.errors import ConfigError, RecordingError, require
 from smooth_operator.formats.preset_file import SUFFIX, read_preset_file
 from smooth_operator.formats.setting_paths import find_setting, with_settings
 from smooth_operator.hands.registry import load_hand
@@ -110,6 +110,7 @@ def plan_tuning(settings: TuningSettings) -> Tuning:
         RecordingError: a recording can't be read.
         OutputError: the folder holds something else.
     """
+    require("a search of settings", "tune", "optuna")
     check_folder(settings.output, COMMAND, "an earlier search")
     if settings.trials < 2:
         raise ConfigError(f"a search needs 2 trials or more, not {settings.trials}")

@@ -17,8 +17,9 @@ import numpy as np
 from smooth_operator.compilation.compiled_program import compiled
 from smooth_operator.formats.setting_paths import with_unchecked
 from smooth_operator.methods.method import MethodConfig
-from smooth_operator.methods.program import RetargetState, frame_step, ticks_of
+from smooth_operator.methods.program import frame_step, ticks_of
 from smooth_operator.methods.retargeter import Retargeter
+from smooth_operator.methods.state import FrameState
 from smooth_operator.types import CommandTrajectory, HandRecording
 
 CHUNK: Final = 256
@@ -37,7 +38,7 @@ class TracedRun:
         self._retargeter, self._paths = retargeter, tuple(paths)
         config, served = retargeter.config, retargeter.shared.method.hand
 
-        def chunk(values: jax.Array, state: RetargetState, *frames: Any) -> Any:
+        def chunk(values: jax.Array, state: FrameState, *frames: Any) -> Any:
             traced: MethodConfig = with_unchecked(
                 config, {path: values[i] for i, path in enumerate(self._paths)}
             )
@@ -66,7 +67,7 @@ class TracedRun:
         frames = [np.concatenate([each, np.repeat(each[-1:], lacking, 0)]) for each in frames]
         frames[1][count:] = False
         given = jnp.asarray([values[path] for path in self._paths], jnp.float32)
-        state, found, status = retargeter.init().unpacked(), [], []
+        state, found, status = retargeter.init().trees, [], []
         for start in range(0, count, CHUNK):
             part = slice(start, start + CHUNK)
             state, answer = self._chunk(given, state, *(each[part] for each in frames))

@@ -61,13 +61,13 @@ def run_trial(task: TrialTask) -> list[dict[str, Any]]:
     """
     dispatch_here()
     config = with_settings(task.config, task.values)
-    found = []
+    results = []
     for recording in _recordings(task.requests, task.digests):
         hand = load_hand(task.hand, recording.side)
         commands = _commands(task, config, recording)
         trace = assemble_trace(recording, commands, hand, config.alignment, reach_samples=0)
-        found.append(dict(evaluate(trace)))
-    return found
+        results.append(dict(evaluate(trace)))
+    return results
 
 
 @lru_cache(maxsize=4)
@@ -92,13 +92,13 @@ _whole: dict[tuple[Any, ...], TrajectoryRetargeter] = {}
 
 def _commands(task: TrialTask, config: MethodConfig, recording: HandRecording) -> CommandTrajectory:
     if (whole := config.trajectory) is not None:
-        known = (task.hand, recording.side, whole.causal, task.seed)
-        if known not in _whole:
+        cell = (task.hand, recording.side, whole.causal, task.seed)
+        if cell not in _whole:
             _whole.clear()
-            _whole[known] = TrajectoryRetargeter(
+            _whole[cell] = TrajectoryRetargeter(
                 load_hand(task.hand, recording.side), whole, task.seed
             )
-        return _whole[known].priced(whole).run(recording)[0]
+        return _whole[cell].priced(whole).run(recording)[0]
     key = (task.hand, recording.side, task.config, tuple(task.values), task.seed)
     if key not in _traced:
         base = Retargeter(task.hand, side=recording.side, config=task.config, seed=task.seed)

@@ -1,31 +1,32 @@
-"""The search itself: trials in workers, the best of them as a preset file, all of them in a log."""
+"""The search itself: Optuna proposes values, workers try them, the best becomes a preset file."""
 
 from __future__ import annotations
 
+import contextlib
+import json
 import math
+import os
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
-import numpy as np
-
-from smooth_operator.atomic_files import atomic_write, write_json
-from smooth_operator.errors import ConfigError, DocumentError
+from smooth_operator.atomic_files import atomic_write, output_error, write_json
+from smooth_operator.errors import ConfigError, DocumentError, OutputError
 from smooth_operator.formats.environment import environment
+from smooth_operator.formats.jsonable import to_json
 from smooth_operator.formats.preset_file import FORMAT, PresetFile
 from smooth_operator.formats.toml_writer import toml_key, toml_value
+from smooth_operator.io.documents import parse_json
 from smooth_operator.lab.benchmark.cells import benchmark_code
 from smooth_operator.lab.tuning.pareto import save_pareto
 from smooth_operator.lab.tuning.score import figure
-from smooth_operator.lab.tuning.search import search
 from smooth_operator.lab.tuning.search_plan import COMMAND, Tuning
 from smooth_operator.lab.tuning.trial import TrialTask, run_trial
-from smooth_operator.lab.tuning.trial_log import Trial, TrialLog
-from smooth_operator.lab.tuning.variables import values_at
 from smooth_operator.parallel import PersistentPool
 from smooth_operator.planning import PROGRAM
-from smooth_operator.result_cache import Note, no_note
+from smooth_operator.result_cache import key_digest
 
 CONFIG: Final = "config.json"
 LOG: Final = "trials.jsonl"
@@ -33,11 +34,15 @@ PRESET: Final = "preset.toml"
 RESULT: Final = "result.json"
 PARETO: Final = "pareto.png"
 
-Progress: TypeAlias = Callable[[int, float, str | None], None]
-"""Called after each trial: how many there were, the best score before this batch, why this one
-failed or None."""
+SPREAD: Final = 0.5
+"""Share of the trials that is spread over the box, by a scrambled Sobol sequence."""
+BATCH: Final = 8
+"""Trials after those that are proposed together, whatever the number of workers."""
 
-KEPT: Final = (
+Progress: TypeAlias = Callable[[int, float, str | None], None]
+"""Called after each trial: number of trials, best score, and the reason if this one failed."""
+
+FIGURES: Final = (
     "cosine_similarity", "cosine_similarity_all", "scale_ratio", "motion_preservation",
     "velocity_correlation", "lag_frames", "flatness", "self_collision.share", "pinch_error_mm",
     "joint_step", "frozen_share",
@@ -47,15 +52,15 @@ KEPT: Final = (
 
 @dataclass(frozen=True, eq=False)
 class Tuned:
-    """Result of a search.
+    """The result of a search.
 
     Attributes:
         values: path -> value of the best trial.
-        score: of it; 0 is the start's, less is better.
+        score: the best one; 0 is the start's, less is better.
         start: figures of the start, one for each recording.
-        best: figures of the best trial.
-        trials: how many there were, those known before included.
-        fresh: how many were done now.
+        best: figures of the best trial, one for each recording.
+        trials: number of trials, those of earlier runs included.
+        fresh: number of trials of this run.
         preset: the preset file.
     """
 
@@ -68,148 +73,231 @@ class Tuned:
     preset: Path
 
 
-def tune(
-    todo: Tuning,
-    progress: Progress = lambda count, best, reason: None,
-    note: Note = no_note,
-) -> Tuned:
-    """Searches, and writes what is found into the folder of the search.
+def tune(plan: Tuning, progress: Progress = lambda count, best, reason: None) -> Tuned:
+    """Searches, and writes the result into the folder of the search.
 
-    Trials that an earlier run has left in the log are taken from it. A search that is stopped has
-    lost the trials only that it was at.
+    The first trial is the start; then come points of a Sobol sequence, then proposals of Optuna's
+    tree-structured Parzen estimator. Trials of an earlier run are taken from the journal. A search
+    that is stopped has lost only the trials that were in hand, and repeats them.
 
     Args:
-        todo: of ``plan_tuning``.
-        progress: called after each trial that is made now.
-        note: called with trials of the log that can't be used.
+        plan: of ``plan_tuning``.
+        progress: called after each new trial.
 
     Raises:
         ConfigError: the configuration that the search begins at can't be measured.
-        OutputError: results can't be written.
+        OutputError: results can't be written, or the journal is damaged.
         KeyboardInterrupt: stopped; the best so far is written.
     """
-    settings, folder = todo.settings, todo.settings.output
+    settings, folder = plan.settings, plan.settings.output
     folder.mkdir(parents=True, exist_ok=True)
     config = {"program": PROGRAM, "command": COMMAND, "settings": settings}
     write_json(folder / CONFIG, config | environment(), indent=2)
-    log = TrialLog(folder / LOG, todo.key, benchmark_code(), note)
-    run = _Run(todo, log, progress)
-    points = search(
-        np.array([v.share(v.start) for v in todo.variables]), settings.trials, settings.seed
-    )
+    with _journal(folder / LOG) as storage:
+        search = _Search(plan, storage)
+        try:
+            with PersistentPool(run_trial, settings.workers) as pool:
+                search.run(pool, progress)
+        except KeyboardInterrupt:
+            if search.finished():
+                _write(plan, search)
+            raise
+        return _write(plan, search)
+
+
+@contextlib.contextmanager
+def _journal(path: Path) -> Iterator[Any]:
+    """Optuna's storage in a file of JSON lines.
+
+    Raises:
+        OutputError: it can't be read or written.
+    """
+    import optuna
+    from optuna.storages.journal import JournalFileBackend, JournalFileOpenLock
+
     try:
-        with PersistentPool(run_trial, settings.workers) as pool:
-            batch = next(points)
-            while True:
-                batch = points.send(run.scores(pool, batch))
-    except StopIteration:
-        pass
-    except KeyboardInterrupt:
-        if run.best is not None:
-            _write(todo, run)
-        raise
-    return _write(todo, run)
+        content = path.read_bytes() if path.exists() else b""
+        whole = content.rfind(b"\n") + 1
+        if whole < len(content):  # a killed process leaves half a line
+            os.truncate(path, whole)
+        if not all("op_code" in parse_json(line) for line in content[:whole].splitlines()):
+            raise DocumentError("it is no journal of Optuna")
+    except OSError as error:
+        raise output_error(path, error) from error
+    except (DocumentError, TypeError) as error:
+        raise OutputError(
+            f"{path} holds something other than trials: give another folder with --output, or "
+            "remove the file"
+        ) from error
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
+        optuna.logging.set_verbosity(optuna.logging.ERROR)
+        try:
+            backend = JournalFileBackend(str(path), lock_obj=JournalFileOpenLock(str(path)))
+            storage = optuna.storages.JournalStorage(backend)
+        except OSError as error:
+            raise output_error(path, error) from error
+        yield storage
 
 
-class _Run:
-    """Trials of a search so far, and their scores."""
+class _Search:
+    """A study of Optuna, with the figures of its trials.
 
-    def __init__(self, todo: Tuning, log: TrialLog, progress: Progress) -> None:
-        self.todo, self.log, self.progress = todo, log, progress
-        self.trials: list[tuple[float, Trial]] = []
-        self.start: Sequence[Mapping[str, Any]] = ()
-        self.done = self.fresh = 0
+    Args:
+        plan: the search.
+        storage: of Optuna.
+    """
+
+    def __init__(self, plan: Tuning, storage: Any) -> None:
+        import optuna
+
+        self._optuna, self._plan = optuna, plan
+        key = [plan.key, plan.variables, plan.scoring.weights, plan.scoring.bounds]
+        self._study = optuna.create_study(
+            storage=storage, study_name=key_digest([*key, benchmark_code()]), load_if_exists=True
+        )
+        self.fresh = 0
+
+    def run(self, pool: PersistentPool[TrialTask, Any], progress: Progress) -> None:
+        """Asks for trials by the batch and tries them, until there are as many as planned."""
+        total, states = self._plan.settings.trials, self._optuna.trial.TrialState
+        while True:
+            first = self._study.user_attrs.get("0")
+            if first is not None and first["metrics"] is None:
+                raise ConfigError(
+                    "the configuration that the search begins at can't be measured: "
+                    f"{first['reason']}"
+                )
+            trials = self._study.get_trials(deepcopy=False)
+            count = sum(trial.state != states.WAITING for trial in trials)
+            running = [trial.number for trial in trials if trial.state == states.RUNNING]
+            # A batch that a stopped run had begun is finished before the next one is asked for.
+            end = self._batch_end(min(running, default=count))
+            if count >= total and not running:
+                return
+            if not trials:
+                start = {v.path: int(v.start) if v.whole else v.start for v in self._plan.variables}
+                self._study.enqueue_trial(start)
+            self._try(
+                [*running, *(self._ask(number) for number in range(count, end))], pool, progress
+            )
+
+    def finished(self) -> list[Any]:
+        """Optuna's trials that have a score, in their order."""
+        complete = (self._optuna.trial.TrialState.COMPLETE,)
+        return list(self._study.get_trials(deepcopy=False, states=complete))
+
+    def metrics(self, number: int) -> Sequence[Mapping[str, Any]]:
+        """Figures of a trial, one mapping for each recording."""
+        figures: Sequence[Mapping[str, Any]] = self._study.user_attrs[str(number)]["metrics"]
+        return figures
+
+    def values(self, trial: Any) -> dict[str, float | int]:
+        """Path of a setting -> value of a trial."""
+        if trial.number == 0:  # to the last digit where the search begins
+            return dict(trial.params)
+        return {v.path: v.rounded(trial.params[v.path]) for v in self._plan.variables}
 
     @property
-    def best(self) -> tuple[float, Trial] | None:
-        good = [one for one in self.trials if math.isfinite(one[0])]
-        return min(good, key=lambda one: one[0]) if good else None
+    def count(self) -> int:
+        """Trials with a result."""
+        return sum(trial.state.is_finished() for trial in self._study.get_trials(deepcopy=False))
 
-    def scores(
-        self, pool: PersistentPool[TrialTask, Any], batch: Sequence[np.ndarray]
-    ) -> list[float]:
-        """Scores of some points; infinity for those that fail."""
-        todo = self.todo
-        every = [values_at(todo.variables, point) for point in batch]
-        if not self.trials:  # to the last digit where the search begins
-            every[0] = {v.path: int(v.start) if v.whole else v.start for v in todo.variables}
-        once = [values for i, values in enumerate(every) if values not in every[:i]]
-        self.done += len(every) - len(once)
-        trials: list[Trial | None] = [None] * len(once)
-        tasks = [(values, self._task(values)) for values in once]
-        for i, trial, fresh in self.log.run(tasks, pool.run):
-            trials[i] = trial
-            self.done, self.fresh = self.done + 1, self.fresh + fresh
-            if fresh:
-                best = self.best
-                self.progress(self.done, math.inf if best is None else best[0], trial.reason)
-        complete = [trial for trial in trials if trial is not None]  # all of them
-        return [self._scored(complete[once.index(values)]) for values in every]
+    def _batch_end(self, count: int) -> int:
+        total = self._plan.settings.trials
+        if count == 0:
+            return 1
+        spread = 1 + round(SPREAD * total)
+        if count < spread:
+            return min(spread, total)
+        return min(spread + BATCH * ((count - spread) // BATCH + 1), total)
 
-    def _scored(self, trial: Trial) -> float:
-        if not self.trials:
-            if trial.metrics is None:
-                raise ConfigError(
-                    f"the configuration that the search begins at can't be measured: {trial.reason}"
-                )
-            self.start = trial.metrics
-        score = (
-            math.inf
-            if trial.metrics is None
-            else self.todo.scoring.score(trial.metrics, self.start)
+    def _ask(self, number: int) -> int:
+        samplers, seed = self._optuna.samplers, self._plan.settings.seed
+        if number <= round(SPREAD * self._plan.settings.trials):
+            self._study.sampler = samplers.QMCSampler(scramble=True, seed=seed)
+        else:  # a seed for each trial: a search that goes on proposes what one without a stop does
+            self._study.sampler = samplers.TPESampler(
+                n_startup_trials=0, multivariate=True, constant_liar=True, seed=seed + number
+            )
+        return int(
+            self._study.ask({v.path: self._distribution(v) for v in self._plan.variables}).number
         )
-        self.trials.append((score, trial))
-        return score
+
+    def _distribution(self, v: Any) -> Any:
+        kinds = self._optuna.distributions
+        if v.whole:
+            return kinds.IntDistribution(math.ceil(v.low), math.floor(v.high), log=v.log)
+        return kinds.FloatDistribution(v.low, v.high, log=v.log)
+
+    def _try(
+        self, numbers: Sequence[int], pool: PersistentPool[TrialTask, Any], progress: Progress
+    ) -> None:
+        trials = self._study.get_trials(deepcopy=False)
+        tasks = [self._task(self.values(trials[number])) for number in numbers]
+        for result in pool.run(tasks):
+            number = numbers[result.index]
+            outcome = {"metrics": result.value, "reason": result.error}
+            self._study.set_user_attr(str(number), json.loads(to_json(outcome)))
+            if result.value is None:
+                self._study.tell(number, state=self._optuna.trial.TrialState.FAIL)
+            else:
+                start = result.value if number == 0 else self.metrics(0)
+                self._study.tell(number, self._plan.scoring.score(result.value, start))
+            self.fresh += 1
+            scores = [trial.value for trial in self.finished()]
+            progress(self.count, min(scores, default=math.inf), result.error)
 
     def _task(self, values: Mapping[str, float | int]) -> TrialTask:
-        todo = self.todo
+        plan = self._plan
         return TrialTask(
-            tuple(source.request for source in todo.sources),
-            tuple(source.digest for source in todo.sources),
-            todo.settings.hand,
-            todo.config,
+            tuple(source.request for source in plan.sources),
+            tuple(source.digest for source in plan.sources),
+            plan.settings.hand,
+            plan.config,
             values,
-            todo.settings.seed,
+            plan.settings.seed,
         )
 
 
-def _write(todo: Tuning, run: _Run) -> Tuned:
-    assert run.best is not None  # the start was measured, or this is not reached
-    score, trial = run.best
-    assert trial.metrics is not None  # its score is finite
-    folder = todo.settings.output
-    made = {
+def _write(plan: Tuning, search: _Search) -> Tuned:
+    """Writes the preset, the figures and the trade-offs."""
+    finished = search.finished()
+    best = min(finished, key=lambda trial: trial.value)
+    values, score = search.values(best), float(best.value)
+    start, figures = search.metrics(0), search.metrics(best.number)
+    folder = plan.settings.output
+    origin = {
         "by": f"{PROGRAM} {COMMAND}",
-        "hand": todo.settings.hand,
-        "trials": len(run.trials),
+        "hand": plan.settings.hand,
+        "trials": search.count,
         "score": score,
-        "tuned_on": [source.name for source in todo.sources],
-        "tuned_on_frames": [source.digest for source in todo.sources],
-        "held_out": [source.name for source in todo.held_out],
+        "tuned_on": [source.name for source in plan.sources],
+        "tuned_on_frames": [source.digest for source in plan.sources],
+        "held_out": [source.name for source in plan.held_out],
     }
-    preset = PresetFile(todo.settings.method, todo.base, {**todo.changed, **trial.values}, made)
+    preset = PresetFile(plan.settings.method, plan.base, {**plan.changed, **values}, origin)
     write_preset_file(folder / PRESET, preset)
-    names = [source.name for source in todo.sources]
+    names = [source.name for source in plan.sources]
     result = {
         "score": score,
-        "values": trial.values,
-        "varied": todo.variables,
-        "scoring": {"weights": todo.scoring.weights, "bounds": todo.scoring.bounds},
+        "values": values,
+        "varied": plan.variables,
+        "scoring": {"weights": plan.scoring.weights, "bounds": plan.scoring.bounds},
         "recordings": {
-            name: {"start": _kept(first), "best": _kept(last)}
-            for name, first, last in zip(names, run.start, trial.metrics, strict=True)
+            name: {"start": _figures(first), "best": _figures(last)}
+            for name, first, last in zip(names, start, figures, strict=True)
         },
-        "made": made,
+        "made": origin,
     }
     write_json(folder / RESULT, result, indent=1)
-    save_pareto(folder / PARETO, [t for _, t in run.trials], run.start, trial, names)
-    return Tuned(
-        trial.values, score, run.start, trial.metrics, len(run.trials), run.fresh, folder / PRESET
-    )
+    tried = [search.metrics(trial.number) for trial in finished]
+    save_pareto(folder / PARETO, tried, start, figures, names)
+    return Tuned(values, score, start, figures, search.count, search.fresh, folder / PRESET)
 
 
-def _kept(metrics: Mapping[str, Any]) -> dict[str, float | None]:
-    return {name: figure(metrics, name) for name in KEPT}
+def _figures(metrics: Mapping[str, Any]) -> dict[str, float | None]:
+    return {name: figure(metrics, name) for name in FIGURES}
 
 
 def write_preset_file(path: Path, preset: PresetFile) -> None:

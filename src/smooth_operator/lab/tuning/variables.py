@@ -1,13 +1,9 @@
-"""Variables of a search and their bounds, as a unit cube."""
+"""Variables of a search and their bounds."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
-
-import numpy as np
-from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.formats.setting_paths import find_setting, numeric_settings
@@ -18,7 +14,7 @@ class Variable:
     """One setting that is varied.
 
     Attributes:
-        path: of the setting.
+        path: path of the setting in the configuration.
         low, high: bounds, both included.
         log: whether equal steps are equal ratios.
         whole: whether it is a whole number.
@@ -32,27 +28,14 @@ class Variable:
     whole: bool
     start: float
 
-    def value(self, share: float) -> float | int:
-        """The value at a share of the way from the lower to the upper bound."""
-        share = min(max(share, 0.0), 1.0)
-        if self.log:
-            value = math.exp(
-                math.log(self.low) + share * (math.log(self.high) - math.log(self.low))
-            )
-        else:
-            value = self.low + share * (self.high - self.low)
-        if self.whole:
-            return int(min(max(round(value), math.ceil(self.low)), math.floor(self.high)))
-        # Six digits are more than any of these is known to, and make a preset that can be read.
-        return min(max(float(f"{value:.6g}"), self.low), self.high)
+    def rounded(self, value: float) -> float | int:
+        """A value within the bounds, whole or of six digits.
 
-    def share(self, value: float) -> float:
-        """The other way round."""
-        if self.log:
-            low, high, value = (math.log(x) for x in (self.low, self.high, value))
-        else:
-            low, high = self.low, self.high
-        return (value - low) / (high - low)
+        Six digits are more than any setting is known to, and make a preset that can be read.
+        """
+        if self.whole:
+            return int(value)
+        return min(max(float(f"{value:.6g}"), self.low), self.high)
 
 
 def parse_variable(text: str, config: object) -> Variable:
@@ -87,10 +70,3 @@ def parse_variable(text: str, config: object) -> Variable:
     if whole and math.ceil(low) >= math.floor(high):
         raise ConfigError(f"{text!r}: {path} is a whole number, and there are not two between")
     return Variable(path, low, high, log, whole, min(max(float(now), low), high))
-
-
-def values_at(
-    variables: Sequence[Variable], point: Float[np.ndarray, " d"]
-) -> dict[str, float | int]:
-    """path -> value at a point of the unit cube."""
-    return {v.path: v.value(float(x)) for v, x in zip(variables, point, strict=True)}

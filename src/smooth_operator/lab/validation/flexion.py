@@ -164,7 +164,7 @@ def check_flexion(axes: FlexionAxes | None) -> Check:
         return Check("flexion", "skipped", "no finger bends clearly enough to tell a direction")
     cosines = axes.closing @ axes.palmar
     figures = {n: round(float(c), 3) for n, c in zip(axes.names, cosines, strict=True)}
-    said = f"all fingers close towards one side (cosine {cosines.min():.2f} or more)"
+    text = f"all fingers close towards one side (cosine {cosines.min():.2f} or more)"
     if against := [n for n, c in figures.items() if c < _AGREE]:
         return Check(
             "flexion",
@@ -181,7 +181,7 @@ def check_flexion(axes: FlexionAxes | None) -> Check:
             "look at the axes of that finger, and at its tip",
             figures,
         )
-    return Check("flexion", "ok", said, "", figures)
+    return Check("flexion", "ok", text, "", figures)
 
 
 def check_side(samples: Samples, axes: FlexionAxes | None, sound: tuple[str, ...]) -> Check:
@@ -202,16 +202,16 @@ def check_side(samples: Samples, axes: FlexionAxes | None, sound: tuple[str, ...
         "first_finger_mm": round(1e3 * order * axes.length, 1),
     }
     first, last = axes.names[0], axes.names[-1]
-    said = f"thumb {figures['thumb_mm']:+.0f} mm" + (
+    text = f"thumb {figures['thumb_mm']:+.0f} mm" + (
         f", {first} {figures['first_finger_mm']:+.0f} mm from {last}" if order else ""
     )
-    said += f" to where they are on a {hand.spec.side} hand"
+    text += f" to where they are on a {hand.spec.side} hand"
     other = "left" if hand.spec.side == "right" else "right"
     if (order < -_CLEAR and thumb_offset < _CLEAR) or (thumb_offset < -_CLEAR and order <= _CLEAR):
         return Check(
             "side",
             "failed",
-            said,
+            text,
             f'this is a {other} hand: side = "{other}" (or, of a model of the other hand, '
             "mirror = true)",
             figures,
@@ -220,7 +220,7 @@ def check_side(samples: Samples, axes: FlexionAxes | None, sound: tuple[str, ...
         return Check(
             "side",
             "failed",
-            said,
+            text,
             f"the fingers are named in the wrong order: {first} should be next to the thumb",
             figures,
         )
@@ -228,13 +228,13 @@ def check_side(samples: Samples, axes: FlexionAxes | None, sound: tuple[str, ...
         return Check(
             "side",
             "warning",
-            said,
+            text,
             "the thumb is on the little finger's side: is it the thumb?",
             figures,
         )
     if max(thumb_offset, order) < _CLEAR:
-        return Check("side", "ok", f"{said}: it may serve as either", "", figures)
-    return Check("side", "ok", said, "", figures)
+        return Check("side", "ok", f"{text}: it may serve as either", "", figures)
+    return Check("side", "ok", text, "", figures)
 
 
 def _unit(vector: np.ndarray) -> np.ndarray:

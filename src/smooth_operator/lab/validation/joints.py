@@ -7,9 +7,9 @@ from typing import Final
 import mujoco
 import numpy as np
 
-from smooth_operator.hand_files.stand_ins import stand_in_links
 from smooth_operator.hands.collision import neutral_overlaps, solid_shapes
 from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.stand_ins import stand_in_links
 from smooth_operator.lab.validation.checks import Check, Verdict, worst
 from smooth_operator.lab.validation.samples import Samples
 
@@ -33,7 +33,7 @@ def check_ranges(hand: Hand) -> Check:
     named = dict(zip(hand.actuated_names, ranges, strict=True))
     figures = {name: round(float(width), 4) for name, width in named.items()}
     turns = ranges[~slides]
-    said = f"{ranges.min():.2f} to {ranges.max():.2f} {_unit(slides)}"
+    text = f"{ranges.min():.2f} to {ranges.max():.2f} {_unit(slides)}"
 
     def those(mask: np.ndarray) -> str:
         return _list([name for name, hit in zip(named, mask, strict=True) if hit])
@@ -43,7 +43,7 @@ def check_ranges(hand: Hand) -> Check:
         return Check(
             "joint ranges",
             "failed",
-            f"{said}: {those(beyond)} can go further than any finger",
+            f"{text}: {those(beyond)} can go further than any finger",
             "limits are in radians (metres of a slide): are these in degrees (millimetres)?",
             figures,
         )
@@ -51,7 +51,7 @@ def check_ranges(hand: Hand) -> Check:
         return Check(
             "joint ranges",
             "failed",
-            f"{said}: no joint turns by more than {np.degrees(_NARROW):.0f} degrees",
+            f"{text}: no joint turns by more than {np.degrees(_NARROW):.0f} degrees",
             "limits in radians were read as degrees: an MJCF file in radians needs "
             '<compiler angle="radian"/>',
             figures,
@@ -61,12 +61,12 @@ def check_ranges(hand: Hand) -> Check:
         return Check(
             "joint ranges",
             "warning",
-            f"{said}; unusual: {those(odd)}",
+            f"{text}; unusual: {those(odd)}",
             "compare the limits of these joints with the data sheet, and those of joints that "
             "follow them",
             figures,
         )
-    return Check("joint ranges", "ok", said, "", figures)
+    return Check("joint ranges", "ok", text, "", figures)
 
 
 def check_motion(samples: Samples) -> Check:
@@ -80,7 +80,7 @@ def check_motion(samples: Samples) -> Check:
         moved[name] = float(np.linalg.norm(at - at[:, :1], axis=-1).max())
     figures = {name: round(1e3 * distance, 2) for name, distance in moved.items()}
     least = min(moved, key=lambda name: moved[name])
-    said = f"each moves its landmarks by {1e3 * moved[least]:.0f} mm or more over its range"
+    text = f"each moves its landmarks by {1e3 * moved[least]:.0f} mm or more over its range"
     idle = [name for name, distance in moved.items() if distance < _STILL]
     on_fingers = _on_fingers(hand)
     dead = [name for name in idle if name in on_fingers]
@@ -110,7 +110,7 @@ def check_motion(samples: Samples) -> Check:
             "compare the joint's limits and axis with the data sheet",
             figures,
         )
-    return Check("joints used", "ok", said, "", figures)
+    return Check("joints used", "ok", text, "", figures)
 
 
 def check_neutral(hand: Hand) -> Check:
@@ -120,35 +120,35 @@ def check_neutral(hand: Hand) -> Check:
     parts are looked at.
     """
     spec = hand.spec
-    given = {k: spec.neutral[k] for k in hand.actuated_names if k in spec.neutral}
+    neutral = {k: spec.neutral[k] for k in hand.actuated_names if k in spec.neutral}
     outside = {
         name: value
         for name, low, high in zip(hand.actuated_names, *hand.limits.T, strict=True)
-        if (value := given.get(name, low)) < low - _ROUNDING or value > high + _ROUNDING
+        if (value := neutral.get(name, low)) < low - _ROUNDING or value > high + _ROUNDING
     }
     overlaps = neutral_overlaps(hand)
     deepest = max(overlaps.values(), default=0.0)
     figures = {"outside_limits": outside, "overlap_mm": round(1e3 * deepest, 2)}
-    said, advice, verdicts = [], [], list[Verdict]()
+    texts, advice, verdicts = [], [], list[Verdict]()
     if outside:
         far = max(outside, key=lambda n: abs(outside[n]))
-        said.append(f"outside the limits: {_list(list(outside))} ({far} = {outside[far]:g})")
+        texts.append(f"outside the limits: {_list(list(outside))} ({far} = {outside[far]:g})")
         advice.append("give [neutral] values within the limits, in radians")
         verdicts.append("failed")
     else:
-        said.append(f"{len(given)} joints given, within the limits")
+        texts.append(f"{len(neutral)} joints given, within the limits")
     if deepest > _TOUCH:
         one, other = max(overlaps, key=lambda pair: overlaps[pair])
-        said.append(f"{one} and {other} are {1e3 * deepest:.0f} mm inside each other")
+        texts.append(f"{one} and {other} are {1e3 * deepest:.0f} mm inside each other")
         advice.append("choose a [neutral] in which nothing touches, or look at these shapes")
         # a mesh collides as its convex hull, which is larger than the part
         exact = not hand.model.nmesh
         verdicts.append("failed" if deepest > _DEEP and exact else "warning")
     elif not _has_shapes(hand):
-        said.append("no shapes to touch each other")
+        texts.append("no shapes to touch each other")
     else:
-        said.append("nothing touches" if deepest <= 0 else f"overlap {1e3 * deepest:.1f} mm")
-    return Check("neutral pose", worst(*verdicts), "; ".join(said), "; ".join(advice), figures)
+        texts.append("nothing touches" if deepest <= 0 else f"overlap {1e3 * deepest:.1f} mm")
+    return Check("neutral pose", worst(*verdicts), "; ".join(texts), "; ".join(advice), figures)
 
 
 def check_shapes(hand: Hand) -> Check:

@@ -39,13 +39,13 @@ def check_method(
         return Check(name, "skipped", f"not served: {error}")
     trip = round_trip(retargeter, poses=poses, seed=seed, track=track)
     verdict, advice = _judge(method, trip)
-    said = f"fingertips off by {trip.median:.2f} mm, median; 95 % within {trip.p95:.1f} mm"
+    text = f"fingertips off by {trip.median:.2f} mm, median; 95 % within {trip.p95:.1f} mm"
     if trip.limit_violations:
-        said += f"; {trip.limit_violations} frames outside the limits"
+        text += f"; {trip.limit_violations} frames outside the limits"
     if (trip.frozen or 0.0) > _FROZEN:
-        said += f"; the hand stood still in {100 * (trip.frozen or 0):.0f} % of the motion"
+        text += f"; the hand stood still in {100 * (trip.frozen or 0):.0f} % of the motion"
     if trip.ok < 1:
-        said += f"; {100 * (1 - trip.ok):.0f} % of the frames refused"
+        text += f"; {100 * (1 - trip.ok):.0f} % of the frames refused"
     figures = {
         "median_mm": round(trip.median, 4),
         "p95_mm": round(trip.p95, 4),
@@ -54,7 +54,7 @@ def check_method(
         "limit_violations": trip.limit_violations,
         "poses": poses,
     }
-    return Check(name, verdict, said, advice, figures)
+    return Check(name, verdict, text, advice, figures)
 
 
 def _judge(method: str, trip: RoundTrip) -> tuple[Verdict, str]:

@@ -25,12 +25,12 @@ def check_palm(samples: Samples) -> Check:
     travel = float(np.ptp(samples.landmarks[:, used], axis=0).max())
     figures = {"condition": round(condition, 3), "travel_mm": round(1e3 * travel, 2)}
     align = ", ".join(hand.spec.align)
-    said = f"{align}: condition {condition:.2f} (0 is a line, human palms 0.5)"
+    text = f"{align}: condition {condition:.2f} (0 is a line, human palms 0.5)"
     if condition < MIN_CONDITION:
         return Check(
             "palm frame",
             "failed",
-            said,
+            text,
             "these landmarks lie on a line, so they fix no direction: name others in align, or "
             "give the finger bases and the wrist their places",
             figures,
@@ -39,7 +39,7 @@ def check_palm(samples: Samples) -> Check:
         return Check(
             "palm frame",
             "warning",
-            f"{said}; they move by {1e3 * travel:.0f} mm with the joints",
+            f"{text}; they move by {1e3 * travel:.0f} mm with the joints",
             "put the bases that align onto a body fixed to the palm, at their place in the "
             "neutral pose: a human's knuckles don't move in the palm",
             figures,
@@ -48,12 +48,12 @@ def check_palm(samples: Samples) -> Check:
         return Check(
             "palm frame",
             "warning",
-            said,
+            text,
             "nearly a line: noise of the tracker will turn the hand; name landmarks in align that "
             "are further apart",
             figures,
         )
-    return Check("palm frame", "ok", said, "", figures)
+    return Check("palm frame", "ok", text, "", figures)
 
 
 def check_size(samples: Samples) -> Check:
@@ -61,12 +61,12 @@ def check_size(samples: Samples) -> Check:
     hand = samples.hand
     reach = float(np.linalg.norm(samples.tips - hand.wrist, axis=-1).max())
     figures = {"reach_mm": round(1e3 * reach, 1)}
-    said = f"{1e3 * reach:.0f} mm from the wrist to the farthest fingertip"
+    text = f"{1e3 * reach:.0f} mm from the wrist to the farthest fingertip"
     if not _POSSIBLE[0] < reach < _POSSIBLE[1]:
         return Check(
             "size",
             "failed",
-            said,
+            text,
             "no hand is of that size: model and offsets are in metres (a mesh's scale, or a wrist "
             "on the wrong body, can also do it)",
             figures,
@@ -75,11 +75,11 @@ def check_size(samples: Samples) -> Check:
         return Check(
             "size",
             "warning",
-            said,
+            text,
             "unusual: look at the wrist and the units of the model",
             figures,
         )
-    return Check("size", "ok", said, "", figures)
+    return Check("size", "ok", text, "", figures)
 
 
 def _align_names(samples: Samples) -> list[str]:

@@ -28,22 +28,22 @@ def check_pinches(samples: Samples, sound: tuple[str, ...]) -> Check:
         return Check("pinches", "skipped", "not checked: fingertips have to be mended first")
     gaps = {name: closest_pinch(samples, name) for name in others}
     figures = {name: round(1e3 * gap, 2) for name, gap in gaps.items()}
-    said = "thumb to " + ", ".join(f"{name} {1e3 * gap:.1f}" for name, gap in gaps.items()) + " mm"
+    text = "thumb to " + ", ".join(f"{name} {1e3 * gap:.1f}" for name, gap in gaps.items()) + " mm"
     apart = [name for name, gap in gaps.items() if gap > _MEETS]
     if not apart:
-        return Check("pinches", "ok", said, "", figures)
+        return Check("pinches", "ok", text, "", figures)
     if all(gap > _NEAR for gap in gaps.values()):
         return Check(
             "pinches",
             "failed",
-            said,
+            text,
             "the thumb meets no finger: look at its limits and tip, and whether it is the thumb",
             figures,
         )
     return Check(
         "pinches",
         "warning",
-        said,
+        text,
         f"no pinch with {', '.join(apart)}: some hands can't; if yours can, look at limits, tips",
         figures,
     )

@@ -32,19 +32,19 @@ def reachable_poses(hand: Hand, count: int, seed: int) -> Float[np.ndarray, "T m
         (count, m) positions of the actuated joints [rad].
     """
     rng, low, high = np.random.default_rng(seed), hand.limits[:, 0], hand.limits[:, 1]
-    found: list[np.ndarray] = []
+    batches: list[np.ndarray] = []
     rest: list[np.ndarray] = []
     faults: list[np.ndarray] = []
     for _ in range(_TRIES):
-        if sum(map(len, found)) >= count:
+        if sum(map(len, batches)) >= count:
             break
         poses = rng.uniform(low, high, (count, len(low)))
         fault = _fault(hand, poses)
-        found.append(poses[fault <= 0])
+        batches.append(poses[fault <= 0])
         rest.append(poses[fault > 0])
         faults.append(fault[fault > 0])
     order = np.argsort(np.concatenate(faults), kind="stable")
-    chosen: np.ndarray = np.concatenate([*found, np.concatenate(rest)[order]])[:count]
+    chosen: np.ndarray = np.concatenate([*batches, np.concatenate(rest)[order]])[:count]
     return chosen
 
 

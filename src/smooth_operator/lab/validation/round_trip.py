@@ -89,11 +89,11 @@ def round_trip(
     if poses < 1:
         raise ConfigError(f"a round trip needs one pose or more, not {poses}")
     hand = retargeter.hand
-    wanted = reachable_poses(hand, poses, seed)
+    targets = reachable_poses(hand, poses, seed)
     share = np.append(np.linspace(0, 1, _APPROACH), np.ones(_HOLD))[:, None]
     commands, frozen, good, outside = [], [], 0, 0
     for k in range(poses) if track is None else track(range(poses)):
-        landmarks = human_landmarks(hand, hand.neutral + share * (wanted[k] - hand.neutral))
+        landmarks = human_landmarks(hand, hand.neutral + share * (targets[k] - hand.neutral))
         state, positions = retargeter.init(), []
         for i, points in enumerate(landmarks):
             frame = HandFrame(points, i * _PERIOD_S, hand.spec.side)
@@ -104,16 +104,16 @@ def round_trip(
         low, high = hand.joint_limits.T
         outside += int(((run < low - _ROUNDING) | (run > high + _ROUNDING)).any(axis=1).sum())
         reaches = hand.tips(
-            hand.full_configuration(hand.neutral + share * (wanted[k] - hand.neutral))
+            hand.full_configuration(hand.neutral + share * (targets[k] - hand.neutral))
         )
         if (still := frozen_share(reaches - hand.wrist, run)) is not None:
             frozen.append(still)
         commands.append(run[-1])
-    true, found = hand.full_configuration(wanted), np.array(commands)
+    true, answers = hand.full_configuration(targets), np.array(commands)
     return RoundTrip(
-        tip_error_mm=np.linalg.norm(hand.tips(found) - hand.tips(true), axis=-1) * 1e3,
+        tip_error_mm=np.linalg.norm(hand.tips(answers) - hand.tips(true), axis=-1) * 1e3,
         q_true=true,
-        q_found=found,
+        q_found=answers,
         ok=good / (poses * len(share)),
         limit_violations=outside,
         frozen=float(np.mean(frozen)) if frozen else None,

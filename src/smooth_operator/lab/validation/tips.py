@@ -51,22 +51,24 @@ def check_tips(hand: Hand) -> tuple[Check, tuple[str, ...]]:
     sound = tuple(name for name in hand.fingers if name not in faults)
     advice = "give the tip as a body of the finger's last link, with an offset in metres to its pad"
     if faults:
-        said = "; ".join(f"{name} tip {text}" for name, text in faults.items())
-        return Check("fingertips", "failed", said, advice, figures), sound
+        summary = "; ".join(f"{name} tip {text}" for name, text in faults.items())
+        return Check("fingertips", "failed", summary, advice, figures), sound
     if distant:
-        said = (
+        summary = (
             f"{', '.join(distant)}: up to {max(distant.values()):.0f} mm away from the shapes of "
             "the link"
         )
         advice = f"if the model doesn't just lack the fingertips' shapes, {advice}"
-        return Check("fingertips", "warning", said, advice, figures), sound
+        return Check("fingertips", "warning", summary, advice, figures), sound
     own = [place["own"] for place in figures.values() if "own" in place]
-    said = "each moves with its finger"
+    summary = "each moves with its finger"
     if own:
-        said += f", {min(own):.1f} to {max(own):.1f} mm from its link's shapes (negative: inside)"
+        summary += (
+            f", {min(own):.1f} to {max(own):.1f} mm from its link's shapes (negative: inside)"
+        )
     else:
-        said += "; the model has no shapes of the last links to compare with"
-    return Check("fingertips", "ok", said, "", figures), sound
+        summary += "; the model has no shapes of the last links to compare with"
+    return Check("fingertips", "ok", summary, "", figures), sound
 
 
 def _place(hand: Hand, finger: str) -> dict[str, float]:

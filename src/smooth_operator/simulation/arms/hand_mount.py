@@ -102,16 +102,16 @@ class HandCapsules:
         self._data = mujoco.MjData(hand.model)
         self._flange = mount.flange_to_model
         model = hand.model
-        found = [
+        sites = [
             capsule
             for geom in range(model.ngeom)
             if model.geom_contype[geom] or model.geom_conaffinity[geom]
             for capsule in shape_capsules(model, geom)
         ]
-        self._body = np.array([capsule.body for capsule in found], int)
-        ends = np.array([capsule.ends for capsule in found]).reshape(-1, 2, 3)
+        self._body = np.array([capsule.body for capsule in sites], int)
+        ends = np.array([capsule.ends for capsule in sites]).reshape(-1, 2, 3)
         self._middle, axis = ends.mean(axis=1), ends[:, 1] - ends[:, 0]
-        self.radii: Float[np.ndarray, " c"] = np.array([capsule.radius for capsule in found])
+        self.radii: Float[np.ndarray, " c"] = np.array([capsule.radius for capsule in sites])
         length = np.linalg.norm(axis, axis=1)
         self.halves: Float[np.ndarray, " c"] = length / 2
         upward = np.where(length[:, None] > 1e-9, axis, (0.0, 0.0, 1.0))

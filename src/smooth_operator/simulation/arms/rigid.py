@@ -19,10 +19,10 @@ Pose = Float[np.ndarray, "7"]
 
 def matrix_of(pose: ArrayLike) -> Matrix:
     """Position [m] and quaternion (w x y z, of any length but 0) as a matrix."""
-    given = np.asarray(pose, float)
-    turn, quaternion = np.zeros(9), given[3:] / np.linalg.norm(given[3:])
+    values = np.asarray(pose, float)
+    turn, quaternion = np.zeros(9), values[3:] / np.linalg.norm(values[3:])
     mujoco.mju_quat2Mat(turn, quaternion)
-    return rigid(turn.reshape(3, 3), given[:3])
+    return rigid(turn.reshape(3, 3), values[:3])
 
 
 def pose_of(matrix: Matrix) -> Pose:

@@ -137,14 +137,14 @@ class ScenePhysics(HandPhysics):
 
     def parts(self) -> list[ScenePart]:
         """The shapes of the platform and of the object, to draw."""
-        model, found = self.model, []
+        model, parts = self.model, []
         for geom in range(model.ngeom):
             body = int(model.geom_bodyid[geom])
             kind = _KINDS.get(int(model.geom_type[geom]))
             if kind is None or body not in (0, self._body):
                 continue
             word, count = kind
-            found.append(
+            parts.append(
                 ScenePart(
                     model.geom(geom).name or f"part{geom}", word,
                     tuple(float(s) for s in model.geom_size[geom][:count]),
@@ -152,7 +152,7 @@ class ScenePhysics(HandPhysics):
                     model.geom_pos[geom].copy(), model.geom_quat[geom].copy(), body == self._body,
                 )
             )  # fmt: skip
-        return found
+        return parts
 
     def _step(self, count: int) -> None:
         for _ in range(count):

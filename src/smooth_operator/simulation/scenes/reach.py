@@ -33,10 +33,10 @@ def opposition(
     """
     tips = reachable(hand)
     thumb, other = tips[:, 0], tips[:, hand.fingers.index(finger)]
-    found = np.abs(np.linalg.norm(other - thumb, axis=1) - gap) < tolerance
-    if found.sum() < 20:
+    near = np.abs(np.linalg.norm(other - thumb, axis=1) - gap) < tolerance
+    if near.sum() < 20:
         raise HandModelError(
             f"hand {hand.name!r}: thumb and {finger} can't take hold of something "
             f"{1e3 * gap:.0f} mm thick; choose another task or hand"
         )
-    return np.asarray((thumb + other)[found] / 2)
+    return np.asarray((thumb + other)[near] / 2)

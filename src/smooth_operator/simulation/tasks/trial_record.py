@@ -164,11 +164,13 @@ def _states(arrays: StoredArrays) -> Iterator[SceneState]:
     columns: list[Any] = []
     for name, (shape, kinds, _) in _STATE.items():
         item = arrays[name]
-        wanted = (count, *(fingers if axis is None else axis for axis in shape))
+        shape_expected = (count, *(fingers if axis is None else axis for axis in shape))
         # Of a trial that has no moment yet, the arrays have one axis, and numbers of any kind.
         empty = not count and 0 in item.shape
-        if not empty and (item.shape != wanted or item.dtype.kind not in kinds):
-            raise ValueError(f"{name} must have shape {wanted}, not {item.shape} of {item.dtype}")
+        if not empty and (item.shape != shape_expected or item.dtype.kind not in kinds):
+            raise ValueError(
+                f"{name} must have shape {shape_expected}, not {item.shape} of {item.dtype}"
+            )
         columns.append(item.load())
     for row in zip(*columns, strict=True):
         values = zip(_STATE.items(), row, strict=True)

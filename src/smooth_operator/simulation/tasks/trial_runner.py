@@ -85,23 +85,23 @@ class TrialRunner:
             HandModelError: a hand can't do it; then nothing changes.
             SinkError: the simulation is closed.
         """
-        wanted = None if task is None else task_named(task)
+        chosen = None if task is None else task_named(task)
         with self._changing:
             now = self.task
-            if now is not None and wanted is not None and now.name == wanted.name:
+            if now is not None and chosen is not None and now.name == chosen.name:
                 self.cancel()
                 self._put(with_object)
-                return wanted
-            self._simulation.change_task("none" if wanted is None else wanted.name)
+                return chosen
+            self._simulation.change_task("none" if chosen is None else chosen.name)
             with self._lock:
                 self.cancel()
                 for side, session in self._sessions.items():
                     self._past[side] += session.outcomes
                 self._sessions = {}
                 self._attend()
-            if wanted is not None and not with_object:
+            if chosen is not None and not with_object:
                 self._put(with_object)
-        return wanted
+        return chosen
 
     def go(self, *, when_clear: bool = False, limit_s: float | None = None, **about: Any) -> None:
         """Start a trial on every hand.

@@ -103,13 +103,13 @@ class _Page:
         hands = len(self._hands)
         methods = len(self._colors)
         dates = sorted(str(row["date"]) for row in self._rows if row["date"])
-        said = (
+        text = (
             f"{_count(recordings, 'recording')}, {_count(hands, 'hand')}, "
             f"{_count(methods, 'method')}: {_count(len(self._rows), 'cell')}"
             + (f", {failed} of them failed" if failed else "")
             + (f". Measured {dates[-1][:16].replace('T', ' ')} UTC" if dates else "")
         )
-        return join([element("h1", "Retargeting benchmark"), paragraph(said, "soft")])
+        return join([element("h1", "Retargeting benchmark"), paragraph(text, "soft")])
 
     def _summary(self) -> Html:
         parts: list[Html] = []
@@ -146,15 +146,15 @@ class _Page:
 
     def _verdict(self, lines: Sequence[Line], count: int) -> Html:
         """Which method for what, in one sentence; how that is decided is folded away."""
-        said = uses.verdict(lines)
-        if not said:
+        verdict = uses.verdict(lines)
+        if not verdict:
             return Html("")
         mind = (
             f" {_count(count, 'recording')}: on others the order may be another."
             if count < uses.FEW
             else ""
         )
-        inside = [paragraph(said), details("How this is decided", paragraph(uses.RULES + mind))]
+        inside = [paragraph(verdict), details("How this is decided", paragraph(uses.RULES + mind))]
         return element("div", join(inside), class_="verdict")
 
     def _latency(self) -> Html:
@@ -168,20 +168,20 @@ class _Page:
                 "tracker, robot or network."
             )
         ]
-        known = [one.latency for one in timed if one.latency]
-        shares = [latency.others for latency in known if latency.others is not None]
-        loads = [latency.load for latency in known if latency.load is not None]
+        latencies = [one.latency for one in timed if one.latency]
+        shares = [latency.others for latency in latencies if latency.others is not None]
+        loads = [latency.load for latency in latencies if latency.load is not None]
         if shares or loads:
-            said = (
+            text = (
                 [f"other processes took up to {100 * max(shares):.0f} % of the cores"]
                 if shares
                 else []
             )
-            said += [f"load average {min(loads):.2f} to {max(loads):.2f}"] if loads else []
+            text += [f"load average {min(loads):.2f} to {max(loads):.2f}"] if loads else []
             busy = bool(shares) and max(shares) > BUSY
             warned = ": the machine was busy, so take these for upper bounds" if busy else ""
             parts.append(
-                paragraph(f"Meanwhile {', '.join(said)}{warned}.", "warning" if busy else "soft")
+                paragraph(f"Meanwhile {', '.join(text)}{warned}.", "warning" if busy else "soft")
             )
         for hand in self._hands:
             samples: dict[str, list[Float[np.ndarray, " N"]]] = {}
@@ -267,25 +267,25 @@ class _Page:
             "cosine similarity and scale ratio are medians, and still frames count in motion "
             "preservation.",
         }
-        said = f"Definition “{settings.definition}”. {words[settings.definition]}"
-        return join([paragraph(said), tables.metric_table()])
+        text = f"Definition “{settings.definition}”. {words[settings.definition]}"
+        return join([paragraph(text), tables.metric_table()])
 
     def _environment(self, settings: Settings) -> Html:
-        seen: dict[str, dict[str, object]] = {}
+        machines: dict[str, dict[str, object]] = {}
         for row in self._rows:
             if row["status"] == "ok":
                 facts = {**(row["hardware"] or {}), **(row["versions"] or {})}
-                seen.setdefault(repr(sorted(facts.items())), facts)
+                machines.setdefault(repr(sorted(facts.items())), facts)
         parts = []
-        if len(seen) > 1:
+        if len(machines) > 1:
             parts.append(
                 paragraph(
                     "The cells were not all made on the same machine with the same versions.",
                     "warning",
                 )
             )
-        parts += [tables.facts_table(facts) for facts in seen.values()]
-        asked = {
+        parts += [tables.facts_table(facts) for facts in machines.values()]
+        settings_table = {
             "recordings": settings.recordings,
             "hands": settings.hands,
             "methods": settings.methods,
@@ -294,20 +294,20 @@ class _Page:
             "definition": settings.definition,
             "latency frames": settings.latency_frames,
         }
-        parts += [element("h3", "Asked for"), tables.facts_table(asked)]
+        parts += [element("h3", "Asked for"), tables.facts_table(settings_table)]
         return join(parts)
 
 
 def _facts(row: Row) -> Html:
     source = row["source"]
-    said = []
+    facts = []
     if source["frames"]:
-        said.append(f"frames {source['frames'][0]} to {source['frames'][1] - 1}")
+        facts.append(f"frames {source['frames'][0]} to {source['frames'][1] - 1}")
     if source["rate_hz"]:
-        said.append(f"{source['rate_hz']:.4g} Hz, {source['duration_s']:.3g} s")
+        facts.append(f"{source['rate_hz']:.4g} Hz, {source['duration_s']:.3g} s")
     if source["side_assumed"]:
-        said.append("taken for a right hand, since it does not say")
-    return paragraph("; ".join(said) + "." if said else "", "soft")
+        facts.append("taken for a right hand, since it does not say")
+    return paragraph("; ".join(facts) + "." if facts else "", "soft")
 
 
 def _count(number: int, what: str) -> str:

@@ -200,7 +200,7 @@ def comparison_tables(comparison: Comparison) -> Html:
 
 def metric_table() -> Html:
     """What each metric is."""
-    known = known_metrics()
+    metrics = known_metrics()
     body = [
         [
             Html(f'<th scope="row"><code>{escape(m.name)}</code></th>'),
@@ -208,7 +208,7 @@ def metric_table() -> Html:
             Html(escape(m.better or "a fact")),
             Html(escape(m.meaning)),
         ]
-        for m in (*known, *(m for m in PER_FINGER if m.name not in {n.name for n in known}))
+        for m in (*metrics, *(m for m in PER_FINGER if m.name not in {n.name for n in metrics}))
     ]
     return table([escape(h) for h in ("metric", "unit", "best", "what it is")], body, "words")
 

@@ -189,10 +189,10 @@ def from_axis_angle(vectors: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n
 
 
 def _quaternions(rotation: Float[np.ndarray, "T 3 3"]) -> Float[np.ndarray, "T 4"]:
-    known = np.isfinite(rotation).all(axis=(1, 2))
-    found = np.full((len(rotation), 4), np.nan)
-    found[known] = poses.quaternions(rotation[known])
-    return found
+    finite = np.isfinite(rotation).all(axis=(1, 2))
+    result = np.full((len(rotation), 4), np.nan)
+    result[finite] = poses.quaternions(rotation[finite])
+    return result
 
 
 def model_path(folder: Path | None, side: Side) -> Path:
@@ -282,8 +282,8 @@ def _check(model: ManoModel, where: str) -> None:
     if sums > 1e-3 or model.weights.min() < -1e-6:
         raise RecordingError(f"{where}: the weights of a vertex do not add up to one")
     # In the published files the right hand's fingers point to -x, the left one's to x.
-    found: Side = "right" if joints[4, 0] < joints[0, 0] else "left"
-    if found != model.side:
+    side: Side = "right" if joints[4, 0] < joints[0, 0] else "left"
+    if side != model.side:
         raise RecordingError(
-            f"{where}: by its shape it is a {found} hand; were the two files exchanged?"
+            f"{where}: by its shape it is a {side} hand; were the two files exchanged?"
         )

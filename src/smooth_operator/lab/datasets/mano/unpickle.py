@@ -81,8 +81,8 @@ def load_restricted(path: Path, *, names: Collection[str] | None = None) -> Any:
     arrays = open_arrays(path)
     if "" in arrays:
         return _stored(arrays[""], str(path))
-    wanted = arrays.keys() if names is None else [name for name in names if name in arrays]
-    return {name: _stored(arrays[name], f"{path}, {name[:80]!r}") for name in wanted}
+    members = arrays.keys() if names is None else [name for name in names if name in arrays]
+    return {name: _stored(arrays[name], f"{path}, {name[:80]!r}") for name in members}
 
 
 def table(value: Any, where: str, needs: Collection[str] = ()) -> dict[Any, Any]:
@@ -123,20 +123,20 @@ def array(
         RecordingError: it is something else; says what was expected and what is there.
     """
     try:
-        found = numbers(value)
+        array = numbers(value)
     except NotDataError as error:
         raise RecordingError(f"{where}: {error}") from error
-    fits = found.ndim == len(shape) and all(
-        n is None or n == m for n, m in zip(shape, found.shape, strict=True)
+    fits = array.ndim == len(shape) and all(
+        n is None or n == m for n, m in zip(shape, array.shape, strict=True)
     )
     if not fits:
         words = ", ".join("any" if n is None else str(n) for n in shape)
         raise RecordingError(
-            f"{where}: numbers of shape ({words}) were expected, not {found.shape}"
+            f"{where}: numbers of shape ({words}) were expected, not {array.shape}"
         )
-    if finite and not np.isfinite(found).all():
+    if finite and not np.isfinite(array).all():
         raise RecordingError(f"{where}: it has numbers that are not finite")
-    return found
+    return array
 
 
 def text(value: Any, most: int = 200) -> str | None:
@@ -376,9 +376,9 @@ def _new_array(budget: _Budget, kind: Any, *_: Any) -> _Array:
     """An empty array, as ``numpy.core.multiarray._reconstruct`` makes it."""
     if not isinstance(kind, _Function) or kind.name != "numpy.ndarray":
         raise NotDataError("it has an array of a kind that is not read")
-    made = np.ndarray.__new__(_Array, (0,), np.int8)
-    made.budget = budget
-    return made
+    array = np.ndarray.__new__(_Array, (0,), np.int8)
+    array.budget = budget
+    return array
 
 
 def _scalar(dtype: Any, raw: Any = None) -> Any:
@@ -412,9 +412,9 @@ class _Stated:
 
     def __new__(cls, *_: Any) -> _Stated:
         """An object without attributes, as a pickle makes it before they follow."""
-        made = object.__new__(cls)
-        made.state = {}
-        return made
+        instance = object.__new__(cls)
+        instance.state = {}
+        return instance
 
     def __setstate__(self, state: Any) -> None:
         """Takes the attributes; of a pair, as Python has it for slots, the first."""
@@ -443,9 +443,9 @@ class _Chumpy(_Stated):
             if self.name == "chumpy.ch.Ch" and "x" in state:
                 return numbers(state["x"])
             if self.name == "chumpy.reordering.Select" and "a" in state:
-                found = numbers(state["a"]).ravel()[numbers(state["idxs"]).astype(np.int64)]
+                values = numbers(state["a"]).ravel()[numbers(state["idxs"]).astype(np.int64)]
                 shape = state.get("preferred_shape")
-                return found if shape is None else found.reshape(_lengths(shape))
+                return values if shape is None else values.reshape(_lengths(shape))
         except (LookupError, TypeError, ValueError) as error:
             raise NotDataError(f"its array of {self.name} is damaged") from error
         raise NotDataError(

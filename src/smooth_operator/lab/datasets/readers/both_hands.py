@@ -44,22 +44,22 @@ def checked_hands(
         RecordingError: no hand appears; or one is in another unit than metres, or by its shape in
             another order or of the other side than the file says.
     """
-    found: dict[Side, HandRecording] = {}
+    checked: dict[Side, HandRecording] = {}
     for side in SIDES:
         hand = hands.get(side)
         if hand is None or not _appears(hand):
             continue
         label = f"{where}, {side} hand"
-        check_anatomy(_some_of(hand), label, asked=None)
+        check_anatomy(_some_of(hand), label, side=None)
         check_recording(hand, label)
         hand = without_outliers(hand)
-        found[side] = _of_its_side(hand) if each_frame else hand
-    if not found:
+        checked[side] = _of_its_side(hand) if each_frame else hand
+    if not checked:
         raise RecordingError(
             f"{where}: no frame has a hand with its wrist and the middle finger's knuckle; "
             f"expected is {expects}"
         )
-    return found
+    return checked
 
 
 def _appears(hand: HandRecording) -> bool:
@@ -176,8 +176,8 @@ def wrist_of_points(points: Float[np.ndarray, "T 21 3"], side: Side) -> Float[np
 
 def shares(values: np.ndarray) -> Float[np.ndarray, " T"]:
     """Confidences from 0 to 1: what lies outside is cut off, what is no number is NaN."""
-    found = np.asarray(values, np.float64)
-    return np.where(np.isfinite(found), np.clip(found, 0.0, 1.0), np.nan)
+    result = np.asarray(values, np.float64)
+    return np.where(np.isfinite(result), np.clip(result, 0.0, 1.0), np.nan)
 
 
 def first_video(*places: Path) -> Path | None:

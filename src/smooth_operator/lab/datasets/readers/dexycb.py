@@ -87,14 +87,14 @@ class DexYcb:
                 f"{path}: it has {hands.shape[1]} hands, meta.yml the sides {sides[:4]}"
             )
         placed, shape = {}, {}
-        for number, (text, kept) in enumerate(zip(sides, shapes, strict=True)):
+        for number, (text, betas) in enumerate(zip(sides, shapes, strict=True)):
             side: Side = as_side(text)
-            found = hands[:, number].copy()
-            found[(found == 0.0).all(axis=1)] = np.nan  # no hand in that frame
-            shape[side] = _shape(root, kept)
+            hand = hands[:, number].copy()
+            hand[(hand == 0.0).all(axis=1)] = np.nan  # no hand in that frame
+            shape[side] = _shape(root, betas)
             model = load_model(options.mano, side)
-            turns = model.rotations(found[:, :3], found[:, 3:48], pca=True, flat_hand_mean=False)
-            placed[side] = model.place(turns, shape[side], found[:, 48:], tips="manopth")
+            turns = model.rotations(hand[:, :3], hand[:, 3:48], pca=True, flat_hand_mean=False)
+            placed[side] = model.place(turns, shape[side], hand[:, 48:], tips="manopth")
         cameras, master = _cameras(root, str(meta["extrinsics"])[:80])
         models = options.objects or root.parent / "models"
         things = list(_things(objects, meta["ycb_ids"], models, path))
@@ -119,8 +119,8 @@ class DexYcb:
 
 
 def _things(objects: np.ndarray, ids: Any, models: Path, path: Path) -> Iterator[Thing]:
-    known = isinstance(ids, list) and len(ids) == objects.shape[1]
-    if not known or not all(isinstance(i, int) and 1 <= i <= len(_CLASSES) for i in ids):
+    complete = isinstance(ids, list) and len(ids) == objects.shape[1]
+    if not complete or not all(isinstance(i, int) and 1 <= i <= len(_CLASSES) for i in ids):
         raise RecordingError(
             f"{path}: it has {objects.shape[1]} objects; ycb_ids of meta.yml must name each by a "
             f"number from 1 to {len(_CLASSES)}"
@@ -144,12 +144,12 @@ def _cameras(calibration: Path, name: str) -> tuple[dict[str, np.ndarray], str]:
     path = calibration / f"extrinsics_{Path(name).name}" / "extrinsics.yml"
     held = _yaml(path, ("extrinsics", "master"))
     extrinsics = table(held["extrinsics"], f"{path}, extrinsics", ("apriltag", held["master"]))
-    found = {}
+    cameras = {}
     for camera in ("apriltag", held["master"]):
         rows = array(extrinsics[camera], f"{path}, {str(camera)[:40]}", (12,), finite=True)
         matrix = np.vstack([rows.reshape(3, 4), [0.0, 0.0, 0.0, 1.0]])
-        found[str(camera)] = rigid(matrix, str(path))
-    return found, str(held["master"])
+        cameras[str(camera)] = rigid(matrix, str(path))
+    return cameras, str(held["master"])
 
 
 def _texts(value: Any, where: str) -> list[str]:
@@ -171,8 +171,8 @@ def _yaml(path: Path, needs: tuple[str, ...]) -> dict[Any, Any]:
     except RecursionError as error:
         raise RecordingError(f"{path}: it has too many levels of lists and tables") from error
     except (yaml.YAMLError, ValueError, TypeError, LookupError) as error:
-        said = " ".join(str(error).split())[:160]
-        raise RecordingError(f"{path}: it is no YAML: {said}") from error
+        reason = " ".join(str(error).split())[:160]
+        raise RecordingError(f"{path}: it is no YAML: {reason}") from error
     return table(value, str(path), needs)
 
 

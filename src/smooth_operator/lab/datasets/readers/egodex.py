@@ -78,18 +78,18 @@ class Egodex:
             for side in SIDES
             if any(name in held for name in EGODEX_JOINTS[side])
         }
-        found = checked_hands(hands, str(path), self.expects)
+        checked = checked_hands(hands, str(path), self.expects)
         video = first_video(path.with_suffix(".mp4"))
         top = tree["/"].attributes
         return Clip(
             ref.name,
-            found,
+            checked,
             "egodex",
             (path,) if video is None else (path, video),
             task=_task(top),
             confidence={
                 side: shares(np.nanmean(sure, axis=1))
-                for side, hand in found.items()
+                for side, hand in checked.items()
                 if (sure := _confidences(tree, side, len(hand))) is not None
             },
             T_world_camera=egodex_camera(tree, path),

@@ -82,15 +82,15 @@ class EgoHandKit:
                 T_world_wrist=wrist_of_points(points, side),
                 world=CAMERA,
             )
-        found = checked_hands(hands, str(path), self.expects, each_frame=True)
+        checked = checked_hands(hands, str(path), self.expects, each_frame=True)
         return Clip(
             ref.name,
-            found,
+            checked,
             "egohandkit",
             (path,),
             confidence={
                 side: shares(_column(table, f"{side}_confidence", path, nulls=True))
-                for side in found
+                for side in checked
                 if f"{side}_confidence" in table.column_names
             },
             meta=_sources(table),
@@ -103,12 +103,12 @@ class EgoHandKit:
                 f"{path}: it lacks {listed(missing)}; it has {listed(table.column_names)}; "
                 f"expected is {self.expects}"
             )
-        said = table.schema.metadata or {}
+        metadata = table.schema.metadata or {}
         for key, value in _SAID.items():
-            if said.get(key, value) != value:
+            if metadata.get(key, value) != value:
                 raise RecordingError(
                     f"{path}: its metadata say {key.decode()} = "
-                    f"{brief(said[key].decode(errors='replace'))}; {value.decode()!r} is read"
+                    f"{brief(metadata[key].decode(errors='replace'))}; {value.decode()!r} is read"
                 )
 
 
@@ -156,8 +156,8 @@ def _column(table: Any, name: str, path: Path, *, nulls: bool = False) -> Float[
     """A column of one number a row; what is null is NaN."""
     pa, values = arrow(), _combined(table, name)
     kind = values.type
-    known = (pa.types.is_floating(kind), pa.types.is_integer(kind), pa.types.is_boolean(kind))
-    if not any(known) and not (nulls and pa.types.is_null(kind)):
+    numeric = (pa.types.is_floating(kind), pa.types.is_integer(kind), pa.types.is_boolean(kind))
+    if not any(numeric) and not (nulls and pa.types.is_null(kind)):
         raise RecordingError(
             f"{path}: the column {name!r} must hold a number a row, not {str(kind)[:80]}"
         )

@@ -50,8 +50,8 @@ class HeadsetRecording:
         form = self._form(ref.path) or next(iter(self.forms))
         hands = read_both_hands(ref.path, options.rate, form)
         where = str(ref.path)
-        found = checked_hands(on_common_stamps(hands, where), where, self.expects)
-        return Clip(ref.name, found, self.layout, (ref.path,), meta={"form": form})
+        checked = checked_hands(on_common_stamps(hands, where), where, self.expects)
+        return Clip(ref.name, checked, self.layout, (ref.path,), meta={"form": form})
 
     def _form(self, path: Path) -> str | None:
         suffixes = {suffix for reader in self.forms.values() for suffix in reader.suffixes}
@@ -59,8 +59,8 @@ class HeadsetRecording:
             return None
         with path.open("rb") as stream:
             head = stream.read(_HEAD_BYTES)
-        known = (name for name, reader in self.forms.items() if reader.recognises(path, head))
-        return next(known, None)
+        forms = (name for name, reader in self.forms.items() if reader.recognises(path, head))
+        return next(forms, None)
 
 
 AVP_RECORDING: Final = HeadsetRecording(

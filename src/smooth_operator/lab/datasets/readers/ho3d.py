@@ -73,11 +73,11 @@ class Ho3d:
             pose = _rows(frames, files, key, 48)
             at = _rows(frames, files, f"{before}Trans", 3)
             beta = _rows(frames, files, "handBeta", 10)
-            known = np.isfinite(np.concatenate([pose, at, beta], axis=1)).all(axis=1)
-            if not known.any():
+            finite = np.isfinite(np.concatenate([pose, at, beta], axis=1)).all(axis=1)
+            if not finite.any():
                 continue
-            shapes[side] = np.median(beta[known], axis=0)
-            beta[~known] = 0.0
+            shapes[side] = np.median(beta[finite], axis=0)
+            beta[~finite] = 0.0
             model = load_model(options.mano, side)
             turns = from_axis_angle(pose.reshape(-1, 16, 3))
             placed[side] = model.place(turns, beta, at, tips="smplx")
@@ -126,8 +126,8 @@ def _object(
     if len(names) > 1:
         raise RecordingError(f"{folder}: its frames name different objects in objName")
     name = str(names.pop())
-    found = np.full((len(frames), 7), np.nan)
-    for row, frame, (_, file) in zip(found, frames, files, strict=True):
+    track = np.full((len(frames), 7), np.nan)
+    for row, frame, (_, file) in zip(track, frames, files, strict=True):
         if frame.get("objRot") is None or frame.get("objTrans") is None:
             continue
         turn = _column(frame["objRot"], f"{file}, objRot")
@@ -136,7 +136,7 @@ def _object(
     mesh = None
     if options.objects is not None:
         mesh = options.objects / Path(name).name / "textured_simple.obj"
-    return Thing(name, found, mesh)
+    return Thing(name, track, mesh)
 
 
 def _column(value: Any, where: str) -> np.ndarray:

@@ -76,21 +76,24 @@ class Hot3d:
         placed: dict[Side, PlacedHand] = {}
         shape = {}
         for number, side in _SIDES.items():
-            found, betas = _hand(lines, number, path)
-            if not np.isfinite(found).any():
+            poses_of_frames, betas = _hand(lines, number, path)
+            if not np.isfinite(poses_of_frames).any():
                 continue
             model = load_model(options.mano, side, mirrored_shape=True)
-            known = np.isfinite(betas).all(axis=1)
-            if not known.any():
+            with_shape = np.isfinite(betas).all(axis=1)
+            if not with_shape.any():
                 raise RecordingError(f"{path}: no line has betas, the shape of the hand")
-            shape[side] = np.median(betas[known], axis=0)
+            shape[side] = np.median(betas[with_shape], axis=0)
             turns = model.rotations(
-                np.zeros((len(found), 3)), found[:, 7:], pca=True, flat_hand_mean=False
+                np.zeros((len(poses_of_frames), 3)),
+                poses_of_frames[:, 7:],
+                pca=True,
+                flat_hand_mean=False,
             )
-            seen = np.isfinite(found).all(axis=1)
-            turns[~seen] = np.nan
-            turns[seen, 0] = poses.rotation_matrices(found[seen, 3:7])
-            placed[side] = model.place(turns, shape[side], found[:, :3], tips="smplx")
+            finite = np.isfinite(poses_of_frames).all(axis=1)
+            turns[~finite] = np.nan
+            turns[finite, 0] = poses.rotation_matrices(poses_of_frames[finite, 3:7])
+            placed[side] = model.place(turns, shape[side], poses_of_frames[:, :3], tips="smplx")
         return Scene(
             placed,
             (times - times[0]) / 1e9,
@@ -106,10 +109,10 @@ class Hot3d:
 def _headset(folder: Path) -> str:
     path = folder / "metadata.json"
     try:
-        said = table(read_json(path), str(path), ("headset",))["headset"]
+        headset = table(read_json(path), str(path), ("headset",))["headset"]
     except (OSError, DocumentError) as error:
         raise RecordingError(f"{path}: it can't be read: {error}") from error
-    name = str(said)[:40].lower()
+    name = str(headset)[:40].lower()
     if name not in ("aria", "quest3"):
         raise RecordingError(
             f"{path}: headset must be Aria or Quest3, not {name!r}: it says which axis is up"
@@ -186,7 +189,7 @@ def _things(folder: Path, times: np.ndarray, options: ReadingOptions) -> list[Th
 
 def _rows(path: Path) -> dict[str, dict[int, list[float]]]:
     """Object -> time [ns] -> x y z w x y z."""
-    found: dict[str, dict[int, list[float]]] = {}
+    rows: dict[str, dict[int, list[float]]] = {}
     try:
         reader = csv.reader(io.StringIO(read_text(path, most_bytes=_MOST_TABLE_BYTES)))
         header = next(reader, [])
@@ -198,28 +201,28 @@ def _rows(path: Path) -> dict[str, dict[int, list[float]]]:
             if not row:
                 continue
             uid, time, *values = (row[i] for i in at)
-            if not uid.isalnum() or len(uid) > 40 or len(found) > 1000:
+            if not uid.isalnum() or len(uid) > 40 or len(rows) > 1000:
                 raise RecordingError(f"{path}: an object_uid is damaged")
             if not time.isdecimal() or len(time) > 18:
                 raise RecordingError(f"{path}: a timestamp[ns] is damaged")
-            found.setdefault(uid, {})[int(time)] = [float(value) for value in values]
+            rows.setdefault(uid, {})[int(time)] = [float(value) for value in values]
     except (OSError, DocumentError, csv.Error, LookupError, ValueError) as error:
         if isinstance(error, RecordingError):
             raise
         raise RecordingError(f"{path}: it is damaged: {str(error)[:160]}") from error
-    return found
+    return rows
 
 
-def _nearest(times: np.ndarray, known: np.ndarray, rows: dict[int, list[float]]) -> np.ndarray:
+def _nearest(times: np.ndarray, stamps: np.ndarray, rows: dict[int, list[float]]) -> np.ndarray:
     """(T, 7) the pose nearest in time; NaN where none is near."""
-    values = np.array([rows[time] for time in known.tolist()])
-    after = np.clip(np.searchsorted(known, times), 0, len(known) - 1)
+    values = np.array([rows[time] for time in stamps.tolist()])
+    after = np.clip(np.searchsorted(stamps, times), 0, len(stamps) - 1)
     before = np.maximum(after - 1, 0)
-    nearer = np.abs(known[before] - times) < np.abs(known[after] - times)
+    nearer = np.abs(stamps[before] - times) < np.abs(stamps[after] - times)
     best = np.where(nearer, before, after)
-    found: np.ndarray = values[best]
-    found[np.abs(known[best] - times) > _NEAR_NS] = np.nan
-    return found
+    nearest: np.ndarray = values[best]
+    nearest[np.abs(stamps[best] - times) > _NEAR_NS] = np.nan
+    return nearest
 
 
 def _names(assets: Path | None) -> dict[str, str]:

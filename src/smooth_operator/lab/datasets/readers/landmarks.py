@@ -78,18 +78,18 @@ class LandmarksOfBothHands:
         stamps = _stamps(arrays, count, options.rate)
         world = _text(arrays, "world") or _WORLD
         hands = {side: _hand(arrays, side, stamps, world) for side in sides}
-        found = checked_hands(hands, str(path), self.expects)
+        checked = checked_hands(hands, str(path), self.expects)
         task, named = _text(arrays, "task"), _text(arrays, "video")
         video = None if named is None else first_video(path.with_name(Path(named).name))
         return Clip(
             ref.name,
-            found,
+            checked,
             "landmarks",
             (path,) if video is None else (path, video),
             task=task,
             confidence={
                 side: shares(_shaped(arrays, f"confidence_{side}", (count,)))
-                for side in found
+                for side in checked
                 if f"confidence_{side}" in arrays
             },
             T_world_camera=_camera(arrays, count, world),

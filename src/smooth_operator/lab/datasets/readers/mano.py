@@ -91,11 +91,11 @@ class Mano:
         names = {f"{start}{name}" for start in ("", "right_", "left_") for name in _HAND}
         names |= {f"{start}{name}" for start in ("", "right_", "left_") for name in _ABOUT}
         held = table(load_restricted(ref.path, names=sorted({*names, *SIDES})), where)
-        found = {side: _parameters(part, where, side) for side, part in _parts(held, where)}
+        parameters = {side: _parameters(part, where, side) for side, part in _parts(held, where)}
         count = checked_count(
-            {f"{side} hand": len(one.rotations_or_pose) for side, one in found.items()}, where
+            {f"{side} hand": len(one.rotations_or_pose) for side, one in parameters.items()}, where
         )
-        placed = {side: one.placed(options.mano, side) for side, one in found.items()}
+        placed = {side: one.placed(options.mano, side) for side, one in parameters.items()}
         world, axes = _world(held, where)
         return Scene(
             placed,
@@ -103,10 +103,12 @@ class Mano:
             world,
             (ref.path,),
             world_pose(axes),
-            {side: np.median(one.betas, axis=0) for side, one in found.items()},
+            {side: np.median(one.betas, axis=0) for side, one in parameters.items()},
             task=text(held.get("task"), 1000),
             confidence={
-                side: one.confidence for side, one in found.items() if one.confidence is not None
+                side: one.confidence
+                for side, one in parameters.items()
+                if one.confidence is not None
             },
         ).clip(ref, "mano", self.expects)
 
@@ -146,10 +148,10 @@ def _parts(held: dict[Any, Any], where: str) -> Iterator[tuple[Side, dict[str, A
 
 
 def _side(label: Any, where: str) -> Side:
-    said = text(label)
+    label_text = text(label)
     try:
-        if said is not None:
-            return as_side(said)
+        if label_text is not None:
+            return as_side(label_text)
         flags = numbers(label).ravel()
     except (ConfigError, NotDataError) as error:
         raise RecordingError(f"{where}: {error}") from error
@@ -183,8 +185,8 @@ class _Parameters:
         moves: Any = "wrist" if self.about_wrist else "model"
         if not mirrored:
             return model.place(turns, self.betas, self.translation, moves=moves)
-        found = model.place(turns, self.betas, np.zeros_like(self.translation), moves=moves)
-        points = found.landmarks * np.array([-1.0, 1.0, 1.0]) + self.translation[:, None]
+        placed_hand = model.place(turns, self.betas, np.zeros_like(self.translation), moves=moves)
+        points = placed_hand.landmarks * np.array([-1.0, 1.0, 1.0]) + self.translation[:, None]
         with np.errstate(all="ignore"):  # of points beyond any hand, which are refused later
             return PlacedHand(points, poses.wrist_from_landmarks(points, side))
 
@@ -204,8 +206,8 @@ def _parameters(part: Mapping[str, Any], where: str, side: Side) -> _Parameters:
     if part.get("confidence") is not None:
         confidence = shares(array(part["confidence"], f"{label}, confidence", (count,)))
     if part.get("valid") is not None:
-        seen = array(part["valid"], f"{label}, valid", (count,), finite=True) != 0
-        at = np.where(seen[:, None], at, np.nan)
+        valid = array(part["valid"], f"{label}, valid", (count,), finite=True) != 0
+        at = np.where(valid[:, None], at, np.nan)
     matrices = pose.ndim == 4
     pca = False if matrices else _flag(part, "use_pca", label, default=pose.shape[1] != 45)
     if not matrices and not pca and pose.shape[1] != 45:
@@ -250,10 +252,10 @@ def _pose(part: Mapping[str, Any], label: str) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _check_turns(turns: np.ndarray, label: str) -> None:
-    known = turns[np.isfinite(turns).all(axis=(1, 2))]
+    finite = turns[np.isfinite(turns).all(axis=(1, 2))]
     with np.errstate(over="ignore", invalid="ignore"):
-        off = np.abs(known @ np.swapaxes(known, 1, 2) - np.eye(3)) > _RIGID
-        if off.any() or (np.linalg.det(known) < 0).any():
+        off = np.abs(finite @ np.swapaxes(finite, 1, 2) - np.eye(3)) > _RIGID
+        if off.any() or (np.linalg.det(finite) < 0).any():
             raise RecordingError(f"{label}: it has matrices that are no rotations")
 
 
@@ -263,22 +265,22 @@ def _first(part: Mapping[str, Any], names: tuple[str, ...], label: str) -> np.nd
         have = listed(sorted(str(key)[:40] for key in part))
         raise RecordingError(f"{label}: it lacks {names[0]}; it has {have or 'nothing'}")
     try:
-        found = numbers(value)
+        array = numbers(value)
     except NotDataError as error:
         raise RecordingError(f"{label}, {names[0]}: {error}") from error
-    if found.ndim == 0:
+    if array.ndim == 0:
         raise RecordingError(f"{label}: {names[0]} is one number")
-    return found
+    return array
 
 
 def _scalar(value: Any, label: str) -> float:
     try:
-        found = numbers(value).ravel()
+        values = numbers(value).ravel()
     except NotDataError as error:
         raise RecordingError(f"{label}: {error}") from error
-    if len(found) != 1 or not np.isfinite(found[0]):
+    if len(values) != 1 or not np.isfinite(values[0]):
         raise RecordingError(f"{label}: it must be one number")
-    return float(found[0])
+    return float(values[0])
 
 
 def _flag(part: Mapping[str, Any], name: str, label: str, *, default: bool) -> bool:
@@ -291,14 +293,14 @@ def _flag(part: Mapping[str, Any], name: str, label: str, *, default: bool) -> b
 
 
 def _world(held: Mapping[str, Any], where: str) -> tuple[str, np.ndarray]:
-    said = text(held.get("world"))
-    if said is None:
+    world = text(held.get("world"))
+    if world is None:
         return "mano/unstated", WORLD_AXES["z_up"]
-    if said == CAMERA:
+    if world == CAMERA:
         return CAMERA, WORLD_AXES["z_up"]
-    if said not in _WORLDS:
+    if world not in _WORLDS:
         raise RecordingError(f"{where}: world must be {CAMERA} or one of {listed(_WORLDS)}")
-    return f"mano/{said}", WORLD_AXES[said]
+    return f"mano/{world}", WORLD_AXES[world]
 
 
 def _stamps(

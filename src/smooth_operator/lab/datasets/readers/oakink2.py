@@ -73,20 +73,20 @@ class OakInk2:
             turns = _rows(mano, ids, f"{short}__pose_coeffs", (16, 4), where)
             at = _rows(mano, ids, f"{short}__tsl", (3,), where)
             betas = _rows(mano, ids, f"{short}__betas", (10,), where)
-            known = np.isfinite(betas).all(axis=1) & np.isfinite(at).all(axis=1)
-            if not known.any():
+            finite = np.isfinite(betas).all(axis=1) & np.isfinite(at).all(axis=1)
+            if not finite.any():
                 continue
             size = np.linalg.norm(turns, axis=-1, keepdims=True)
             good = (np.abs(size - 1.0) < 0.1).all(axis=(1, 2))
-            if (known & ~good).any():
+            if (finite & ~good).any():
                 raise RecordingError(
                     f"{where}: {short}__pose_coeffs must be unit quaternions w x y z; frame "
-                    f"{ids[int(np.argmax(known & ~good))]} has others"
+                    f"{ids[int(np.argmax(finite & ~good))]} has others"
                 )
             matrices = np.full((count, 16, 3, 3), np.nan)
-            matrices[known] = poses.rotation_matrices(turns[known] / size[known])
-            shape[side] = np.median(betas[known], axis=0)
-            betas[~known] = 0.0
+            matrices[finite] = poses.rotation_matrices(turns[finite] / size[finite])
+            shape[side] = np.median(betas[finite], axis=0)
+            betas[~finite] = 0.0
             model = load_model(options.mano, side)
             placed[side] = model.place(matrices, betas, at, moves="wrist", tips="manopth")
         root = nearby(ref.path.resolve().parent, "program/task_target.json", "program")
@@ -136,12 +136,12 @@ def _things(held: dict[Any, Any], ids: np.ndarray, meshes: Path | None, where: s
             raise RecordingError(f"{where}: an object of obj_list is not in obj_transf")
         frames = table(moved[name], f"{where}, obj_transf of {label}")
         named = f"{where}, obj_transf of {label}"
-        found = np.full((len(ids), 7), np.nan)
-        known = [row for row, number in enumerate(ids.tolist()) if number in frames]
-        if known:
-            stack = [array(frames[int(ids[row])], named, (4, 4)) for row in known]
-            found[known] = rigid(np.stack(stack), named)
-        things.append(Thing(label, found, _mesh(meshes, label)))
+        track = np.full((len(ids), 7), np.nan)
+        rows = [row for row, number in enumerate(ids.tolist()) if number in frames]
+        if rows:
+            stack = [array(frames[int(ids[row])], named, (4, 4)) for row in rows]
+            track[rows] = rigid(np.stack(stack), named)
+        things.append(Thing(label, track, _mesh(meshes, label)))
     return things
 
 
@@ -158,8 +158,8 @@ def _mesh(folder: Path | None, name: str) -> Path | None:
     place = None if folder is None else folder / Path(name).name
     if place is None or not place.is_dir():
         return None
-    found = sorted(file for file in place.iterdir() if file.suffix in (".obj", ".ply"))
-    return found[0] if found else None
+    files = sorted(file for file in place.iterdir() if file.suffix in (".obj", ".ply"))
+    return files[0] if files else None
 
 
 def _task(program: Path | None, key: str) -> str | None:
@@ -170,10 +170,10 @@ def _task(program: Path | None, key: str) -> str | None:
     if not file.is_file():
         return None
     try:
-        said = read_json(file)
+        program_text = read_json(file)
     except (OSError, DocumentError) as error:
         raise RecordingError(f"{file}: it can't be read: {error}") from error
-    return text(said.get(key), 1000) if isinstance(said, dict) else None
+    return text(program_text.get(key), 1000) if isinstance(program_text, dict) else None
 
 
 def _camera(held: dict[Any, Any], ids: np.ndarray, where: str) -> np.ndarray | None:
@@ -188,14 +188,14 @@ def _camera(held: dict[Any, Any], ids: np.ndarray, where: str) -> np.ndarray | N
     frames = extrinsics.get(mine[0]) if mine else None
     if not isinstance(frames, dict) or not frames:
         return None
-    kept = sorted(key for key in frames if type(key) is int)
-    if not kept:
+    keys = sorted(key for key in frames if type(key) is int)
+    if not keys:
         return None
     named = f"{where}, cam_extr"
-    stack = np.stack([array(frames[key], named, (4, 4)) for key in kept])
-    found = rigid(stack, named, inverse=True)
-    last = np.clip(np.searchsorted(kept, ids, side="right") - 1, 0, None)
-    return np.asarray(found[last])
+    stack = np.stack([array(frames[key], named, (4, 4)) for key in keys])
+    camera = rigid(stack, named, inverse=True)
+    last = np.clip(np.searchsorted(keys, ids, side="right") - 1, 0, None)
+    return np.asarray(camera[last])
 
 
 OAKINK2: Final = OakInk2()

@@ -162,10 +162,10 @@ def _meta(text: str | None) -> dict[str, Any]:
     if not text:
         return {}
     try:
-        found = parse_json(text)
+        content = parse_json(text)
     except DocumentError:
         return {}
-    return found if isinstance(found, dict) else {}
+    return content if isinstance(content, dict) else {}
 
 
 def _number(table: Any, name: str, row: int) -> float:
@@ -203,8 +203,8 @@ def _numbers(table: Any, name: str, row: int, count: int | None) -> np.ndarray |
     kind = values.type
     if not (pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_boolean(kind)):
         raise RecordingError(f"column {name!r} must hold lists of numbers, not of {str(kind)[:80]}")
-    found: np.ndarray = np.asarray(values.to_numpy(zero_copy_only=False), np.float64)
-    return found
+    numbers: np.ndarray = np.asarray(values.to_numpy(zero_copy_only=False), np.float64)
+    return numbers
 
 
 def _is_list(pa: Any, kind: Any) -> bool:

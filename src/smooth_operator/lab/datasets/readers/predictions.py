@@ -89,19 +89,19 @@ class _Found:
 
     def frame(self, number: Any, default: int) -> int:
         """Counts a frame; its number."""
-        found = default
+        index = default
         if isinstance(number, str):
             match = _NUMBER.search(number)
-            found = default if match is None else int(match[1])
+            index = default if match is None else int(match[1])
         elif isinstance(number, int | float) and not isinstance(number, bool):
-            found = int(number) if abs(number) < 1e12 and number == int(number) else -1
-        if not 0 <= found < _MOST_FRAMES:
+            index = int(number) if abs(number) < 1e12 and number == int(number) else -1
+        if not 0 <= index < _MOST_FRAMES:
             raise RecordingError(
                 f"{self.path}: a frame's number must be 0 to {_MOST_FRAMES - 1}, not "
                 f"{brief(number)}"
             )
-        self.frames = max(self.frames, found + 1)
-        return found
+        self.frames = max(self.frames, index + 1)
+        return index
 
     def add(
         self,
@@ -157,15 +157,15 @@ class Predictions:
             RecordingError: the file is none of these, or damaged; there is no rate; a hand is by
                 its shape of the other side than the file says.
         """
-        path, found = ref.path, _Found(ref.path)
-        _collect(found, _load(path), self.expects)
+        path, collected = ref.path, _Found(ref.path)
+        _collect(collected, _load(path), self.expects)
         allowance = Allowance.of(path, path.stat().st_size)
-        allowance.take("frames", found.frames * _FRAME_BYTES)  # numbers may be far apart
-        stamps = stamps_from_rate(found.frames, options.rate, str(path))
+        allowance.take("frames", collected.frames * _FRAME_BYTES)  # numbers may be far apart
+        stamps = stamps_from_rate(collected.frames, options.rate, str(path))
         hands, sure = {}, {}
-        for side, hand in found.hands.items():
+        for side, hand in collected.hands.items():
             hands[side] = _recording(hand, side, stamps, path)
-            sure[side] = shares(_rows(hand.sure, found.frames, ()))
+            sure[side] = shares(_rows(hand.sure, collected.frames, ()))
         checked = checked_hands(hands, str(path), self.expects, each_frame=True)
         video = first_video(path.with_suffix(".mp4"), path.with_name("chest.mp4"))
         return Clip(
@@ -175,7 +175,7 @@ class Predictions:
             (path,) if video is None else (path, video),
             confidence={s: sure[s] for s in checked if np.isfinite(sure[s]).any()},
             video=video,
-            meta={"more_hands": found.spare} if found.spare else {},
+            meta={"more_hands": collected.spare} if collected.spare else {},
         )
 
 
@@ -224,7 +224,7 @@ def _is_json(line: str) -> bool:
     return True
 
 
-def _collect(found: _Found, value: Any, expects: str) -> None:
+def _collect(collected: _Found, value: Any, expects: str) -> None:
     """Finds the hands, whatever the form.
 
     Raises:
@@ -232,19 +232,21 @@ def _collect(found: _Found, value: Any, expects: str) -> None:
     """
     if isinstance(value, dict):
         if _POINTS[0] in value and isinstance(value.get("is_right"), np.ndarray | list):
-            return _of_columns(found, value)
+            return _of_columns(collected, value)
         if any(key in value for key in ("j3d.right", "j3d.left")):
-            return _of_arrays(found, {side: value.get(f"j3d.{side}") for side in SIDES})
+            return _of_arrays(collected, {side: value.get(f"j3d.{side}") for side in SIDES})
         tables = {side: value.get(side) for side in SIDES}
         if any(isinstance(one, dict) and "joints_cam" in one for one in tables.values()):
-            return _of_sides(found, tables)
+            return _of_sides(collected, tables)
         frames = value.get("frames", value)
         if isinstance(frames, dict):
-            return _of_frames(found, frames.items())
+            return _of_frames(collected, frames.items())
         value = frames
     if isinstance(value, list | tuple):
-        return _of_frames(found, ((None, frame) for frame in value))
-    raise RecordingError(f"{found.path}: it holds a {type(value).__name__}; expected are {expects}")
+        return _of_frames(collected, ((None, frame) for frame in value))
+    raise RecordingError(
+        f"{collected.path}: it holds a {type(value).__name__}; expected are {expects}"
+    )
 
 
 def _given(value: Any) -> bool:
@@ -252,19 +254,19 @@ def _given(value: Any) -> bool:
     return value is not None and not (isinstance(value, list | tuple) and not value)
 
 
-def _of_frames(found: _Found, frames: Iterable[tuple[Any, Any]]) -> None:
+def _of_frames(collected: _Found, frames: Iterable[tuple[Any, Any]]) -> None:
     for position, (name, frame) in enumerate(frames):
         if frame is None or isinstance(frame, list | tuple):
-            number = found.frame(name, position)
+            number = collected.frame(name, position)
             hands = frame or ()
         elif isinstance(frame, dict):
-            said = next((frame[key] for key in _FRAME if key in frame), name)
-            number = found.frame(said, position)
+            frame_name = next((frame[key] for key in _FRAME if key in frame), name)
+            number = collected.frame(frame_name, position)
             if "left_pos" in frame or "right_pos" in frame:
                 for side in SIDES:
                     if _given(frame.get(f"{side}_pos")):
-                        points = _numbers(found, frame[f"{side}_pos"], (21, 3), f"{side}_pos")
-                        found.add(number, side, points, np.zeros(3))
+                        points = _numbers(collected, frame[f"{side}_pos"], (21, 3), f"{side}_pos")
+                        collected.add(number, side, points, np.zeros(3))
                 continue
             hands = next((frame[k] for k in ("hands", "detections") if k in frame), [frame])
             sides = [side for side in SIDES if isinstance(frame.get(side), dict)]
@@ -272,16 +274,16 @@ def _of_frames(found: _Found, frames: Iterable[tuple[Any, Any]]) -> None:
                 hands = [{**frame[side], "side": side} for side in sides]
         else:
             raise RecordingError(
-                f"{found.path}: frame {position} must be a list of hands, not {brief(frame)}"
+                f"{collected.path}: frame {position} must be a list of hands, not {brief(frame)}"
             )
         for hand in hands if isinstance(hands, list | tuple) else ():
-            _of_hand(found, number, hand)
+            _of_hand(collected, number, hand)
 
 
-def _of_hand(found: _Found, frame: int, hand: Any) -> None:
+def _of_hand(collected: _Found, frame: int, hand: Any) -> None:
     if not isinstance(hand, dict):
         raise RecordingError(
-            f"{found.path}: a hand of frame {frame} must be a table, not {brief(hand)}"
+            f"{collected.path}: a hand of frame {frame} must be a table, not {brief(hand)}"
         )
     inner = hand.get("wilor_preds", hand)
     if not isinstance(inner, dict):
@@ -289,30 +291,30 @@ def _of_hand(found: _Found, frame: int, hand: Any) -> None:
     key = next((key for key in (*_POINTS, "joints_cam") if _given(inner.get(key))), None)
     if key is None:
         return
-    points = _numbers(found, inner[key], (21, 3), key)
+    points = _numbers(collected, inner[key], (21, 3), key)
     at = next((inner[key] for key in _PLACE if key in inner), None)
-    place = None if at is None else _numbers(found, at, (3,), _PLACE[0])
+    place = None if at is None else _numbers(collected, at, (3,), _PLACE[0])
     if key == "joints_cam":  # they are in the camera's frame
         place = np.zeros(3)
-    found.add(frame, _side(found, hand, inner), points, place, _sureness(hand))
+    collected.add(frame, _side(collected, hand, inner), points, place, _sureness(hand))
 
 
-def _side(found: _Found, *tables: dict[Any, Any]) -> Side:
+def _side(collected: _Found, *tables: dict[Any, Any]) -> Side:
     for table in tables:
         for key in ("is_right", "right"):
             if key in table:
-                value = _numbers(found, table[key], (), key)
+                value = _numbers(collected, table[key], (), key)
                 if value not in (0.0, 1.0):
-                    raise RecordingError(f"{found.path}: {key} must be 0 or 1, not {value}")
+                    raise RecordingError(f"{collected.path}: {key} must be 0 or 1, not {value}")
                 return "right" if value else "left"
         for key in ("handedness", "side", "hand_side"):
             if isinstance(table.get(key), str):
                 try:
                     return as_side(table[key])
                 except ValueError as error:
-                    raise RecordingError(f"{found.path}: {error}") from error
+                    raise RecordingError(f"{collected.path}: {error}") from error
     raise RecordingError(
-        f"{found.path}: a hand does not say its side; expected is is_right, 0 or 1"
+        f"{collected.path}: a hand does not say its side; expected is is_right, 0 or 1"
     )
 
 
@@ -320,52 +322,52 @@ def _sureness(hand: dict[Any, Any]) -> float:
     """How sure the detector is of a hand, which may stand behind the corners of its box; or NaN."""
     value = next((hand[key] for key in _CONFIDENCE if key in hand), hand.get("hand_bbox"))
     try:
-        found = numbers(value).ravel()
+        values = numbers(value).ravel()
     except RecordingError:
         return float("nan")
-    return float(found[-1]) if len(found) in (1, 5) else float("nan")
+    return float(values[-1]) if len(values) in (1, 5) else float("nan")
 
 
-def _of_columns(found: _Found, table: dict[str, Any]) -> None:
-    right = _numbers(found, table["is_right"], (None,), "is_right")
+def _of_columns(collected: _Found, table: dict[str, Any]) -> None:
+    right = _numbers(collected, table["is_right"], (None,), "is_right")
     count = len(right)
-    points = _numbers(found, table["pred_keypoints_3d"], (count, 21, 3), "pred_keypoints_3d")
+    points = _numbers(collected, table["pred_keypoints_3d"], (count, 21, 3), "pred_keypoints_3d")
     at = table.get(_PLACE[0])
-    places = None if at is None else _numbers(found, at, (count, 3), _PLACE[0])
+    places = None if at is None else _numbers(collected, at, (count, 3), _PLACE[0])
     key = next((key for key in _FRAME if key in table), None)
     if key is None:
-        raise RecordingError(f"{found.path}: it lacks 'frame', the number of each hand's frame")
-    frames = _numbers(found, table[key], (count,), key)
+        raise RecordingError(f"{collected.path}: it lacks 'frame', the number of each hand's frame")
+    frames = _numbers(collected, table[key], (count,), key)
     if not np.isin(right, (0.0, 1.0)).all():
-        raise RecordingError(f"{found.path}: is_right must be 0 or 1 for each hand")
+        raise RecordingError(f"{collected.path}: is_right must be 0 or 1 for each hand")
     for i in range(count):
-        number = found.frame(float(frames[i]) if np.isfinite(frames[i]) else "?", -1)
+        number = collected.frame(float(frames[i]) if np.isfinite(frames[i]) else "?", -1)
         side: Side = "right" if right[i] else "left"
-        found.add(number, side, points[i], None if places is None else places[i])
+        collected.add(number, side, points[i], None if places is None else places[i])
 
 
-def _of_arrays(found: _Found, arrays: Mapping[Side, Any]) -> None:
+def _of_arrays(collected: _Found, arrays: Mapping[Side, Any]) -> None:
     for side, value in arrays.items():
         if value is None:
             continue
-        points = _numbers(found, value, (None, 21, 3), f"j3d.{side}")
-        found.frame(max(len(points) - 1, 0), 0)
+        points = _numbers(collected, value, (None, 21, 3), f"j3d.{side}")
+        collected.frame(max(len(points) - 1, 0), 0)
         for frame, hand in enumerate(points):
             if hand.any():  # zeros where there is none
-                found.add(frame, side, hand, np.zeros(3))
+                collected.add(frame, side, hand, np.zeros(3))
 
 
-def _of_sides(found: _Found, tables: Mapping[Side, Any]) -> None:
+def _of_sides(collected: _Found, tables: Mapping[Side, Any]) -> None:
     for side, table in tables.items():
         if not isinstance(table, dict) or not _given(table.get("joints_cam")):
             continue
-        points = _numbers(found, table["joints_cam"], (None, 21, 3), f"{side}/joints_cam")
-        ids = _numbers(found, table.get("frame_ids"), (len(points),), f"{side}/frame_ids")
+        points = _numbers(collected, table["joints_cam"], (None, 21, 3), f"{side}/joints_cam")
+        ids = _numbers(collected, table.get("frame_ids"), (len(points),), f"{side}/frame_ids")
         for number, hand in zip(ids.tolist(), points, strict=True):
-            found.add(found.frame(number, -1), side, hand, np.zeros(3))
+            collected.add(collected.frame(number, -1), side, hand, np.zeros(3))
 
 
-def _numbers(found: _Found, value: Any, shape: tuple[int | None, ...], what: str) -> np.ndarray:
+def _numbers(collected: _Found, value: Any, shape: tuple[int | None, ...], what: str) -> np.ndarray:
     """Numbers of a shape; axes of one in front are dropped, as models have them for the batch.
 
     Raises:
@@ -374,15 +376,17 @@ def _numbers(found: _Found, value: Any, shape: tuple[int | None, ...], what: str
     try:
         array = np.asarray(numbers(value), np.float64)
     except RecordingError as error:
-        raise RecordingError(f"{found.path}: {what}: {error}") from error
+        raise RecordingError(f"{collected.path}: {what}: {error}") from error
     while array.ndim > len(shape) and array.shape[0] == 1:
         array = array[0]
     fits = array.ndim == len(shape) and all(
-        asked in (None, size) for asked, size in zip(shape, array.shape, strict=True)
+        expected in (None, size) for expected, size in zip(shape, array.shape, strict=True)
     )
     if not fits:
-        asked = " x ".join("n" if size is None else str(size) for size in shape) or "one number"
-        raise RecordingError(f"{found.path}: {what} must be {asked}, not of shape {array.shape}")
+        expected = " x ".join("n" if size is None else str(size) for size in shape) or "one number"
+        raise RecordingError(
+            f"{collected.path}: {what} must be {expected}, not of shape {array.shape}"
+        )
     return array
 
 

@@ -88,24 +88,24 @@ class Hawor:
         hands: dict[Side, HandRecording] = {}
         shape: dict[Side, np.ndarray] = {}
         for row, side in enumerate(_SIDE_OF):
-            seen = flags[row] & np.isfinite(betas[row]).all(axis=1)
-            if not seen.any():
+            valid = flags[row] & np.isfinite(betas[row]).all(axis=1)
+            if not valid.any():
                 continue
             model = load_model(options.mano, side, mirrored_shape=True)
             placed = _placed(model, rotations[row], fingers[row], betas[row], trans[row])
-            hands[side] = _recording(placed, side, stamps, "hawor", seen)
-            shape[side] = np.median(betas[row][seen], axis=0)
-        found = checked_hands(hands, str(path), self.expects)
+            hands[side] = _recording(placed, side, stamps, "hawor", valid)
+            shape[side] = np.median(betas[row][valid], axis=0)
+        checked = checked_hands(hands, str(path), self.expects)
         slam = next(iter(sorted(path.parent.glob("SLAM/hawor_slam_w_scale_*.npz"))), None)
         video = first_video(path.parent.parent / f"{path.parent.name}.mp4")
         source = [path, *(one for one in (slam, video) if one is not None)]
         return Clip(
             ref.name,
-            found,
+            checked,
             "hawor",
             tuple(source),
             T_world_camera=None if slam is None else _slam_camera(slam, count),
-            shape={side: shape[side] for side in found},
+            shape={side: shape[side] for side in checked},
             video=video,
         )
 
@@ -162,14 +162,14 @@ class DynHamr:
                 points = placed.landmarks * _MIRROR
                 placed = PlacedHand(points, wrist_of_points(points, side))
             hands[side] = _recording(placed, side, stamps, "dynhamr")
-        found = checked_hands(hands, str(path), self.expects)
+        checked = checked_hands(hands, str(path), self.expects)
         return Clip(
             ref.name,
-            found,
+            checked,
             "dynhamr",
             (path,),
             T_world_camera=_camera(arrays, tracks, count),
-            shape={side: betas[first[side]] for side in found},
+            shape={side: betas[first[side]] for side in checked},
             meta={"more_tracks": tracks - len(first)} if tracks > len(first) else {},
         )
 
@@ -191,11 +191,11 @@ def _recording(
     side: Side,
     stamps: np.ndarray,
     world: Literal["hawor", "dynhamr"],
-    seen: np.ndarray | None = None,
+    valid: np.ndarray | None = None,
 ) -> HandRecording:
     points, wrist = placed.landmarks.copy(), placed.T_world_wrist.copy()
-    if seen is not None:
-        points[~seen], wrist[~seen] = np.nan, np.nan
+    if valid is not None:
+        points[~valid], wrist[~valid] = np.nan, np.nan
     return HandRecording(
         points, stamps, side, meta={"format": world}, T_world_wrist=wrist, world=world
     )
@@ -240,9 +240,9 @@ def _camera(arrays: StoredArrays, tracks: int, count: int) -> Float[np.ndarray, 
     to_camera[:, :3, :3] = _part(arrays, "cam_R", (tracks, count, 3, 3))[0]
     to_camera[:, :3, 3] = _part(arrays, "cam_t", (tracks, count, 3))[0]
     good = poses.is_rigid(to_camera)
-    found = np.full((count, 7), np.nan)
-    found[good] = poses.invert(poses.from_matrices(to_camera[good]))
-    return found
+    camera = np.full((count, 7), np.nan)
+    camera[good] = poses.invert(poses.from_matrices(to_camera[good]))
+    return camera
 
 
 def _part(arrays: StoredArrays, name: str, shape: tuple[int | None, ...] | None) -> Any:

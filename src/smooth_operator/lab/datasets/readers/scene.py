@@ -170,8 +170,8 @@ def checked_count(counts: Mapping[str, int], where: str) -> int:
     """
     count = next(iter(counts.values()))
     if len(set(counts.values())) > 1:
-        said = ", ".join(f"{name} {n}" for name, n in counts.items())
-        raise RecordingError(f"{where}: its parts have different numbers of frames: {said}")
+        counted = ", ".join(f"{name} {n}" for name, n in counts.items())
+        raise RecordingError(f"{where}: its parts have different numbers of frames: {counted}")
     if not 0 < count <= MOST_FRAMES:
         raise RecordingError(f"{where}: it has {count} frames; 1 to {MOST_FRAMES:,} are read")
     return count
@@ -187,8 +187,8 @@ def rigid(
     """
     if not poses.is_rigid(matrices).all():
         raise RecordingError(f"{where}: it has a matrix that is no rotation and position")
-    found = poses.from_matrices(matrices)
-    return poses.invert(found) if inverse else found
+    quaternions = poses.from_matrices(matrices)
+    return poses.invert(quaternions) if inverse else quaternions
 
 
 def stamps_at(count: int, rate: float) -> Float[np.ndarray, " T"]:

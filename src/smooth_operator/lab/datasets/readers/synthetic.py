@@ -141,10 +141,10 @@ def read_corpus(path: Path) -> SyntheticCorpus:
         )
     if not isinstance(content, dict) or content.pop("format", None) != FORMAT:
         raise RecordingError(f'{path}: expected a JSON object with "format": {json.dumps(FORMAT)}')
-    known = {field.name for field in dataclasses.fields(SyntheticCorpus)}
-    if extra := sorted(set(content) - known):
+    names = {field.name for field in dataclasses.fields(SyntheticCorpus)}
+    if extra := sorted(set(content) - names):
         raise RecordingError(
-            f"{path}: unknown {', '.join(extra)}; a synthetic corpus has {', '.join(sorted(known))}"
+            f"{path}: unknown {', '.join(extra)}; a synthetic corpus has {', '.join(sorted(names))}"
         )
     for name, value in content.items():
         kind = type(getattr(SyntheticCorpus, name))

@@ -60,8 +60,8 @@ def clip_arrays(clip: RobotClip) -> dict[str, np.ndarray]:
             arrays[f"{side}_confidence"] = _single(human.confidence[side])
         if hand.T_world_wrist is not None:
             arrays[f"{side}_human_wrist"] = _single(hand.T_world_wrist)
-        seen = np.where(hand.valid[..., None], hand.landmarks, np.nan)
-        arrays[f"{side}_landmarks"] = _single(seen)
+        landmarks = np.where(hand.valid[..., None], hand.landmarks, np.nan)
+        arrays[f"{side}_landmarks"] = _single(landmarks)
     if human.T_world_camera is not None:
         arrays["camera"] = _single(human.T_world_camera)
     if human.objects:

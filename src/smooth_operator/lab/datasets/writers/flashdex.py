@@ -67,9 +67,9 @@ class _Writer(FileShards):
             raise RecordingError(
                 f"{name}: it has no object, and FlashDexRetarget needs one for each hand"
             )
-        found: tuple[Side, ...] = tuple(side for side in SIDES if side in scene.points)
-        sides = self._sides or found
-        lacking = [side for side in sides if side not in found]
+        present: tuple[Side, ...] = tuple(side for side in SIDES if side in scene.points)
+        sides = self._sides or present
+        lacking = [side for side in sides if side not in present]
         if lacking:
             raise RecordingError(
                 f"{name}: it has no {lacking[0]} hand; all clips for FlashDexRetarget need the "

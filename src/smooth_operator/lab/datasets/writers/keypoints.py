@@ -118,12 +118,12 @@ class FileShards(TarShards):
             hand = human.hands.get(side)
             if hand is None or hand.T_world_wrist is None:
                 continue
-            seen = landmarks_in_world(hand)
-            good = np.isfinite(seen).all(axis=(1, 2)) & poses.is_valid(hand.T_world_wrist)
+            world_points = landmarks_in_world(hand)
+            good = np.isfinite(world_points).all(axis=(1, 2)) & poses.is_valid(hand.T_world_wrist)
             if not good.any():  # a hand that is not in the clip
                 continue
             grid = _filled(human, good, f"the {side} hand")
-            points[side] = grid.values(seen[good])
+            points[side] = grid.values(world_points[good])
             wrists[side] = grid.poses(hand.T_world_wrist[good])
             missing |= ~good
         if not points:
@@ -151,15 +151,15 @@ class FileShards(TarShards):
     def _mesh(self, item: ObjectTrack, folder: str) -> tuple[str, np.ndarray]:
         """Folder of an object's mesh in metres, which is written once, and its convex hull."""
         assert item.mesh is not None
-        known = (item.name, item.mesh.as_posix(), item.scale)
-        if known not in self._meshes:
+        key = (item.name, item.mesh.as_posix(), item.scale)
+        if key not in self._meshes:
             content, hull = read_mesh(item.mesh, item.scale)
             digest = hashlib.sha256(content).hexdigest()[:8]
             place = f"{slug(item.name)}-{digest}"
             if not (self.output / folder / place / "visual.obj").exists():
                 self._put(f"{folder}/{place}/visual.obj", content)
-            self._meshes[known] = place, hull
-        return self._meshes[known]
+            self._meshes[key] = place, hull
+        return self._meshes[key]
 
 
 def read_mesh(path: Path, scale: float) -> tuple[bytes, Float[np.ndarray, "n 3"]]:

@@ -267,8 +267,8 @@ class _Writer(ShardedWriter):
             self._videos.setdefault(video, len(self._videos))
         for name, part in index["statistics"].items():
             new = Statistics.from_json(part)
-            known = self._total.get(name)
-            self._total[name] = new if known is None else joint_statistics([known, new])
+            total = self._total.get(name)
+            self._total[name] = new if total is None else joint_statistics([total, new])
 
     def _describe(self) -> None:
         if self._layout is None or not self._episodes:
@@ -339,9 +339,11 @@ class _Writer(ShardedWriter):
     def _check_video(self, clip: RobotClip, head: VideoHead | None, layout: RobotLayout) -> None:
         if head is None:
             return
-        asked, found = layout.video, head.feature()
-        if asked is None or asked["shape"] != found["shape"]:
-            size = "none" if asked is None else f"{asked['shape'][1]} x {asked['shape'][0]}"
+        expected, actual = layout.video, head.feature()
+        if expected is None or expected["shape"] != actual["shape"]:
+            size = (
+                "none" if expected is None else f"{expected['shape'][1]} x {expected['shape'][0]}"
+            )
             raise RecordingError(
                 f"{clip.clip.name}: its video has {head.width} x {head.height} pixels, those of "
                 f"the data set {size}; write each size to a data set of its own"

@@ -86,8 +86,8 @@ class RobotLayout:
     @classmethod
     def of(cls, clip: RobotClip, options: WritingOptions, fps: float) -> RobotLayout:
         """From the first clip, and the options."""
-        found = {side: tuple(c.joint_names) for side, c in clip.commands.items()}
-        joints = {**found, **options.joints}
+        names = {side: tuple(c.joint_names) for side, c in clip.commands.items()}
+        joints = {**names, **options.joints}
         return cls(
             {side: tuple(joints[side]) for side in SIDES if side in joints},
             _has_wrist(clip),
@@ -124,9 +124,11 @@ class RobotLayout:
                 )
         if not clip.commands:
             raise RecordingError(f"{name}: it has no commands; leave it out")
-        known = _has_wrist(clip)
-        if self.wrist != known:
-            has = "it has wrists and the data set none" if known else "its wrists are not known"
+        with_wrist = _has_wrist(clip)
+        if self.wrist != with_wrist:
+            has = (
+                "it has wrists and the data set none" if with_wrist else "its wrists are not known"
+            )
             raise RecordingError(
                 f"{name}: {has}; write clips with and without wrists to two data sets"
             )
@@ -205,20 +207,20 @@ class RobotLayout:
                 held, columns[f"{side}_wrist_valid"] = _poses(wrist, count)
                 state.append(held)
                 hand = human.hands.get(side)
-                seen = _poses(None if hand is None else hand.T_world_wrist, count)
-                columns[f"{side}_human_wrist"], columns[f"{side}_human_wrist_valid"] = seen
+                wrist_poses = _poses(None if hand is None else hand.T_world_wrist, count)
+                columns[f"{side}_human_wrist"], columns[f"{side}_human_wrist_valid"] = wrist_poses
         columns["observation.state"] = flat = np.concatenate(state, axis=1)
         # What a hand does next; the last frame stays where it is.
         columns["action"] = np.concatenate([flat[1:], flat[-1:]]) if action == "next" else flat
         columns["camera"], columns["camera_valid"] = _poses(human.T_world_camera, count)
         if self.objects:
-            found: list[np.ndarray | None] = [
+            tracks_found: list[np.ndarray | None] = [
                 item.T_world_object for item in human.objects[: self.objects]
             ]
-            found += [None] * (self.objects - len(found))
-            tracks = [_poses(each, count) for each in found]
+            tracks_found += [None] * (self.objects - len(tracks_found))
+            tracks = [_poses(each, count) for each in tracks_found]
             columns["objects"] = np.concatenate([track for track, _ in tracks], axis=1)
-            columns["objects_valid"] = np.stack([known for _, known in tracks], axis=1)
+            columns["objects_valid"] = np.stack([valid for _, valid in tracks], axis=1)
         with np.errstate(over="ignore"):
             return {
                 name: columns[name].astype(feature["dtype"])
@@ -245,16 +247,16 @@ def _sided(joint: str, side: Side) -> str:
     return joint if joint.lower().startswith(f"{side}_") else f"{side}_{joint}"
 
 
-def _poses(found: np.ndarray | None, count: int) -> tuple[np.ndarray, np.ndarray]:
+def _poses(track: np.ndarray | None, count: int) -> tuple[np.ndarray, np.ndarray]:
     """(T, 7) poses without gaps and without changes of sign, and (T,) whether each was known."""
-    known = np.zeros(count, bool) if found is None else np.asarray(poses.is_valid(found))
-    if found is None or not known.any():
-        return np.tile(poses.IDENTITY, (count, 1)), known
-    held = _held(found)
+    valid = np.zeros(count, bool) if track is None else np.asarray(poses.is_valid(track))
+    if track is None or not valid.any():
+        return np.tile(poses.IDENTITY, (count, 1)), valid
+    held = _held(track)
     # q and -q are the same rotation; a jump from one to the other is no motion to learn.
     along = (held[1:, 3:] * held[:-1, 3:]).sum(axis=1)
     signs = np.cumprod(np.concatenate([held[:1, 3] < 0.0, along < 0.0]) * -2.0 + 1.0)
-    return np.concatenate([held[:, :3], held[:, 3:] * signs[:, None]], axis=1), known
+    return np.concatenate([held[:, :3], held[:, 3:] * signs[:, None]], axis=1), valid
 
 
 def _held(rows: np.ndarray) -> np.ndarray:

@@ -192,11 +192,11 @@ def _list(name: str) -> tuple[Any, _Make]:
     kind = pa.list_(item)
 
     def make(rows: _Rows) -> Any:
-        found = [arrays.get(name) for _, arrays in rows]
-        there = [array for array in found if array is not None]
-        sizes = [0 if array is None else len(array) for array in found]
+        values = [arrays.get(name) for _, arrays in rows]
+        there = [array for array in values if array is not None]
+        sizes = [0 if array is None else len(array) for array in values]
         offsets = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int32)
-        absent = np.array([array is None for array in found] + [False])
+        absent = np.array([array is None for array in values] + [False])
         if not there:
             return pa.nulls(len(rows), kind)
         flat = pa.array(np.concatenate([array.reshape(-1) for array in there]))

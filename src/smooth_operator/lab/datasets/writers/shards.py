@@ -189,9 +189,9 @@ class ShardedWriter(ABC):
 
     def configuration(self, clip: RobotClip) -> str:
         """Digest of how the clip's commands were made; the file of that name is written once."""
-        known = self._configurations.get(id(clip.config))
-        if known is not None and known[0] is clip.config:
-            return known[1]
+        configuration = self._configurations.get(id(clip.config))
+        if configuration is not None and configuration[0] is clip.config:
+            return configuration[1]
         text = to_json(clip.config)
         digest = hashlib.sha256(text.encode()).hexdigest()[:16]
         path = self.output / CONFIGURATIONS / f"{digest}.json"
@@ -228,18 +228,18 @@ class ShardedWriter(ABC):
 
     def _begin_folder(self, fixed: dict[str, Any]) -> None:
         path = self.output / MARK
-        asked = parse_json(to_json({"program": PROGRAM, "version": 1, **fixed}))
+        expected = parse_json(to_json({"program": PROGRAM, "version": 1, **fixed}))
         try:
-            found = read_json(path)
+            stored = read_json(path)
         except FileNotFoundError:
-            write_json(path, asked)
+            write_json(path, expected)
             return
         except (OSError, DocumentError) as error:
             raise OutputError(
                 f"{path}: can't be read ({error}); give a new folder, or remove this one"
             ) from error
-        for name in sorted({*asked, *(found if isinstance(found, dict) else {})}):
-            mine, stood = asked.get(name), found.get(name) if isinstance(found, dict) else None
+        for name in sorted({*expected, *(stored if isinstance(stored, dict) else {})}):
+            mine, stood = expected.get(name), stored.get(name) if isinstance(stored, dict) else None
             if mine != stood:
                 raise ConfigError(
                     f"{self.output} was begun with {name} = {to_json(stood)}, not {to_json(mine)}; "

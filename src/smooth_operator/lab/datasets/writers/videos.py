@@ -74,7 +74,7 @@ def video_head(path: Path) -> VideoHead:
     """
     try:
         with path.open("rb") as file:
-            tracks = [found for found in _tracks(file, path) if found is not None]
+            tracks = [track for track in _tracks(file, path) if track is not None]
     except FileNotFoundError:
         raise RecordingError(
             f"{path}: no such video; give --videos none, or put it there"
