@@ -56,7 +56,7 @@ class CorrespondenceConfig:
     longest: float = 2.5
     near: float = 0.012
     far: float = 0.08
-    folded: float = 0.5
+    folded: float = 0.35
     thumb_share: float = 0.3
     faster: float = 0.17
     span: float = 10.0
