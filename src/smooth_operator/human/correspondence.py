@@ -1,4 +1,4 @@
-"""Where the robot's fingertips belong: the human's, finger by finger, from base to base.
+"""Correspondence of human and robot fingers: places of the robot's fingertips.
 
 Aligned palms do not make hands correspond: wrists and knuckles lie centimetres apart, and a robot's
 fingers are up to twice as long as the human's, each by another factor. So each fingertip is placed
@@ -77,7 +77,7 @@ class CorrespondenceConfig:
 
 
 class CorrespondenceState(NamedTuple):
-    """What is known of the operator, on the robot's scale, and the last places.
+    """Lengths of the operator on the robot's scale, and the last places.
 
     Attributes:
         bases: (F, 3) bases of the human's fingers in the palm frame [m].
@@ -93,7 +93,7 @@ class CorrespondenceState(NamedTuple):
 
 
 class Places(NamedTuple):
-    """Where the robot's fingertips belong.
+    """Places of the robot's fingertips in a frame.
 
     Attributes:
         tips: (F, 3) in the palm frame [m].
@@ -187,14 +187,14 @@ class Correspondence:
         chains = aligned[self._chains]
         bones = jnp.diff(chains, axis=1)
         lengths = jnp.sqrt((bones * bones).sum(-1)).sum(-1)
-        known = jnp.isfinite(lengths)
+        finite = jnp.isfinite(lengths)
         time = jnp.where(restart, 0.0, before.time)
-        share = jnp.where(known, dt / (dt + jnp.minimum(time, self.config.span)), 0.0)
+        share = jnp.where(finite, dt / (dt + jnp.minimum(time, self.config.span)), 0.0)
         most = jnp.where(time <= 0, jnp.inf, _SUDDEN * before.lengths)  # the first counts in full
         least = jnp.where(time < _SETTLED, 0.0, _SMALL * before.lengths)
 
         def moved(mean: Array, now: Array) -> Array:
-            change = jnp.where(known[:, None], now - mean, 0.0)
+            change = jnp.where(finite[:, None], now - mean, 0.0)
             size = jnp.sqrt((change * change).sum(-1)) + _TINY
             counts = jnp.clip(size - least, 0.0, most) / size
             return mean + (share * counts)[:, None] * change
@@ -202,7 +202,7 @@ class Correspondence:
         return before._replace(
             bases=moved(before.bases, chains[:, 0]),
             lengths=moved(before.lengths[:, None], lengths[:, None])[:, 0],
-            time=time + jnp.where(known, dt, 0.0),
+            time=time + jnp.where(finite, dt, 0.0),
         )
 
     def _places(

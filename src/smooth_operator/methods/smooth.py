@@ -316,12 +316,12 @@ class Smooth(Method):
         moves, places = steps[at] - steps[wrist], points[at] - points[wrist]
         goal_points, operator, speeds = points, state.operator, moves
         if operator:  # a tuple of arrays; empty without a correspondence
-            operator, found = self.correspondence.step(
+            operator, targets = self.correspondence.step(
                 operator, aligned, points[at], moves, clock.dt, clock.restart
             )
             origin = jnp.asarray(self.hand.wrist, points.dtype)
-            moves, places = found.steps, found.tips - origin
-            corners = jnp.concatenate([found.tips, origin[None]])
+            moves, places = targets.steps, targets.tips - origin
+            corners = jnp.concatenate([targets.tips, origin[None]])
             goal_points = points.at[np.array([*at, wrist])].set(corners)
         goal, policy = self._goal(state, goal_points, speeds, clock)
         places = places + jnp.asarray(self.hand.wrist, points.dtype)

@@ -129,8 +129,8 @@ def jumps_per_1000(
         human: (S, F) steps of the human's fingertips [m].
         robot: (S, F) of the robot's [m].
     """
-    known = np.isfinite(human).all(axis=-1)
-    return summary.scaled(summary.mean((robot - human > JUMP).any(axis=-1)[known]), 1e3)
+    finite = np.isfinite(human).all(axis=-1)
+    return summary.scaled(summary.mean((robot - human > JUMP).any(axis=-1)[finite]), 1e3)
 
 
 def step_gains(

@@ -33,8 +33,8 @@ def find_poses(human: Float[np.ndarray, "T 21 3"]) -> dict[str, int]:
     """
     chains = human[:, np.array(BASES[1:])[:, None] + np.arange(4)]
     extension = human_extensions(chains)
-    known = np.isfinite(human).all(axis=(1, 2))
-    if not known.any():
+    finite = np.isfinite(human).all(axis=(1, 2))
+    if not finite.any():
         return {}
     scores = {
         "open": extension.min(axis=1) - 0.85,
@@ -45,7 +45,7 @@ def find_poses(human: Float[np.ndarray, "T 21 3"]) -> dict[str, int]:
     for i, finger in enumerate(FINGERS[1:]):
         nearest = apart[:, i] <= np.nanmin(apart, axis=1, initial=np.inf)
         scores[f"pinch, {finger}"] = np.where(nearest, _PINCH - apart[:, i], -1.0)
-    best = {name: int(np.argmax(np.where(known, score, -9))) for name, score in scores.items()}
+    best = {name: int(np.argmax(np.where(finite, score, -9))) for name, score in scores.items()}
     return {name: frame for name, frame in best.items() if scores[name][frame] > 0}
 
 
@@ -104,8 +104,8 @@ def _draw(axis: Axes, points: Float[np.ndarray, "21 2"]) -> None:
         chain = points[base : base + 4]
         chain = chain[np.isfinite(chain).all(axis=1)]
         axis.plot(chain[:, 0], chain[:, 1], color=color, linewidth=4, solid_capstyle="round")
-    known = points[np.isfinite(points).all(axis=1)]
-    low, high = known.min(axis=0) - _EDGE, known.max(axis=0) + _EDGE
+    finite = points[np.isfinite(points).all(axis=1)]
+    low, high = finite.min(axis=0) - _EDGE, finite.max(axis=0) + _EDGE
     middle, half = (low + high) / 2, (high - low).max() / 2
     axis.set_xlim(middle[0] - half, middle[0] + half)
     axis.set_ylim(middle[1] - half, middle[1] + half)
