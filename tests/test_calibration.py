@@ -17,12 +17,12 @@ from smooth_operator.calibration.features import measure_features
 from smooth_operator.calibration.operator_file import read_operator
 from smooth_operator.calibration.prompts import Prompt, prompted, prompts
 from smooth_operator.calibration.report import closed_gaps, report
-from smooth_operator.calibration.robot import straight_pose
 from smooth_operator.calibration.segments import poses
 from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.formats.readers import read_recording
 from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.straight_pose import straight_pose
 from smooth_operator.human.alignment import palm_alignment
 from smooth_operator.human.operator import COMPONENTS, tip_frames
 from smooth_operator.human.palm_axes import human_palm_axes

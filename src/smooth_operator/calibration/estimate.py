@@ -10,11 +10,11 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.calibration.features import Features, measure_features
-from smooth_operator.calibration.robot import StraightPose, straight_pose
 from smooth_operator.calibration.segments import Segment, find_segments, poses
 from smooth_operator.calibration.tips import fit_tip_offsets
 from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.straight_pose import StraightPose, straight_pose
 from smooth_operator.human.alignment import MIN_CONDITION, palm_alignment
 from smooth_operator.human.operator import (
     DEFAULT_COMPONENTS,

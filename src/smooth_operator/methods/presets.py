@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from smooth_operator.errors import ConfigError, UnknownNameError, brief
+from smooth_operator.human.correspondence import CorrespondenceConfig
 from smooth_operator.methods.default import DEFAULT_METHOD
 from smooth_operator.methods.method import MethodConfig, TrajectoryMethodConfig
 from smooth_operator.methods.registry import METHODS, as_presets
@@ -56,6 +57,18 @@ SMOOTH_GRASP: Final = replace(
 """For a live loop that handles objects: fingers that pinch hardly follow the human's motion, so
 that they do not roll out what they hold (docs/explanation/smooth.md)."""
 
+SMOOTH_EXPRESSIVE: Final = replace(
+    SMOOTH_TELEOP,
+    correspondence=CorrespondenceConfig(share=1.0),
+    objective=replace(
+        SMOOTH_TELEOP.objective, targets=CloseTargets(w_wrist=18.0, w_thumb=8.0, focus=2.0)
+    ),
+    motion_weight=1900.0,
+    self_collision=replace(SMOOTH_TELEOP.self_collision, grip=0.001, weight=12000.0),
+)
+"""For a live loop whose hand is to look like the operator's: open when open, closed when closed,
+whatever the lengths of either's fingers (docs/explanation/smooth.md)."""
+
 _FUTURE: Final = TrajectoryConfig(
     acceleration_weight=2e-8, motion_weight=0.07, motion_speed=0.6, speed_limit=28.0
 )
@@ -81,7 +94,12 @@ SMOOTH_OFFLINE: Final = TrajectoryMethodConfig(
 """For recordings: the objective of ``smooth`` for all frames together, without its filters."""
 
 SBR: Final = {"realtime": SBR_REALTIME, "paper": SBR_PAPER, "offline": SBR_OFFLINE}
-SMOOTH: Final = {"teleop": SMOOTH_TELEOP, "grasp": SMOOTH_GRASP, "offline": SMOOTH_OFFLINE}
+SMOOTH: Final = {
+    "teleop": SMOOTH_TELEOP,
+    "expressive": SMOOTH_EXPRESSIVE,
+    "grasp": SMOOTH_GRASP,
+    "offline": SMOOTH_OFFLINE,
+}
 
 
 class _Presets(Mapping[str, Mapping[str, MethodConfig]]):

@@ -22,6 +22,11 @@ from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.stand_ins import stand_in_note
 from smooth_operator.human.alignment import AlignmentConfig
+from smooth_operator.human.correspondence import (
+    Correspondence,
+    CorrespondenceConfig,
+    CorrespondenceState,
+)
 from smooth_operator.human.landmark_filter import (
     FilterState,
     LandmarkFilterConfig,
@@ -75,6 +80,7 @@ class SmoothConfig(ObjectiveMethodConfig):
         fingertip_position: cost of fingertips that are nearly where the human's are.
         self_collision: cost of parts of the hand inside each other.
         direction_length: cost of direction and length of the thumb-to-tip vectors.
+        correspondence: where the robot's fingertips belong, by fingers of other lengths.
         tracker_noise: removal of the noise that the palm shows.
         landmarks: filter of the human landmarks.
         joint_speed: largest speed of a joint, over the usual time between frames [rad/s].
@@ -100,6 +106,9 @@ class SmoothConfig(ObjectiveMethodConfig):
     fingertip_position: FingertipPositionConfig = field(default_factory=FingertipPositionConfig)
     self_collision: SelfCollisionConfig = field(default_factory=SelfCollisionConfig)
     direction_length: DirectionLengthConfig = field(default_factory=DirectionLengthConfig)
+    correspondence: CorrespondenceConfig = field(
+        default_factory=lambda: CorrespondenceConfig(share=0.0)
+    )
     tracker_noise: NoiseConfig = field(default_factory=lambda: NoiseConfig(acceleration=0.003))
     landmarks: LandmarkFilterConfig = field(
         default_factory=lambda: LandmarkFilterConfig(
@@ -145,6 +154,7 @@ class SmoothState(NamedTuple):
     Attributes:
         q: (m,) last command of the actuated joints [rad].
         solved: (m,) the solver's last answer, which the limit of speed may yet hold back [rad].
+        operator: lengths of the operator's fingers; empty without a correspondence.
         noise: state of the removal of noise.
         filtered: the landmark filter's state, of the needed landmarks.
         targets: state of the target policy.
@@ -156,6 +166,7 @@ class SmoothState(NamedTuple):
 
     q: Float[Array, " m"]
     solved: Float[Array, " m"]
+    operator: CorrespondenceState | tuple[()]
     noise: NoiseState
     filtered: FilterState
     targets: Any
@@ -170,14 +181,15 @@ class _Seen(NamedTuple):
 
     Attributes:
         clock, now: when it is.
-        noise, filtered, policy: states after it.
+        operator, noise, filtered, policy: states after it.
         goal: what it asks.
-        moves, places: (F, 3) steps of the human's fingertips, and where they are from the robot's
+        moves, places: (F, 3) steps of the fingertips' places, and the places from the robot's
             wrist [m].
     """
 
     clock: FrameClock
     now: UInt32[Array, ""]
+    operator: CorrespondenceState | tuple[()]
     noise: NoiseState
     filtered: FilterState
     policy: Any
@@ -219,6 +231,11 @@ class Smooth(Method):
         return FingertipMotion(self.hand, self.config.objective.transition)
 
     @cached_property
+    def correspondence(self) -> Correspondence:
+        """The correspondence of human and robot fingers."""
+        return Correspondence(self.hand, self.config.correspondence)
+
+    @cached_property
     def rest_pose(self) -> RestPose:
         """The pose that the hand is pulled to."""
         return RestPose(self.hand, self.config.rest_pose)
@@ -235,8 +252,11 @@ class Smooth(Method):
 
     @property
     def optional_landmarks(self) -> tuple[int, ...]:
-        """The palm's, which show noise, and those below the fingertips, which turn the pads."""
-        return (*PALM, *(landmark for _, landmark in self.rest_pose.segments))
+        """The palm's, which show noise, those below the fingertips, which turn the pads, and all of
+        the fingers for their lengths."""
+        turning = tuple(landmark for _, landmark in self.rest_pose.segments)
+        corresponds = not is_off(self.config.correspondence.share)
+        return (*PALM, *turning, *(self.correspondence.landmarks if corresponds else ()))
 
     def init(self, seed: int) -> SmoothState:
         """Neutral pose."""
@@ -245,6 +265,7 @@ class Smooth(Method):
         return SmoothState(
             neutral,
             neutral,
+            () if is_off(self.config.correspondence.share) else self.correspondence.init(),
             NoiseState.unseen(len(self.needs)),
             FilterState.unseen(len(self.needs)),
             self.config.objective.targets.init(self.objective.layout),
@@ -268,7 +289,9 @@ class Smooth(Method):
         """One frame."""
         seen = self._seen(state, aligned, jnp.asarray(ticks, jnp.uint32))
         goal = seen.goal
-        if not is_off(self.config.rest_pose.reach):
+        if is_off(self.config.rest_pose.reach):
+            goal = goal._replace(tips=self.motion.tips(state.solved) + seen.moves)
+        else:
             rest = self.rest_pose(state.solved, aligned, seen.places, seen.moves)
             goal = self._rested(goal, rest, seen.moves, seen.clock.restart)
         solved = self._solve(state, goal, seen.clock)
@@ -291,9 +314,18 @@ class Smooth(Method):
         points, tips = filtered.points, [TIPS[FINGERS.index(f)] for f in self.hand.fingers]
         at, wrist = np.array([self.needs.index(i) for i in tips]), self.needs.index(WRIST)
         moves, places = steps[at] - steps[wrist], points[at] - points[wrist]
-        goal, policy = self._goal(state, points, moves, clock)
+        goal_points, operator, speeds = points, state.operator, moves
+        if operator:  # a tuple of arrays; empty without a correspondence
+            operator, targets = self.correspondence.step(
+                operator, aligned, points[at], moves, clock.dt, clock.restart
+            )
+            origin = jnp.asarray(self.hand.wrist, points.dtype)
+            moves, places = targets.steps, targets.tips - origin
+            corners = jnp.concatenate([targets.tips, origin[None]])
+            goal_points = points.at[np.array([*at, wrist])].set(corners)
+        goal, policy = self._goal(state, goal_points, speeds, clock)
         places = places + jnp.asarray(self.hand.wrist, points.dtype)
-        return _Seen(clock, now, noise, filtered, policy, goal, moves, places)
+        return _Seen(clock, now, operator, noise, filtered, policy, goal, moves, places)
 
     def _rested(
         self, goal: FrameGoal, rest: RestGoal, moves: Float[Array, "F 3"], restart: Bool[Array, ""]
@@ -315,7 +347,15 @@ class Smooth(Method):
         most = self.config.joint_speed * jnp.minimum(clock.dt, clock.period)
         most = jnp.where(clock.first, jnp.inf, most)
         q = jnp.clip(jnp.clip(solved, state.q - most, state.q + most), low, high)
-        known = seen.noise, seen.filtered, seen.policy, seen.now, clock.period, state.seed
+        known = (
+            seen.operator,
+            seen.noise,
+            seen.filtered,
+            seen.policy,
+            seen.now,
+            clock.period,
+            state.seed,
+        )
         after = SmoothState(q, solved, *known, state.frames + jnp.uint32(1))
         return after, MethodOutput(q, self.objective.tracking_at(q, seen.goal))
 
@@ -344,10 +384,7 @@ class Smooth(Method):
             speed = jnp.sqrt((moves * moves).sum(-1) + 1e-18) / clock.dt
             motion = motion / (1 + (speed / config.motion_speed) ** 2)
         goal = FrameGoal(targets.vectors, targets.weights, state.solved, velocity)
-        tips = None
-        if is_off(config.rest_pose.reach):
-            tips = self.motion.tips(state.solved) + moves
-        return goal._replace(tips=tips, motion_weights=motion), policy_state
+        return goal._replace(motion_weights=motion), policy_state
 
     def _solve(self, state: SmoothState, goal: FrameGoal, clock: FrameClock) -> Float[Array, " m"]:
         config, fingers = self.config, len(self.hand.fingers)

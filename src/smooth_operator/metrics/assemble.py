@@ -10,6 +10,7 @@ from jaxtyping import Float
 from smooth_operator.errors import RecordingError
 from smooth_operator.hands.collision import penetration_depths
 from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.straight_pose import straight_pose
 from smooth_operator.human.alignment import AlignmentConfig, align_recording
 from smooth_operator.landmarks import LANDMARKS, NUM_LANDMARKS
 from smooth_operator.metrics.trace import Trace
@@ -75,6 +76,7 @@ def assemble_trace(
         penetration=penetration_depths(hand, q),
         robot_landmarks=landmarks,
         palm_landmarks=hand.align_indices,
+        straight_lengths=straight_pose(hand).reach,
     )
 
 

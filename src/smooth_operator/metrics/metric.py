@@ -78,6 +78,7 @@ class Metric:
 
 GROUPS: Final[Mapping[str, str]] = {
     "accuracy": "Accuracy: does the robot hand have the human hand's shape?",
+    "posture": "Posture: is the robot hand open and closed as the human hand is?",
     "grasping": "Grasping: do pinches close, and do fingers stay out of each other?",
     "motion": "Motion: does the robot hand move as the human hand does?",
     "smoothness": "Smoothness: does it move without jitter?",

@@ -10,11 +10,12 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.landmarks import FINGERS, TIPS, WRIST
+from smooth_operator.landmarks import BASES, FINGERS, TIPS, WRIST
 from smooth_operator.metrics import (
     accuracy,
     consistency,
     joints,
+    posture,
     published,
     safety,
     service,
@@ -106,6 +107,44 @@ def _pinch_gaps(trace: Trace) -> Float[np.ndarray, "T K"]:
     return np.asarray(accuracy.pinch_gaps(*_thumb(trace)) * 1e3)
 
 
+def _pinch_gap_excess(trace: Trace) -> float | None:
+    human, robot = (np.linalg.norm(vectors, axis=-1) for vectors in _thumb(trace))
+    pinched = human < accuracy.PINCH_DISTANCE  # NaN compares as False
+    return summary.scaled(summary.mean((robot - human)[pinched]), 1e3)
+
+
+@_once
+def _extensions(trace: Trace) -> tuple[Float[np.ndarray, "T L"], Float[np.ndarray, "T L"]]:
+    """Extension of the long fingers, human and robot."""
+    human = posture.human_extensions(trace.human_fingers[:, 1:])
+    if trace.straight_lengths is None:
+        return human, np.full_like(human, np.nan)
+    return human, posture.robot_extensions(trace.robot_fingers[:, 1:], trace.straight_lengths[1:])
+
+
+@_once
+def _directions(trace: Trace) -> Float[np.ndarray, "T F"]:
+    return posture.direction_errors(trace.human_fingers, trace.robot_fingers)
+
+
+def _curl_error(trace: Trace) -> float | None:
+    human, robot = trace.human_fingers[:, 1:], trace.robot_fingers[:, 1:]
+    return summary.mean(np.abs(posture.curls(robot) - posture.curls(human)))
+
+
+def _spread_error(trace: Trace) -> float | None:
+    across = trace.human[:, BASES[1]] - trace.human[:, BASES[-1]]
+    if len(trace.fingers) < 5:  # a hand of four fingers has no little one
+        across = trace.human_fingers[:, 1, 0] - trace.human_fingers[:, -1, 0]
+    human, robot = trace.human_fingers[:, 1:], trace.robot_fingers[:, 1:]
+    return summary.mean(np.abs(posture.spreads(robot, across) - posture.spreads(human, across)))
+
+
+@_once
+def _steps(trace: Trace) -> tuple[Float[np.ndarray, "S F"], Float[np.ndarray, "S F"]]:
+    return posture.steps(trace.human_reaches), posture.steps(trace.robot_reaches)
+
+
 def _pinch_gaps_strict(trace: Trace) -> Float[np.ndarray, "T K"]:
     return np.asarray(accuracy.pinch_gaps(*_thumb(trace), accuracy.PINCH_DISTANCE_STRICT) * 1e3)
 
@@ -129,6 +168,25 @@ METRICS: Final[tuple[Metric, ...]] = (
            lambda t: accuracy.scale_ratio(*_thumb(t)),
            published=lambda t: published.scale_ratio(*_fitted_thumb(t)), short="scale"),
     Metric("tracking_loss", "", "down", "mean of the method's own tracking objective", "accuracy"),
+    Metric("finger_extension_error", "", "down",
+           "extension of the long fingers, robot against human: 1 is straight", "posture",
+           lambda t: posture.extension_error(*_extensions(t)), short="extension"),
+    Metric("flat_extension_lack", "", "down", "extension that lacks while the human hand is flat",
+           "posture", lambda t: posture.flat_extension_lack(*_extensions(t))),
+    Metric("fist_extension_excess", "", "down", "extension too much while the human makes a fist",
+           "posture", lambda t: posture.fist_extension_excess(*_extensions(t))),
+    Metric("finger_direction_error_deg", "°", "down", "base-to-tip direction of the long fingers",
+           "posture", lambda t: summary.mean(_directions(t)[:, 1:]), short="fingers"),
+    Metric("thumb_direction_error_deg", "°", "down", "base-to-tip direction of the thumb",
+           "posture", lambda t: summary.mean(_directions(t)[:, 0]), short="thumb"),
+    Metric("curl_error_deg", "°", "down", "bend of the two outer joints of the long fingers",
+           "posture", _curl_error),
+    Metric("spread_error_deg", "°", "down", "sideways angle between neighbouring long fingers",
+           "posture", _spread_error),
+    Metric("common_shift_mm", "mm", "down", "error that all wrist-to-tip vectors share", "posture",
+           lambda t: summary.scaled(posture.common_shift(t.human_reaches, t.robot_reaches), 1e3)),
+    Metric("pinch_gap_excess_mm", "mm", "", "robot tip gap minus the human's that is under 15 mm",
+           "grasping", _pinch_gap_excess, short="gap excess"),
     Metric("pinch_error_mm", "mm", "down", "robot tip gap while the human's is under 15 mm",
            "grasping", lambda t: summary.mean(_pinch_gaps(t)), short="pinch gap"),
     Metric("pinch_error_strict_mm", "mm", "down", "robot tip gap while the human's is under 12 mm",
@@ -151,6 +209,12 @@ METRICS: Final[tuple[Metric, ...]] = (
            "motion", lambda t: _lag(t)[0]),
     Metric("frozen_share", "", "down", "share of human motion that the robot sits out", "motion",
            lambda t: consistency.frozen_share(t.human_reaches, t.joint_positions)),
+    Metric("step_gain", "", "->1", "robot step over human step of over 3 mm, median", "motion",
+           lambda t: summary.median(posture.step_gains(*_steps(t)))),
+    Metric("stalled_share", "", "down", "share of those steps answered by less than a third",
+           "motion", lambda t: posture.stalled_share(posture.step_gains(*_steps(t)))),
+    Metric("jumps_per_1000", "", "down", "frames with a tip 12 mm further on than the human's",
+           "smoothness", lambda t: posture.jumps_per_1000(*_steps(t)), short="jumps"),
     Metric("flatness", "m²", "down", "squared second difference of fingertips, at this rate",
            "smoothness", lambda t: consistency.flatness(t.robot_tips), short="flatness"),
     Metric("fingertip_acceleration", "m/s²", "down", "mean fingertip acceleration", "smoothness",

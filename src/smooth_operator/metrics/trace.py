@@ -34,6 +34,8 @@ class Trace:
             the robot has none; used by the published definition only; or None.
         palm_landmarks: indices of the landmarks that align the two palms; used by the published
             definition only.
+        straight_lengths: (F,) base to tip of the robot's straight fingers [m], for the metrics of
+            posture; or None.
 
     Raises:
         RecordingError: if an array has the wrong shape or the stamps don't increase.
@@ -53,6 +55,7 @@ class Trace:
     penetration: Float[np.ndarray, " T"] | None = None
     robot_landmarks: Float[np.ndarray, "T 21 3"] | None = None
     palm_landmarks: tuple[int, ...] = (BASES[0], BASES[1], BASES[4])
+    straight_lengths: Float[np.ndarray, " F"] | None = None
 
     def __post_init__(self) -> None:
         fingers = tuple(self.fingers)
@@ -81,6 +84,8 @@ class Trace:
             self._take("penetration", (count,))
         if self.robot_landmarks is not None:
             self._take("robot_landmarks", (count, NUM_LANDMARKS, 3))
+        if self.straight_lengths is not None:
+            self._take("straight_lengths", (tips,))
         steps = np.diff(self.stamps)
         if not (np.isfinite(self.stamps).all() and (steps > 0).all()):
             at = int(np.argmin(np.isfinite(self.stamps[1:]) & (steps > 0))) + 1
@@ -123,6 +128,23 @@ class Trace:
     def robot_reaches(self) -> Float[np.ndarray, "T F 3"]:
         """Robot wrist to fingertip vectors [m]."""
         return np.asarray(self.robot_tips - self.robot_wrist)
+
+    @property
+    def human_fingers(self) -> Float[np.ndarray, "T F 4 3"]:
+        """Human landmarks from base to tip of the fingers that the robot answers to [m]."""
+        return np.asarray(self.human[:, self._chains])
+
+    @property
+    def robot_fingers(self) -> Float[np.ndarray, "T F 4 3"]:
+        """The robot's points from base to tip of its fingers [m]; NaN where it has none."""
+        if self.robot_landmarks is None:
+            return np.full((len(self), len(self.fingers), 4, 3), np.nan)
+        return np.asarray(self.robot_landmarks[:, self._chains])
+
+    @property
+    def _chains(self) -> np.ndarray:
+        """(F, 4) landmarks of each finger, base to tip."""
+        return np.array([BASES[FINGERS.index(name)] for name in self.fingers])[:, None] + range(4)
 
     @property
     def human_keyvectors(self) -> Float[np.ndarray, "T K 3"]:

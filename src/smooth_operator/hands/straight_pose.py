@@ -1,4 +1,4 @@
-"""The robot's side of a calibration: reach and direction of its straight fingers."""
+"""The pose of a robot hand with straight fingers, and their lengths."""
 
 from __future__ import annotations
 

@@ -1,0 +1,102 @@
+"""Does the robot hand look and move like the operator's: figures of posture, and contact sheets.
+
+    python research/benchmarks/looks.py RECORDING... [--methods smooth smooth:precise sbr ako]
+        [--hands mimic_p050 shadow_hand] [--sheets FOLDER]
+
+A recording is named as for ``smooth-operator bench``: ``glove.npz@:500``, ``video.npz@30hz``. The
+mean of a method is over recordings, each one unit.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from smooth_operator.hands.registry import load_hand
+from smooth_operator.lab.benchmark.contact_sheet import contact_sheet
+from smooth_operator.lab.benchmark.recordings import load_sources, parse_request
+from smooth_operator.methods.retargeter import Retargeter
+from smooth_operator.metrics import Trace, evaluate
+from smooth_operator.metrics.assemble import assemble_trace
+from smooth_operator.reporting.drawing import write_figure
+from smooth_operator.types import HandRecording
+
+COLUMNS: Final = {
+    "finger_extension_error": "extension",
+    "flat_extension_lack": "flat",
+    "fist_extension_excess": "fist",
+    "finger_direction_error_deg": "fingers °",
+    "thumb_direction_error_deg": "thumb °",
+    "curl_error_deg": "curl °",
+    "spread_error_deg": "spread °",
+    "common_shift_mm": "shift mm",
+    "cosine_similarity": "thumb cos",
+    "motion_preservation": "motion",
+    "jumps_per_1000": "jumps",
+    "stalled_share": "stalled",
+    "step_gain": "gain",
+    "pinch_gap_excess_mm": "gap mm",
+    "self_collision.share": "collision",
+    "flatness": "flatness",
+    "latency_ms.p50": "p50 ms",
+}
+"""Metric -> heading."""
+
+
+def figures(trace: Trace) -> list[float]:
+    """The columns of a run; NaN where one could not be measured."""
+    result, row = evaluate(trace), []
+    for name in COLUMNS:
+        key, _, part = name.partition(".")
+        value = result[key]
+        value = value[part] if part and isinstance(value, dict) else value
+        row.append(float(value) if isinstance(value, (int, float)) else np.nan)
+    return row
+
+
+def run(method: str, hand_name: str, recordings: dict[str, HandRecording]) -> dict[str, Trace]:
+    """Traces of a method, ``name`` or ``name:preset``, by recording."""
+    name, _, preset = method.partition(":")
+    hand = load_hand(hand_name)
+    retargeter = Retargeter(hand, method=name, preset=preset or None)
+    return {
+        key: assemble_trace(recording, retargeter.run(recording)[0], hand, reach_samples=0)
+        for key, recording in recordings.items()
+    }
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Prints a table for each hand, and draws its sheets if a folder is named."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("recordings", nargs="+")
+    parser.add_argument("--methods", nargs="+", default=["smooth"])
+    parser.add_argument("--hands", nargs="+", default=["mimic_p050"])
+    parser.add_argument("--sheets", type=Path)
+    options = parser.parse_args(arguments)
+    sources = load_sources([parse_request(text) for text in options.recordings])
+    recordings = {s.name: s.recording for s in sources if s.recording is not None}
+    for hand in options.hands:
+        traces = {method: run(method, hand, recordings) for method in options.methods}
+        print(f"\n## {hand}, {len(recordings)} recordings\n")
+        print("| method | recording | " + " | ".join(COLUMNS.values()) + " |")
+        print("|---|---|" + "---:|" * len(COLUMNS))
+        for method, by_recording in traces.items():
+            rows = {name: figures(trace) for name, trace in by_recording.items()}
+            for name, row in rows.items():
+                print(f"| {method} | {name} | " + " | ".join(f"{x:.3g}" for x in row) + " |")
+            known = np.ma.masked_invalid(list(rows.values())).mean(axis=0).filled(np.nan)
+            print(f"| {method} | **mean** | " + " | ".join(f"{x:.3g}" for x in known) + " |")
+        if options.sheets is not None:
+            options.sheets.mkdir(parents=True, exist_ok=True)
+            for name in recordings:
+                one = {method: by_recording[name] for method, by_recording in traces.items()}
+                stem = f"{hand}_{Path(name).stem}".replace(":", "-")
+                write_figure(contact_sheet(one), options.sheets / stem)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,246 @@
+"""Correspondence of human and robot fingers: places of the robot's fingertips.
+
+Aligned palms do not make hands correspond: wrists and knuckles lie centimetres apart, and a robot's
+fingers are up to twice as long as the human's, each by another factor. So each fingertip is placed
+from the robot's own knuckle, as far out as the human's is from his, in units of the length of the
+finger. A straight finger is then straight and a bent one as bent. Thumb and finger that come near
+each other move together until the vector between them is the human's own.
+
+What is needed of the human, the bases of the fingers and their lengths, is measured while the hand
+is in use: constants of the operator that settle within a second.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from smooth_operator.errors import ConfigError
+from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.straight_pose import straight_pose
+from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS
+from smooth_operator.settings import check_numbers
+
+_SUDDEN: Final = 0.2  # share of a length by which one frame may differ and count in full
+_SETTLED: Final = 1.0  # time after which small differences no longer count [s]
+_SMALL: Final = 0.02  # share of a length that counts as a small difference
+_FOLDS: Final = 0.2  # range of extensions in which a finger begins to count as unfolded
+_TINY: Final = 1e-9
+
+
+@dataclass(frozen=True)
+class CorrespondenceConfig:
+    """Settings of the correspondence of human and robot fingers.
+
+    Attributes:
+        share: of the way from the human's fingertip, as the palms are aligned, to its counterpart
+            on the robot's finger; 0 leaves fingertips where they are.
+        longest: greatest gain of a finger, robot length over human length.
+        near: distance of thumb and finger, on the robot's scale, under which the vector between
+            them is the human's own [m].
+        far: distance over which they do not move each other [m].
+        folded: extension of a finger, base to tip over its length, at which that counts by half: a
+            thumb beside a fist pinches nothing. 0 for any.
+        thumb_share: how far the thumb moves to the finger, if the finger moves to the thumb by 1.
+        faster: by how much a fingertip's place may move faster than the human's fingertip [m/s].
+        span: averaging time of the operator's lengths [s].
+    """
+
+    share: float = 1.0
+    longest: float = 2.5
+    near: float = 0.012
+    far: float = 0.08
+    folded: float = 0.35
+    thumb_share: float = 0.3
+    faster: float = 0.17
+    span: float = 10.0
+
+    def __post_init__(self) -> None:
+        check_numbers(
+            self,
+            "correspondence.",
+            positive=("longest", "far", "faster", "span"),
+            not_negative=("share", "near", "folded", "thumb_share"),
+        )
+        if not self.near < self.far:
+            raise ConfigError(
+                f"correspondence.near {self.near} must be less than correspondence.far {self.far}"
+            )
+        if self.share > 1:
+            raise ConfigError(f"correspondence.share must be 0 to 1, not {self.share}")
+
+
+class CorrespondenceState(NamedTuple):
+    """Lengths of the operator on the robot's scale, and the last places.
+
+    Attributes:
+        bases: (F, 3) bases of the human's fingers in the palm frame [m].
+        lengths: (F,) sums of their bones [m].
+        time: (F,) for how long each finger has been measured [s].
+        places: (F, 3) where the robot's fingertips belonged in the last frame [m].
+    """
+
+    bases: Float[Array, "F 3"]
+    lengths: Float[Array, " F"]
+    time: Float[Array, " F"]
+    places: Float[Array, "F 3"]
+
+
+class Places(NamedTuple):
+    """Places of the robot's fingertips in a frame.
+
+    Attributes:
+        tips: (F, 3) in the palm frame [m].
+        steps: (F, 3) by which they should move in this frame, in the human's direction [m].
+    """
+
+    tips: Float[Array, "F 3"]
+    steps: Float[Array, "F 3"]
+
+
+@dataclass(frozen=True, eq=False)
+class Correspondence:
+    """The correspondence for one hand.
+
+    Attributes:
+        hand: the robot hand.
+        config: settings.
+    """
+
+    hand: Hand
+    config: CorrespondenceConfig
+
+    @cached_property
+    def landmarks(self) -> tuple[int, ...]:
+        """Human landmarks that show the operator's lengths."""
+        return tuple(int(i) for i in self._chains.ravel())
+
+    @cached_property
+    def _chains(self) -> np.ndarray:
+        """(F, 4) landmarks of each finger, base to tip."""
+        bases = [BASES[FINGERS.index(name)] for name in self.hand.fingers]
+        return np.array(bases)[:, None] + np.arange(4)
+
+    @cached_property
+    def _robot(self) -> tuple[Float[np.ndarray, "F 3"], Float[np.ndarray, " F"]]:
+        """Bases at the straight pose and lengths of the robot's straight fingers [m]."""
+        straight = straight_pose(self.hand)
+        names, points = self.hand.tree.names, self.hand.landmark_positions(straight.q)
+        rows = [names.index(LANDMARKS[chain[0]]) for chain in self._chains]
+        return points[rows].astype(np.float32), straight.reach.astype(np.float32)
+
+    def init(self) -> CorrespondenceState:
+        """The lengths of an operator who is like the robot."""
+        bases, lengths = self._robot
+        time = np.zeros(len(lengths), np.float32)
+        made: CorrespondenceState = jax.device_put(
+            CorrespondenceState(bases, lengths, time, bases)  # type: ignore[arg-type]
+        )
+        return made
+
+    def step(
+        self,
+        before: CorrespondenceState,
+        aligned: Float[Array, "21 3"],
+        tips: Float[Array, "F 3"],
+        steps: Float[Array, "F 3"],
+        dt: Float[Array, ""],
+        restart: Bool[Array, ""],
+    ) -> tuple[CorrespondenceState, Places]:
+        """One frame; traceable.
+
+        Args:
+            before: after the last frame.
+            aligned: (21, 3) landmarks in the palm frame [m]; NaN where one is not known.
+            tips: (F, 3) the human's fingertips in the palm frame without noise, thumb first [m].
+            steps: (F, 3) their steps in this frame [m].
+            dt: time between the two frames [s].
+            restart: nothing came before, or too long ago: it may be another operator.
+        """
+        operator = self._measured(before, aligned, dt, restart)
+        places, gain = self._places(operator, tips)
+        # a finger of twice the length moves twice as fast, which is more than a robot can follow
+        most = jnp.sqrt((steps * steps).sum(-1, keepdims=True)) + self.config.faster * dt
+        last = jnp.where(restart, places, before.places)
+        places = last + _shortened(places - last, most)
+        moves = _shortened(gain[:, None] * steps, most)
+        return operator._replace(places=places), Places(places, moves)
+
+    def _measured(
+        self,
+        before: CorrespondenceState,
+        aligned: Float[Array, "21 3"],
+        dt: Float[Array, ""],
+        restart: Bool[Array, ""],
+    ) -> CorrespondenceState:
+        """The operator after a frame.
+
+        A mean over the time since the start that follows only differences of over 2 % once it has
+        settled; a difference of over 20 % counts as one of 20 %.
+        """
+        chains = aligned[self._chains]
+        bones = jnp.diff(chains, axis=1)
+        lengths = jnp.sqrt((bones * bones).sum(-1)).sum(-1)
+        finite = jnp.isfinite(lengths)
+        time = jnp.where(restart, 0.0, before.time)
+        share = jnp.where(finite, dt / (dt + jnp.minimum(time, self.config.span)), 0.0)
+        most = jnp.where(time <= 0, jnp.inf, _SUDDEN * before.lengths)  # the first counts in full
+        least = jnp.where(time < _SETTLED, 0.0, _SMALL * before.lengths)
+
+        def moved(mean: Array, now: Array) -> Array:
+            change = jnp.where(finite[:, None], now - mean, 0.0)
+            size = jnp.sqrt((change * change).sum(-1)) + _TINY
+            counts = jnp.clip(size - least, 0.0, most) / size
+            return mean + (share * counts)[:, None] * change
+
+        return before._replace(
+            bases=moved(before.bases, chains[:, 0]),
+            lengths=moved(before.lengths[:, None], lengths[:, None])[:, 0],
+            time=time + jnp.where(finite, dt, 0.0),
+        )
+
+    def _places(
+        self, operator: CorrespondenceState, tips: Float[Array, "F 3"]
+    ) -> tuple[Float[Array, "F 3"], Float[Array, " F"]]:
+        """Places of the fingertips, with a continuous slope, and the gain of their motion.
+
+        Of the human's vectors h_i from thumb to finger i and places T by the fingers alone, with a
+        nearness n_i of 0 to 1 and the thumb's share s, the places P are
+        P_0 = (T_0 + s sum n_i (T_i - h_i)) / (1 + s sum n_i), P_i = T_i + n_i (P_0 + h_i - T_i).
+        """
+        config = self.config
+        bases, reach = (jnp.asarray(part, tips.dtype) for part in self._robot)
+        gain = jnp.minimum(reach / operator.lengths, config.longest)
+        alone = bases + gain[:, None] * (tips - operator.bases)
+        alone = tips + config.share * (alone - tips)
+        gain = 1 + config.share * (gain - 1)
+        human = tips[1:] - tips[0]
+        apart = jnp.sqrt((human * human).sum(-1) + _TINY)
+        nearness = jnp.clip((config.far - apart) / (config.far - config.near), 0.0, 1.0)
+        away = tips[1:] - operator.bases[1:]
+        extension = jnp.sqrt((away * away).sum(-1) + _TINY) / operator.lengths[1:]
+        unfolded = jnp.clip(0.5 + (extension - config.folded) / _FOLDS, 0.0, 1.0)
+        nearness = _smooth_step(nearness) * _smooth_step(unfolded)
+        weights = (config.thumb_share * nearness)[:, None]
+        thumb = (alone[0] + (weights * (alone[1:] - human)).sum(0)) / (1 + weights.sum(0))
+        fingers = alone[1:] + nearness[:, None] * (thumb + human - alone[1:])
+        # fingers that pinch move as one
+        nearest = jnp.concatenate([nearness.max()[None], nearness])
+        return jnp.concatenate([thumb[None], fingers]), gain + nearest * (1 - gain)
+
+
+def _smooth_step(share: Float[Array, " n"]) -> Float[Array, " n"]:
+    """0 to 1 with level ends."""
+    return share * share * (3 - 2 * share)
+
+
+def _shortened(vectors: Float[Array, "F 3"], most: Float[Array, "F 1"]) -> Float[Array, "F 3"]:
+    """Vectors, those that are longer than they may be shortened."""
+    length = jnp.sqrt((vectors * vectors).sum(-1, keepdims=True)) + _TINY
+    return vectors * jnp.minimum(1.0, most / length)

@@ -1,0 +1,167 @@
+"""Posture: is the robot hand open where the human's is, closed where it is closed, and as lively?
+
+All figures come from landmarks alone, and none depends on the size of either hand. A finger's
+extension is the distance from its base to its tip over the longest one that it has: of the human
+the sum of its bones, of the robot that of its straight finger.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator.metrics import summary
+
+FLAT: Final = 0.92
+"""A hand all of whose long fingers are extended further than this is flat."""
+FIST: Final = 0.6
+"""A hand none of whose long fingers is extended further than this is a fist."""
+JUMP: Final = 0.012
+"""A robot fingertip that goes this much further in a frame than the human's jumps [m]."""
+LARGE_STEP: Final = 0.003
+"""A human fingertip that goes further than this in a frame makes a large step [m]."""
+STALLED: Final = 1 / 3
+"""A robot step under this share of the human's large step is a stall."""
+_TINY: Final = 1e-9
+
+
+def human_extensions(fingers: Float[np.ndarray, "T L 4 3"]) -> Float[np.ndarray, "T L"]:
+    """Extension of human fingers, 1 for a straight one.
+
+    Args:
+        fingers: (T, L, 4, 3) landmarks of L fingers, base to tip [m].
+    """
+    bones = np.linalg.norm(np.diff(fingers, axis=2), axis=-1).sum(axis=-1)
+    return np.asarray(_lengths(fingers) / np.maximum(bones, _TINY))
+
+
+def robot_extensions(
+    fingers: Float[np.ndarray, "T L 4 3"], straight: Float[np.ndarray, " L"]
+) -> Float[np.ndarray, "T L"]:
+    """Extension of robot fingers, 1 for a straight one.
+
+    Args:
+        fingers: (T, L, 4, 3) points of L fingers, base to tip [m].
+        straight: (L,) base to tip of the straight fingers [m].
+    """
+    return np.asarray(_lengths(fingers) / straight)
+
+
+def extension_error(
+    human: Float[np.ndarray, "T L"], robot: Float[np.ndarray, "T L"]
+) -> float | None:
+    """Mean difference of the extensions, without sign; down. None without data."""
+    return summary.mean(np.abs(robot - human))
+
+
+def flat_extension_lack(
+    human: Float[np.ndarray, "T L"], robot: Float[np.ndarray, "T L"]
+) -> float | None:
+    """Mean extension that the robot's fingers lack while the human hand is flat; down.
+
+    None where the human hand never is.
+    """
+    flat = (human > FLAT).all(axis=-1)  # NaN compares as False
+    return summary.mean(np.maximum(human - robot, 0.0)[flat])
+
+
+def fist_extension_excess(
+    human: Float[np.ndarray, "T L"], robot: Float[np.ndarray, "T L"]
+) -> float | None:
+    """Mean extension that the robot's fingers have too much while the human's are a fist; down.
+
+    None where the human hand makes none.
+    """
+    fist = (human < FIST).all(axis=-1)
+    return summary.mean(np.maximum(robot - human, 0.0)[fist])
+
+
+def direction_errors(
+    human: Float[np.ndarray, "T F 4 3"], robot: Float[np.ndarray, "T F 4 3"]
+) -> Float[np.ndarray, "T F"]:
+    """Angle between the base-to-tip vectors of human and robot [degrees].
+
+    Args:
+        human: (T, F, 4, 3) landmarks of F fingers, base to tip, aligned to the palm [m].
+        robot: (T, F, 4, 3) the robot's points [m].
+    """
+    h, r = (_unit(x[:, :, 3] - x[:, :, 0]) for x in (human, robot))
+    return np.asarray(np.degrees(np.arccos(np.clip((h * r).sum(axis=-1), -1, 1))))
+
+
+def curls(fingers: Float[np.ndarray, "T F 4 3"]) -> Float[np.ndarray, "T F"]:
+    """Sum of the angles between neighbouring bones, which are two a finger [degrees].
+
+    Args:
+        fingers: (T, F, 4, 3) points of F fingers, base to tip [m].
+    """
+    bones = _unit(np.diff(fingers, axis=2))
+    cosines = (bones[:, :, 1:] * bones[:, :, :-1]).sum(axis=-1)
+    return np.asarray(np.degrees(np.arccos(np.clip(cosines, -1, 1))).sum(axis=-1))
+
+
+def spreads(
+    fingers: Float[np.ndarray, "T L 4 3"], across: Float[np.ndarray, "T 3"]
+) -> Float[np.ndarray, "T N"]:
+    """By how much neighbouring fingers point apart, to the sides of the palm only [degrees].
+
+    Args:
+        fingers: (T, L, 4, 3) points of L fingers, base to tip [m].
+        across: (T, 3) direction across the palm.
+    """
+    sideways = (_unit(fingers[:, :, 3] - fingers[:, :, 0]) * _unit(across)[:, None]).sum(axis=-1)
+    return np.asarray(np.diff(np.degrees(np.arcsin(np.clip(sideways, -1, 1))), axis=1))
+
+
+def steps(tips: Float[np.ndarray, "T F 3"]) -> Float[np.ndarray, "S F"]:
+    """Way of each fingertip between two frames [m]."""
+    return np.asarray(np.linalg.norm(np.diff(tips, axis=0), axis=-1))
+
+
+def jumps_per_1000(
+    human: Float[np.ndarray, "S F"], robot: Float[np.ndarray, "S F"]
+) -> float | None:
+    """Frames in a thousand in which a fingertip jumps (``JUMP``); down.
+
+    Args:
+        human: (S, F) steps of the human's fingertips [m].
+        robot: (S, F) of the robot's [m].
+    """
+    finite = np.isfinite(human).all(axis=-1)
+    return summary.scaled(summary.mean((robot - human > JUMP).any(axis=-1)[finite]), 1e3)
+
+
+def step_gains(
+    human: Float[np.ndarray, "S F"], robot: Float[np.ndarray, "S F"]
+) -> Float[np.ndarray, "S F"]:
+    """Robot step over human step where that is large (``LARGE_STEP``), else NaN."""
+    large = human > LARGE_STEP
+    return np.where(large, robot / np.where(large, human, 1.0), np.nan)
+
+
+def stalled_share(gains: Float[np.ndarray, "S F"]) -> float | None:
+    """Share of the human's large steps that the robot answers by less than a third; down."""
+    return summary.mean((gains < STALLED)[np.isfinite(gains)])
+
+
+def common_shift(
+    human: Float[np.ndarray, "T F 3"], robot: Float[np.ndarray, "T F 3"]
+) -> float | None:
+    """Length of the mean error of the wrist-to-tip vectors over fingers, mean over frames [m].
+
+    Args:
+        human: (T, F, 3) human wrist-to-tip vectors, aligned [m].
+        robot: (T, F, 3) the robot's [m].
+    """
+    return summary.mean(np.linalg.norm((robot - human).mean(axis=1), axis=-1))
+
+
+def _lengths(fingers: Float[np.ndarray, "T L 4 3"]) -> Float[np.ndarray, "T L"]:
+    return np.asarray(np.linalg.norm(fingers[:, :, 3] - fingers[:, :, 0], axis=-1))
+
+
+def _unit(vectors: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 3"]:
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.asarray(vectors / np.maximum(length, _TINY))

@@ -1,0 +1,131 @@
+"""Places of the robot's fingertips by the human's fingers."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from smooth_operator.errors import ConfigError
+from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.registry import load_hand
+from smooth_operator.hands.straight_pose import straight_pose
+from smooth_operator.human.alignment import reference_landmarks
+from smooth_operator.human.correspondence import Correspondence, CorrespondenceConfig
+from smooth_operator.landmarks import BASES, TIPS
+
+DT = jnp.float32(1 / 60)
+
+
+@pytest.fixture(scope="module")
+def hand() -> Hand:
+    return load_hand()
+
+
+def operator_of(hand: Hand, size: float = 0.6) -> np.ndarray:
+    """(21, 3) an operator with the robot's palm, fingers of another size, moved by 20 mm."""
+    points = reference_landmarks(hand)
+    for base in BASES:
+        points[base : base + 4] = points[base] + size * (points[base : base + 4] - points[base])
+        points[base : base + 4] += [0.0, 0.02, 0.0]
+    return points.astype(np.float32)
+
+
+def follow(
+    correspondence: Correspondence, frames: np.ndarray, restarts: tuple[int, ...] = (0,)
+) -> tuple[list[np.ndarray], np.ndarray]:
+    """Lengths after each frame, and (T, F, 3) places."""
+    state, lengths, places = correspondence.init(), [], []
+    last = frames[0]
+    for i, points in enumerate(frames):
+        tips = jnp.asarray(points[list(TIPS)])
+        steps = jnp.asarray(np.nan_to_num(points - last)[list(TIPS)])
+        begins = jnp.bool_(i in restarts)
+        state, found = correspondence.step(state, jnp.asarray(points), tips, steps, DT, begins)
+        lengths.append(np.asarray(state.lengths))
+        places.append(np.asarray(found.tips))
+        last = points
+    return lengths, np.stack(places)
+
+
+def test_the_robots_own_hand_of_another_size_stays_where_it_is(hand: Hand) -> None:
+    frames = np.tile(operator_of(hand), (5, 1, 1))
+    far_apart = CorrespondenceConfig(near=0.0, far=1e-4)
+    _, places = follow(Correspondence(hand, far_apart), frames)
+    expected = reference_landmarks(hand)
+    bones = np.linalg.norm(np.diff([expected[b : b + 4] for b in BASES], axis=1), axis=-1).sum(-1)
+    rays = expected[list(TIPS)] - expected[list(BASES)]
+    gains = straight_pose(hand).reach / bones  # a finger's bones are hardly longer than its reach
+    np.testing.assert_allclose(places[-1], expected[list(BASES)] + gains[:, None] * rays, atol=2e-4)
+
+
+def test_lengths_settle_and_hold(hand: Hand) -> None:
+    rng = np.random.default_rng(0)
+    base = operator_of(hand)
+    noisy = base + 1e-3 * rng.standard_normal((240, 21, 3)).astype(np.float32)
+    lengths, _ = follow(Correspondence(hand, CorrespondenceConfig()), noisy)
+    np.testing.assert_allclose(lengths[-1], lengths[-100], rtol=3e-3)
+    bones = np.linalg.norm(np.diff([base[b : b + 4] for b in BASES], axis=1), axis=-1).sum(-1)
+    np.testing.assert_allclose(lengths[-1], bones, rtol=0.03)
+
+
+def test_another_operator_after_a_gap_is_measured_again(hand: Hand) -> None:
+    frames = np.concatenate([np.tile(operator_of(hand, size), (90, 1, 1)) for size in (0.6, 0.8)])
+    correspondence = Correspondence(hand, CorrespondenceConfig())
+    new, _ = follow(correspondence, np.tile(operator_of(hand, 0.8), (3, 1, 1)))
+    after_gap, _ = follow(correspondence, frames, restarts=(0, 90))
+    np.testing.assert_allclose(after_gap[90], new[-1], rtol=1e-5)
+
+
+def test_unknown_landmarks_leave_the_lengths(hand: Hand) -> None:
+    frames = np.tile(operator_of(hand), (20, 1, 1))
+    frames[10:, 6] = np.nan  # a joint of the index finger, not its tip
+    lengths, places = follow(Correspondence(hand, CorrespondenceConfig()), frames)
+    np.testing.assert_array_equal(lengths[-1], lengths[9])
+    assert np.isfinite(places).all()
+
+
+def pinch(hand: Hand, count: int = 400) -> np.ndarray:
+    """The index fingertip to the thumb's, and back, evenly; the last half of the frames settled."""
+    points = operator_of(hand)
+    frames = np.tile(points, (count, 1, 1))
+    way = 0.5 - 0.5 * np.cos(np.linspace(0, 2 * np.pi, count // 2))
+    to = points[TIPS[0]] - points[TIPS[1]]
+    frames[count // 2 :, TIPS[1]] += (way[:, None] * to).astype(np.float32)
+    return frames
+
+
+def test_a_pinch_closes_and_has_no_jump(hand: Hand) -> None:
+    calm = CorrespondenceConfig(faster=100.0)
+    _, places = follow(Correspondence(hand, calm), pinch(hand))
+    moving = places[210:]
+    steps = np.diff(moving, axis=0)
+    human = np.linalg.norm(np.diff(pinch(hand)[210:, TIPS[1]], axis=0), axis=-1).max()
+    assert np.linalg.norm(steps, axis=-1).max() < 4 * human
+    assert np.linalg.norm(np.diff(steps, axis=0), axis=-1).max() < 0.25 * human  # of velocity
+    closed = np.linalg.norm(places[300, 1] - places[300, 0])
+    assert closed < 5e-4
+
+
+def test_places_are_not_much_faster_than_the_human(hand: Hand) -> None:
+    config = CorrespondenceConfig(faster=0.1)
+    frames = pinch(hand, 40)
+    _, places = follow(Correspondence(hand, config), frames)
+    human = np.linalg.norm(np.diff(frames[:, list(TIPS)], axis=0), axis=-1)
+    robot = np.linalg.norm(np.diff(places, axis=0), axis=-1)
+    assert (robot - human).max() < 0.1 * float(DT) + 1e-5
+
+
+def test_no_share_is_the_palms_alignment(hand: Hand) -> None:
+    config = replace(CorrespondenceConfig(), share=0.0)
+    frames = pinch(hand, 40)
+    _, places = follow(Correspondence(hand, config), frames)
+    np.testing.assert_allclose(places, frames[:, list(TIPS)], atol=1e-6)
+
+
+@pytest.mark.parametrize("setting", [{"near": 0.09}, {"share": 1.5}, {"far": -1.0}])
+def test_impossible_settings_are_refused(setting: dict[str, float]) -> None:
+    with pytest.raises(ConfigError):
+        CorrespondenceConfig(**setting)
