@@ -257,6 +257,7 @@ class Fatal:
 FATAL = Fatal()
 
 
+@pytest.mark.weekly
 def test_on_ray_a_killed_worker_loses_nothing(tmp_path: Path, source: Path) -> None:
     pytest.importorskip("ray.data", reason="needs ray: in the clone, pip install '.[cluster]'")
     from smooth_operator.lab.ray.corpus import retarget_corpus

@@ -39,7 +39,10 @@ def position(slider: Any) -> float:
 
 
 @pytest.mark.browser
-@pytest.mark.parametrize(("name", "side"), [("inspire_hand", "left"), ("allegro_hand", "right")])
+@pytest.mark.parametrize(
+    ("name", "side"),
+    [("inspire_hand", "left"), pytest.param("allegro_hand", "right", marks=pytest.mark.weekly)],
+)
 def test_a_slider_moves_its_joint_and_the_hand_on_the_page(
     chromium: Any, name: str, side: str
 ) -> None:

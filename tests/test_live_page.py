@@ -792,6 +792,7 @@ def process_figures(pid: int) -> tuple[int, float]:
     return int(words["Threads"]), int(words["VmRSS"].split()[0]) / 1024
 
 
+@pytest.mark.weekly
 @pytest.mark.browser
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="reads /proc")
 def test_opened_and_closed_again_and_again_nothing_is_left(

@@ -375,6 +375,7 @@ def test_without_ray_the_message_says_how_to_get_it(monkeypatch: pytest.MonkeyPa
         run_tasks(square, [1.0], cluster="auto")
 
 
+@pytest.mark.weekly
 def test_ray_is_the_pool(tmp_path: Path) -> None:
     pytest.importorskip("ray", reason="needs ray: in the clone, pip install '.[cluster]'")
     marker = tmp_path / "marker"

@@ -123,6 +123,7 @@ def test_a_result_is_that_of_the_library(folder: Path, expected: Bytes) -> None:
         assert "created" not in config
 
 
+@pytest.mark.weekly
 def test_with_the_default_method_too(tmp_path: Path) -> None:
     """Of two recordings by one retargeter, neither leaves anything to the other."""
     for seed, frames in enumerate((BLOCK + 9, 30)):

@@ -238,6 +238,7 @@ def test_any_number_of_workers_and_any_interruption_give_the_same(
     assert {cell["studies"] for cell in cells} == {6}
 
 
+@pytest.mark.weekly
 def test_honest_tests_err_less_and_find_less(tmp_path: Path) -> None:
     """Of 30 studies of the paper's design each: the gap that many more show is seen already."""
     settings = PowerSettings(PAPER, assumptions_for(METHODS), (18,), studies=30, seed=4)

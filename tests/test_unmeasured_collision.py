@@ -42,6 +42,7 @@ def test_a_verdict_has_no_part_for_collision_that_was_not_measured() -> None:
     assert "self-collision" not in verdict
 
 
+@pytest.mark.weekly
 def test_bench_and_retarget_leave_the_cell_empty(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
