@@ -37,7 +37,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     compilation_cache.reset_cache()
     monkeypatch.setenv("SMOOTH_OPERATOR_CACHE", str(tmp_path))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(shared, "_known", type(shared._known)())
+        patch.setattr(shared, "_programs", type(shared._programs)())
         patch.setattr(batching, "_programs", type(batching._programs)())
         yield tmp_path / "programs"
     jax.config.update("jax_enable_compilation_cache", before)
@@ -46,7 +46,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 def forget() -> None:
     """As a new process would begin."""
-    shared._known.clear()
+    shared._programs.clear()
     batching._programs.clear()
 
 

@@ -127,15 +127,15 @@ def rates(threads: int) -> dict[str, float]:
         ROOT: (lambda rows: [jnp.sqrt(r + 3.0) for r in rows], 1, 4, jnp.float32),
         OTHER: (lambda rows: [jnp.sin(r) for r in rows], 1, 2, jnp.float32),
     }
-    found = {}
+    figures = {}
     for name, (step, per_step, depth, dtype) in kinds.items():
         run = kernel(step, depth, dtype)
         x = jnp.ones(size, dtype)
         work = size * chains * depth * per_step * rounds
-        found[name] = work * _calls_per_second(partial(run, x), threads)
-    found["matrix product"] = _matrix_product(on_cpu)
-    found["bytes copied"] = _copying(on_cpu, threads)
-    return found
+        figures[name] = work * _calls_per_second(partial(run, x), threads)
+    figures["matrix product"] = _matrix_product(on_cpu)
+    figures["bytes copied"] = _copying(on_cpu, threads)
+    return figures
 
 
 def _calls_per_second(call: Callable[[], Any], threads: int, seconds: float = 0.4) -> float:

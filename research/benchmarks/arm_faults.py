@@ -243,7 +243,7 @@ class Run:
         change = spec.acceleration * min(dt, (self.dt_before + dt) / 2)
         hand = tick.command.positions[list(self.hand.actuated)]
         within = self.hand.limits
-        seen = {
+        poses = {
             "arm position [rad]": np.maximum(low - arm.positions, arm.positions - high).max(),
             "arm velocity [rad/s]": (np.abs(moved) - spec.velocity).max(),
             "arm acceleration [rad/s^2 s]": (np.abs(moved - self.velocity) - change).max(),
@@ -253,17 +253,17 @@ class Run:
         if tick.wrist is not None:
             place, config = tick.wrist.pose[:3], self.config.wrist
             beyond = np.maximum(np.array(config.low) - place, place - np.array(config.high))
-            seen["workspace [m]"] = beyond.max()
-        for name, value in seen.items():
+            poses["workspace [m]"] = beyond.max()
+        for name, value in poses.items():
             self.worst[name] = max(self.worst.get(name, -math.inf), float(value))
         if last is not None and last.arm is not None and dt <= 2 * PERIOD:
             back = tick.mode.moves and not last.mode.moves
             engaged = bool(tick.wrist and tick.wrist.engaged)
-            taken = engaged and not (last.wrist and last.wrist.engaged)
+            lost = engaged and not (last.wrist and last.wrist.engaged)
             if back:  # the fingers follow the mode, the arm the clutch, too
                 step = np.abs(tick.command.positions - last.command.positions).max()
                 self.fingers.append(float(step))
-            if back or taken:
+            if back or lost:
                 step = np.abs(arm.positions - last.arm.positions).max()
                 way = np.linalg.norm(arm.pose[:3] - last.arm.pose[:3])
                 self.returns.append((float(step), float(way)))
@@ -288,33 +288,33 @@ class Run:
 
 def run(arm: str, hand: str, rounds: int, seed: int, short: bool = False) -> dict[str, Any]:
     """Some rounds of all faults on one arm."""
-    made = Run(arm, hand, seed)
-    made.sinks.open({"right": made.hand}, {})
+    trial = Run(arm, hand, seed)
+    trial.sinks.open({"right": trial.hand}, {})
     try:
         for _ in range(rounds):
-            made.round(short)
+            trial.round(short)
     finally:
-        made.sinks.close()
-    return made.report()
+        trial.sinks.close()
+    return trial.report()
 
 
 def failures(report: dict[str, Any]) -> list[str]:
     """What should not have happened."""
     allowed = {"arm acceleration [rad/s^2 s]": 1e-6, "clearance [m]": 0.005}
-    found = [
+    faults = [
         f"{name} passed by {value}"
         for name, value in report["worst"].items()
         if value > allowed.get(name, 1e-9)
     ]
     if report["sent_to_the_good_sink"] != report["commands"]:
-        found.append("a sink missed commands because another one failed")
+        faults.append("a sink missed commands because another one failed")
     if report["errors_of_the_bad_sink"] == 0 or report["returns"] < 10:
-        found.append("the faults did not happen")
+        faults.append("the faults did not happen")
     if report["first_step_arm_rad"] > FIRST_RAD or report["first_step_hand_rad"] > FIRST_RAD:
-        found.append(f"a first step of more than {FIRST_RAD} rad")
+        faults.append(f"a first step of more than {FIRST_RAD} rad")
     if report["first_step_wrist_m"] > FIRST_M:
-        found.append(f"a first step of more than {1e3 * FIRST_M} mm")
-    return found
+        faults.append(f"a first step of more than {1e3 * FIRST_M} mm")
+    return faults
 
 
 def main() -> None:

@@ -111,9 +111,9 @@ def side_by_side(report: Report, settings: Settings) -> None:
         apart, memory = {}, {}
         for lanes in settings.lanes:
             commands, _ = retargeter.batch(recordings[:lanes], lanes=lanes)[0]
-            found = retargeter.hand.tips(commands.joint_positions)
+            own_tips = retargeter.hand.tips(commands.joint_positions)
             tips = retargeter.hand.tips(single.joint_positions)
-            apart[lanes] = np.linalg.norm(found - tips, axis=-1).max(axis=1) * 1e3
+            apart[lanes] = np.linalg.norm(own_tips - tips, axis=-1).max(axis=1) * 1e3
             memory[lanes] = device_memory_mib()
         times: dict[int, list[float]] = {lanes: [] for lanes in settings.lanes}
         live = []
@@ -176,9 +176,9 @@ def folder(report: Report, settings: Settings, at: Path) -> None:
 
     def ours(name: str, source: Path) -> None:
         method, _, preset = name.partition(":")
-        asked = make_request(hand=settings.hand, method=method, preset=preset or None)
+        request = make_request(hand=settings.hand, method=method, preset=preset or None)
         with tempfile.TemporaryDirectory(dir=at) as output:
-            jobs = survey(source, Path(output), asked).jobs
+            jobs = survey(source, Path(output), request).jobs
             entries = list(retarget_all(jobs, workers=workers))
         reasons = [entry.reason for entry in entries if entry.reason]
         if reasons:
@@ -198,14 +198,14 @@ def folder(report: Report, settings: Settings, at: Path) -> None:
         whole, startup = seconds
         return {"total_s": whole, "startup_s": startup, "work_s": whole - startup}
 
-    found: dict[str, list[dict[str, float]]] = {way: [] for way in ways}
+    times: dict[str, list[dict[str, float]]] = {way: [] for way in ways}
     for way in ways:  # fills the cache
         run(way)
     for _ in range(settings.repeats):  # in turn, so that noise hits all alike
         for way in ways:
-            found[way].append(run(way))
+            times[way].append(run(way))
     rows = []
-    for way, runs in found.items():
+    for way, runs in times.items():
         middle = {key: float(np.median([run[key] for run in runs])) for key in runs[0]}
         middle["frames_per_s"] = total / middle["work_s"]
         middle["frames_per_s_with_startup"] = total / middle["total_s"]

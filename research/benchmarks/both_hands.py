@@ -161,7 +161,7 @@ def run(
     config = LoopConfig(settings.rate)
     source = Together([pair[: len(retargeters)] for pair in frames], settings.rate)
     sink = Out()
-    pipelines = {side: HandPipeline(made, config) for side, made in retargeters.items()}
+    pipelines = {side: HandPipeline(retargeter, config) for side, retargeter in retargeters.items()}
     loop = TeleopLoop(pipelines, source, SinkRunner([sink]), config)
     with low_jitter(), contextlib.ExitStack() as first:
         loop.run(started=lambda: _first(first, settings.first))
@@ -173,8 +173,8 @@ def run(
     return np.array(took[10:]) * 1e3
 
 
-def _first(stack: contextlib.ExitStack, wanted: bool) -> None:
-    if wanted:
+def _first(stack: contextlib.ExitStack, enabled: bool) -> None:
+    if enabled:
         stack.enter_context(going_first())
 
 

@@ -157,7 +157,7 @@ def measured(report: Any, settings: Settings, home: Path, size: int) -> list[obj
     clips = run.total("clips")
     files, written = contents(output)
     first = run.lines[0]
-    found = {
+    figures = {
         "wall_s": run.wall_s,
         "startup_s": first["since_start"] - first["report"]["busy_s"],
         "cpu_ms_a_clip": run.total("cpu_s") / clips * 1e3,
@@ -169,7 +169,7 @@ def measured(report: Any, settings: Settings, home: Path, size: int) -> list[obj
         "files": float(files),
         "mb": written / MB,
     }
-    report.add(f"{size}", found)
+    report.add(f"{size}", figures)
     hours = run.total("frames") / settings.rate / 3600
     more = {
         "hours": hours,
@@ -184,7 +184,7 @@ def measured(report: Any, settings: Settings, home: Path, size: int) -> list[obj
         "dropped": run.total("dropped"),
     }
     report.add(f"{size}", more)
-    return [size, *found.values()]
+    return [size, *figures.values()]
 
 
 def kills(report: Any, settings: Settings, home: Path, size: int, what: str) -> None:
@@ -206,7 +206,7 @@ def kills(report: Any, settings: Settings, home: Path, size: int, what: str) -> 
     before = size - run.total("computed") if what == "driver" else float(size)
     repeated = run.total("repeated")
     same = digest(output) == digest(home / f"{size}-clips")
-    found = {
+    figures = {
         "kills": float(len(killed)),
         "done_at_kill": before,
         "repeated_clips": repeated,
@@ -216,7 +216,7 @@ def kills(report: Any, settings: Settings, home: Path, size: int, what: str) -> 
         "clips": run.total("clips"),
         "failed": run.total("failed"),
     }
-    report.add(f"{what} killed", found)
+    report.add(f"{what} killed", figures)
     report.table(
         f"{size} clips, {what} killed",
         (
@@ -229,7 +229,7 @@ def kills(report: Any, settings: Settings, home: Path, size: int, what: str) -> 
             "clips in the end",
             "failed",
         ),
-        [[*found.values()]],
+        [[*figures.values()]],
         0,
     )
 
@@ -271,11 +271,11 @@ def driven(
     watch: Callable[[dict[str, Any]], None] = lambda line: None,
 ) -> Run:
     """A driver in a process of its own."""
-    asked = {**asdict(settings), "output": output, "folder": None, "compare": None, "size": size}
+    options = {**asdict(settings), "output": output, "folder": None, "compare": None, "size": size}
     started = time.monotonic()
     run = Run()
     with subprocess.Popen(
-        [sys.executable, __file__, DRIVER, json.dumps(asked, default=str)],
+        [sys.executable, __file__, DRIVER, json.dumps(options, default=str)],
         stdout=subprocess.PIPE,
         text=True,
     ) as driver:
@@ -293,24 +293,24 @@ def driven(
     return run
 
 
-def drive(asked: dict[str, Any]) -> None:
+def drive(options: dict[str, Any]) -> None:
     """What the driver's process does."""
     from smooth_operator.lab.datasets.readers.synthetic import SyntheticCorpus
     from smooth_operator.lab.datasets.sources import each_item
     from smooth_operator.lab.ray.corpus import Progress, retarget_corpus
     from smooth_operator.lab.ray.settings import CorpusSettings
 
-    output = Path(asked["output"])
+    output = Path(options["output"])
     output.parent.mkdir(parents=True, exist_ok=True)
-    source = output.with_name(f"{asked['size']}.synthetic.json")
-    sides = ("right", "left") if asked["side"] is None else (asked["side"],)
-    SyntheticCorpus(asked["size"], *asked["seconds"], asked["rate"], sides).write(source)
-    request = {name: asked[name] for name in ("hand", "method", "preset")}
+    source = output.with_name(f"{options['size']}.synthetic.json")
+    sides = ("right", "left") if options["side"] is None else (options["side"],)
+    SyntheticCorpus(options["size"], *options["seconds"], options["rate"], sides).write(source)
+    request = {name: options[name] for name in ("hand", "method", "preset")}
     settings = CorpusSettings(
         request,
-        clips_per_shard=asked["clips_per_shard"],
-        retarget=not asked["pack"],
-        side=asked["side"],
+        clips_per_shard=options["clips_per_shard"],
+        retarget=not options["pack"],
+        side=options["side"],
     )
 
     def tell(so_far: Progress) -> None:
@@ -327,8 +327,8 @@ def drive(asked: dict[str, Any]) -> None:
         each_item([str(source)]),
         output,
         settings,
-        workers=asked["workers"],
-        cluster=None if asked["cluster"] == "none" else asked["cluster"],
+        workers=options["workers"],
+        cluster=None if options["cluster"] == "none" else options["cluster"],
         progress=tell,
     )
 
@@ -347,12 +347,12 @@ def contents(output: Path) -> tuple[int, int]:
 
 def digest(output: Path) -> str:
     """Of the names and bytes of the data set's files."""
-    found = hashlib.sha256()
+    hashed = hashlib.sha256()
     for path in sorted(output.rglob("*")):
         inside = path.relative_to(output)
         if path.is_file() and inside.parts[0] != ".corpus" and inside.name != "summary.json":
-            found.update(f"{inside.as_posix()}\0".encode() + path.read_bytes())
-    return found.hexdigest()
+            hashed.update(f"{inside.as_posix()}\0".encode() + path.read_bytes())
+    return hashed.hexdigest()
 
 
 def earlier(settings: Settings) -> dict[str, float]:
@@ -361,8 +361,8 @@ def earlier(settings: Settings) -> dict[str, float]:
 
     path = settings.output or RESULTS / "corpus.json"
     try:
-        found: dict[str, float] = json.loads(path.read_text(encoding="utf-8"))["figures"]
-        return found
+        figures: dict[str, float] = json.loads(path.read_text(encoding="utf-8"))["figures"]
+        return figures
     except (OSError, ValueError, KeyError) as error:
         raise BenchmarkError(f"{path}: no figures to plan with ({error}); give --sizes") from error
 

@@ -80,18 +80,18 @@ def throughput(report: Report, settings: Settings, ways: list[str], at: Path) ->
             path = at / name / f"{i:04d}.npz"
             path.parent.mkdir(exist_ok=True)
             np.savez(path, landmarks=part.landmarks, timestamps=part.stamps, side="right")
-    asked = make_request(hand=settings.hand, method=settings.method, preset=settings.preset)
+    request = make_request(hand=settings.hand, method=settings.method, preset=settings.preset)
     options: dict[str, dict[str, Any]] = {
         "one": {"workers": 0},
         "pool": {"workers": workers},
         "ray": {"workers": workers, "cluster": "local"},
     }
     digests: set[str] = set()
-    found: dict[str, list[dict[str, float]]] = {way: [] for way in ways}
+    times: dict[str, list[dict[str, float]]] = {way: [] for way in ways}
 
     def seconds(way: str, source: str) -> tuple[float, str]:
         with tempfile.TemporaryDirectory(dir=at) as output:
-            todo = survey(at / source, Path(output), asked)
+            todo = survey(at / source, Path(output), request)
             started = time.perf_counter()
             for entry in retarget_all(todo.jobs, **options[way]):
                 if entry.reason is not None:
@@ -114,10 +114,10 @@ def throughput(report: Report, settings: Settings, ways: list[str], at: Path) ->
             ways.remove(way)
     for _ in range(settings.repeats):  # in turn, so that noise hits all alike
         for way in ways:
-            found[way].append(run(way))
+            times[way].append(run(way))
     rows = []
     for way in ways:
-        middle = {k: float(np.median([r[k] for r in found[way]])) for k in found[way][0]}
+        middle = {k: float(np.median([r[k] for r in times[way]])) for k in times[way][0]}
         middle["frames_per_s"] = frames / middle["work_s"]
         middle["frames_per_s_with_startup"] = frames / middle["total_s"]
         report.add(way, middle)

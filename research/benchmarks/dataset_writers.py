@@ -52,12 +52,12 @@ class Settings:
 
 def main(settings: Settings) -> None:
     report = Report("dataset_writers", vars(settings))
-    made = [clip(number) for number in range(settings.different)]
+    clips = [clip(number) for number in range(settings.different)]
     rows = []
     for name in settings.formats or tuple(WRITERS.built_in):
         try:
             with tempfile.TemporaryDirectory() as folder:
-                figures = measured(name, Path(folder) / "out", made, settings.clips)
+                figures = measured(name, Path(folder) / "out", clips, settings.clips)
         except MissingExtraError as error:
             report.notes.append(f"{name}: not measured; {error}")
             continue
@@ -83,10 +83,10 @@ def clip(number: int) -> RobotClip:
     for side in SIDES:
         wrist = movement(stamps, rng)
         wrists[side] = wrist
-        seen = points * ([1, 1, 1] if side == "right" else [-1, 1, 1]) + wrist[:, None, :3]
-        noise = rng.normal(0.0, 0.0005, seen.shape)
+        placed = points * ([1, 1, 1] if side == "right" else [-1, 1, 1]) + wrist[:, None, :3]
+        noise = rng.normal(0.0, 0.0005, placed.shape)
         hands[side] = HandRecording(
-            seen + noise, stamps, side, T_world_wrist=wrist, world="room", name=f"clip {number}"
+            placed + noise, stamps, side, T_world_wrist=wrist, world="room", name=f"clip {number}"
         )
         phase = rng.uniform(0.0, 6.0, len(JOINTS)) + stamps[:, None] * rng.uniform(
             0.5, 3, len(JOINTS)
@@ -127,13 +127,13 @@ def movement(stamps: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     return np.concatenate([place, np.cos(half), np.sin(half) * axis / np.linalg.norm(axis)], 1)
 
 
-def all_clips(made: list[RobotClip], count: int) -> Iterator[RobotClip]:
+def all_clips(clips: list[RobotClip], count: int) -> Iterator[RobotClip]:
     for number in range(count):
-        one = made[number % len(made)]
+        one = clips[number % len(clips)]
         yield replace(one, clip=replace(one.clip, name=f"clip/{number}"), key=f"{number:064x}")
 
 
-def measured(name: str, output: Path, made: list[RobotClip], count: int) -> dict[str, float]:
+def measured(name: str, output: Path, clips: list[RobotClip], count: int) -> dict[str, float]:
     """Figures of one format."""
     if name == "flashdex":  # which needs a mesh for each object
         mesh = output.parent / "cup.obj"
@@ -141,14 +141,14 @@ def measured(name: str, output: Path, made: list[RobotClip], count: int) -> dict
         faces = ("1 2 4 3", "5 7 8 6", "1 5 6 2", "3 4 8 7", "1 3 7 5", "2 6 8 4")
         mesh.write_text("".join([f"v {x} {y} {z}\n" for x, y, z in corners]
                                 + [f"f {face}\n" for face in faces]))  # fmt: skip
-        made = [
+        clips = [
             replace(one, clip=replace(one.clip, objects=(replace(one.clip.objects[0], mesh=mesh),)))
-            for one in made
+            for one in clips
         ]
-    frames = sum(len(one.clip) for one in all_clips(made, count))
+    frames = sum(len(one.clip) for one in all_clips(clips, count))
     started, cpu = time.perf_counter(), time.process_time()
     with WRITERS.load(name).open(output, WritingOptions()) as writer:
-        for one in all_clips(made, count):
+        for one in all_clips(clips, count):
             writer.write(one)
     seconds, cpu = time.perf_counter() - started, time.process_time() - cpu
     started = time.perf_counter()

@@ -41,16 +41,16 @@ def retarget(task: tuple[str, str, str, str]) -> tuple[int, float, float]:
     path, *settings = task
     if not _made:
         _made["it"] = build(*settings)
-    made = _made["it"]
-    made.reset()
+    retargeter = _made["it"]
+    retargeter.reset()
     with np.load(path) as file:
         x, y, z = np.moveaxis(file["landmarks"], -1, 0)
     human = np.stack([-z, y, x], axis=-1)  # the axes of MANO's hand, which its settings expect
-    origin, end = made.optimizer.target_link_human_indices
+    origin, end = retargeter.optimizer.target_link_human_indices
     times, answers = [], []
     for frame in human:
         before = time.perf_counter()
-        answers.append(made.retarget(frame[end] - frame[origin]))
+        answers.append(retargeter.retarget(frame[end] - frame[origin]))
         times.append(time.perf_counter() - before)
     np.savez(Path(path).with_suffix(".commands.npz"), joint_positions=np.stack(answers))
     return len(human), sum(times), float(np.median(times)) * 1e3
@@ -63,11 +63,11 @@ def main() -> None:
     parser.add_argument("--robot", default="leap")
     parser.add_argument("--kind", default="vector", choices=("vector", "dexpilot"))
     parser.add_argument("--workers", type=int, default=2)
-    asked = parser.parse_args()
+    options = parser.parse_args()
     started = time.perf_counter()
-    files = sorted(p for p in asked.folder.glob("*.npz") if ".commands" not in p.name)
-    tasks = [(str(path), asked.urdf, asked.robot, asked.kind) for path in files]
-    with multiprocessing.get_context("spawn").Pool(asked.workers) as pool:
+    files = sorted(p for p in options.folder.glob("*.npz") if ".commands" not in p.name)
+    tasks = [(str(path), options.urdf, options.robot, options.kind) for path in files]
+    with multiprocessing.get_context("spawn").Pool(options.workers) as pool:
         for frames, seconds, median in pool.imap_unordered(retarget, tasks):
             at = time.perf_counter() - started
             print(json.dumps({"frames": frames, "seconds": seconds, "p50_ms": median, "at": at}))

@@ -387,8 +387,14 @@ def against_cpu(report: Report, settings: Settings) -> None:
     with tempfile.TemporaryDirectory() as folder:
         paths = [Path(folder) / "device.npy", Path(folder) / "cpu.npy"]
         main(replace(settings, commands=paths[0]))
-        given = {"samples": settings.samples, "cycles": settings.cycles, "hand": settings.hand}
-        command = [f"--{name}={value}" for name, value in (given | {"commands": paths[1]}).items()]
+        settings_shown = {
+            "samples": settings.samples,
+            "cycles": settings.cycles,
+            "hand": settings.hand,
+        }
+        command = [
+            f"--{name}={value}" for name, value in (settings_shown | {"commands": paths[1]}).items()
+        ]
         environment = os.environ | {"JAX_PLATFORMS": "cpu"}
         if subprocess.run([sys.executable, __file__, *command], env=environment).returncode:
             report.notes.append("not compared with the CPU: the same program failed there")

@@ -150,7 +150,7 @@ def measure_all(
     total = len(hands) * len(settings.sides) * len(methods)
     with tempfile.TemporaryDirectory() as at, bar(total) as advance:
         for name, side, method in product(hands, settings.sides, methods):
-            said = f"{name} {side} {method}"
+            line = f"{name} {side} {method}"
             try:
                 todo = plan_for(load_hand(name, side), method, settings, Path(at))
                 built = build(todo)
@@ -159,18 +159,18 @@ def measure_all(
                     figures = measured(replace(todo, recording=mine), built)
                     cells[name, side, method, recording.name] = figures
                     report.add(f"{name}/{side}/{method}/{recording.name}", figures)
-                    said += f" {figures['cosine_similarity'] or np.nan:.3f}"
+                    line += f" {figures['cosine_similarity'] or np.nan:.3f}"
                 if method == "sbr" and settings.poses:
                     trips[name, side] = trip(built[0], todo, settings)
                     report.add(f"{name}/{side}/round_trip", trips[name, side])
-                    said += f", round trip {trips[name, side]['free_median_mm']:.2f} mm"
+                    line += f", round trip {trips[name, side]['free_median_mm']:.2f} mm"
             except SmoothOperatorError as error:
                 report.notes.append(f"{name}, {side}, {method}: {error}")
-                said += ": refused"
+                line += ": refused"
             except KeyboardInterrupt:
-                report.notes.append(f"stopped at {said}: what comes after it is missing")
+                report.notes.append(f"stopped at {line}: what comes after it is missing")
                 break
-            advance(said)
+            advance(line)
     return cells, trips
 
 
@@ -193,9 +193,9 @@ def plan_for(hand: Hand, method: str, settings: Settings, at: Path) -> Plan:
 
 
 def train(hand: Hand, settings: Settings, model: Path) -> None:
-    kept, apart = synthetic_recordings(hand.spec.side)
+    training, apart = synthetic_recordings(hand.spec.side)
     how = GeortTraining(epochs=settings.geort_epochs)
-    trainer = GeortTrainer(hand, training_data(kept, hand, how, apart), how)
+    trainer = GeortTrainer(hand, training_data(training, hand, how, apart), how)
     state = trainer.init()
     for later in trainer.epochs(state):
         state = later
@@ -214,9 +214,9 @@ def measured(todo: Plan, built: tuple[Retargeter, float]) -> dict[str, float | N
     trace = assemble_trace(
         todo.recording, commands, todo.hand, todo.config.alignment, reach_samples=0
     )
-    found = evaluate(trace, extra={"held": float((commands.status != 0).sum())})
-    known = {metric.name: metric for metric in METRICS}
-    values = {n: known[n].of(found) if n in known else found[n] for n in COLUMNS}
+    figures = evaluate(trace, extra={"held": float((commands.status != 0).sum())})
+    metrics = {metric.name: metric for metric in METRICS}
+    values = {n: metrics[n].of(figures) if n in metrics else figures[n] for n in COLUMNS}
     return {n: float(v) if isinstance(v, int | float) else None for n, v in values.items()}
 
 
@@ -225,8 +225,8 @@ def trip(built: Retargeter, todo: Plan, settings: Settings) -> dict[str, float]:
     free = build(replace(todo, config=todo.config.without_pull()))[0]
     figures: dict[str, float] = {}
     for name, retargeter in (("", built), ("free_", free)):
-        found = round_trip(retargeter, poses=settings.poses, seed=settings.seed)
-        figures |= {f"{name}median_mm": found.median, f"{name}p95_mm": found.p95}
+        result = round_trip(retargeter, poses=settings.poses, seed=settings.seed)
+        figures |= {f"{name}median_mm": result.median, f"{name}p95_mm": result.p95}
     return figures
 
 

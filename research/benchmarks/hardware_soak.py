@@ -109,7 +109,7 @@ def main() -> int:
     runner.open({"right": hand}, {})
     base, (low, high) = make_tick(hand), hand.limits.T
     start, period = time.perf_counter(), 1.0 / options.rate
-    taken: dict[str, list[float]] = {}
+    times: dict[str, list[float]] = {}
     fault, until, number, faults = "none", 0.0, 0, 0
     error: list[float] = []
     with low_jitter():
@@ -132,7 +132,7 @@ def main() -> int:
             if fault != "silence":
                 before = time.perf_counter()
                 runner.send(tick)
-                taken.setdefault(fault, []).append(1e3 * (time.perf_counter() - before))
+                times.setdefault(fault, []).append(1e3 * (time.perf_counter() - before))
             state = sink.state("right")
             if (
                 state is not None
@@ -145,29 +145,29 @@ def main() -> int:
     figures = dict(sink.figures)
     runner.close()
     ours.send(("end", True))
-    seen = ours.recv()
+    answer = ours.recv()
     table = sink.actuators("right")
     ends = np.array([actuator.ends for actuator in table.actuators]) / STEP
-    beyond = max(0.0, ends[:, 0].min() - seen["low"], seen["high"] - ends[:, 1].max())
-    every = [value for values in taken.values() for value in values]
+    beyond = max(0.0, ends[:, 0].min() - answer["low"], answer["high"] - ends[:, 1].max())
+    every = [value for values in times.values() for value in values]
     result = {
         "minutes": options.minutes,
         "commands": number,
         "faults": faults,
         "send_ms": percentiles(every),
-        "send_ms_by_fault": {name: percentiles(values) for name, values in taken.items()},
+        "send_ms_by_fault": {name: percentiles(values) for name, values in times.items()},
         "tracking_error_rad": {
             "p50": float(np.median(error)),
             "p99": float(np.percentile(error, 99)),
         },
         "steps_beyond_ends": beyond,
-        "first_step_after_return_rad": seen["first_step"],
-        "instructions_with_wrong_checksum": seen["bad"],
+        "first_step_after_return_rad": answer["first_step"],
+        "instructions_with_wrong_checksum": answer["bad"],
         **figures,
     }
     print(json.dumps(result, indent=1))
     # A command from just before an outage may arrive after it, on a machine under load.
-    good = beyond <= 1.0 and seen["first_step"] <= 0.05 and result["send_ms"]["p99"] <= 0.5
+    good = beyond <= 1.0 and answer["first_step"] <= 0.05 and result["send_ms"]["p99"] <= 0.5
     print("ok" if good else "NOT OK")
     return 0 if good else 1
 

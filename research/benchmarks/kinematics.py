@@ -112,7 +112,7 @@ def main(settings: Settings) -> None:
 
 def programs(hand: Hand) -> dict[str, Library]:
     """name -> library: those of the experiment ``fk`` that are here, and the public interface."""
-    found = {
+    libraries = {
         name: make_library(name, hand)
         for name in (OURS, BOUNDED, MJX, MUJOCO)
         if missing(name) is None
@@ -124,8 +124,10 @@ def programs(hand: Hand) -> dict[str, Library]:
         on_device = jnp.asarray(q, jnp.float32)  # batch first
         return lambda: compiled(on_device).block_until_ready()
 
-    found[POSITIONS] = Library(POSITIONS, prepare, lambda points: np.asarray(points, float)[:, at])
-    return found
+    libraries[POSITIONS] = Library(
+        POSITIONS, prepare, lambda points: np.asarray(points, float)[:, at]
+    )
+    return libraries
 
 
 def check(hand: Hand, libraries: dict[str, Library], seed: int) -> dict[str, float]:

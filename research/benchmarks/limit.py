@@ -152,8 +152,8 @@ def rates(count: int) -> dict[str, float]:
     )
     if child.returncode:
         raise BenchmarkError(f"the machine's rates could not be measured:\n{child.stderr}")
-    found: dict[str, float] = json.loads(child.stdout.splitlines()[-1])
-    return found
+    figures: dict[str, float] = json.loads(child.stdout.splitlines()[-1])
+    return figures
 
 
 def traffic(

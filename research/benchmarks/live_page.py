@@ -70,8 +70,8 @@ def main() -> None:
     parser.add_argument("--visits", type=int, default=50)
     parser.add_argument("--method", default="sbr")
     options = parser.parse_args()
-    asked = make_request(method=options.method)
-    hand, method = resolve(asked, "right")
+    request = make_request(method=options.method)
+    hand, method = resolve(request, "right")
     retargeter, _ = build_retargeter(hand, method, 0)
     config = LoopConfig(rate=100.0)
 
@@ -82,7 +82,7 @@ def main() -> None:
             SinkRunner(),
             config,
         )
-        session = LiveSession(loop, asked)
+        session = LiveSession(loop, request)
         loop.watch = session.watch
         guest = None
         if page is not None:
@@ -96,11 +96,11 @@ def main() -> None:
         if guest is not None:
             guest.terminate()
             guest.wait()
-        found = loop.statistics.summary()
-        kept = {key: found[key] for key in ("rate_hz", "deadlines_missed_share")}
+        summary = loop.statistics.summary()
+        figures = {key: summary[key] for key in ("rate_hz", "deadlines_missed_share")}
         words = "a browser" if browse else "nobody looking" if page else "no page"
-        kept["method"] = f"{asked.method} {asked.preset}"
-        print(json.dumps({"page": words, **kept, **found["added_latency_ms"]}), flush=True)
+        figures["method"] = f"{request.method} {request.preset}"
+        print(json.dumps({"page": words, **figures, **summary["added_latency_ms"]}), flush=True)
         session.close()
 
     run(None, False)
@@ -110,7 +110,7 @@ def main() -> None:
 
     loop = TeleopLoop({"right": HandPipeline(retargeter, config)},
                       build_source("synthetic:rate=100"), SinkRunner(), config)  # fmt: skip
-    session = LiveSession(loop, asked)
+    session = LiveSession(loop, request)
     loop.watch = session.watch
     thread = threading.Thread(target=loop.run)
     thread.start()

@@ -114,14 +114,14 @@ SESSION = ("loop_mean_s", "loop_p50_s", "loop_p95_s", "loop_p99_s", "recorder_s"
 def session(hand: Hand, count: int) -> list[Tick]:
     """Ticks of a loop that follows the built-in operator; ten seconds, again and again."""
     frames = SyntheticOperator(seed=1, rate_hz=RATE).record(10.0)
-    found = []
+    ticks = []
     for number in range(count):
         tick = make_tick(hand, number, at=50.0 + number / RATE, stamp=number / RATE)
         assert tick.arrival is not None
         frame = replace(frames[number % len(frames)], stamp=number / RATE)
         arrival = replace(tick.arrival, frame=frame)
-        found.append(replace(tick, arrival=arrival))
-    return found
+        ticks.append(replace(tick, arrival=arrival))
+    return ticks
 
 
 def write(path: Path, hand: Hand, ticks: list[Tick]) -> tuple[np.ndarray, float]:

@@ -88,8 +88,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
             rows = {name: figures(trace) for name, trace in by_recording.items()}
             for name, row in rows.items():
                 print(f"| {method} | {name} | " + " | ".join(f"{x:.3g}" for x in row) + " |")
-            known = np.ma.masked_invalid(list(rows.values())).mean(axis=0).filled(np.nan)
-            print(f"| {method} | **mean** | " + " | ".join(f"{x:.3g}" for x in known) + " |")
+            means = np.ma.masked_invalid(list(rows.values())).mean(axis=0).filled(np.nan)
+            print(f"| {method} | **mean** | " + " | ".join(f"{x:.3g}" for x in means) + " |")
         if options.sheets is not None:
             options.sheets.mkdir(parents=True, exist_ok=True)
             for name in recordings:

@@ -90,8 +90,8 @@ def main(settings: Settings) -> None:
         for name, (mean, low, high) in targets(rows).items():
             print(f"{name}: {mean:.3f} [{low:.3f}, {high:.3f}]")
     for row in rows:
-        found = {c: row.figures[c] for c in COLUMNS if math.isfinite(row.figures[c])}
-        report.add(f"{row.hand}/{row.clip}/{row.method}", found)
+        figures = {c: row.figures[c] for c in COLUMNS if math.isfinite(row.figures[c])}
+        report.add(f"{row.hand}/{row.clip}/{row.method}", figures)
     report.finish(settings.output, settings.compare)
 
 

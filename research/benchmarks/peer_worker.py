@@ -26,12 +26,12 @@ def smooth_operator(hand: str, method: str, landmarks: Any, stamps: Any) -> tupl
     from smooth_operator import HandFrame, Retargeter  # type: ignore[import-not-found,unused-ignore]
 
     name, _, preset = method.partition(":")
-    made = Retargeter(hand, method=name, preset=preset or None)
+    retargeter = Retargeter(hand, method=name, preset=preset or None)
 
     def step(i: int) -> Any:
-        return made(HandFrame(landmarks[i], stamp=stamps[i])).command.positions
+        return retargeter(HandFrame(landmarks[i], stamp=stamps[i])).command.positions
 
-    return step, made.hand.joint_names
+    return step, retargeter.hand.joint_names
 
 
 def wuji_sdk(landmarks: Any) -> tuple[Step, Any]:
@@ -60,15 +60,15 @@ def dex_retargeting(kind: str, urdf: str, landmarks: Any) -> tuple[Step, Any]:
 
     RetargetingConfig.set_default_urdf_dir(urdf)
     path = get_default_config_path(RobotName.leap, RetargetingType[kind], HandType.right)
-    made = RetargetingConfig.load_from_file(path).build()
+    retargeter = RetargetingConfig.load_from_file(path).build()
     x, y, z = np.moveaxis(landmarks, -1, 0)
     human = np.stack([-z, y, x], axis=-1)  # the axes of MANO's hand, which its settings expect
-    origin, end = made.optimizer.target_link_human_indices
+    origin, end = retargeter.optimizer.target_link_human_indices
 
     def step(i: int) -> Any:
-        return made.retarget(human[i][end] - human[i][origin])
+        return retargeter.retarget(human[i][end] - human[i][origin])
 
-    return step, made.joint_names
+    return step, retargeter.joint_names
 
 
 def main() -> None:
@@ -80,24 +80,24 @@ def main() -> None:
     parser.add_argument("--method", default="", help="of smooth-operator or dex-retargeting")
     parser.add_argument("--urdf", default="", help="folder with leap_hand/leap_hand_right.urdf")
     parser.add_argument("--frames", type=int, default=None, help="so many only")
-    asked = parser.parse_args()
-    with np.load(asked.recording) as file:
+    options = parser.parse_args()
+    with np.load(options.recording) as file:
         landmarks, stamps = file["landmarks"], file["stamps"]
-    if asked.program == "smooth-operator":
-        step, names = smooth_operator(asked.hand, asked.method, landmarks, stamps)
-    elif asked.program == "wuji-sdk":
+    if options.program == "smooth-operator":
+        step, names = smooth_operator(options.hand, options.method, landmarks, stamps)
+    elif options.program == "wuji-sdk":
         step, names = wuji_sdk(landmarks)
     else:
-        step, names = dex_retargeting(asked.method, asked.urdf, landmarks)
+        step, names = dex_retargeting(options.method, options.urdf, landmarks)
     commands = [np.array(step(0), float)]
     first = time.time()
     seconds = []
-    for i in range(1, len(landmarks) if asked.frames is None else asked.frames):
+    for i in range(1, len(landmarks) if options.frames is None else options.frames):
         before = time.perf_counter()
         command = step(i)
         seconds.append(time.perf_counter() - before)
         commands.append(np.array(command, float))
-    np.savez(asked.output, q=np.stack(commands), names=list(names), ms=np.array(seconds) * 1e3)
+    np.savez(options.output, q=np.stack(commands), names=list(names), ms=np.array(seconds) * 1e3)
     print(json.dumps({"first": first}))
 
 

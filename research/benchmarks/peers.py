@@ -131,14 +131,14 @@ def main(settings: Settings) -> None:
     for program in programs:
         times = percentiles(np.concatenate(program.ms))
         start = {"start_s": float(np.median(program.starts)), "worst_s": max(program.starts)}
-        found = judged(load_hand(program.hand, "right"), recording, program.q)
-        report.add(f"{program.hand}/{program.name}", times | start | found)
+        figures = judged(load_hand(program.hand, "right"), recording, program.q)
+        report.add(f"{program.hand}/{program.name}", times | start | figures)
         speed = (times["p50_ms"], times["p95_ms"], times["p99_ms"], start["start_s"])
-        rows.append([program.hand, program.name, *speed, *found.values()])
+        rows.append([program.hand, program.name, *speed, *figures.values()])
     for hand, name, q in authors(settings, report):
-        found = judged(hand, recording, q)
-        report.add(f"{hand.name}/{name}", found)
-        rows.append([hand.name, name, None, None, None, None, *found.values()])
+        figures = judged(hand, recording, q)
+        report.add(f"{hand.name}/{name}", figures)
+        rows.append([hand.name, name, None, None, None, None, *figures.values()])
     rows.sort(key=lambda row: str(row[0]))
     header = ("hand", "program", "p50 [ms]", "p95 [ms]", "p99 [ms]", "start [s]")
     title = f"{len(recording)} frames; {settings.repeats} processes of each"
@@ -215,15 +215,15 @@ def authors(settings: Settings, report: Report) -> list[tuple[Hand, str, np.ndar
         return []
     hand = load_hand("mimic_p050", "right")
     first, _, last = settings.frames.partition(":")
-    found = []
+    rows = []
     for path in sorted(settings.authors.glob(f"*_frames-{first}-{last}.npz")):
         with np.load(path) as file:
             q, names = file["joint_positions"].astype(float), file["joint_names"].tolist()
         order = [names.index(name) for name in hand.joint_names]
-        found.append((hand, f"authors' {path.name.split('_subject')[0]}", q[:, order]))
-    if not found:
+        rows.append((hand, f"authors' {path.name.split('_subject')[0]}", q[:, order]))
+    if not rows:
         report.notes.append(f"left out: {settings.authors} has no commands for these frames")
-    return found
+    return rows
 
 
 def judged(hand: Hand, recording: HandRecording, q: np.ndarray) -> dict[str, float | None]:

@@ -47,13 +47,13 @@ def main(
     (about,) = (one for one in content["measures"] if one["name"] == measure)
     facts = {figure["name"]: figure for figure in about["figures"]}
     conditions = list(dict.fromkeys(row["condition"] for row in rows))
-    asked: list[list[Part]] = [
+    tables: list[list[Part]] = [
         [(figure, condition)] for condition in conditions for figure in figures if "/" not in figure
     ]
     for joined in (figure.split("/") for figure in figures if "/" in figure):
         named = [part.partition("@") for part in joined]
-        asked.append([(name, condition or conditions[0]) for name, _, condition in named])
-    for parts in asked:
+        tables.append([(name, condition or conditions[0]) for name, _, condition in named])
+    for parts in tables:
         print_table(rows, parts, facts)
 
 
@@ -73,7 +73,7 @@ def print_table(
         cells = {
             method: [by_cell.get((hand, method, *part)) for part in parts] for method in methods
         }
-        first = {method: found[0] for method, found in cells.items() if found[0] is not None}
+        first = {method: values[0] for method, values in cells.items() if values[0] is not None}
         best = best_of(first, facts[parts[0][0]]["goal"])
         texts = [
             " / ".join([text_of(one, facts[parts[0][0]]), *map(value_of, others)])
@@ -95,12 +95,12 @@ def heading(part: Part, figure: Mapping[str, Any]) -> str:
 
 def best_of(cells: Mapping[str, Mapping[str, str]], goal: str) -> str | None:
     """The method with the best value."""
-    known = {method: float(row["value"]) for method, row in cells.items() if row["value"]}
-    if not goal or len(set(known.values())) < 2:
+    numbers = {method: float(row["value"]) for method, row in cells.items() if row["value"]}
+    if not goal or len(set(numbers.values())) < 2:
         return None
     if goal == "up":
-        return max(known, key=known.__getitem__)
-    return min(known, key=lambda method: abs(known[method]))
+        return max(numbers, key=numbers.__getitem__)
+    return min(numbers, key=lambda method: abs(numbers[method]))
 
 
 def text_of(row: Mapping[str, str] | None, figure: Mapping[str, object]) -> str:

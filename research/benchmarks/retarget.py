@@ -168,8 +168,8 @@ def interleave(
                     states[name], result = retargeters[name].step(states[name], frame)
                     results[name].append(result)
     return {
-        name: (found[: len(recording)], np.array([r.latency_ms for r in found]))
-        for name, found in results.items()
+        name: (timings[: len(recording)], np.array([r.latency_ms for r in timings]))
+        for name, timings in results.items()
     }
 
 

@@ -92,8 +92,8 @@ def _joined(
     recordings: Sequence[str],
     column: str,
 ) -> str:
-    found = [metrics.get((method, recording)) for recording in recordings]
-    return " / ".join("–" if one is None else COLUMNS[column](one) for one in found)
+    rows = [metrics.get((method, recording)) for recording in recordings]
+    return " / ".join("–" if one is None else COLUMNS[column](one) for one in rows)
 
 
 def print_evaluations(path: Path, frames: slice, rate: float | None) -> None:
@@ -113,9 +113,9 @@ def _evaluations(method: str, preset: str, recording: Any) -> list[int]:
 
     def counted(minimise: Callable[..., SlsqpResult]) -> Callable[..., SlsqpResult]:
         def wrapped(*arguments: Any) -> SlsqpResult:
-            found = minimise(*arguments)
-            counts.append(found.evaluations)
-            return found
+            result = minimise(*arguments)
+            counts.append(result.evaluations)
+            return result
 
         return wrapped
 
@@ -142,16 +142,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--evaluations", type=Path, metavar="RECORDING")
     parser.add_argument("--frames", default=":", help="of the recording, as A:B")
     parser.add_argument("--rate", type=float, help="of a recording without time stamps [Hz]")
-    asked = parser.parse_args(arguments)
-    if asked.results is None and asked.evaluations is None:
+    options = parser.parse_args(arguments)
+    if options.results is None and options.evaluations is None:
         parser.error("give the folder of a benchmark, or --evaluations RECORDING")
-    if asked.results is not None and asked.columns:
-        print_columns(asked.results, asked.columns)
-    elif asked.results is not None:
-        print_tables(asked.results)
-    if asked.evaluations is not None:
-        ends = [int(end) if end else None for end in asked.frames.split(":")]
-        print_evaluations(asked.evaluations, slice(*ends), asked.rate)
+    if options.results is not None and options.columns:
+        print_columns(options.results, options.columns)
+    elif options.results is not None:
+        print_tables(options.results)
+    if options.evaluations is not None:
+        ends = [int(end) if end else None for end in options.frames.split(":")]
+        print_evaluations(options.evaluations, slice(*ends), options.rate)
 
 
 if __name__ == "__main__":

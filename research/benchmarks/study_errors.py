@@ -138,7 +138,7 @@ def main(settings: Settings) -> None:
     progress = Progressing()
     counts: dict[str, Counter[str]] = {name: Counter() for name in chosen}
     with progress.bar("simulating studies") as show:
-        for chunk, found in chunk_values(
+        for chunk, values in chunk_values(
             jobs,
             ResultLog(settings.output / "studies.jsonl", progress.note),
             simulate,
@@ -148,7 +148,7 @@ def main(settings: Settings) -> None:
             workers=settings.workers,
             report=lambda done, total: show(f"{done} of {total} studies", done / total),
         ):
-            counts[chunk.design].update(found)
+            counts[chunk.design].update(values)
     text = table(counts)
     (settings.output / "table.md").write_text(text, encoding="utf-8")
     plain = {name: dict(of) for name, of in counts.items()}
@@ -195,7 +195,7 @@ def draw(design: Design, rows: Layout, rng: np.random.Generator) -> Simulated:
         moved = practice * (table.index - table.index.mean())
         return shift[table.operator, table.condition, table.task, kind] + moved
 
-    trials, asked = rows.trials, rows.questionnaires
+    trials, questionnaires = rows.trials, rows.questionnaires
     logit = np.log(design.success / (1 - design.success)) + about(trials, 0, 0.012)
     success = rng.random(len(logit)) < 1 / (1 + np.exp(-logit))
     mean = MEANS[0] + about(trials, 1, -0.06)
@@ -206,7 +206,11 @@ def draw(design: Design, rows: Layout, rng: np.random.Generator) -> Simulated:
         time = mean * np.exp(spread * noise - spread**2 / 2)
     else:
         time = np.maximum(mean + TRIALS[0] * noise, 2.0)
-    workload = MEANS[1] + about(asked, 2, -0.4) + TRIALS[1] * rng.standard_normal(len(asked.index))
+    workload = (
+        MEANS[1]
+        + about(questionnaires, 2, -0.4)
+        + TRIALS[1] * rng.standard_normal(len(questionnaires.index))
+    )
     scales = workload[:, None] + TRIALS[2] * rng.standard_normal((len(workload), 6))
     return Simulated(success, time, np.clip(5 * np.round(scales / 5), 0, 100).mean(axis=1))
 
@@ -233,8 +237,8 @@ def table(counts: dict[str, Counter[str]]) -> str:
 
 
 def _percent(hits: int, studies: int) -> str:
-    found: Any = rate(hits, studies)
-    return f"{100 * found.rate:.1f} [{100 * found.lower:.1f}, {100 * found.upper:.1f}]"
+    share: Any = rate(hits, studies)
+    return f"{100 * share.rate:.1f} [{100 * share.lower:.1f}, {100 * share.upper:.1f}]"
 
 
 if __name__ == "__main__":

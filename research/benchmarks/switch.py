@@ -60,9 +60,9 @@ def main(settings: Settings) -> None:
             for state in ("nothing kept", "kept"):
                 for name, figures in measured(settings, folder).items():
                     runs.setdefault((name, state), []).append(figures)
-    for (name, state), found in runs.items():
-        middle = {key: float(np.median([each[key] for each in found])) for key in found[0]}
-        worst = max(each["worst_ms"] for each in found)
+    for (name, state), latencies in runs.items():
+        middle = {key: float(np.median([each[key] for each in latencies])) for key in latencies[0]}
+        worst = max(each["worst_ms"] for each in latencies)
         report.add(f"{name}/{state}", middle | {"worst_of_all_ms": worst})
         rows.append([name, state, middle["seconds"], middle["p50_ms"], middle["worst_ms"], worst])
     report.table(
@@ -84,8 +84,8 @@ def measured(settings: Settings, folder: str) -> dict[str, dict[str, float]]:
     )  # fmt: skip
     if child.returncode:
         raise BenchmarkError(f"the measured process failed:\n{child.stderr}")
-    found: dict[str, dict[str, float]] = json.loads(child.stdout.splitlines()[-1])
-    return found
+    figures: dict[str, dict[str, float]] = json.loads(child.stdout.splitlines()[-1])
+    return figures
 
 
 def child(hand: str, methods: list[str], priority: Any) -> dict[str, dict[str, float]]:
@@ -93,17 +93,17 @@ def child(hand: str, methods: list[str], priority: Any) -> dict[str, dict[str, f
     from smooth_operator.teleop import run
     from smooth_operator.teleop.control import method_switcher
 
-    made: list[Any] = []
+    retargeters: list[Any] = []
     plain = run.MethodSwitcher
 
     class Kept(method_switcher.MethodSwitcher):
-        def __init__(self, *given: Any) -> None:
-            super().__init__(*given)
-            made.append(self)
+        def __init__(self, *arguments: Any) -> None:
+            super().__init__(*arguments)
+            retargeters.append(self)
 
     run.MethodSwitcher = Kept  # type: ignore[misc]
     late: list[tuple[float, float]] = []
-    found: dict[str, dict[str, float]] = {}
+    figures: dict[str, dict[str, float]] = {}
     last: list[float] = []
 
     def started(loop: Any) -> None:
@@ -122,11 +122,11 @@ def child(hand: str, methods: list[str], priority: Any) -> dict[str, dict[str, f
             for name in methods[1:]:
                 method, _, preset = name.partition(":")
                 begin = loop.mailbox.clock()
-                made[0].choose(method, preset or None).result(120)
+                retargeters[0].choose(method, preset or None).result(120)
                 end = loop.mailbox.clock()
                 time.sleep(QUIET_S)
                 times = [ms for at, ms in list(late) if at >= begin]
-                found[name] = {
+                figures[name] = {
                     "seconds": end - begin,
                     "p50_ms": float(np.median(times)),
                     "worst_ms": max(times),
@@ -145,7 +145,7 @@ def child(hand: str, methods: list[str], priority: Any) -> dict[str, dict[str, f
         started=started,
     )
     run.MethodSwitcher = plain  # type: ignore[misc]
-    return found
+    return figures
 
 
 if __name__ == "__main__":

@@ -96,11 +96,11 @@ class Listener:
 
     def heard(self) -> bool:
         """Whether one came since the last call."""
-        found = False
+        received = False
         while self._socket.poll(0):
             self._socket.recv()
-            found = True
-        return found
+            received = True
+        return received
 
 
 @dataclass
@@ -242,10 +242,10 @@ def run(
 
 
 @contextlib.contextmanager
-def visitor(wanted: bool, printed: list[str]) -> Iterator[Any]:
+def visitor(enabled: bool, printed: list[str]) -> Iterator[Any]:
     """Something to call that opens the page, looks at it for a second, and closes it; in a soak run
     the first visit stays."""
-    if not wanted:
+    if not enabled:
         yield None
         return
     from playwright.sync_api import sync_playwright

@@ -94,7 +94,7 @@ def alone(report: Report, settings: Settings) -> HandRecording:
     rows = []
     frames: list[HandFrame] = []
     for most in (1, 2):
-        wall, busy, read, found, pictures = [], [], [], 0, 0
+        wall, busy, read, detected, pictures = [], [], [], 0, 0
         frames.clear()
         config = PictureConfig(max_hands=most, model=settings.model)
         with closing(PictureTracker(config)) as tracker, closing(VideoFile(settings.video)) as file:
@@ -106,15 +106,15 @@ def alone(report: Report, settings: Settings) -> HandRecording:
                 pictures += 1
                 read.append((time.perf_counter() - started) * 1e3)
                 started, processor = time.perf_counter(), time.process_time()
-                seen = tracker.frames(pixels, stamp)
+                frames_seen = tracker.frames(pixels, stamp)
                 busy.append((time.process_time() - processor) * 1e3)
                 wall.append((time.perf_counter() - started) * 1e3)
-                mine = [frame for frame in seen if frame.side == settings.side]
+                mine = [frame for frame in frames_seen if frame.side == settings.side]
                 frames += mine
-                found += bool(mine)
+                detected += bool(mine)
         figures = {
             "pictures": float(pictures),
-            "found": found / pictures,
+            "found": detected / pictures,
             "per_s": 1e3 / float(np.mean(np.add(wall, read))),
             "processor_ms": float(np.median(busy)),
             "read_p50_ms": percentiles(read)["p50_ms"],

@@ -174,7 +174,7 @@ def _headset(settings: Settings) -> Iterator[Any]:
         from playwright.sync_api import sync_playwright
     except ImportError as error:
         raise BenchmarkError("this needs playwright: python -m pip install playwright") from error
-    path = next((found for name in BROWSERS if (found := shutil.which(name))), None)
+    path = next((program for name in BROWSERS if (program := shutil.which(name))), None)
     if path is None:
         raise BenchmarkError(f"no browser: none of {', '.join(BROWSERS)} is on the path")
     RESULTS.mkdir(parents=True, exist_ok=True)

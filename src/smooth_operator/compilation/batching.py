@@ -306,9 +306,9 @@ def lane_program(
     count = lanes or default_lanes()
     key = (id(method), config.alignment, count, cached)  # a kept program keeps its method
     with _lock:
-        made = _programs.get(key) or LaneProgram(method, config, count, cached)
-        _programs[key] = made
+        program = _programs.get(key) or LaneProgram(method, config, count, cached)
+        _programs[key] = program
         _programs.move_to_end(key)
         while len(_programs) > _KEPT:
             _programs.popitem(last=False)
-    return made
+    return program

@@ -107,8 +107,8 @@ def program_key(
         the digest; None if it can't be known, as the configuration has code or a file of the
         user's.
     """
-    known = config.shareable or constants is not None
-    if not known or not _is_data(config, paths=constants is not None):
+    shareable = config.shareable or constants is not None
+    if not shareable or not _is_data(config, paths=constants is not None):
         return None
     parts = [fingerprint(hand), type(config).__qualname__, config, *more]
     digest = hashlib.sha256("\n".join(to_json(part) for part in parts).encode())

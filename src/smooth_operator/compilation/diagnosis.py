@@ -166,12 +166,12 @@ def _version(name: str) -> str | None:
 def _missing(extra: str) -> list[str]:
     """Libraries of an extra that are not installed."""
     try:
-        wanted = requires(DISTRIBUTION) or []
+        requirements = requires(DISTRIBUTION) or []
     except PackageNotFoundError:
         return [DISTRIBUTION]
     names = [
         re.split(r"[^\w.-]", each)[0]
-        for each in wanted
+        for each in requirements
         if re.search(rf"extra == ['\"]{extra}['\"]", each)
     ]
     return [name for name in names if name != DISTRIBUTION and _version(name) is None]

@@ -139,10 +139,10 @@ class Correspondence:
         """The lengths of an operator who is like the robot."""
         bases, lengths = self._robot
         time = np.zeros(len(lengths), np.float32)
-        made: CorrespondenceState = jax.device_put(
+        state: CorrespondenceState = jax.device_put(
             CorrespondenceState(bases, lengths, time, bases)  # type: ignore[arg-type]
         )
-        return made
+        return state
 
     def step(
         self,

@@ -171,12 +171,12 @@ def remove_noise(
     rows = np.array(PALM)
     palm = aligned[rows]
     shape = jnp.where(restart | ~jnp.isfinite(before.shape), palm, before.shape)
-    seen = jnp.isfinite(palm).all(-1)
-    source, target = (jnp.where(seen[:, None], points, 0.0) for points in (palm, shape))
-    moved = umeyama(source, target, weights=seen.astype(palm.dtype)).apply(aligned)
-    residual = jnp.where(seen[:, None], moved[rows] - shape, 0.0)
+    finite = jnp.isfinite(palm).all(-1)
+    source, target = (jnp.where(finite[:, None], points, 0.0) for points in (palm, shape))
+    moved = umeyama(source, target, weights=finite.astype(palm.dtype)).apply(aligned)
+    residual = jnp.where(finite[:, None], moved[rows] - shape, 0.0)
     change = jnp.where(restart, 0.0, residual - before.residual)
-    free = jnp.maximum(3 * seen.sum() - 7, 1)
+    free = jnp.maximum(3 * finite.sum() - 7, 1)
     time = jnp.where(restart, 0.0, before.time)
 
     def averaged(mean: Array, now: Array, span: float) -> Array:
@@ -190,7 +190,7 @@ def remove_noise(
     product = (change * before.change).sum() / free
     mean = averaged(shape, palm, config.shape_time)
     after = before._replace(
-        shape=jnp.where(seen[:, None], mean, shape),
+        shape=jnp.where(finite[:, None], mean, shape),
         residual=residual,
         change=change,
         slow=slow,

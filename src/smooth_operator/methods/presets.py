@@ -106,15 +106,15 @@ class _Presets(Mapping[str, Mapping[str, MethodConfig]]):
     """The registry of methods, with its values loaded."""
 
     def __getitem__(self, method: str) -> Mapping[str, MethodConfig]:
-        found = METHODS.load(method)
+        loaded = METHODS.load(method)
         refusal = (
             f"{METHODS.find(method).target} can't be a method: it must be a MethodConfig, its "
             "class, or a mapping of preset names to them, not "
         )
-        if isinstance(found, type) and not issubclass(found, MethodConfig):
-            raise ConfigError(f"{refusal}{brief(found)}")
+        if isinstance(loaded, type) and not issubclass(loaded, MethodConfig):
+            raise ConfigError(f"{refusal}{brief(loaded)}")
         try:
-            presets = as_presets(found)
+            presets = as_presets(loaded)
         except TypeError as error:  # a class whose fields lack defaults
             raise ConfigError(f"{refusal}a class that needs arguments ({error})") from error
         if not presets:

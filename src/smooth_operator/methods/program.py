@@ -151,8 +151,10 @@ def align_frame(
     needs = np.array(sorted({*method.needs, *hand.align_indices, *corrected}))
     finite = jnp.isfinite(landmarks).all(axis=-1) & valid
     present = finite[needs].all()
-    known = jnp.where(finite[:, None], landmarks, jnp.nan)
-    safe = jnp.where(present, known, jnp.asarray(reference_landmarks(hand), landmarks.dtype))
+    finite_landmarks = jnp.where(finite[:, None], landmarks, jnp.nan)
+    safe = jnp.where(
+        present, finite_landmarks, jnp.asarray(reference_landmarks(hand), landmarks.dtype)
+    )
     palm = palm_alignment(safe, hand, alignment)
     well_posed = palm.condition >= MIN_CONDITION  # False for NaN
     odd = implausible(landmarks, finite, palm_range(hand))

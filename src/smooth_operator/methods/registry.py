@@ -54,10 +54,10 @@ COLORS: Final = {
 by name, since the settings of keyvector, hybrid, dexpilot and ako are of one class."""
 
 
-def as_presets(found: Any) -> Mapping[str, Any]:
+def as_presets(presets: Any) -> Mapping[str, Any]:
     """Preset name -> configuration, of what the name of a method stands for."""
-    found = found() if isinstance(found, type) else found
-    return found if isinstance(found, Mapping) else {"default": found}
+    presets = presets() if isinstance(presets, type) else presets
+    return presets if isinstance(presets, Mapping) else {"default": presets}
 
 
 def method_color(name: str) -> str | None:

@@ -183,8 +183,8 @@ class Retargeter:
         """Landmarks as the program takes them [m]: in its precision, reflected if it is the mirror
         image's."""
         with np.errstate(over="ignore"):  # what overflows is not finite, and has its status
-            taken = landmarks.astype(np.float32, copy=False)
-        return taken * _REFLECTION if self.shared.reflects else taken
+            points = landmarks.astype(np.float32, copy=False)
+        return points * _REFLECTION if self.shared.reflects else points
 
     def __call__(self, frame: HandFrame | ArrayLike) -> Result:
         """One frame, with the state kept inside; see ``step``.
@@ -216,11 +216,11 @@ class Retargeter:
     def _check_input(self, frame: HandFrame) -> bool:
         """Whether the last frames show another hand; among the first, that is an error."""
         assert frame.valid is not None  # filled in on construction
-        found = self._input.see(frame.landmarks, frame.valid)
-        if found is not None and self._input.judged <= HandCheck.WINDOW:
+        doubtful = self._input.see(frame.landmarks, frame.valid)
+        if doubtful is not None and self._input.judged <= HandCheck.WINDOW:
             self._input = HandCheck(self.hand.spec.side)
-            raise RecordingError(f"the last frames: {found.what}; {found.in_python}")
-        return found is not None
+            raise RecordingError(f"the last frames: {doubtful.what}; {doubtful.in_python}")
+        return doubtful is not None
 
     def _framed(self, frame: HandFrame | ArrayLike) -> HandFrame:
         if isinstance(frame, HandFrame):
@@ -386,8 +386,8 @@ class Retargeter:
             raise ConfigError("this method's solver runs on the host, frame by frame: use batch()")
         ticks = np.broadcast_to(ticks_of(stamps), (count, length)).reshape(-1)
         points = self.program_landmarks(np.asarray(landmarks).reshape(-1, NUM_LANDMARKS, 3))
-        known = np.ones((len(ticks), NUM_LANDMARKS), bool)
-        tracks = Tracks(points, known, ticks, [length] * count)
+        all_valid = np.ones((len(ticks), NUM_LANDMARKS), bool)
+        tracks = Tracks(points, all_valid, ticks, [length] * count)
         program = lane_program(method, self.config, lanes, self.cache)
         answers = program.run(self.init(seed), tracks)
         low, high = self.hand.limits.T.astype(np.float32)

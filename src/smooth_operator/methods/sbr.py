@@ -136,10 +136,10 @@ class Sbr(Method):
                 config.sampling,
                 sigma,
             )
-            found = newton_minimise(
+            solution = newton_minimise(
                 lambda few: self.objective.few_value_grad_hess(few, goal), q, limits, config.polish
             )
-            return found[:2]
+            return solution[:2]
 
         if config.settle_rounds > 1:
             q, cost = lax.fori_loop(

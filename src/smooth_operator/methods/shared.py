@@ -22,7 +22,7 @@ from smooth_operator.methods.method import Method, MethodConfig
 from smooth_operator.methods.program import Program, frame_program
 
 _KEPT: Final = 16
-_known: OrderedDict[tuple[str, MethodConfig, bool], SharedProgram] = OrderedDict()
+_programs: OrderedDict[tuple[str, MethodConfig, bool], SharedProgram] = OrderedDict()
 _lock = threading.Lock()
 
 
@@ -54,24 +54,24 @@ def shared_program(hand: Hand, config: MethodConfig, cache: bool = True) -> Shar
         SmoothOperatorError: the method can't serve the hand.
     """
     if not config.shareable:
-        return _made(hand, config, False, cache)
+        return _built(hand, config, False, cache)
     reflects = hand.spec.mirror
     served = load_hand_spec(hand.spec.mirrored) if reflects else hand
     key = (fingerprint(served), config, cache)
     try:
         with _lock:
-            known = _known.get(key)
+            stored = _programs.get(key)
     except TypeError:  # a configuration of the user's own that has no hash
-        return _made(served, config, reflects, cache)
-    made = (known or _made(served, config, reflects, cache))._replace(reflects=reflects)
+        return _built(served, config, reflects, cache)
+    program = (stored or _built(served, config, reflects, cache))._replace(reflects=reflects)
     with _lock:
-        _known[key] = made
-        _known.move_to_end(key)
-        while len(_known) > _KEPT:
-            _known.popitem(last=False)
-    return made
+        _programs[key] = program
+        _programs.move_to_end(key)
+        while len(_programs) > _KEPT:
+            _programs.popitem(last=False)
+    return program
 
 
-def _made(hand: Hand, config: MethodConfig, reflects: bool, cache: bool) -> SharedProgram:
+def _built(hand: Hand, config: MethodConfig, reflects: bool, cache: bool) -> SharedProgram:
     method = config.build(hand)
     return SharedProgram(method, frame_program(method, config, cache), reflects, threading.Event())

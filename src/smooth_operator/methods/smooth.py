@@ -176,7 +176,7 @@ class SmoothState(NamedTuple):
     frames: UInt32[Array, ""]
 
 
-class _Seen(NamedTuple):
+class _Observed(NamedTuple):
     """What a frame shows, and asks of the hand.
 
     Attributes:
@@ -287,19 +287,19 @@ class Smooth(Method):
         self, state: SmoothState, aligned: Float[Array, "21 3"], ticks: UInt32[Array, ""]
     ) -> tuple[SmoothState, MethodOutput]:
         """One frame."""
-        seen = self._seen(state, aligned, jnp.asarray(ticks, jnp.uint32))
-        goal = seen.goal
+        frame = self._observed(state, aligned, jnp.asarray(ticks, jnp.uint32))
+        goal = frame.goal
         if is_off(self.config.rest_pose.reach):
-            goal = goal._replace(tips=self.motion.tips(state.solved) + seen.moves)
+            goal = goal._replace(tips=self.motion.tips(state.solved) + frame.moves)
         else:
-            rest = self.rest_pose(state.solved, aligned, seen.places, seen.moves)
-            goal = self._rested(goal, rest, seen.moves, seen.clock.restart)
-        solved = self._solve(state, goal, seen.clock)
-        return self._commanded(state, seen._replace(goal=goal), solved)
+            rest = self.rest_pose(state.solved, aligned, frame.places, frame.moves)
+            goal = self._rested(goal, rest, frame.moves, frame.clock.restart)
+        solved = self._solve(state, goal, frame.clock)
+        return self._commanded(state, frame._replace(goal=goal), solved)
 
-    def _seen(
+    def _observed(
         self, state: SmoothState, aligned: Float[Array, "21 3"], now: UInt32[Array, ""]
-    ) -> _Seen:
+    ) -> _Observed:
         """What a frame shows, and asks of the hand."""
         config = self.config
         clock = FrameClock.of(
@@ -325,7 +325,7 @@ class Smooth(Method):
             goal_points = points.at[np.array([*at, wrist])].set(corners)
         goal, policy = self._goal(state, goal_points, speeds, clock)
         places = places + jnp.asarray(self.hand.wrist, points.dtype)
-        return _Seen(clock, now, operator, noise, filtered, policy, goal, moves, places)
+        return _Observed(clock, now, operator, noise, filtered, policy, goal, moves, places)
 
     def _rested(
         self, goal: FrameGoal, rest: RestGoal, moves: Float[Array, "F 3"], restart: Bool[Array, ""]
@@ -338,26 +338,26 @@ class Smooth(Method):
         )
 
     def _commanded(
-        self, state: SmoothState, seen: _Seen, solved: Float[Array, " m"]
+        self, state: SmoothState, frame: _Observed, solved: Float[Array, " m"]
     ) -> tuple[SmoothState, MethodOutput]:
         """The state after a frame, and its command: the answer as far as joints may move."""
-        clock = seen.clock
+        clock = frame.clock
         low, high = (jnp.asarray(side, solved.dtype) for side in self.hand.limits.T)
         # after a lost frame no further than else
         most = self.config.joint_speed * jnp.minimum(clock.dt, clock.period)
         most = jnp.where(clock.first, jnp.inf, most)
         q = jnp.clip(jnp.clip(solved, state.q - most, state.q + most), low, high)
-        known = (
-            seen.operator,
-            seen.noise,
-            seen.filtered,
-            seen.policy,
-            seen.now,
+        memory = (
+            frame.operator,
+            frame.noise,
+            frame.filtered,
+            frame.policy,
+            frame.now,
             clock.period,
             state.seed,
         )
-        after = SmoothState(q, solved, *known, state.frames + jnp.uint32(1))
-        return after, MethodOutput(q, self.objective.tracking_at(q, seen.goal))
+        after = SmoothState(q, solved, *memory, state.frames + jnp.uint32(1))
+        return after, MethodOutput(q, self.objective.tracking_at(q, frame.goal))
 
     def _goal(
         self,

@@ -155,8 +155,8 @@ def _second_difference(values: Float[np.ndarray, "T ..."]) -> Float[np.ndarray, 
 
 
 def _correlation(a: Float[np.ndarray, "..."], b: Float[np.ndarray, "..."]) -> float:
-    known = np.isfinite(a) & np.isfinite(b)
-    a, b = a[known], b[known]
+    finite = np.isfinite(a) & np.isfinite(b)
+    a, b = a[finite], b[finite]
     if a.size < 2 or np.ptp(a) == 0 or np.ptp(b) == 0:
         return float("nan")
     return float(np.corrcoef(a, b)[0, 1])

@@ -49,13 +49,13 @@ def evaluate(
             values[metric.name] = value
         else:
             values.setdefault(metric.key, {})[metric.name.partition(".")[2]] = value
-    given = {name: _finite(value) for name, value in (extra or {}).items()}
+    finite = {name: _finite(value) for name, value in (extra or {}).items()}
     computed = {metric.key for metric in metrics if metric.compute is not None}
-    if clash := sorted(set(given) & computed):
+    if clash := sorted(set(finite) & computed):
         raise ConfigError(
             f"extra must not give metrics that are computed from the trace: {', '.join(clash)}"
         )
-    return values | given
+    return values | finite
 
 
 def _computed(metric: Metric, trace: Trace, definition: Definition) -> Any:

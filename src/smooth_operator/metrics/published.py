@@ -98,11 +98,11 @@ def fit_to_robot(
         (T, N, 3) all human landmarks in the robot's frame [m]; NaN in frames with fewer than three
         common landmarks or with collinear ones.
     """
-    known = np.isfinite(human).all(axis=-1) & np.isfinite(robot).all(axis=-1)
+    finite = np.isfinite(human).all(axis=-1) & np.isfinite(robot).all(axis=-1)
     if using is not None:
-        known &= np.isin(np.arange(known.shape[1]), using)
-    source, target = (np.where(known[..., None], points, 0.0) for points in (human, robot))
-    fit = umeyama(source, target, weights=known.astype(np.float64))
+        finite &= np.isin(np.arange(finite.shape[1]), using)
+    source, target = (np.where(finite[..., None], points, 0.0) for points in (human, robot))
+    fit = umeyama(source, target, weights=finite.astype(np.float64))
     return np.where((fit.condition > 1e-9)[:, None, None], fit.apply(human), np.nan)
 
 

@@ -37,8 +37,8 @@ def find_metric(name: str) -> Metric:
 
 
 def _offered(name: str) -> tuple[object, ...]:
-    found: object = REGISTRY.load(name)
-    return found if isinstance(found, tuple) else (found,)
+    metrics: object = REGISTRY.load(name)
+    return metrics if isinstance(metrics, tuple) else (metrics,)
 
 
 def add_metrics(targets: Iterable[str]) -> None:

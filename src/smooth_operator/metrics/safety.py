@@ -28,11 +28,11 @@ def self_collision(penetration: Float[np.ndarray, " T"]) -> dict[str, float | No
         0 where clear) and ``max_depth_mm``.
     """
     depth = np.maximum(penetration, 0.0)
-    known = depth[np.isfinite(depth)]
+    finite = depth[np.isfinite(depth)]
     return {
-        "share": summary.mean(known > COLLISION_DEPTH),
-        "mean_depth_mm": summary.scaled(summary.mean(known), 1e3),
-        "max_depth_mm": summary.scaled(summary.maximum(known), 1e3),
+        "share": summary.mean(finite > COLLISION_DEPTH),
+        "mean_depth_mm": summary.scaled(summary.mean(finite), 1e3),
+        "max_depth_mm": summary.scaled(summary.maximum(finite), 1e3),
     }
 
 

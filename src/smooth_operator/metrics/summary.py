@@ -8,26 +8,26 @@ from jaxtyping import Float, Shaped
 
 def mean(values: Shaped[np.ndarray, "..."]) -> float | None:
     """Mean of the finite values (of booleans, their share); None if there are none."""
-    kept = _finite(values)
-    return float(kept.mean()) if kept.size else None
+    finite = _finite(values)
+    return float(finite.mean()) if finite.size else None
 
 
 def median(values: Float[np.ndarray, "..."]) -> float | None:
     """Median of the finite values; None if there are none."""
-    kept = _finite(values)
-    return float(np.median(kept)) if kept.size else None
+    finite = _finite(values)
+    return float(np.median(finite)) if finite.size else None
 
 
 def maximum(values: Float[np.ndarray, "..."]) -> float | None:
     """Largest finite value; None if there are none."""
-    kept = _finite(values)
-    return float(kept.max()) if kept.size else None
+    finite = _finite(values)
+    return float(finite.max()) if finite.size else None
 
 
 def percentile(values: Float[np.ndarray, "..."], q: float) -> float | None:
     """q-th percentile of the finite values (linear interpolation); None if there are none."""
-    kept = _finite(values)
-    return float(np.percentile(kept, q)) if kept.size else None
+    finite = _finite(values)
+    return float(np.percentile(finite, q)) if finite.size else None
 
 
 def scaled(value: float | None, factor: float) -> float | None:

@@ -29,13 +29,13 @@ _Result = TypeVar("_Result")
 
 def _once(compute: Callable[[Trace], _Result]) -> Callable[[Trace], _Result]:
     """Computes what several metrics share once for each run."""
-    kept: WeakKeyDictionary[Trace, _Result] = WeakKeyDictionary()
+    results: WeakKeyDictionary[Trace, _Result] = WeakKeyDictionary()
 
     @functools.wraps(compute)
     def once(trace: Trace) -> _Result:
-        if trace not in kept:
-            kept[trace] = compute(trace)
-        return kept[trace]
+        if trace not in results:
+            results[trace] = compute(trace)
+        return results[trace]
 
     return once
 
@@ -98,8 +98,8 @@ def _workspace(trace: Trace) -> dict[str, float | None]:
 
 
 def _mean_workspace(trace: Trace) -> float | None:
-    known = [share for share in _workspace(trace).values() if share is not None]
-    return sum(known) / len(known) if known else None
+    shares = [share for share in _workspace(trace).values() if share is not None]
+    return sum(shares) / len(shares) if shares else None
 
 
 @_once

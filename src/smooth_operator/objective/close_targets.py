@@ -65,11 +65,11 @@ class CloseTargets(TargetPolicy[KeyvectorLayout, Any]):
     def with_operator(self, operator: OperatorProfile) -> tuple[CloseTargets, OperatorProfile]:
         """Targets that close the operator's pinches by their length alone: to move landmarks turns
         directions, which cost cosine similarity."""
-        kept = operator.without(*self.unused_components(operator))
+        profile = operator.without(*self.unused_components(operator))
         if not operator.has("pinch"):
-            return self, kept
+            return self, profile
         gaps = tuple((name, gap * operator.scale) for name, gap in operator.pinch_gaps.items())
-        return replace(self, pinch_gaps=gaps), kept.without("pinch")
+        return replace(self, pinch_gaps=gaps), profile.without("pinch")
 
     def unused_components(self, operator: OperatorProfile) -> tuple[Component, ...]:
         """``scale``: it helped on no recording, and on video it preserved motion less."""

@@ -113,12 +113,12 @@ class Objective:
             ConfigError: if the hand lacks a point that one of them needs.
         """
         layout: VectorLayout = self.config.targets.layout(self.hand.fingers)
-        known = self.hand.tree.keypoints
-        lacking = [LANDMARKS[i] for i in layout.landmarks if LANDMARKS[i] not in known]
+        keypoints = self.hand.tree.keypoints
+        lacking = [LANDMARKS[i] for i in layout.landmarks if LANDMARKS[i] not in keypoints]
         if lacking:
             raise ConfigError(
                 f"{type(self.config.targets).__name__} needs counterparts of {lacking} on the "
-                f"robot, and hand {self.hand.name!r} has only {sorted(known)}: add the "
+                f"robot, and hand {self.hand.name!r} has only {sorted(keypoints)}: add the "
                 "points to its description, or choose another method"
             )
         return layout
@@ -332,11 +332,11 @@ class _Chosen(NamedTuple):
 
     def added(self, total: Float[Array, "T 3"], values: Float[Array, "P 3"]) -> Array:
         """The sum of the terms so far, and the term's; longer where the term names new points."""
-        known = len(total)
-        if isinstance(self.at, slice) and self.at.start == known:
-            return jnp.concatenate([total, values]) if known else values
-        if self.end > known:
-            total = jnp.concatenate([total, jnp.zeros((self.end - known, 3), total.dtype)])
+        rows = len(total)
+        if isinstance(self.at, slice) and self.at.start == rows:
+            return jnp.concatenate([total, values]) if rows else values
+        if self.end > rows:
+            total = jnp.concatenate([total, jnp.zeros((self.end - rows, 3), total.dtype)])
         if isinstance(self.at, slice) and len(values) == len(total):
             return total + values
         return total.at[self.at].add(values)

@@ -90,7 +90,7 @@ class RestPose:
     @cached_property
     def segments(self) -> tuple[tuple[int, int], ...]:
         """(finger, landmark below its tip) of each finger that has a counterpart of it."""
-        found = []
+        pairs = []
         for f, name in enumerate(self.hand.fingers):
             place = FINGERS.index(name)
             below = [
@@ -98,8 +98,8 @@ class RestPose:
                 for i in range(BASES[place] + 1, TIPS[place])
                 if LANDMARKS[i] in self.hand.tree.keypoints
             ]
-            found += [(f, below[-1])] if below else []
-        return tuple(found)
+            pairs += [(f, below[-1])] if below else []
+        return tuple(pairs)
 
     @cached_property
     def kinematics(self) -> PointKinematics:
@@ -150,10 +150,10 @@ class RestPose:
         near = 1 / (1 + (error * error).sum(-1) / config.reach**2) ** 2
         pull, rows = neutral - q, jacobian[:count].reshape(-1, len(q))
         if self.segments and not is_off(config.segment):
-            found = self._directions(motion, jacobian, aligned)
-            pull = pull + config.segment * (found.slopes * found.error[:, None]).sum(axis=0)
+            turned = self._directions(motion, jacobian, aligned)
+            pull = pull + config.segment * (turned.slopes * turned.error[:, None]).sum(axis=0)
             segment = np.float32(np.sqrt(config.damping * config.segment))
-            rows = jnp.concatenate([rows, segment * found.slopes])
+            rows = jnp.concatenate([rows, segment * turned.slopes])
         return _Pull(tips, near, rows, config.damping * pull)
 
     def _directions(
@@ -172,8 +172,8 @@ class RestPose:
         human = human / jnp.sqrt((human * human).sum(-1, keepdims=True) + TINY_AREA)
         error = human - unit
         error = error - unit * (error * unit).sum(-1, keepdims=True)
-        known = jnp.isfinite(error).all(-1, keepdims=True)
+        finite = jnp.isfinite(error).all(-1, keepdims=True)
         return _Directions(
-            jnp.where(known, error, 0.0).reshape(-1),
-            jnp.where(known[:, :, None], slopes, 0.0).reshape(-1, slopes.shape[-1]),
+            jnp.where(finite, error, 0.0).reshape(-1),
+            jnp.where(finite[:, :, None], slopes, 0.0).reshape(-1, slopes.shape[-1]),
         )

@@ -92,6 +92,6 @@ def _circle(points: Float[np.ndarray, "N 3"]) -> tuple[float, np.ndarray, np.nda
     axes = np.linalg.svd(points - middle)[2]
     flat = (points - middle) @ axes[:2].T
     rows = np.column_stack([2 * flat, np.ones(len(flat))])
-    found = np.linalg.lstsq(rows, (flat**2).sum(axis=-1), rcond=None)[0]
-    radius = float(np.sqrt(found[2] + found[:2] @ found[:2]))
-    return radius, middle + found[:2] @ axes[:2], axes[2]
+    solution = np.linalg.lstsq(rows, (flat**2).sum(axis=-1), rcond=None)[0]
+    radius = float(np.sqrt(solution[2] + solution[:2] @ solution[:2]))
+    return radius, middle + solution[:2] @ axes[:2], axes[2]

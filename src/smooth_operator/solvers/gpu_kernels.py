@@ -61,14 +61,14 @@ def cholesky_rows(matrix: Sequence[Sequence[Array]]) -> list[list[Array]]:
     """
     rows: list[list[Array]] = []
     inverse: list[Array] = []
-    for i, given in enumerate(matrix):
+    for i, entries in enumerate(matrix):
         row: list[Array] = []
         for j in range(i):
-            entry = given[j]
+            entry = entries[j]
             for k in range(j):
                 entry = entry - row[k] * rows[j][k]
             row.append(entry * inverse[j])
-        pivot = given[i]
+        pivot = entries[i]
         for k in range(i):
             pivot = pivot - row[k] * row[k]
         inverse.append(lax.rsqrt(pivot))

@@ -144,9 +144,9 @@ def newton_minimise(
         candidates = newton_candidates(q, gradient, hessian, limits, config)
         costs, gradients, hessians = value_grad_hess(candidates)
         winner, cost = _best(costs)
-        found = (candidates[winner], cost, gradients[winner], hessians[winner])
+        following = (candidates[winner], cost, gradients[winner], hessians[winner])
         better = cost < lowest
-        return tuple(jnp.where(better, new, old) for new, old in zip(found, last, strict=True))
+        return tuple(jnp.where(better, new, old) for new, old in zip(following, last, strict=True))
 
     if config.iterations == 0:
         costs, gradients, _ = value_grad_hess(start[None])
@@ -198,5 +198,5 @@ def damped_newton(
 
     worst = jnp.asarray(jnp.inf, start.dtype)
     begin = (jnp.int32(0), start, worst, jnp.bool_(True))
-    found: tuple[Array, ...] = jax.lax.while_loop(goes_on, step, begin)
-    return found[1], found[2]
+    last_state: tuple[Array, ...] = jax.lax.while_loop(goes_on, step, begin)
+    return last_state[1], last_state[2]

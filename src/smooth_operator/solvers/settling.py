@@ -31,10 +31,10 @@ def settled(
         begin = lax.fori_loop(
             0, (round < rounds).astype(jnp.int32), lambda _, q: sampled(round, q), best[0]
         )
-        found, reached = descended(begin)
+        pose, reached = descended(begin)
         # a later round may end in a worse basin; descent alone never does
         worse = reached > best[1]
-        return jnp.where(worse, best[0], found), jnp.where(worse, best[1], reached)
+        return jnp.where(worse, best[0], pose), jnp.where(worse, best[1], reached)
 
     nothing_yet = jnp.asarray(jnp.inf, start.dtype)
     best: tuple[Array, Array] = lax.fori_loop(0, rounds + 1, solve, (start, nothing_yet))

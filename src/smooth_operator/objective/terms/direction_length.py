@@ -82,16 +82,16 @@ def direction_length_cost(
         targets: (P, 3) what they should be [m].
         config: weights.
     """
-    wanted = jnp.sqrt((targets * targets).sum(-1) + 1e-12)
+    goal_length = jnp.sqrt((targets * targets).sum(-1) + 1e-12)
     size = jnp.sqrt((vectors * vectors).sum(-1) + _SHORT**2)
-    goal, unit = targets / wanted[:, None], vectors / size[:, None]
+    goal, unit = targets / goal_length[:, None], vectors / size[:, None]
     cosine = (goal * unit).sum(-1)
     turn = -(config.direction / size)[:, None] * (goal - cosine[:, None] * unit)
     along = unit[:, :, None] * unit[:, None, :]
     across = jnp.eye(3, dtype=unit.dtype) - along
     turn_weight = config.direction * jnp.maximum(cosine, _LEAST) / size**2
-    slope = config.length / (1 + (wanted / config.near) ** 4)
-    longer = size - wanted
+    slope = config.length / (1 + (goal_length / config.near) ** 4)
+    longer = size - goal_length
     rounded = jnp.sqrt(longer * longer + config.huber_width**2)
     # the second derivative of the parabola that touches the cost on both sides: never too little
     length_weight = slope / rounded
@@ -132,10 +132,10 @@ class DirectionLength(PointTerm):
         # error + target, not the vectors themselves: a compiler shares the error with the keyvector
         # term, and the rounding decides when Newton steps stop
         vectors = (self.vectors.at(points) - targets) + targets
-        found = direction_length_cost(vectors[thumb], targets[thumb], self.config)
+        expansion = direction_length_cost(vectors[thumb], targets[thumb], self.config)
         return Quadratic(
-            found.cost,
-            self.vectors.spread(found.gradient, thumb),
+            expansion.cost,
+            self.vectors.spread(expansion.gradient, thumb),
             self.vectors.jacobian(jacobian)[thumb],
-            found.hessian,
+            expansion.hessian,
         )

@@ -45,8 +45,8 @@ class RobotVectors:
     @cached_property
     def moving(self) -> tuple[int, ...]:
         """The P landmarks whose counterparts a joint moves; those of the others are fixed."""
-        known = self.hand.tree.keypoints
-        return tuple(i for i in self.layout.landmarks if known[LANDMARKS[i]].joint >= 0)
+        keypoints = self.hand.tree.keypoints
+        return tuple(i for i in self.layout.landmarks if keypoints[LANDMARKS[i]].joint >= 0)
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -69,10 +69,12 @@ class RobotVectors:
 
     def at(self, points: Float[Array, "P 3"]) -> Float[Array, "K 3"]:
         """The vectors [m], from the moving points [m]."""
-        known = self.hand.tree.keypoints
+        keypoints = self.hand.tree.keypoints
         moving = {i: points[p] for p, i in enumerate(self.moving)}
         every = [
-            moving[i] if i in moving else jnp.asarray(known[LANDMARKS[i]].position, points.dtype)
+            moving[i]
+            if i in moving
+            else jnp.asarray(keypoints[LANDMARKS[i]].position, points.dtype)
             for i in self.layout.landmarks
         ]
         return self.layout.among(every)

@@ -66,8 +66,8 @@ class SelfCollision(PointTerm):
         """(P, 2) fingers of each pair's capsules, and (P,) whether they are thumb and finger."""
         owner, fingers = owners(self.hand), self.hand.fingers
         bodies = [self.pairs.ends[name][0] for name in self.pairs.names[::2]]
-        known = {FINGERS.index(name): f for f, name in enumerate(fingers)}
-        of = np.array([known.get(int(owner[body]), -1) for body in bodies])[self.pairs.pairs]
+        rows = {FINGERS.index(name): f for f, name in enumerate(fingers)}
+        of = np.array([rows.get(int(owner[body]), -1) for body in bodies])[self.pairs.pairs]
         thumb = fingers.index("thumb") if "thumb" in fingers else -2
         opposing = (of >= 0).all(axis=1) & ((of == thumb).sum(axis=1) == 1)
         return np.maximum(of, 0), opposing
