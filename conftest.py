@@ -154,7 +154,7 @@ def few_optimisations() -> Iterator[None]:
     from smooth_operator.compilation import batching
     from smooth_operator.methods import shared
 
-    option, made = "jax_disable_most_optimizations", (shared._known, batching._programs)
+    option, made = "jax_disable_most_optimizations", (shared._programs, batching._programs)
     before, programs = jax.config.read(option), [dict(each) for each in made]
     for known in made:
         known.clear()
