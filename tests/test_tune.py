@@ -37,7 +37,7 @@ from smooth_operator.solvers.sampling import SamplingConfig
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.types import HandRecording
 
-pytest.importorskip("optuna", reason="needs optuna: pip install 'smooth-retargeting[tune]'")
+pytest.importorskip("optuna", reason="needs optuna: in the clone, pip install '.[tune]'")
 pytestmark = pytest.mark.usefixtures("few_optimisations")
 
 TINY = SbrConfig(

@@ -65,7 +65,7 @@ class Settings:
         batches: METHOD:PRESET:LANES:FRAMES of each batch.
         repeats: of each batch; the median is reported.
         hand: built-in robot hand.
-        commit: of the code, where it is no clone.
+        commit: revision of the code, where it is no clone.
         commands: only save the first commands of preset ``paper`` in this file (.npy).
         page: only print the page of an earlier JSON file.
         output: JSON file; build/benchmarks/gpu.json unless given.
@@ -387,13 +387,13 @@ def against_cpu(report: Report, settings: Settings) -> None:
     with tempfile.TemporaryDirectory() as folder:
         paths = [Path(folder) / "device.npy", Path(folder) / "cpu.npy"]
         main(replace(settings, commands=paths[0]))
-        settings_shown = {
+        options = {
             "samples": settings.samples,
             "cycles": settings.cycles,
             "hand": settings.hand,
         }
         command = [
-            f"--{name}={value}" for name, value in (settings_shown | {"commands": paths[1]}).items()
+            f"--{name}={value}" for name, value in (options | {"commands": paths[1]}).items()
         ]
         environment = os.environ | {"JAX_PLATFORMS": "cpu"}
         if subprocess.run([sys.executable, __file__, *command], env=environment).returncode:

@@ -1,6 +1,6 @@
 """Does the robot hand look and move like the operator's: figures of posture, and contact sheets.
 
-    python research/benchmarks/looks.py RECORDING... [--methods smooth smooth:precise sbr ako]
+    python research/benchmarks/looks.py RECORDING... [--methods smooth smooth:expressive sbr]
         [--hands mimic_p050 shadow_hand] [--sheets FOLDER]
 
 A recording is named as for ``smooth-operator bench``: ``glove.npz@:500``, ``video.npz@30hz``. The

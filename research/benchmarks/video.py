@@ -106,10 +106,10 @@ def alone(report: Report, settings: Settings) -> HandRecording:
                 pictures += 1
                 read.append((time.perf_counter() - started) * 1e3)
                 started, processor = time.perf_counter(), time.process_time()
-                frames_seen = tracker.frames(pixels, stamp)
+                tracked = tracker.frames(pixels, stamp)
                 busy.append((time.process_time() - processor) * 1e3)
                 wall.append((time.perf_counter() - started) * 1e3)
-                mine = [frame for frame in frames_seen if frame.side == settings.side]
+                mine = [frame for frame in tracked if frame.side == settings.side]
                 frames += mine
                 detected += bool(mine)
         figures = {

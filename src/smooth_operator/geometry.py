@@ -128,8 +128,9 @@ def _principal_axes(cov: AnyArray, xp: ModuleType) -> tuple[AnyArray, AnyArray, 
         for _ in range(_TURNS):
             state = _jacobi_turn(state, xp)
     else:  # rolled up, for the sake of the compiler; on a GPU a turn of a loop costs more than that
-        turn = lambda _, state: _jacobi_turn(state, xp)  # noqa: E731
-        state = lax.fori_loop(0, _TURNS, turn, state, unroll=on_gpu() or None)
+        state = lax.fori_loop(
+            0, _TURNS, lambda _, state: _jacobi_turn(state, xp), state, unroll=on_gpu() or None
+        )
     values, columns = [state[_ENTRIES.index((i, i))] for i in range(3)], list(state[6:])
     for i, j in ((0, 1), (1, 2), (0, 1)):  # sort by falling value
         swap = values[i] < values[j]

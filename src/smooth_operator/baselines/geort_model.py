@@ -146,11 +146,11 @@ class GeortModel:
             )
         own = finger_joints(hand)
         names = tuple(tuple(hand.actuated_names[j] for j in joints) for joints in own)
-        for finger, expected, names_of_hand in zip(self.fingers, self.joints, names, strict=True):
-            if expected != names_of_hand:
+        for finger, expected, driven in zip(self.fingers, self.joints, names, strict=True):
+            if expected != driven:
                 raise ConfigError(
                     f"{about}, whose {finger} has the joints {expected}, but that of {hand.name!r} "
-                    f"has {names_of_hand}{train}"
+                    f"has {driven}{train}"
                 )
         for finger, limits, joints in zip(self.fingers, self.limits, own, strict=True):
             if np.abs(limits - hand.limits[list(joints)]).max() > _SAME_ANGLE:

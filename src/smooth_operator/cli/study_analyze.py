@@ -133,9 +133,9 @@ def _with_metrics(paths: Sequence[Path], stored: Sequence[str] = ()) -> list[Pat
     if any(path.name == NAMES[2] for path in paths):
         return files
     for path in (*paths, *trials):
-        beside = path.with_name(NAMES[2])
-        if path.name == NAMES[0] and beside.is_file():
-            files.append(beside)
+        metrics = path.with_name(NAMES[2])
+        if path.name == NAMES[0] and metrics.is_file():
+            files.append(metrics)
     return files
 
 

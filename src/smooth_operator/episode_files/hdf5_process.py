@@ -77,10 +77,10 @@ def read(path: str, most: int, *, head: bool = False) -> tuple[dict[str, Any], l
     """
     import h5py
 
-    read_arrays: list[Any] = []
+    values: list[Any] = []
     tree: dict[str, Any] = {}
     with h5py.File(path, "r", locking=False) as file:
-        tree["/"] = _group(file, ARRAYS["/"] if not head else (), most, read_arrays, h5py)
+        tree["/"] = _group(file, ARRAYS["/"] if not head else (), most, values, h5py)
         for name in () if head else GROUPS:
             parent, _, last = name.rpartition("/")
             above = file if not parent else file[parent] if parent in tree else None
@@ -91,19 +91,17 @@ def read(path: str, most: int, *, head: bool = False) -> tuple[dict[str, Any], l
                 arrays = ARRAYS.get(name) or tuple(_names(group, _MOST_STAGES + 1))
                 if len(arrays) > _MOST_STAGES:
                     raise RefusedError(f"its group {name} holds more than {_MOST_STAGES} arrays")
-                tree[name] = _group(group, arrays, most, read_arrays, h5py)
-    return tree, read_arrays
+                tree[name] = _group(group, arrays, most, values, h5py)
+    return tree, values
 
 
-def _group(
-    group: Any, arrays: tuple[str, ...], most: int, arrays_read: list[Any], h5py: Any
-) -> Any:
+def _group(group: Any, arrays: tuple[str, ...], most: int, result: list[Any], h5py: Any) -> Any:
     held = {}
     for name in arrays:
         if name in group:
             data = _linked(group, name, h5py)
             if isinstance(data, h5py.Dataset):
-                held[name] = _array(data, most, arrays_read, h5py)
+                held[name] = _array(data, most, result, h5py)
     return {
         "name": group.name,
         "names": _names(group, _MOST_NAMES),
@@ -128,7 +126,7 @@ def _linked(group: Any, name: str, h5py: Any) -> Any:
     return group[name]
 
 
-def _array(data: Any, most: int, arrays_read: list[Any], h5py: Any) -> dict[str, Any]:
+def _array(data: Any, most: int, result: list[Any], h5py: Any) -> dict[str, Any]:
     import numpy as np
 
     dtype, shape = data.dtype, data.shape  # h5py asks the file each time
@@ -145,7 +143,7 @@ def _array(data: Any, most: int, arrays_read: list[Any], h5py: Any) -> dict[str,
     words = h5py.check_string_dtype(dtype) is not None
     each = max(dtype.itemsize, _TEXT_BYTES if words else 8)
     takes = max(math.prod(shape), math.prod(data.chunks or ())) * each
-    if takes + sum(array.nbytes for array in arrays_read) > most:
+    if takes + sum(array.nbytes for array in result) > most:
         raise RefusedError(
             f"it would take {takes / 1e6:,.0f} MB of memory to read {data.name}, more than is "
             f"allowed for a file of this size ({most / 1e6:,.0f} MB for all)"
@@ -156,9 +154,9 @@ def _array(data: Any, most: int, arrays_read: list[Any], h5py: Any) -> dict[str,
         entry["texts"] = [_text(item) for item in np.ravel(data[()])]
     elif dtype.kind in "fiub":
         kind = {"f": "<f8", "b": "|b1", "i": "<i8", "u": "<i8"}[dtype.kind]
-        entry["stored"], entry["index"] = kind, len(arrays_read)
+        entry["stored"], entry["index"] = kind, len(result)
         with np.errstate(all="ignore"):
-            arrays_read.append(np.ascontiguousarray(data[()], kind))
+            result.append(np.ascontiguousarray(data[()], kind))
     return entry
 
 

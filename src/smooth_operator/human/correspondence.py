@@ -39,14 +39,14 @@ class CorrespondenceConfig:
     """Settings of the correspondence of human and robot fingers.
 
     Attributes:
-        share: of the way from the human's fingertip, as the palms are aligned, to its counterpart
-            on the robot's finger; 0 leaves fingertips where they are.
+        share: how far a fingertip goes from the human's, as the palms are aligned, to its
+            counterpart on the robot's finger: 1 all the way; 0 leaves fingertips where they are.
         longest: greatest gain of a finger, robot length over human length.
         near: distance of thumb and finger, on the robot's scale, under which the vector between
             them is the human's own [m].
         far: distance over which they do not move each other [m].
         folded: extension of a finger, base to tip over its length, at which that counts by half: a
-            thumb beside a fist pinches nothing. 0 for any.
+            thumb next to a fist pinches nothing. 0 for any.
         thumb_share: how far the thumb moves to the finger, if the finger moves to the thumb by 1.
         faster: by how much a fingertip's place may move faster than the human's fingertip [m/s].
         span: averaging time of the operator's lengths [s].

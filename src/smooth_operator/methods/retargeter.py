@@ -306,7 +306,7 @@ class Retargeter:
 
         Args:
             recordings: human hands of the retargeter's side; another raises ``ConfigError``.
-            seed: of the random numbers of each; None for the retargeter's own.
+            seed: random seed of each recording; None for the retargeter's own.
             track: wraps the iteration over all frames, for a progress bar.
             lanes: recordings side by side; None for 8 on a CPU, 1024 on a GPU.
         """
@@ -363,7 +363,7 @@ class Retargeter:
             landmarks: (R, T, 21, 3) of R hands of the retargeter's side [m]; float32 is copied
                 least.
             stamps: (R, T) when each frame was measured [s], or (T,) for all recordings.
-            seed: of the random numbers of each; None for the retargeter's own.
+            seed: random seed of each recording; None for the retargeter's own.
             lanes: recordings side by side; None for 8 on a CPU, 1024 on a GPU.
 
         Returns:

@@ -12,6 +12,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
+from smooth_operator.human.anatomical_axes import unit_vectors
 from smooth_operator.metrics import summary
 
 FLAT: Final = 0.92
@@ -87,7 +88,7 @@ def direction_errors(
         human: (T, F, 4, 3) landmarks of F fingers, base to tip, aligned to the palm [m].
         robot: (T, F, 4, 3) the robot's points [m].
     """
-    h, r = (_unit(x[:, :, 3] - x[:, :, 0]) for x in (human, robot))
+    h, r = (unit_vectors(x[:, :, 3] - x[:, :, 0], np) for x in (human, robot))
     return np.asarray(np.degrees(np.arccos(np.clip((h * r).sum(axis=-1), -1, 1))))
 
 
@@ -97,7 +98,7 @@ def curls(fingers: Float[np.ndarray, "T F 4 3"]) -> Float[np.ndarray, "T F"]:
     Args:
         fingers: (T, F, 4, 3) points of F fingers, base to tip [m].
     """
-    bones = _unit(np.diff(fingers, axis=2))
+    bones = unit_vectors(np.diff(fingers, axis=2), np)
     cosines = (bones[:, :, 1:] * bones[:, :, :-1]).sum(axis=-1)
     return np.asarray(np.degrees(np.arccos(np.clip(cosines, -1, 1))).sum(axis=-1))
 
@@ -111,7 +112,8 @@ def spreads(
         fingers: (T, L, 4, 3) points of L fingers, base to tip [m].
         across: (T, 3) direction across the palm.
     """
-    sideways = (_unit(fingers[:, :, 3] - fingers[:, :, 0]) * _unit(across)[:, None]).sum(axis=-1)
+    directions = unit_vectors(fingers[:, :, 3] - fingers[:, :, 0], np)
+    sideways = (directions * unit_vectors(across, np)[:, None]).sum(axis=-1)
     return np.asarray(np.diff(np.degrees(np.arcsin(np.clip(sideways, -1, 1))), axis=1))
 
 
@@ -160,8 +162,3 @@ def common_shift(
 
 def _lengths(fingers: Float[np.ndarray, "T L 4 3"]) -> Float[np.ndarray, "T L"]:
     return np.asarray(np.linalg.norm(fingers[:, :, 3] - fingers[:, :, 0], axis=-1))
-
-
-def _unit(vectors: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 3"]:
-    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return np.asarray(vectors / np.maximum(length, _TINY))

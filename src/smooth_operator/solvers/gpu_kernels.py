@@ -153,7 +153,7 @@ def next_gaussian(
         base: (m, n) the normals, if they are fixed; None for those of the key.
         limits: (m, 2) bounds that draws are clipped to.
         elites: how many.
-        temperature: of the softmax over the elites.
+        temperature: temperature of the softmax over the elites.
         jitter: added to the covariance's diagonal.
         interpret: run the kernel's operations one by one, on any device; for tests.
     """

@@ -265,7 +265,7 @@ def simulate_study(
     code = _code()
     jobs = [Job("", chunk.key, code, chunk) for chunk in chunks(settings)]
     log = ResultLog(folder / LOG, note)
-    settings_known = dict(
+    known_settings = dict(
         chunk_values(
             jobs,
             log,
@@ -280,7 +280,7 @@ def simulate_study(
             report=report,
         )
     )
-    rows = [row for job in jobs for row in _rows(job.task, settings_known[job.task])]
+    rows = [row for job in jobs for row in _rows(job.task, known_settings[job.task])]
     _write(settings, folder, rows)
     return rows
 

@@ -107,9 +107,9 @@ def make_dataset(request: DatasetRequest, progress: Progress | None = None) -> S
     progress = Progress() if progress is None else progress
     checked(request.recipe.request)
     check_output(request)
-    items_found = find_items(request.sources, layout=request.layout, leave_out=request.output)
-    if not items_found.items and not items_found.refused:
-        kinds = ", ".join(f"{count} {suffix}" for suffix, count in items_found.passed_over.items())
+    survey = find_items(request.sources, layout=request.layout, leave_out=request.output)
+    if not survey.items and not survey.refused:
+        kinds = ", ".join(f"{count} {suffix}" for suffix, count in survey.passed_over.items())
         raise RecordingError(
             f"nothing to retarget in {', '.join(request.sources)}"
             + (f": no layout knows its files ({kinds})" if kinds else ": it is empty")
@@ -119,11 +119,11 @@ def make_dataset(request: DatasetRequest, progress: Progress | None = None) -> S
     own.mkdir(parents=True, exist_ok=True)
     with claimed(own):
         clear_unfinished(own)
-        items = [item for item in items_found.items if in_shard(item, request.shard)]
+        items = [item for item in survey.items if in_shard(item, request.shard)]
         finished = _finished(Store(work), items)
-        progress.looked(items_found, len(items), len(finished))
+        progress.looked(survey, len(items), len(finished))
         left = [item for item in items if item.name not in finished]
-        reasons: dict[str, str] = {refused.name: refused.reason for refused in items_found.refused}
+        reasons: dict[str, str] = {refused.name: refused.reason for refused in survey.refused}
         if request.merge:
             missing = "no run has finished it yet; leave out --merge to retarget it now"
             reasons |= {item.name: missing for item in left}
@@ -145,9 +145,7 @@ def make_dataset(request: DatasetRequest, progress: Progress | None = None) -> S
             request.format,
             request.writing,
         )
-        return write_episodes(
-            order, Store(work), reasons, items_found.passed_over, progress.written
-        )
+        return write_episodes(order, Store(work), reasons, survey.passed_over, progress.written)
 
 
 def check_output(request: DatasetRequest) -> None:

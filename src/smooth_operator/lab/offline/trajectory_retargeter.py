@@ -170,7 +170,7 @@ class TrajectoryRetargeter:
 
         Args:
             recordings: human hands of the retargeter's side.
-            seed: of the random numbers of each; None for the retargeter's own.
+            seed: random seed of each recording; None for the retargeter's own.
             track: wraps the iteration over all frames, for a progress bar.
 
         Returns:
@@ -256,7 +256,7 @@ class TrajectoryRetargeter:
         stretch: slice,
         start: Float[np.ndarray, "T v"],
         limits: Float[np.ndarray, "v 2"],
-        goals_and_reaches: tuple[FrameGoal, Float[np.ndarray, "T F 3"]],
+        problem: tuple[FrameGoal, Float[np.ndarray, "T F 3"]],
         valid: Bool[np.ndarray, " T"],
         extra: ExtraTerms | None,
     ) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
@@ -265,14 +265,14 @@ class TrajectoryRetargeter:
         period = stamps[1] if len(stamps) > 1 else 1.0
         ahead = int(np.ceil(AHEAD_S / period)) if period > 0 else 0
         settled = np.empty((0, start.shape[1]))
-        goals, reaches = goals_and_reaches
+        goals, reaches = problem
         joints, more = len(self.hand.limits), len(limits) - len(self.hand.limits)
         for begin, keep, end in windows(len(stamps), WINDOW, ahead):
-            before_window = settled[-ORDERS:]
-            before = begin - len(before_window)
+            previous = settled[-ORDERS:]
+            before = begin - len(previous)
             part = slice(stretch.start + before, stretch.start + end)
             window_goals = jax.tree.map(lambda values, part=part: values[part], goals)
-            guess = np.concatenate([before_window, start[part][len(before_window) :]])
+            guess = np.concatenate([previous, start[part][len(previous) :]])
             tracking = np.empty(0)
 
             def costs(
@@ -294,11 +294,11 @@ class TrajectoryRetargeter:
                 stamps[before:end],
                 limits,
                 self.config.future,
-                len(before_window),
+                len(previous),
                 led,
             ).q
             costs(trajectory)
-            new = slice(len(before_window), len(before_window) + keep - begin)
+            new = slice(len(previous), len(previous) + keep - begin)
             settled = trajectory[: new.stop]
             at = slice(stretch.start + begin, stretch.start + keep)
             yield at, trajectory[new], tracking[new]

@@ -50,9 +50,9 @@ class Fit:
     Attributes:
         outcome: success, time or tlx.
         frame: the rows.
-        names: of the coefficients.
+        names: names of the coefficients.
         beta: coefficients; of success on the logit (p,).
-        covariance: of the coefficients (p, p).
+        covariance: covariance of the coefficients (p, p).
         freedom: degrees of freedom of a combination of the coefficients.
         model: the fit that the coefficients come from.
     """
@@ -108,7 +108,7 @@ def fit_modes(
     Args:
         outcome: decides on the model.
         frame: the rows, checked by ``check_frame``; those of success without separation.
-        modes: of the result.
+        modes: modes of the result.
         more: further columns, centred so that means are at their mean.
 
     Raises:

@@ -76,8 +76,8 @@ class Hot3d:
         placed: dict[Side, PlacedHand] = {}
         shape = {}
         for number, side in _SIDES.items():
-            poses_of_frames, betas = _hand(lines, number, path)
-            if not np.isfinite(poses_of_frames).any():
+            track, betas = _hand(lines, number, path)
+            if not np.isfinite(track).any():
                 continue
             model = load_model(options.mano, side, mirrored_shape=True)
             with_shape = np.isfinite(betas).all(axis=1)
@@ -85,15 +85,15 @@ class Hot3d:
                 raise RecordingError(f"{path}: no line has betas, the shape of the hand")
             shape[side] = np.median(betas[with_shape], axis=0)
             turns = model.rotations(
-                np.zeros((len(poses_of_frames), 3)),
-                poses_of_frames[:, 7:],
+                np.zeros((len(track), 3)),
+                track[:, 7:],
                 pca=True,
                 flat_hand_mean=False,
             )
-            finite = np.isfinite(poses_of_frames).all(axis=1)
+            finite = np.isfinite(track).all(axis=1)
             turns[~finite] = np.nan
-            turns[finite, 0] = poses.rotation_matrices(poses_of_frames[finite, 3:7])
-            placed[side] = model.place(turns, shape[side], poses_of_frames[:, :3], tips="smplx")
+            turns[finite, 0] = poses.rotation_matrices(track[finite, 3:7])
+            placed[side] = model.place(turns, shape[side], track[:, :3], tips="smplx")
         return Scene(
             placed,
             (times - times[0]) / 1e9,

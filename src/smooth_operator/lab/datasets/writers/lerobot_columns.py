@@ -214,11 +214,11 @@ class RobotLayout:
         columns["action"] = np.concatenate([flat[1:], flat[-1:]]) if action == "next" else flat
         columns["camera"], columns["camera_valid"] = _poses(human.T_world_camera, count)
         if self.objects:
-            tracks_found: list[np.ndarray | None] = [
+            object_tracks: list[np.ndarray | None] = [
                 item.T_world_object for item in human.objects[: self.objects]
             ]
-            tracks_found += [None] * (self.objects - len(tracks_found))
-            tracks = [_poses(each, count) for each in tracks_found]
+            object_tracks += [None] * (self.objects - len(object_tracks))
+            tracks = [_poses(each, count) for each in object_tracks]
             columns["objects"] = np.concatenate([track for track, _ in tracks], axis=1)
             columns["objects_valid"] = np.stack([valid for _, valid in tracks], axis=1)
         with np.errstate(over="ignore"):

@@ -115,7 +115,7 @@ def learning_rows(learning: Mapping[str, Any]) -> tuple[list[tuple[str, str, lis
         if "refused" in one:
             rows.append((name, one["refused"], []))
             continue
-        if "slope_logit" in one:  # as percentage points: nobody thinks in logits
+        if "slope_logit" in one:  # as percentage points, which readers know better than logits
             slope = 100 * one["ame_prob_per_unit"]
             # The error of mode small-sample, so that it goes with the p-value.
             wider = one.get("se_mancl_derouen", one["se"]) / one["se"]
