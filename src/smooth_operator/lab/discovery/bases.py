@@ -58,7 +58,7 @@ def fix_bases(
 
 
 def bases_finding(moved: dict[str, float]) -> Finding:
-    """What was done about the bases, for the checklist.
+    """Reports what was done about the bases, for the checklist.
 
     Args:
         moved: human finger -> how far joints would move its base [m].

@@ -1,4 +1,4 @@
-"""Where a hand is in a model: the palm is the body from which two to five short chains branch."""
+"""Search for a hand in a model: two to five short chains branch from its palm."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ _STRAY: Final = 0.4  # of the median length, below which a single joint is no fi
 
 @dataclass(frozen=True)
 class Chain:
-    """What may be a finger.
+    """A chain of links that may be a finger.
 
     Attributes:
         palm: body that it branches from.
         last: its last moving body.
         bodies: from below the palm to the last.
         joints: between palm and last body.
-        shared: how many of them, from the palm on, move another finger as well.
+        shared: number of them, from the palm on, that move another finger as well.
         length: from first own joint over the others to the far end [m].
         base: (3,) first own joint, in the world in the reference pose [m].
     """
@@ -185,7 +185,7 @@ class Branches:
         return HandTree(palm, tuple(branch), tuple(left_out))
 
     def _apart(self, chain: Chain, other: Chain) -> bool:
-        """Whether two chains are two fingers, and not one with a bar of its linkage."""
+        """True if two chains are two fingers, not one finger and a bar of its linkage."""
         shared = _common(chain, other)
         if not shared:
             return True
@@ -200,7 +200,7 @@ class Branches:
         return not (abs(axis @ their_axis) > 0.95 and in_one_plane)
 
     def _fault(self, hand: HandTree) -> str | None:
-        """Why this is no hand; None if it may be one."""
+        """Reason why this is no hand; None if it may be one."""
         chains = hand.chains
         names = ", ".join(self._name(c) for c in chains[:6]) + (", …" if len(chains) > 6 else "")
         wheels, pinned = (
@@ -264,7 +264,7 @@ class Branches:
 
 
 def far_point(skeleton: Skeleton, at: Placement, leaf: int, start: np.ndarray) -> np.ndarray:
-    """What of a last link is farthest from its joint: a frame, a site or a point of its shapes."""
+    """Finds the frame, site or point of shape that is farthest from a last link's joint."""
     rigid = skeleton.rigid(leaf)
     points = [at.bodies[list(rigid)], at.sites[np.isin(skeleton.model.site_bodyid, rigid)]]
     points += [at.world(b, cloud) for b in rigid for cloud in skeleton.clouds.get(b, ())]
@@ -277,7 +277,7 @@ def far_point(skeleton: Skeleton, at: Placement, leaf: int, start: np.ndarray) -
 
 
 def holds(skeleton: Skeleton, chain: Chain, name: str) -> bool:
-    """Whether a body or joint of that name belongs to a chain."""
+    """True if a body or joint of that name belongs to a chain."""
     rigid = (*chain.bodies, *skeleton.rigid(chain.last))
     bodies = {skeleton.body_name(b) for b in rigid}
     return name in bodies or name in {skeleton.joint_names[j] for j in chain.own}

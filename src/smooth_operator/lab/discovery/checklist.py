@@ -37,7 +37,7 @@ def checklist(
         skeleton: the model.
         tree: palm and chains.
         layout: side and order.
-        thumb: which it is.
+        thumb: index of the thumb.
         order: chains, thumb first.
         names: their human fingers.
         overruled: human fingers whose chains a person named.
@@ -47,8 +47,8 @@ def checklist(
         bases: finding about the fingers' bases.
         neutral: the neutral pose in words.
         spec: the description.
-        palm_given: whether a person named the palm.
-        hands: how many the file holds.
+        palm_given: True if a person named the palm.
+        hands: number of hands in the file.
     """
     chains = tree.chains
     palm_why = [f"{len(chains)} chains of joints branch from it"]

@@ -1,4 +1,4 @@
-"""Which joints follow another, and whether what the file says of it can be."""
+"""Couplings of joints, and a check of those that the file declares."""
 
 from __future__ import annotations
 

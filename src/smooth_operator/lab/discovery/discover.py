@@ -78,16 +78,16 @@ def discover(
 
     Args:
         path: URDF or MJCF file, with or without its meshes.
-        side: which hand; chooses between two in one file.
-        name: of the description; from the file's name if left out.
-        overrules: what a person knows better.
+        side: side of the hand; selects one of two in one file.
+        name: name of the description; the file's name if left out.
+        overrules: facts from a person, which replace findings.
 
     Returns:
         the description and every finding with confidence and evidence.
 
     Raises:
         HandModelError: the file can't be used, or holds no hand, or two and no side is given.
-        UnknownNameError: what overrules name is not in the model.
+        UnknownNameError: the model lacks a name in ``overrules``.
     """
     path = Path(path)
     side = None if side is None else as_side(side)

@@ -17,12 +17,12 @@ _ROUNDS: Final = 4
 
 @dataclass(frozen=True)
 class End:
-    """Where a link ends, in the world.
+    """End of a link, in the world frame.
 
     Attributes:
         tip: (3,) where its pad ends [m]: the far end, or a little behind a nail.
         far: (3,) the far end on the middle line [m].
-        nail: whether the back juts out beyond the pad.
+        nail: True if the back extends beyond the pad.
     """
 
     tip: Float[np.ndarray, "3"]
@@ -107,7 +107,7 @@ def _section(
 
 
 def _has_nail(cap: np.ndarray, centre: float, half: float) -> bool:
-    """Whether a link is rounded and its very end at one side; what is cut straight has no nail."""
+    """True if a link is rounded and ends at one side; a straight cut has no nail."""
     if len(cap) < 5:
         return False
     shift = abs(float(cap.min() + cap.max()) / 2 - centre)
@@ -115,7 +115,7 @@ def _has_nail(cap: np.ndarray, centre: float, half: float) -> bool:
 
 
 def _top(run: np.ndarray) -> float:
-    """Where a shape ends: its last point, unless few stray ones lie beyond a gap."""
+    """Finds the end of a shape: its last point, without few stray points beyond a gap."""
     order = np.sort(run)
     few = max(len(order) // 50, 1)
     if len(order) > 100:

@@ -1,4 +1,4 @@
-"""What was found in a model, how sure that is, and why."""
+"""Findings about a model, each with its confidence and reason."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ class Finding:
     """One thing that was found.
 
     Attributes:
-        subject: what it is about: ``side``, ``palm``, ``thumb``, ``order``, ``tip of index``, ...
-        value: what was found, for a person to read.
+        subject: the subject: ``side``, ``palm``, ``thumb``, ``order``, ``tip of index``...
+        value: the finding, as a text for a person.
         confidence: 0 (a guess) to 1 (the model says so).
         evidence: the reasons, in words.
-        overrule: how to say it better, as an option of ``smooth-operator hands add``.
+        overrule: option that replaces it, of ``smooth-operator hands add``.
     """
 
     subject: str
@@ -42,7 +42,7 @@ class FoundFinger:
         tip_body: body that the fingertip is fixed to.
         tip_offset: (3,) fingertip in that body's frame [m].
         joints: all joints that move the tip, palm to tip, coupled ones included.
-        confidence: of the name and the tip, whichever is less sure.
+        confidence: the lower one of the name's and the tip's.
     """
 
     name: str
@@ -69,7 +69,7 @@ class Discovery:
         findings: with confidence and evidence, in the order of a checklist.
         fingers: thumb first, then from the thumb's side across the palm.
         coupled: joints of the hand that follow another.
-        notes: what a person should know besides, such as meshes that are not there.
+        notes: other facts for a person, such as missing meshes.
     """
 
     spec: HandSpec

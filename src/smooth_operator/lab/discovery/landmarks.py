@@ -30,7 +30,7 @@ def finger_points(
     Args:
         skeleton: the model.
         chain: the finger.
-        bend: how it bends.
+        bend: bending of the finger.
         tip: its tip.
         is_thumb: a thumb's first landmark is its first joint of all, a finger's is its knuckle.
         at: the reference pose.

@@ -28,13 +28,13 @@ class Layout:
         lateral: axis about which the fingers close, right-handed; to the thumb of a right hand.
         palmar: out of the palm, forward and lateral at right angles to it.
         side: right or left.
-        side_confidence: of it.
+        side_confidence: confidence of the side.
         side_evidence: in words.
         order: chain indices, thumb first, then from the thumb's side.
-        order_confidence: of it.
+        order_confidence: confidence of the order.
         order_evidence: in words.
         names: human fingers, in that order.
-        names_confidence: of the names.
+        names_confidence: confidence of the names.
     """
 
     forward: Float[np.ndarray, "3"]
@@ -66,8 +66,8 @@ def find_layout(
 
     Args:
         chains: the fingers.
-        bends: how each bends.
-        reach: what they can reach.
+        bends: bending of each finger.
+        reach: places that the fingers can reach.
         thumb: index of the thumb.
         labels: the human finger that each one's names speak of.
         side_said: the side that names speak of.
@@ -176,7 +176,7 @@ def _names(labels: list[str | None]) -> tuple[tuple[str, ...], float, list[str]]
 
 
 def _spoken(labels: list[str | None]) -> tuple[str, ...]:
-    """What names say of fingers other than the thumb; nothing unless each has one."""
+    """Finger names of the chains other than the thumb; empty unless each has one."""
     named = tuple(name for name in labels if name is not None and name != "thumb")
     return named if len(set(named)) == len(labels) else ()
 

@@ -1,4 +1,4 @@
-"""How fingers move: which joints bend them, which way, and what two fingers can reach together."""
+"""Motion of fingers: the joints that bend them, the direction, and what two can reach together."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _MANY: Final = 0.1  # share of near pairs of poses that makes a full opposition
 
 @dataclass(frozen=True)
 class Bending:
-    """How one finger bends.
+    """Bending of one finger.
 
     Attributes:
         joints: hinges that bend it, base to tip; empty for a finger that only slides.
@@ -61,7 +61,7 @@ class Reach:
     axes: Float[np.ndarray, "s f 3"]
 
     def facing(self, i: int, j: int, length: float) -> Float[np.ndarray, "s s"]:
-        """How much two fingers close towards each other, pose by pose.
+        """Measures how much two fingers close towards each other, pose by pose.
 
         Returns:
             smaller of the two cosines between pad and direction to the other tip; -1 where the
@@ -83,7 +83,7 @@ class Reach:
         return gaps
 
     def opposition(self, i: int, j: int, length: float) -> float:
-        """How well two fingers meet pad to pad, 0 (not at all) to 1.
+        """Scores how well two fingers meet pad to pad, 0 (not at all) to 1.
 
         Of the pairs of poses whose tips are close, in some each finger closes towards the other:
         many for a thumb and a finger, next to none for two neighbours, which close side by side.
@@ -91,7 +91,7 @@ class Reach:
         Args:
             i: one finger.
             j: the other.
-            length: of a finger [m], what near and far are measured by.
+            length: length of a finger [m], the unit of near and far.
         """
         gaps = self.gaps(i, j)
         near = gaps < _NEAR * length
@@ -105,7 +105,7 @@ class Reach:
 def find_bending(
     skeleton: Skeleton, chains: tuple[Chain, ...], tips: tuple[Tip, ...]
 ) -> tuple[Bending, ...]:
-    """How each finger bends; the others decide what a finger alone leaves open."""
+    """Finds the bending of each finger; the others decide where one alone is ambiguous."""
     rest = skeleton.place(skeleton.reference)
     ends = np.array([tip.position for tip in tips])
     return tuple(_bending(skeleton, chain, rest, ends, i) for i, chain in enumerate(chains))

@@ -33,8 +33,8 @@ def find_neutral(
     Args:
         skeleton: the model.
         chains: the fingers.
-        bends: how they bend.
-        reach: what they reach.
+        bends: bending of the fingers.
+        reach: places that they can reach.
         order: chains, thumb first, then from its side.
 
     Returns:

@@ -16,7 +16,7 @@ from smooth_operator.hands.loading import Coupling
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """Where everything is in one pose, in the world frame [m].
+    """Places of all parts in one pose, in the world frame [m].
 
     Attributes:
         bodies: (nbody, 3) origins.

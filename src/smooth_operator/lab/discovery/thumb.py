@@ -1,4 +1,4 @@
-"""Which finger is the thumb: the one that closes against the others."""
+"""Search for the thumb: the finger that closes against the others."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ def find_thumb(
 
     Args:
         chains: the fingers.
-        bends: how each bends.
-        reach: what they can reach together.
+        bends: bending of each finger.
+        reach: places that they can reach together.
         labels: the human finger that each one's names speak of; weak evidence.
     """
     count = len(chains)
@@ -88,7 +88,7 @@ def find_thumb(
 
 
 def _apart(axes: np.ndarray, finger: int) -> tuple[float, float]:
-    """How alone one finger is in the direction in which it closes.
+    """Measures how much one finger's closing direction differs from the others'.
 
     Returns:
         1 where all others close about one axis and it about the opposite one, 0 where it closes

@@ -121,7 +121,7 @@ def _tip(
 
 
 def _outermost(skeleton: Skeleton, rigid: tuple[int, ...], at: Placement, far: np.ndarray) -> int:
-    """Of the bodies of the last link, the one whose shape reaches the far end."""
+    """Selects the body of the last link whose shape reaches the far end."""
     best, nearest = rigid[0], np.inf
     for body in rigid:
         for cloud in skeleton.clouds.get(body, ()):

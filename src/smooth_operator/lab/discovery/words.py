@@ -30,12 +30,12 @@ def words(name: str) -> tuple[str, ...]:
 
 
 def says_tip(name: str) -> bool:
-    """Whether a name says that it is a fingertip."""
+    """True if a name denotes a fingertip."""
     return any(word.endswith("tip") for word in words(name))
 
 
 def says_wrist(name: str) -> bool:
-    """Whether a name says that it is the wrist."""
+    """True if a name denotes the wrist."""
     return any(word in _WRIST_WORDS for word in words(name))
 
 
@@ -63,7 +63,7 @@ def fingers_said(chains: Sequence[Iterable[str]]) -> list[str | None]:
 
 
 def _means(word: str, finger: str, initials: bool) -> bool:
-    """Whether a word says a finger; initials may as well be a gripper's left and right finger."""
+    """True if a word denotes a finger; initials may be a gripper's left and right finger."""
     return any(
         word == synonym
         or (len(synonym) > 3 and word.startswith(synonym))

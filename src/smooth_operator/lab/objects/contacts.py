@@ -29,10 +29,10 @@ _DISTAL: Final = tuple(tip - 1 for tip in TIPS)
 
 @dataclass(frozen=True)
 class ContactSettings:
-    """When a human fingertip touches an object.
+    """Thresholds that decide when a human fingertip touches an object.
 
     Attributes:
-        pad_radius: of the sphere that stands for a fingertip [m].
+        pad_radius: radius of the sphere that stands for a fingertip [m].
         begin: clearance below which a contact begins [m].
         end: clearance above which it ends [m].
         shortest: contacts and interruptions that are shorter do not count [s].
@@ -57,7 +57,7 @@ class Scene:
     """The objects of a clip whose shape is known.
 
     Attributes:
-        names: of the O objects.
+        names: names of the O objects.
         solids: their shapes.
         T_world_object: (O, T, 7) their poses, NaN where not known.
     """
@@ -102,7 +102,7 @@ def clip_scene(clip: Clip, solids: dict[str, Solid] | None = None) -> Scene:
 
 @dataclass(frozen=True, eq=False)
 class Contacts:
-    """What fingertips touch; fingers in the order of ``FINGERS``, F of them.
+    """Contacts of fingertips with objects; fingers in the order of ``FINGERS``, F of them.
 
     Attributes:
         clearance: (T, F) between a fingertip and the nearest object [m], negative inside; NaN where
@@ -127,7 +127,7 @@ def pad_centres(
 
     Args:
         landmarks: (T, 21, 3) [m].
-        radius: of the spheres [m].
+        radius: radius of the spheres [m].
     """
     tips, before = landmarks[:, list(TIPS)], landmarks[:, list(_DISTAL)]
     bone = tips - before
@@ -142,7 +142,7 @@ def find_contacts(
 
     Args:
         clip: the hands.
-        side: which hand.
+        side: side of the hand.
         scene: the objects.
         settings: thresholds.
 

@@ -55,7 +55,7 @@ class Fixed:
         return Fixed(self.body[chosen], self.share[chosen], self.radius[chosen])
 
     def at(self, frames: Float[np.ndarray, "*n B 4 3"]) -> Float[np.ndarray, "*n K 3"]:
-        """Where the points are, on the host [m]."""
+        """Computes the places of the points on the host [m]."""
         return np.asarray(np.einsum("ki,...kic->...kc", self.share, frames[..., self.body, :, :]))
 
 
@@ -189,7 +189,7 @@ class HandSurface:
         return [int(g) for g in every if self._below(int(model.geom_bodyid[g]))]
 
     def _below(self, body: int) -> bool:
-        """Whether a body is the palm or hangs from it."""
+        """True if a body is the palm or one of its descendants."""
         palm = self.hand.model.body(self.hand.spec.palm).id
         while body not in (0, palm):
             body = int(self.hand.model.body_parentid[body])

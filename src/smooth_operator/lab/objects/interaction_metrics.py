@@ -35,7 +35,7 @@ _SURE_M: Final = 0.004
 
 
 class Depths(NamedTuple):
-    """Where the surface of a robot hand is at objects.
+    """Depths of a robot hand's surface in objects.
 
     Attributes:
         deepest: (T,) depth of its deepest point inside an object [m]; 0 where none is inside, NaN
@@ -58,7 +58,7 @@ def hand_depths(
     """Measures a hand against objects, by points of its surface and the objects' exact shapes.
 
     Args:
-        surface: of the robot hand.
+        surface: surface of the robot hand.
         joint_positions: (T, n) of all joints [rad].
         T_world_palm: (T, 7) its palm.
         scene: the objects.
@@ -126,7 +126,7 @@ def _distances(solid: Solid, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarr
 
 
 def touching(clearance: Float[np.ndarray, "T F"]) -> Bool[np.ndarray, "T F"]:
-    """Which fingertips are in contact by ``CONTACT_M``; none where the clearance is NaN."""
+    """Mask of fingertips that are in contact by ``CONTACT_M``; none where the clearance is NaN."""
     return np.asarray(np.abs(clearance) <= CONTACT_M)
 
 
@@ -172,10 +172,10 @@ def interaction_tracks(
     scene: Scene,
     contacts: Contacts,
 ) -> dict[str, Float[np.ndarray, " T"]]:
-    """What one hand does at the objects of a clip, frame by frame.
+    """Measures what one hand does at the objects of a clip, frame by frame.
 
     Args:
-        surface: of the robot hand.
+        surface: surface of the robot hand.
         joint_positions: (T, n) of all joints [rad].
         T_world_palm: (T, 7) its palm.
         scene: the objects.
@@ -210,7 +210,7 @@ def interaction_figures(tracks: Mapping[str, Float[np.ndarray, " T"]]) -> dict[s
     """Figures of one hand over frames of a clip; NaN where one is not known.
 
     Args:
-        tracks: of ``interaction_tracks``, whole or a part.
+        tracks: result of ``interaction_tracks``, whole or a part.
 
     Returns:
         ``contact_precision``, ``contact_recall``, ``contact_f1``; ``contact_error_mm``, the mean

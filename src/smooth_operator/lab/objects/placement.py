@@ -1,4 +1,4 @@
-"""Where human hands, robot palms and objects are in one world."""
+"""Poses of human hands, robot palms and objects in one world frame."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def landmarks_in_world(recording: HandRecording) -> Float[np.ndarray, "T 21 3"]:
 def palm_in_world(
     recording: HandRecording, hand: Hand, alignment: AlignmentConfig
 ) -> Float[np.ndarray, "T 7"]:
-    """Where the robot's palm is, so that it lies on the human's.
+    """Places the robot's palm on the human's.
 
     The rotation is that of the alignment that retargeting uses. Robot and human keep their sizes,
     and the centres of the landmarks that are aligned coincide.
@@ -100,5 +100,5 @@ def apply(
 
 
 def is_known(transform: Float[np.ndarray, "T 7"]) -> Bool[np.ndarray, " T"]:
-    """Which poses are valid."""
+    """Mask of the valid poses."""
     return poses.is_valid(transform)

@@ -54,12 +54,12 @@ _RETARGETERS: OrderedDict[tuple[str, TrajectoryMethodConfig, int], ObjectAwareRe
 
 
 class ObjectAware(NamedTuple):
-    """What a robot hand does in a clip with objects.
+    """Motion of a robot hand in a clip with objects.
 
     Attributes:
         commands: one for each frame.
         loss: (T,) the method's tracking loss, NaN without a usable hand.
-        figures: of contacts and penetration by name (``interaction_figures``), against the contacts
+        figures: contacts and penetration by name (``interaction_figures``), against the contacts
             that were found in the human's hand.
         tracks: the same frame by frame (``interaction_tracks``).
         T_world_palm: (T, 7) the robot's palm, NaN where it is not known.
@@ -111,7 +111,7 @@ class ObjectAwareRetargeter:
         config: a configuration for whole recordings; None for ``smooth:offline``.
         settings: weights and bounds; None for the default ones.
         contacts: when a human fingertip touches; None for the default thresholds.
-        seed: of the method's random numbers.
+        seed: seed of the method's random numbers.
 
     Raises:
         ConfigError: the method can't be solved for a whole recording.
@@ -139,7 +139,7 @@ class ObjectAwareRetargeter:
 
         Args:
             clip: with wrist poses and objects.
-            side: which hand.
+            side: side of the hand.
             solids: shapes of objects by name, in place of their meshes.
 
         Raises:
@@ -200,7 +200,7 @@ def object_aware(clip: Clip, side: Side, plan: Plan) -> ObjectAware:
 
     Args:
         clip: with wrist poses and objects.
-        side: which hand.
+        side: side of the hand.
         plan: robot hand, method and preset, which must be one for whole recordings.
 
     Raises:

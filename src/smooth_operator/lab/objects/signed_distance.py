@@ -190,7 +190,7 @@ class Mesh:
 
         Args:
             cells: points along each axis.
-            margin: how far the grid reaches beyond the mesh [m].
+            margin: distance by which the grid extends beyond the mesh [m].
         """
         low, high = self.vertices.min(axis=0) - margin, self.vertices.max(axis=0) + margin
         axes = [np.linspace(low[i], high[i], cells) for i in range(3)]
@@ -205,7 +205,7 @@ class Solid:
     """The shape of an object, for compiled programs and for exact measurement.
 
     Attributes:
-        shape: what compiled programs use.
+        shape: arrays for compiled programs.
         mesh: the exact shape behind a grid; None for a primitive, which is exact itself.
     """
 

@@ -52,15 +52,15 @@ class ObjectSettings:
     """Weights, in units of a keyvector's weight, and bounds.
 
     Attributes:
-        penetration: of depths inside an object.
+        penetration: weight of depths inside an object.
         margin: clearance below which a part counts as inside [m].
-        contact: of a fingertip's clearance in a contact.
-        place: of its offset along the surface in a contact.
-        apart: of a fingertip that comes nearer than the human's where that does not touch.
+        contact: weight of a fingertip's clearance in a contact.
+        place: weight of its offset along the surface in a contact.
+        apart: weight of a fingertip that comes nearer than the human's where that does not touch.
         clear: clearance that is enough for such a fingertip [m].
         reach: clearance from which on the cost of a missed contact grows linearly [m].
         slip: the same for the offset along the surface [m].
-        wrist: of the wrist's correction: of a translation, and of a rotation times ``lever``.
+        wrist: weight of the wrist's correction: its translation, and its rotation times ``lever``.
         lever: arm on which a rotation of the wrist counts [m].
         ramp: time over which a contact's weight rises and falls [s].
         shift: largest correction of the wrist along each axis [m]; 0 for none.
@@ -92,7 +92,7 @@ DEFAULT: Final = ObjectSettings()
 
 
 class ObjectFrame(NamedTuple):
-    """What one frame has of objects and contacts; a pytree. O objects, F fingers of the robot.
+    """Objects and contacts of one frame; a pytree. O objects, F fingers of the robot.
 
     Attributes:
         rotation: (O, 3, 3) palm to object.
@@ -123,7 +123,7 @@ def object_frames(
     stamps: Float[np.ndarray, " T"],
     settings: ObjectSettings,
 ) -> ObjectFrame:
-    """What the frames of a clip have, stacked along the first axis; NumPy.
+    """Objects and contacts of a clip's frames, stacked along the first axis; NumPy.
 
     Args:
         hand: the robot hand.
@@ -203,7 +203,7 @@ class ObjectCosts:
         """Cost, gradient and Gauss-Newton Hessian of one frame; traceable.
 
         Args:
-            shapes: of the O objects.
+            shapes: shapes of the O objects.
             x: (m + 6) joint positions [rad], then translation and rotation vector of the wrist's
                 correction in ``UNITS``.
             frame: objects and contacts.

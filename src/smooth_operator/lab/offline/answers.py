@@ -26,7 +26,7 @@ _SHELF_SIZE: Final = 4
 
 
 def tools_of(todo: Plan) -> object:
-    """What plans have in common that one retargeter can answer."""
+    """Key that is equal for all plans that one retargeter can serve."""
     return to_json(todo.hand.spec), to_json(todo.config), todo.seed
 
 
@@ -37,7 +37,7 @@ def answers(plans: Sequence[Plan], *, keep: bool = True) -> list[Answer]:
 
     Args:
         plans: not empty, all with the same ``tools_of``.
-        keep: what is built and compiled, for the next ones.
+        keep: retargeters that are built and compiled, for the next plans.
 
     Raises:
         SmoothOperatorError: a recording can't be retargeted.

@@ -27,7 +27,7 @@ def draw_calibration(calibration: Calibration, recording: HandRecording, path: P
     """Draws the report of a calibration.
 
     Args:
-        calibration: of the recording.
+        calibration: calibration of the recording.
         recording: the operator's hand.
         path: the ``.png`` to write.
 

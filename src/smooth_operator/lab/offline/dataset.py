@@ -35,7 +35,7 @@ _CLUSTER: Final = 16
 
 @dataclass(frozen=True)
 class Survey:
-    """What a folder holds, and what is left to do.
+    """Content of a folder, and the work that is left.
 
     Attributes:
         jobs: the recordings to retarget, the longest first.
@@ -71,9 +71,9 @@ def survey(
     """Looks what there is and what is left to do; deletes what a killed run left unfinished.
 
     Args:
-        folder: of the recordings.
-        output: of the results; see ``claimed``.
-        request: what is to be done.
+        folder: folder of the recordings.
+        output: folder of the results; see ``claimed``.
+        request: settings of the retargeting.
         overwrite: do again what is done.
 
     Raises:
@@ -117,7 +117,7 @@ def retarget_all(
     configurations bear no date.
 
     Args:
-        jobs: of ``survey``.
+        jobs: jobs of ``survey``.
         workers: as in ``run_tasks``.
         cluster: as there.
 

@@ -28,8 +28,8 @@ class Found:
     Attributes:
         path: where it is.
         name: its path in the folder, with slashes.
-        frames: how many it holds; an estimate if ``exact`` is False.
-        exact: whether ``frames`` was counted.
+        frames: number of frames; an estimate if ``exact`` is False.
+        exact: True if ``frames`` was counted.
     """
 
     path: Path

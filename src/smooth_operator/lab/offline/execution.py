@@ -27,7 +27,7 @@ Runner: TypeAlias = Retargeter | TrajectoryRetargeter
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What came of a plan.
+    """Result of a plan.
 
     Attributes:
         commands: the joint commands.
@@ -79,7 +79,7 @@ def execute(
 
     Args:
         todo: the plan.
-        built: what ``build`` gave for it, or for another plan of the same hand,
+        built: result of ``build`` for it, or for another plan of the same hand,
             configuration and seed; None to build now.
         track: wraps the iteration over frames, for a progress bar.
     """

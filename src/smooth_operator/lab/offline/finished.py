@@ -33,7 +33,7 @@ def read_configuration(path: Path) -> dict[str, Any] | None:
 
 
 def identity(path: Path) -> dict[str, Any]:
-    """What shows whether a file is still the same: its size, date and digest.
+    """Identity of a file's content: its size, date and digest.
 
     Raises:
         RecordingError: it can't be read.
@@ -66,7 +66,7 @@ def finished(output: Path, source: Path, request: Mapping[str, Any]) -> dict[str
     Args:
         output: ``OUT.npz``.
         source: the recording.
-        request: what was asked for, as JSON has it.
+        request: settings of the retargeting, as JSON has them.
 
     Returns:
         the configuration, or None if the result is missing or another's.
@@ -101,7 +101,7 @@ def _but_rate(request: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def foreign(output: Path) -> str | None:
-    """Why a result can't be written, if something stands in its place that no run has left there.
+    """Reason why a result can't be written: a file of another origin has its name; None if it can.
 
     Args:
         output: ``OUT.npz``.

@@ -60,7 +60,7 @@ def checked(request: RetargetRequest) -> RetargetRequest:
 
 
 def notes(request: RetargetRequest) -> tuple[str, ...]:
-    """What the method of a checked request lacks on its hand, in sentences for a person."""
+    """Notes for a person on what the method of a checked request lacks on its hand."""
     return request.config.notes(_hand(request))
 
 
@@ -78,7 +78,7 @@ class Job:
     Attributes:
         found: the recording.
         output: where its commands shall stand.
-        request: what is to be done to it.
+        request: settings of the retargeting.
     """
 
     found: Found
@@ -94,14 +94,14 @@ class Entry:
         name: its path in the folder.
         output: path of its commands in the folder of results.
         state: see ``State``.
-        frames: how many were retargeted; of a failed one, how many it seems to hold.
-        held: how many of them repeat the last good command.
+        frames: number of retargeted frames; of a failed one, the number that it seems to hold.
+        held: number of them that repeat the last good command.
         tracking_loss: mean over the others; None without any.
-        side: which hand it was taken for.
+        side: side of the hand that was assumed.
         side_assumed: neither the recording nor the request said so.
         reason: why it failed.
-        seconds: how long it took a worker [s].
-        attempts: how often it was begun in this run.
+        seconds: time that a worker took [s].
+        attempts: number of attempts in this run.
     """
 
     name: str
@@ -146,10 +146,10 @@ class _Read:
         job: its job.
         recording: all of it.
         rate: that it needed [Hz]; None if it has stamps.
-        source: what shows whether the file is still the same.
-        frames: which frames are wanted.
+        source: identity of the file's content.
+        frames: range of the frames.
         todo: the plan for these.
-        tools: what makes equal retargeters; None for one of its own.
+        tools: key of equal retargeters; None for one of its own.
     """
 
     job: Job

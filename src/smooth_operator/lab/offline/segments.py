@@ -46,7 +46,7 @@ def segments(
 
 
 def tracker_noise(points: Float[np.ndarray, "T N 3"], valid: Bool[np.ndarray, " T"]) -> float:
-    """What a tracker usually adds to a point, as a second difference [m].
+    """Usual noise of a tracker in a point's second difference [m].
 
     Of each frame the median of the points, over time the mean of roots: as
     the landmark filter has it, but of all frames together.

@@ -65,7 +65,7 @@ class TrajectoryRetargeter:
     Args:
         hand: the robot hand.
         config: its configuration.
-        seed: of the method's random numbers.
+        seed: seed of the method's random numbers.
 
     Raises:
         ConfigError: the method can't be solved for a whole recording.
@@ -128,7 +128,7 @@ class TrajectoryRetargeter:
         """The same with other costs of motion, without compiling anything.
 
         Args:
-            config: of the same frame-by-frame method.
+            config: configuration of the same frame-by-frame method.
         """
         assert config.causal == self.config.causal  # or another program would have to be compiled
         other = copy.copy(self)
@@ -147,7 +147,7 @@ class TrajectoryRetargeter:
 
         Args:
             recording: the human hand.
-            seed: of the random numbers; None for the retargeter's own.
+            seed: seed of the random numbers; None for the retargeter's own.
             track: wraps the iteration over frames, for a progress bar.
             extra: more costs and variables of each frame.
 
@@ -228,7 +228,7 @@ class TrajectoryRetargeter:
     def _goals(
         self, recording: HandRecording, tracked: Bool[np.ndarray, " T"], stretches: list[slice]
     ) -> tuple[FrameGoal, Float[np.ndarray, "T F 3"]]:
-        """What each frame asks, and the human's wrist to fingertip vectors [m]."""
+        """Targets of each frame, and the human's wrist to fingertip vectors [m]."""
         landmarks, valid = self.causal.program_landmarks(recording.landmarks), recording.valid
         assert valid is not None  # filled in on construction
         count = len(recording)
@@ -354,7 +354,7 @@ class TrajectoryRetargeter:
 
 
 def check_method(config: MethodConfig, hand: Hand) -> None:
-    """Whether a configuration can serve a hand, frame by frame or as a trajectory.
+    """Checks that a configuration can serve a hand, frame by frame or as a trajectory.
 
     Raises:
         SmoothOperatorError: it can't, with the reason.

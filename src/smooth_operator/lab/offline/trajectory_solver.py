@@ -75,13 +75,13 @@ class Led:
 
 
 class TrajectoryResult(NamedTuple):
-    """Where the descent ended.
+    """Result of the descent.
 
     Attributes:
         q: (T, m) the poses, within the limits [rad].
         cost: there.
         iterations: Newton steps that were tried.
-        converged: whether it ended by itself.
+        converged: True if it met its tolerance.
     """
 
     q: Float[np.ndarray, "T m"]

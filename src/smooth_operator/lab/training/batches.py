@@ -29,9 +29,9 @@ def draw_batches(
 
     Args:
         points: where to draw from.
-        reach: of the robot.
-        settings: how many, and how far around.
-        steps: how many batches.
+        reach: reach of the robot.
+        settings: number and spread of the points.
+        steps: number of batches.
         words: with the seed, what the draw is a function of.
     """
     rng = np.random.default_rng([settings.seed, *words])

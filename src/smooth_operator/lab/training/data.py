@@ -47,11 +47,11 @@ class TrainingData:
     """All that the training sees.
 
     Attributes:
-        train: what the losses descend on.
-        validation: what was kept apart; None if nothing was.
+        train: frames of training.
+        validation: frames of validation; None without any.
         reach: (F, 3, R) robot fingertips that are to be covered, of random poses [m].
         sources: names of the recordings, and of those kept apart whole.
-        frames: how many usable frames went into training and validation.
+        frames: numbers of usable frames of training and validation.
     """
 
     train: PointSet
@@ -82,7 +82,7 @@ def training_data(
     """Aligns, thins and splits.
 
     Args:
-        recordings: of the hand's side; of the users of the model.
+        recordings: recordings of the model's users, of the hand's side.
         hand: the robot hand.
         settings: ``alignment``, ``validation``, ``pinch_distance``, ``margin`` and ``seed`` count
             here.

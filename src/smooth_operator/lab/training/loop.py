@@ -38,7 +38,7 @@ class TrainingState(NamedTuple):
     Random numbers are a function of the seed and ``epoch``, so there is no generator to keep.
 
     Attributes:
-        weights: of the networks.
+        weights: weights of the networks.
         optimiser: AdamW's moments and count.
         epoch: epochs done.
         train: (epochs, 5) mean losses of each epoch done: the weighted sum (with the weight that
@@ -60,7 +60,7 @@ class GeortTrainer:
 
     Attributes:
         hand: the robot hand.
-        data: of ``training_data``.
+        data: result of ``training_data``.
         settings: how.
 
     Raises:
@@ -137,7 +137,7 @@ class GeortTrainer:
 
         Args:
             state: after some epoch.
-            about: what else to put on record.
+            about: further facts for the model's file.
         """
         hand, epoch = self.hand, int(state.epoch)
         own = finger_joints(hand)

@@ -25,7 +25,7 @@ LOSSES: Final = ("direction", "coverage", "curvature", "pinch")
 
 
 class Batch(NamedTuple):
-    """What one step is trained on.
+    """Batch of one training step.
 
     Attributes:
         points: (F, 3, B) human fingertips, each finger's by itself [m]; for coverage.
@@ -65,7 +65,7 @@ class GeortLoss:
         return finger_joints(self.hand)
 
     def tips(self, weights: Weights, points: Float[Array, "F 3 N"]) -> Float[Array, "F 3 N"]:
-        """Where the robot's fingertips are when the human's are at ``points`` [m]."""
+        """Fingertips of the robot for those of the human at ``points`` [m]."""
         hand = self.hand
         inputs = (points - self.centre[:, :, None]) / self.scale[:, None, None]
         unit = forward(weights, inputs.astype(jnp.float32))
@@ -88,8 +88,8 @@ class GeortLoss:
         """The losses of a batch.
 
         Args:
-            weights: of the networks.
-            batch: what they are asked.
+            weights: weights of the networks.
+            batch: inputs of the networks.
             ramp: share of the weight of coverage that is in force.
 
         Returns:

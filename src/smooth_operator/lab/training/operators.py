@@ -23,7 +23,7 @@ def synthetic_recordings(
     """Recordings of several people with hands of several sizes.
 
     Args:
-        side: which hand.
+        side: side of the hand.
         seed: other seeds are other people.
 
     Returns:

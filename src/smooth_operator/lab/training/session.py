@@ -34,7 +34,7 @@ class TrainingSession:
     resumed ends in the same bytes as one that was not, on the same machine.
 
     Attributes:
-        trainer: what is trained.
+        trainer: trainer of the model.
         folder: where to; must exist.
         every: epochs between checkpoints.
     """

@@ -19,7 +19,7 @@ BEND: Final = 2e-3
 
 @dataclass(frozen=True)
 class GeortTraining:
-    """How GeoRT is trained.
+    """Settings of GeoRT's training.
 
     Losses, the networks' sizes and the weights of direction, coverage and curvature are published
     (Yin et al., "Geometric Retargeting"). Named departures, so that two CPU cores finish in minutes
@@ -40,8 +40,8 @@ class GeortTraining:
         epochs: passes over the points.
         batch: points per finger in a step.
         reach: reachable robot fingertips that a batch is compared with.
-        learning_rate: of AdamW at its highest.
-        weight_decay: of AdamW.
+        learning_rate: highest learning rate of AdamW.
+        weight_decay: weight decay of AdamW.
         direction: weight of the motion's direction.
         coverage: weight of the Chamfer distance to the robot's reachable fingertips [1/m^2].
         curvature: weight of the bend of straight paths.
@@ -55,8 +55,8 @@ class GeortTraining:
         ramp: share of the epochs over which the weight of coverage rises to its full value; 0 for
             none, as published.
         validation: share of each recording, its end, that is kept out of training.
-        seed: of all random numbers.
-        alignment: how human landmarks reach the palm frame.
+        seed: seed of all random numbers.
+        alignment: alignment of human landmarks to the palm frame.
     """
 
     epochs: int = 120

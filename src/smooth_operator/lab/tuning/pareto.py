@@ -24,10 +24,10 @@ class Axis:
 
     Attributes:
         metric: its name, see ``figure``.
-        label: what stands at the axis.
-        from_one: what counts is its distance from 1.
+        label: label of the axis.
+        from_one: True if the distance from 1 counts.
         log: equal steps are equal ratios.
-        scale: what it is multiplied with.
+        scale: factor of the values.
     """
 
     metric: str
@@ -64,13 +64,13 @@ class TradeOff:
     """One figure against another on one recording.
 
     Attributes:
-        title: what stands above it.
+        title: title of the plot.
         x, y: the two.
         tried: figures of every setting that was tried.
         marked: name -> figures of settings to be found at a glance, in the order of
             ``MARKS``.
         others: name -> figures of other methods.
-        called: what the settings are called.
+        called: names of the settings.
     """
 
     title: str
@@ -87,7 +87,7 @@ MARKS: Final = (("*", 150, "#c2455f"), ("s", 45, "#0072b2"))
 
 
 def front(points: Float[np.ndarray, "N 2"]) -> Bool[np.ndarray, " N"]:
-    """Which points no other beats in one coordinate without losing in the other; less is better."""
+    """Mask of the Pareto front: points to which no other is equal or better in both; less is better."""
     order = np.lexsort((points[:, 1], points[:, 0]))
     chosen = np.zeros(len(points), bool)
     lowest = np.inf

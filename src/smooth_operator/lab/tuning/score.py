@@ -28,7 +28,7 @@ class Term:
     """A part of the score.
 
     Attributes:
-        name: what it is called.
+        name: name of the term.
         error: from figures to what should be small; None where it was not measured.
         floor: an error that is as good as none.
         weight: in the sum, unless said otherwise.
@@ -78,12 +78,12 @@ TERMS: Final = (
 
 @dataclass(frozen=True)
 class Bound:
-    """What a figure must not leave.
+    """Lower or upper bound of a figure.
 
     Attributes:
-        name: of the figure, see ``figure``.
+        name: name of the figure, see ``figure``.
         limit: its bound.
-        lower: whether it is the lower one.
+        lower: True for a lower bound.
     """
 
     name: str
@@ -91,7 +91,7 @@ class Bound:
     lower: bool = False
 
     def excess(self, metrics: Mapping[str, Any]) -> float:
-        """How far beyond, relative to the bound; 0 within, or where it was not measured."""
+        """Excess over the bound, relative to it; 0 within, or where it was not measured."""
         value = figure(metrics, self.name)
         if value is None:
             return 0.0
@@ -109,7 +109,7 @@ BOUNDS: Final = (
 
 @dataclass(frozen=True)
 class Scoring:
-    """How trials are scored.
+    """Scoring of trials.
 
     Attributes:
         weights: name of a term -> its weight; the terms' own for the rest.
@@ -144,8 +144,8 @@ class Scoring:
         """The score of a trial; less is better.
 
         Args:
-            metrics: of the trial, one for each recording.
-            start: of the configuration that the search began at.
+            metrics: metrics of the trial, one for each recording.
+            start: metrics of the configuration that the search began at.
         """
         pairs = list(zip(metrics, start, strict=True))
         return sum(self._one(own, first) for own, first in pairs) / len(pairs)

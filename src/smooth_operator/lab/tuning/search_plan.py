@@ -27,7 +27,7 @@ TRIALS: Final = 120
 
 @dataclass(frozen=True, kw_only=True)
 class TuningSettings:
-    """What is asked for.
+    """Settings of a search.
 
     Attributes:
         output: folder of the results.
@@ -39,10 +39,10 @@ class TuningSettings:
         fix: setting -> another value for it, constant.
         hand: name of the robot hand.
         rate: frames a second of recordings without stamps [Hz].
-        trials: how many sets of values may be tried.
-        seed: of the search, and of the method's random numbers.
+        trials: largest number of trials.
+        seed: seed of the search and of the method's random numbers.
         weights: term of the score -> weight.
-        bounds: what figures must not leave.
+        bounds: bounds of figures.
         workers: processes; None for one per core, 0 for none.
     """
 
@@ -67,14 +67,14 @@ class Tuning:
     """A search, ready to begin.
 
     Attributes:
-        settings: what was asked for.
+        settings: settings of the search.
         base: name of the preset that the result changes.
         changed: path -> value that the preset file asked for, or ``fix`` did, and is not varied.
         config: where the search begins.
-        variables: what is varied.
+        variables: settings that the search varies.
         sources: the recordings to tune on.
         held_out: those that are kept for judging.
-        scoring: how trials are scored.
+        scoring: scoring of the trials.
     """
 
     settings: TuningSettings
@@ -88,7 +88,7 @@ class Tuning:
 
     @property
     def key(self) -> dict[str, Any]:
-        """What a trial depends on but for its values and for code."""
+        """Key of a trial's inputs, without its values and the code."""
         return {
             "method": self.settings.method,
             "config": self.config,
@@ -106,7 +106,7 @@ def plan_tuning(settings: TuningSettings) -> Tuning:
 
     Raises:
         UnknownNameError: there is no such method, preset, setting, hand, term or figure.
-        ConfigError: what is asked for can't be, or is held out.
+        ConfigError: the settings can't be met, or name a held-out recording.
         RecordingError: a recording can't be read.
         OutputError: the folder holds something else.
     """

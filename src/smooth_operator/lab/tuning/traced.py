@@ -30,8 +30,8 @@ class TracedRun:
     """A method over recordings, for any values of some of its settings.
 
     Args:
-        retargeter: of the configuration that the others are made from.
-        paths: of the settings.
+        retargeter: retargeter of the configuration that the others are made from.
+        paths: paths of the settings.
     """
 
     def __init__(self, retargeter: Retargeter, paths: Sequence[str]) -> None:
@@ -84,6 +84,6 @@ class TracedRun:
 
 
 def can_trace(retargeter: Retargeter, values: Mapping[str, float | int]) -> bool:
-    """Whether it is worth a try: fractions only, and a method that is one program."""
+    """True if tracing may work: fractions only, and a method that is one program."""
     fractions = all(isinstance(value, float) for value in values.values())
     return fractions and retargeter.method.host is None

@@ -37,11 +37,11 @@ class TrialTask:
 
     Attributes:
         requests: the recordings; a worker reads them once.
-        digests: of their frames, so that a file that is changed meanwhile is noticed.
+        digests: digests of their frames, by which a change of the file is noticed.
         hand: name of the robot hand.
-        config: what the values are put into.
+        config: configuration that takes the values.
         values: path of a setting -> value.
-        seed: of the method's random numbers.
+        seed: seed of the method's random numbers.
     """
 
     requests: tuple[Request, ...]

@@ -81,7 +81,7 @@ def tune(plan: Tuning, progress: Progress = lambda count, best, reason: None) ->
     that is stopped has lost only the trials that were in hand, and repeats them.
 
     Args:
-        plan: of ``plan_tuning``.
+        plan: plan of ``plan_tuning``.
         progress: called after each new trial.
 
     Raises:
@@ -145,7 +145,7 @@ class _Search:
 
     Args:
         plan: the search.
-        storage: of Optuna.
+        storage: storage of Optuna.
     """
 
     def __init__(self, plan: Tuning, storage: Any) -> None:

@@ -16,8 +16,8 @@ class Variable:
     Attributes:
         path: path of the setting in the configuration.
         low, high: bounds, both included.
-        log: whether equal steps are equal ratios.
-        whole: whether it is a whole number.
+        log: True if equal steps are equal ratios.
+        whole: True for a whole number.
         start: value in the configuration that the search begins at, within the bounds.
     """
 

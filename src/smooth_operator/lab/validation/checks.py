@@ -18,10 +18,10 @@ class Check:
     """One line of the checklist.
 
     Attributes:
-        name: what was checked.
-        verdict: how it came out.
+        name: name of the check.
+        verdict: verdict of the check.
         measured: the figures, in words.
-        advice: what to do; empty if all is well.
+        advice: advice to the user; empty if all is well.
         figures: the figures, as plain numbers and strings.
     """
 
@@ -38,7 +38,7 @@ class HandValidation:
 
     Attributes:
         hand: its name.
-        side: which hand.
+        side: side of the hand.
         checks: in the order of the list.
     """
 
@@ -48,7 +48,7 @@ class HandValidation:
 
     @property
     def ok(self) -> bool:
-        """Whether no check failed; warnings are allowed."""
+        """True if no check failed; warnings are allowed."""
         return not self.failed
 
     @property

@@ -1,4 +1,4 @@
-"""Which way fingers bend, and whether that and their order make the side that is declared.
+"""Check of the direction in which fingers bend, and of the declared side.
 
 With fingers pointing along f and closing towards p, a right hand has its thumb, and its index
 finger, on the side of f x p: palm towards you and fingers up, on your right. A left hand is its
@@ -29,7 +29,7 @@ _CLEAR: Final = 0.12  # of a finger's length: thumb or index clearly to one side
 
 @dataclass(frozen=True, eq=False)
 class FlexionAxes:
-    """How the fingers other than the thumb point and close, palm frame.
+    """Pointing and closing directions of the fingers other than the thumb, palm frame.
 
     Attributes:
         names: the fingers that fold clearly one way.
@@ -59,7 +59,7 @@ class FlexionAxes:
 
 
 def find_flexion_axes(samples: Samples, sound: tuple[str, ...]) -> FlexionAxes | None:
-    """How each finger closes: that way of turning its flexion joints which folds it.
+    """Finds each finger's closing direction: the turn of its flexion joints that folds it.
 
     Args:
         samples: the hand.
@@ -159,7 +159,7 @@ class _Bend:
 
 
 def check_flexion(axes: FlexionAxes | None) -> Check:
-    """Whether all fingers close towards one side."""
+    """Checks that all fingers close towards one side."""
     if axes is None:
         return Check("flexion", "skipped", "no finger bends clearly enough to tell a direction")
     cosines = axes.closing @ axes.palmar
@@ -185,7 +185,7 @@ def check_flexion(axes: FlexionAxes | None) -> Check:
 
 
 def check_side(samples: Samples, axes: FlexionAxes | None, sound: tuple[str, ...]) -> Check:
-    """Whether thumb, order of the fingers and the way they close make the declared side."""
+    """Checks that thumb, order of the fingers and closing direction agree with the declared side."""
     hand = samples.hand
     if axes is None or "thumb" not in sound:
         return Check("side", "skipped", "not checked: fingertips or axes have to be mended first")

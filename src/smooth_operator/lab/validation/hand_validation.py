@@ -52,9 +52,9 @@ def check_hand(
             is asked for.
         quick: the round trip goes through two methods only: the one that measures best, and the one
             that is used where none is named.
-        poses: of each round trip.
+        poses: number of poses of each round trip.
         methods: that the round trip goes through; all if left out.
-        seed: of the round trip's poses.
+        seed: seed of the round trip's poses.
         track: for a progress bar.
 
     Returns:

@@ -27,7 +27,7 @@ _DEEP: Final = 0.01  # overlap that no shape explains [m]
 
 
 def check_ranges(hand: Hand) -> Check:
-    """How far each commanded joint can go: degrees and radians taken for each other show here."""
+    """Checks the range of each commanded joint: degrees read as radians show here."""
     ranges = hand.limits[:, 1] - hand.limits[:, 0]
     slides = np.array([_slides(hand, name) for name in hand.actuated_names])
     named = dict(zip(hand.actuated_names, ranges, strict=True))
@@ -70,7 +70,7 @@ def check_ranges(hand: Hand) -> Check:
 
 
 def check_motion(samples: Samples) -> Check:
-    """Whether each commanded joint moves some landmark, and by how much over its range."""
+    """Checks that each commanded joint moves some landmark, and measures by how much."""
     hand = samples.hand
     moved: dict[str, float] = {}
     for k, name in enumerate(hand.actuated_names):
@@ -114,7 +114,7 @@ def check_motion(samples: Samples) -> Check:
 
 
 def check_neutral(hand: Hand) -> Check:
-    """Whether the neutral pose keeps the limits, and parts of the hand out of each other.
+    """Checks that the neutral pose is within the limits and free of self-collision.
 
     Values outside the limits are clipped when a hand is loaded, so it is the clipped pose whose
     parts are looked at.
@@ -152,7 +152,7 @@ def check_neutral(hand: Hand) -> Check:
 
 
 def check_shapes(hand: Hand) -> Check:
-    """Whether links have shapes that keep them out of each other, or estimates in their place."""
+    """Checks that links have shapes for self-collision, or estimates in their place."""
     links = stand_in_links(hand)
     solid = int(solid_shapes(hand).sum())
     figures = {"shapes": solid, "estimated": list(links)}

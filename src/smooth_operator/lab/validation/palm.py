@@ -18,7 +18,7 @@ _POSSIBLE: Final = (0.05, 0.80)  # [m]
 
 
 def check_palm(samples: Samples) -> Check:
-    """Whether the landmarks that align a human hand to this one span a frame, and stay put."""
+    """Checks that the landmarks of the palm span a frame and do not move."""
     hand = samples.hand
     condition = float(palm_alignment(reference_landmarks(hand), hand).condition)
     used = [hand.tree.names.index(name) for name in _align_names(samples)]
@@ -57,7 +57,7 @@ def check_palm(samples: Samples) -> Check:
 
 
 def check_size(samples: Samples) -> Check:
-    """Whether the hand is as large as a hand: millimetres taken for metres show here."""
+    """Checks the size of the hand: millimetres read as metres show here."""
     hand = samples.hand
     reach = float(np.linalg.norm(samples.tips - hand.wrist, axis=-1).max())
     figures = {"reach_mm": round(1e3 * reach, 1)}

@@ -1,4 +1,4 @@
-"""How near the thumb's tip can come to each other fingertip."""
+"""Distance to which the thumb's tip can approach each other fingertip."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _DIFFERENCE: Final = 1e-5  # of a joint's half range
 
 
 def check_pinches(samples: Samples, sound: tuple[str, ...]) -> Check:
-    """Which fingers the thumb can pinch with, by landmarks; shapes may touch before."""
+    """Finds the fingers that the thumb can pinch with, by landmarks; shapes may touch before."""
     hand = samples.hand
     others = [name for name in hand.fingers if name != "thumb" and name in sound]
     if "thumb" not in sound or not others:

@@ -25,8 +25,8 @@ def reachable_poses(hand: Hand, count: int, seed: int) -> Float[np.ndarray, "T m
 
     Args:
         hand: the robot hand.
-        count: how many.
-        seed: of the random numbers.
+        count: number of poses.
+        seed: seed of the random numbers.
 
     Returns:
         (count, m) positions of the actuated joints [rad].

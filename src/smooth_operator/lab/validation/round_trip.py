@@ -25,7 +25,7 @@ _ROUNDING: Final = 1e-9  # of limits in float64 [rad]
 
 @dataclass(frozen=True, eq=False)
 class RoundTrip:
-    """How well poses came back.
+    """Errors of poses after a round trip through their landmarks.
 
     Attributes:
         tip_error_mm: (poses, F) distance of each fingertip from where the pose has it [mm], thumb
@@ -76,8 +76,8 @@ def round_trip(
 
     Args:
         retargeter: the method on its hand; its own state is left alone.
-        poses: how many.
-        seed: of the poses; the retargeter has its own.
+        poses: number of poses.
+        seed: seed of the poses; the retargeter has its own.
         track: wraps the iteration over poses, for a progress bar.
 
     Returns:

@@ -1,4 +1,4 @@
-"""How far a point is from the shapes of a body, or how deep inside them."""
+"""Signed distance of a point to the shapes of a body."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def part_distances(hand: Hand, body: int, point: Float[np.ndarray, "3"]) -> dict
 
     Args:
         hand: the hand.
-        body: of the model.
+        body: body of the model.
         point: (3,) in the body's frame [m].
 
     Returns:
@@ -43,7 +43,7 @@ def part_distances(hand: Hand, body: int, point: Float[np.ndarray, "3"]) -> dict
 
 
 def _distance(model: mujoco.MjModel, geom: int, p: np.ndarray) -> float | None:
-    """Of a point in the shape's own frame; None for shapes that bound nothing."""
+    """Signed distance of a point in the shape's own frame; None for shapes without a volume."""
     kind, size = int(model.geom_type[geom]), np.asarray(model.geom_size[geom], float)
     if kind == _G.mjGEOM_SPHERE:
         return float(np.linalg.norm(p) - size[0])
@@ -84,7 +84,7 @@ def _mesh_distance(model: mujoco.MjModel, mesh: int, p: np.ndarray) -> float:
 
 
 def _winding(corners: Float[np.ndarray, "n 3 3"]) -> float:
-    """How often a mesh goes round the origin, by its solid angles: 1 inside, 0 outside.
+    """Winding number of a mesh around the origin, by its solid angles: 1 inside, 0 outside.
 
     Small holes, as vendors' meshes have, change it little (van Oosterom and Strackee 1983).
     """

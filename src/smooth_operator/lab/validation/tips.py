@@ -1,4 +1,4 @@
-"""Whether fingertips are where fingers end."""
+"""Check that fingertips are at the ends of fingers."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _LONG: Final = 1.7  # last phalanx over the longest other; built-in hands: 1.3
 
 
 def check_tips(hand: Hand) -> tuple[Check, tuple[str, ...]]:
-    """Whether each tip moves, is the tip of one finger, and is near its link and in no other part.
+    """Checks that each tip moves, belongs to one finger, and is near its link and in no other part.
 
     Returns:
         the check, and the fingers whose tips can be relied upon.
