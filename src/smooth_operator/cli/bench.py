@@ -39,7 +39,7 @@ def bench(options: Bench) -> None:
     """Looks everything up, measures, writes, prints.
 
     Raises:
-        SmoothOperatorError: what was asked for can't be; nothing was measured then.
+        SmoothOperatorError: the settings can't be met; nothing was measured.
         SystemExit: with ``SOME_FAILED``.
         KeyboardInterrupt: stopped; what is finished is kept.
     """

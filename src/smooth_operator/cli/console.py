@@ -99,10 +99,10 @@ class Progressing:
         """A bar with the time that is left, for tasks of the caller's own.
 
         Args:
-            unit: what is counted, as "3/8 cells"; empty for no count.
+            unit: unit of the count, as in "3/8 cells"; empty for no count.
             extra: text after it, a format of the task's ``fields``.
             in_files: print the end of the bar where there is no terminal.
-            options: of rich's ``Progress``.
+            options: options of rich's ``Progress``.
         """
         columns: list[ProgressColumn] = [
             TextColumn("{task.description}", markup=False),
@@ -168,7 +168,7 @@ def print_metrics(title: str, metrics: Mapping[str, object]) -> None:
 
     Args:
         title: above it.
-        metrics: of ``evaluate``.
+        metrics: result of ``evaluate``.
     """
     from smooth_operator.metrics.metric import GROUPS
     from smooth_operator.metrics.registry import known_metrics

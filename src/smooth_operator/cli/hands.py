@@ -93,10 +93,10 @@ class Row:
 
     Attributes:
         name: by which it is loaded.
-        builtin: whether it comes with the program.
+        builtin: True if it comes with the program.
         files: its spec files.
         mirrored: sides that are the mirror image of the other.
-        facts: what is known of it; empty if it can't be used.
+        facts: facts of the hand; empty if it can't be used.
         error: why it can't be used.
     """
 

@@ -53,7 +53,7 @@ def execute_shown(todo: Plan, progress: Progressing) -> Outcome:
 
 
 def say_notes(config: MethodConfig, hand: Hand, progress: Progressing) -> None:
-    """Says what a person should know of a method on a hand."""
+    """Prints notes on a method on a hand."""
     for note in config.notes(hand):
         progress.note(note, matters=True)
 

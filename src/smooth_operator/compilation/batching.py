@@ -95,7 +95,7 @@ class Tracks:
 
 @dataclass(frozen=True, eq=False)
 class BatchArrays:
-    """What ``Retargeter.batch_arrays`` returns.
+    """Result of ``Retargeter.batch_arrays``.
 
     Attributes:
         q: (R, T, m) float32 commands of the actuated joints, within their limits [rad];
@@ -113,7 +113,7 @@ def progressing(total: int, track: Progress | None) -> Callable[[int], None]:
     """A function that moves a progress bar by so many frames.
 
     Args:
-        total: how many there are.
+        total: number of steps.
         track: wraps the iteration over them; None for no bar.
     """
     steps, left = iter(range(total) if track is None else track(range(total))), total
@@ -140,7 +140,7 @@ class LaneProgram:
     Args:
         method: a method that is one compiled program.
         config: its configuration.
-        lanes: how many.
+        lanes: number of lanes.
         cached: the program is read from the user's cache, and written there.
     """
 
@@ -276,7 +276,7 @@ def _frames_of_lanes(tracks: Tracks, lanes: int) -> np.ndarray:
 
 
 def _shared_out(lengths: Sequence[int], lanes: int) -> list[list[int]]:
-    """Which recordings each lane takes: the longest first, to the lane that ends first."""
+    """Assigns recordings to lanes: the longest first, to the lane that ends first."""
     queues: list[list[int]] = [[] for _ in range(lanes)]
     ends = [(0, lane) for lane in range(lanes)]
     for which in sorted(range(len(lengths)), key=lambda i: (-lengths[i], i)):

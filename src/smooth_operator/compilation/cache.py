@@ -59,7 +59,7 @@ class ProgramCache:
 
     Args:
         folder: where; it must exist.
-        most_bytes: of all files together.
+        most_bytes: largest size of all files together.
     """
 
     def __init__(self, folder: Path, most_bytes: int = MOST_BYTES) -> None:

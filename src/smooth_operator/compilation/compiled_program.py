@@ -195,7 +195,7 @@ class CompiledProgram:
 
 
 def _signature(arguments: tuple[Any, ...]) -> _Signature | None:
-    """What a program is compiled for; None for tracers and arguments on several devices."""
+    """Signature of a compiled program; None for tracers and for arguments on several devices."""
     leaves, tree = jax.tree.flatten(arguments)
     devices = set()
     for leaf in leaves:
@@ -252,7 +252,7 @@ def _named_tuples(tree: Any) -> Iterator[type]:
 
 @functools.cache
 def _register(kind: type) -> None:
-    """Lets ``jax.export`` write and read a named tuple."""
+    """Registers a named tuple, so that ``jax.export`` writes and reads it."""
     register: Any = jax.export.register_namedtuple_serialization
     register(kind, serialized_name=_class_name(kind))
 

@@ -48,7 +48,7 @@ print(json.dumps([b - a for a, b in zip(marks, marks[1:])]))
 
 @dataclass(frozen=True)
 class StartTimes:
-    """What a fresh process did until its first command [s].
+    """Times of a fresh process until its first command [s].
 
     Attributes:
         interpreter: until Python ran the first line.
@@ -69,10 +69,10 @@ class StartTimes:
 
 @dataclass(frozen=True)
 class FrameTimes:
-    """How long frames took in a process that has nothing else to do [ms].
+    """Times of frames in an idle process [ms].
 
     Attributes:
-        count: how many.
+        count: number of frames.
         p50_ms, p99_ms, worst_ms: of their times.
     """
 

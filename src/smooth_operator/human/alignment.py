@@ -25,7 +25,7 @@ high, which tracker noise turns at will.
 
 @dataclass(frozen=True)
 class AlignmentConfig:
-    """How human size is brought to robot size.
+    """Settings of the alignment of a human hand to a robot's palm.
 
     Attributes:
         scale: robot size over human size. None estimates it in every frame, as published; a number

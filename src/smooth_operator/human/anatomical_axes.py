@@ -32,7 +32,7 @@ def palm_axes(landmarks: AnyKind, side: Side) -> PalmAxes[AnyKind]:
 
     Args:
         landmarks: (..., 21, 3) [m].
-        side: which hand it is; the mirror image of a hand has the mirror image of its axes.
+        side: side of the hand; the mirror image of a hand has the mirror image of its axes.
     """
     xp = array_namespace(landmarks)
     distal = unit_vectors(landmarks[..., 9, :] - landmarks[..., 0, :], xp)

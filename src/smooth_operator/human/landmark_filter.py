@@ -70,7 +70,7 @@ class FilterState(NamedTuple):
 
     @classmethod
     def unseen(cls, count: int) -> FilterState:
-        """Of points that haven't been seen yet."""
+        """State of points without any frame yet."""
         zero, root = jax.device_put(
             (np.zeros((count, 3), np.float32), np.sqrt(np.float32(NOISE_AT_FIRST)))
         )

@@ -75,7 +75,7 @@ class OperatorProfile:
 
     Attributes:
         hand: name of the robot hand.
-        side: of both hands.
+        side: side of both hands.
         scale: robot size over human size, of the palm.
         palm_width: index MCP to pinky MCP [m].
         palm_length: wrist to middle MCP [m].
@@ -85,7 +85,7 @@ class OperatorProfile:
         project: aligned thumb-to-tip distance under which a pinch is meant [m]; None if no pinch
             was found.
         escape: and over which it is over [m].
-        apply: which components are used.
+        apply: components that are used.
         source: the recording it was found in.
 
     Raises:
@@ -166,7 +166,7 @@ class OperatorProfile:
                 )
 
     def has(self, component: Component) -> bool:
-        """Whether a component is used."""
+        """True if a component is used."""
         return component in self.apply
 
     def without(self, *components: Component) -> OperatorProfile:
@@ -204,7 +204,7 @@ class OperatorProfile:
             aligned: (..., 21, 3) in the palm frame [m]; NumPy or JAX, traceable.
             scale: (...) of the alignment.
             hand: the robot hand.
-            axes: of the human palm in the palm frame, as
+            axes: axes of the human palm in the palm frame, as
                 ``human_palm_axes`` gives them.
 
         Returns:
@@ -233,7 +233,7 @@ class OperatorProfile:
 
     @cached_property
     def residual_gap(self) -> float | None:
-        """What is left between tips in a pinch where nothing else is known [m], at human size: the
+        """Gap between tips in a pinch without other knowledge [m], at human size: the
         middle one of the fingers that were seen pinching; None if none was."""
         gaps = [
             f.pinch_gap_after if self.has("tips") else f.pinch_gap
@@ -311,7 +311,7 @@ def tip_frames(
     Args:
         points: (..., 21, 3) landmarks in any frame [m].
         fingers: F indices of fingers, 0 for the thumb, which must be the first if it is there.
-        axes: of the palm in that frame.
+        axes: axes of the palm in that frame.
 
     Returns:
         two (..., F, 3) of unit vectors.
@@ -331,7 +331,7 @@ def tip_frames(
 
 
 def pinch_nearness(distance: Any, xp: ModuleType) -> Any:
-    """How much a thumb-to-tip distance counts as a pinch: 1 under 10 mm, 0 over 45 mm, smooth in
+    """Weight of a thumb-to-tip distance as a pinch: 1 under 10 mm, 0 over 45 mm, smooth in
     between.
 
     Args:

@@ -44,7 +44,7 @@ It is the hand of the built-in operator, ``pose_hand(draw_anatomy(0.19, 0), zero
 
 
 def human_palm_axes(hand: Hand) -> PalmAxes[np.ndarray]:
-    """Where a human palm comes to lie in the robot's palm frame when it is aligned to it.
+    """Axes of a human palm in the robot's palm frame, after the alignment.
 
     A robot's own wrist and knuckles seldom span a palm as a human's do (of the mimic hand the wrist
     lies 3 cm in front of the knuckles' plane), so the directions are those of the built-in

@@ -1,4 +1,4 @@
-"""When a frame is, by the stamps of the frames so far."""
+"""Time of a frame, by the stamps of the frames so far."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _SHORTEST: Final = 1e-3
 
 
 class FrameClock(NamedTuple):
-    """When a frame is.
+    """Clock of frames: it turns their stamps into times.
 
     Attributes:
         dt: time since the last frame [s].
@@ -38,11 +38,11 @@ class FrameClock(NamedTuple):
         rate_hz: float,
         gap: float,
     ) -> FrameClock:
-        """Of a frame; traceable.
+        """Time of a frame; traceable.
 
         Args:
             passed: ticks since the last one, in microseconds modulo 2^32.
-            frames: how many came before.
+            frames: number of frames before it.
             period: usual time between them [s].
             rate_hz: rate that is assumed where stamps stand still.
             gap: longest time between frames that counts as motion [s].

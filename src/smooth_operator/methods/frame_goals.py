@@ -26,7 +26,7 @@ class FrameGoals:
     objective: Objective
 
     def begin(self) -> Any:
-        """What is remembered before the first frame: the target policy's first state."""
+        """State before the first frame: the target policy's first state."""
         return self.objective.config.targets.init(self.objective.layout)
 
     def follow(self, memory: Any, aligned: Float[Array, "21 3"]) -> tuple[Any, FrameGoal]:

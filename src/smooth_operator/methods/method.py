@@ -1,4 +1,4 @@
-"""What a retargeting method is, and what it can do: the base classes of methods and their settings.
+"""Base classes of retargeting methods and of their settings.
 
 A method of your own is two classes: a frozen dataclass of settings, derived from ``MethodConfig``,
 whose ``build`` gives the method for one hand; and the method, derived from ``Method``, whose
@@ -35,7 +35,7 @@ _FAINT = 1e-4
 
 
 class MethodOutput(NamedTuple):
-    """What a method computes in one step.
+    """Result of one step of a method.
 
     Attributes:
         q: (m,) positions of the actuated joints, within their limits [rad].
@@ -50,7 +50,7 @@ class MethodOutput(NamedTuple):
 class Method(ABC):
     """A retargeting method for one hand: a compiled step with explicit state.
 
-    Immutable: what changes from frame to frame is in the state. Subclasses have an attribute
+    Immutable: the state holds all that changes from frame to frame. Subclasses have an attribute
     ``hand``, the robot hand.
     """
 
@@ -71,7 +71,7 @@ class Method(ABC):
         """The state before the first frame: a pytree of arrays, not None at its leaves.
 
         Args:
-            seed: of the random numbers; ignored by methods without any.
+            seed: seed of the random numbers; ignored by methods without any.
         """
 
     @abstractmethod
@@ -111,7 +111,7 @@ class Method(ABC):
         return None
 
     def frame_goals(self) -> FrameGoals | None:
-        """What each frame of a recording asks, for trajectory optimisation over all its frames.
+        """Targets of each frame of a recording, for trajectory optimisation over all its frames.
 
         None for a method without an objective whose derivatives are known.
         """
@@ -158,7 +158,7 @@ class MethodConfig(ABC):
     """Settings of a method. Subclasses are frozen dataclasses with a field ``alignment``."""
 
     alignment: AlignmentConfig
-    """How landmarks reach the palm frame."""
+    """Alignment of landmarks to the palm frame."""
 
     shareable: ClassVar[bool] = True
     """Whether retargeters with equal settings, and those of a mirrored hand, may share one compiled
@@ -170,7 +170,7 @@ class MethodConfig(ABC):
 
     @property
     def one_thread(self) -> bool:
-        """Whether one thread is faster than one per core; if not, loops get the widest vectors."""
+        """True if one thread is faster than one per core; if not, loops get the widest vectors."""
         return True
 
     @abstractmethod
@@ -207,7 +207,7 @@ class MethodConfig(ABC):
         return self.with_alignment(operator=operator)
 
     def unused_components(self, operator: OperatorProfile) -> tuple[Component, ...]:
-        """Which components of a calibration the method does not use."""
+        """Components of a calibration that the method does not use."""
         del operator
         return ()
 
@@ -244,7 +244,7 @@ class ObjectiveMethodConfig(MethodConfig):
         return _replaced(changed, objective=dataclasses.replace(objective, targets=targets))
 
     def unused_components(self, operator: OperatorProfile) -> tuple[Component, ...]:
-        """Which components of a calibration the target policy does not use."""
+        """Components of a calibration that the target policy does not use."""
         unused: tuple[Component, ...] = self.objective.targets.unused_components(operator)
         return unused
 
@@ -262,7 +262,7 @@ class TrajectoryMethodConfig(MethodConfig):
     Attributes:
         causal: the method that answers frame by frame. Its answer is where the optimisation begins,
             and its objective, without the terms about the last frame, is the cost of each frame.
-        future: what motion between the frames costs.
+        future: costs of motion between the frames.
         bridge: gaps that are no longer are bridged [s]; over longer ones the last pose is held.
         jump: the filter follows half of a landmark's step of this length, the rest before and after
             it [m]: a tracker's jumps dominate the acceleration of a recording; 0 follows all.
@@ -285,7 +285,7 @@ class TrajectoryMethodConfig(MethodConfig):
 
     @property
     def alignment(self) -> AlignmentConfig:  # type: ignore[override]
-        """How landmarks reach the palm frame."""
+        """Alignment of landmarks to the palm frame."""
         return self.causal.alignment
 
     @property
@@ -314,7 +314,7 @@ class TrajectoryMethodConfig(MethodConfig):
         return dataclasses.replace(self, causal=self.causal.with_operator(operator))
 
     def unused_components(self, operator: OperatorProfile) -> tuple[Component, ...]:
-        """Which components of a calibration the frame-by-frame method does not use."""
+        """Components of a calibration that the frame-by-frame method does not use."""
         return self.causal.unused_components(operator)
 
     def without_pull(self) -> TrajectoryMethodConfig:
@@ -322,7 +322,7 @@ class TrajectoryMethodConfig(MethodConfig):
         return dataclasses.replace(self, causal=self.causal.without_pull())
 
     def notes(self, hand: Hand) -> tuple[str, ...]:
-        """What the frame-by-frame method lacks on a hand."""
+        """Notes on what the frame-by-frame method lacks on a hand."""
         return self.causal.notes(hand)
 
 

@@ -34,7 +34,7 @@ class FrameResult(NamedTuple):
     Attributes:
         q: (m,) command of the actuated joints [rad], the last good one unless the status is OK.
         status: a ``Status``.
-        tracking_loss: of the command.
+        tracking_loss: tracking loss of the command.
         scale: robot size over human size in this frame's alignment.
     """
 

@@ -29,11 +29,11 @@ class SbrConfig(ObjectiveMethodConfig):
     """Settings of SBR.
 
     Attributes:
-        alignment: how human landmarks reach the palm frame.
+        alignment: alignment of human landmarks to the palm frame.
         objective: weights of Eq. (1).
         sampling: hyper-parameters of Algorithm 1.
         polish: Newton steps on the same objective after Algorithm 1; none in the paper.
-        settle_rounds: how often the first frame is solved, each time from the last answer and
+        settle_rounds: number of solutions of the first frame, each from the last answer and
             without the velocity term, since there is no last command to be near to. The hand then
             starts where the operator is, and does not creep there from the neutral pose over
             several frames. 1 is as published: once, velocity term and all.

@@ -48,7 +48,7 @@ def shared_program(hand: Hand, config: MethodConfig, cache: bool = True) -> Shar
     Args:
         hand: the robot hand.
         config: the method's settings.
-        cache: whether it is read from the user's cache, and kept there.
+        cache: True to read it from the user's cache, and to store it there.
 
     Raises:
         SmoothOperatorError: the method can't serve the hand.

@@ -95,7 +95,7 @@ class RetargetState:
 
     Attributes:
         words: (n,) arrays of 32 bits of the method's state, and the last command, in one.
-        others: what else the method's state has.
+        others: further arrays of the method's state.
         layout: places of the arrays of the state in ``words`` and ``others``.
         stamp: stamp of the last frame [s], where the retargeter counts frames by a rate; else None.
             It stays on the host.

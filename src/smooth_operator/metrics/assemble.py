@@ -38,7 +38,7 @@ def assemble_trace(
         alignment: the method's own, so that the human is measured as the method saw it; None for
             the default, a scale for each frame.
         reach_samples: random poses for workspace utilisation; 0 leaves it out.
-        seed: of those poses.
+        seed: seed of those poses.
 
     Returns:
         The trace, with everything that ``evaluate`` can use.

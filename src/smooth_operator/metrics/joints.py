@@ -59,7 +59,7 @@ def max_joint_step(joint_positions: Float[np.ndarray, "T n"]) -> float | None:
 def limit_violation(
     joint_positions: Float[np.ndarray, "T n"], joint_limits: Float[np.ndarray, "n 2"]
 ) -> tuple[float | None, float | None]:
-    """How far and how often commands leave the joint limits; down.
+    """Distance and share of commands beyond the joint limits; down.
 
     Args:
         joint_positions: (T, n) [rad].

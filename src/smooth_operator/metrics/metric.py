@@ -1,4 +1,4 @@
-"""What a metric is: its name, its unit, which way is better, and the function that computes it."""
+"""A metric: its name, unit, better direction, and the function that computes it."""
 
 from __future__ import annotations
 
@@ -53,12 +53,12 @@ class Metric:
 
     @property
     def sign(self) -> str:
-        """Which way is better, as a sign; "" for a fact."""
+        """Better direction as a sign; "" for a fact."""
         return _DIRECTIONS[self.goal][0]
 
     @property
     def better(self) -> str:
-        """Which way is better, in words; "" for a fact."""
+        """Better direction in words; "" for a fact."""
         return _DIRECTIONS[self.goal][1]
 
     def of(self, result: Mapping[str, object]) -> object:

@@ -1,4 +1,4 @@
-"""What the metrics read: one run of a human hand and the robot hand that followed it."""
+"""Input of the metrics: one run of a human hand and of the robot hand that followed it."""
 
 from __future__ import annotations
 
@@ -158,7 +158,7 @@ class Trace:
 
     @property
     def thumb_vectors(self) -> slice:
-        """Which keyvectors are thumb tip to other tips."""
+        """Mask of the keyvectors from the thumb's tip to other tips."""
         return slice(len(self.fingers), 2 * len(self.fingers) - 1)
 
 

@@ -1,4 +1,4 @@
-"""What a retargeter minimises: keyvectors, their targets, and Eq. (1)."""
+"""Objective of a retargeter: keyvectors, their targets, and Eq. (1)."""
 
 from smooth_operator.lazy_names import public_names
 

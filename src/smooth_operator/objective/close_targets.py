@@ -25,18 +25,18 @@ class CloseTargets(TargetPolicy[KeyvectorLayout, Any]):
     Attributes:
         w_wrist, w_thumb, w_between: weights of the wrist-to-tip, thumb-to-tip and finger-to-finger
             keyvectors of length ``at``.
-        focus: how the weight of thumb-to-tip vectors falls with their length: its power. 2 prices
+        focus: power by which the weight of thumb-to-tip vectors falls with their length. 2 prices
             the angle, 0 the distance alike at any length.
         focus_between: the same for finger-to-finger vectors.
         at: length at which the weights are those given [m].
         floor: length below which weights rise no more [m].
         apart: soft lower bound of thumb-to-tip targets, since pads touch before tips meet: a length
             g becomes (g^4 + apart^4)^(1/4); 0 leaves them the human's [m].
-        pinch_gaps: what a tracker leaves between thumb and finger in a pinch of a calibrated
+        pinch_gaps: gap that a tracker leaves between thumb and finger in a pinch of a calibrated
             operator: (finger, length at the robot's size [m]). It is taken off the lengths of
             thumb-to-tip targets: in full under 10 mm, not at all over 45 mm. Directions stay the
             human's. Empty without a calibration.
-        latches: whether fingers are latched to the thumb; it changes no target.
+        latches: True if fingers are latched to the thumb; it changes no target.
         project, escape: a finger is latched when the tips come nearer than the one [m], until they
             are farther apart than the other.
     """

@@ -14,7 +14,7 @@ from smooth_operator.landmarks import FINGERS, TIPS, WRIST
 
 
 class VectorLayout(ABC):
-    """Which vectors between landmarks a target policy speaks of.
+    """Vectors between landmarks for which a target policy sets targets.
 
     Subclasses say ``vectors``; a robot's counterparts of the landmarks have the same names.
     """

@@ -272,7 +272,7 @@ class Objective:
         )
 
     def _near(self, q: Float[Array, " m"], goal: FrameGoal) -> _Near:
-        """What the point terms are near a pose."""
+        """Quadratic model of the point terms near a pose."""
         motion = self.kinematics(all_joints(self.hand, q))
         chosen = [_Chosen.of(term.points(), self.kinematics.names) for term in self.point_terms]
         near = [
@@ -313,7 +313,7 @@ class _Near(NamedTuple):
 
 
 class _Chosen(NamedTuple):
-    """Which of all points are a term's: all points are in the order in which terms name them.
+    """Places of a term's points among all points, which are in the order of the terms.
 
     Attributes:
         at: a slice where they are neighbours, which is cheaper; else indices.

@@ -51,8 +51,8 @@ def vector_price(error: Sequence[Array], weight: Array, loss: Loss, transition: 
     Args:
         error: its three components [m], arrays of a common shape.
         weight: lambda_k of Eq. (1), of a shape that fits.
-        loss: which penalty.
-        transition: of smooth-L1 [m].
+        loss: name of the penalty.
+        transition: transition of smooth-L1 [m].
     """
     if loss == "smooth_l1_norm":
         x, y, z = error
@@ -71,8 +71,8 @@ def vector_slopes(
     Args:
         errors: (K, 3) errors [m].
         weights: (K,) lambda_k of Eq. (1).
-        loss: which penalty.
-        transition: of smooth-L1 [m].
+        loss: name of the penalty.
+        transition: transition of smooth-L1 [m].
     """
     if loss == "squared":
         double = 2 * weights[:, None]

@@ -45,7 +45,7 @@ class RestPoseConfig:
 
 
 class RestGoal(NamedTuple):
-    """What the rest pose gives a frame.
+    """Targets that the rest pose gives a frame.
 
     Attributes:
         tips: (F, 3) fingertips at the last answer [m].
@@ -109,7 +109,7 @@ class RestPose:
 
     @cached_property
     def moves(self) -> Bool[np.ndarray, "F m"]:
-        """Which actuated joint moves which fingertip."""
+        """Mask of the actuated joints that move each fingertip."""
         matrix = self.hand.coupling_matrix[np.array(self.kinematics.order)]
         tips = self.kinematics.moves[: len(self.hand.fingers)]
         moves: np.ndarray = (tips.astype(float) @ np.abs(matrix)) > 0

@@ -1,4 +1,4 @@
-"""Where keyvectors should go: as the human's, or, once a pinch is meant, closed (DexPilot)."""
+"""Targets of keyvectors: the human's, or, once a pinch is meant, closed ones (DexPilot)."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class TargetPolicy(ABC, Generic[LayoutT, StateT]):
 
     @abstractmethod
     def layout(self, fingers: tuple[str, ...]) -> LayoutT:
-        """Which vectors the policy sets targets for, on a hand with these fingers."""
+        """Vectors for which the policy sets targets, on a hand with these fingers."""
 
     @abstractmethod
     def init(self, layout: LayoutT) -> StateT:
@@ -82,7 +82,7 @@ class TargetPolicy(ABC, Generic[LayoutT, StateT]):
         return self, operator
 
     def unused_components(self, operator: OperatorProfile) -> tuple[Component, ...]:
-        """Which components of a calibration are used neither by the policy nor for it."""
+        """Components of a calibration that are used neither by the policy nor for it."""
         del operator
         return ()
 
@@ -124,7 +124,7 @@ class PlainTargets(StatelessTargets[KeyvectorLayout]):
 
 
 class LatchState(NamedTuple):
-    """What a policy with pinch latches remembers between frames.
+    """State of a policy with pinch latches between frames.
 
     Attributes:
         latched: (F - 1,) which fingers are latched to the thumb.

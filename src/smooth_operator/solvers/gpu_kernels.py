@@ -152,7 +152,7 @@ def next_gaussian(
         following: the frame's key, and the number of the next cycle: see ``random_words_at``.
         base: (m, n) the normals, if they are fixed; None for those of the key.
         limits: (m, 2) bounds that draws are clipped to.
-        elites: how many.
+        elites: number of elites.
         temperature: temperature of the softmax over the elites.
         jitter: added to the covariance's diagonal.
         interpret: run the kernel's operations one by one, on any device; for tests.
@@ -243,7 +243,7 @@ def next_gaussian(
 
 
 def _lowest(keys: Array, inside: Array, count: int) -> tuple[Array, Array]:
-    """Which of some whole numbers are the lowest, and their places among them, by index."""
+    """Mask of the lowest of some whole numbers, and their places among them, by index."""
 
     def searching(carry: tuple[Array, Array, Array]) -> Array:
         low, high, reached = carry

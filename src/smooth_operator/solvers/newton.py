@@ -57,7 +57,7 @@ class NewtonConfig:
 
 
 class NewtonResult(NamedTuple):
-    """Where the descent ended.
+    """Result of the descent.
 
     Attributes:
         x: (m,) the best point found.
@@ -93,7 +93,7 @@ def newton_candidates(
     limits: Float[np.ndarray, "m 2"] | Float[Array, "m 2"],
     config: NewtonConfig,
 ) -> Float[Array, "c m"]:
-    """Where damped Newton steps from a point lead, within bounds; one candidate per damping.
+    """Ends of damped Newton steps from a point, within bounds; one candidate per damping.
 
     Variables at a bound that the gradient pushes outwards are held; the others take the step, and
     are clipped to the bounds. An indefinite damped Hessian has no Cholesky factor: its candidate

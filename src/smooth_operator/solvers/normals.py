@@ -30,9 +30,9 @@ def counter_normals(
     and Muller's transform makes them of it.
 
     Args:
-        index: which candidates.
+        index: indices of the candidates.
         words: two random words, the key of the cycle.
-        count: how many normals each candidate has.
+        count: number of normals of each candidate.
 
     Returns:
         ``count`` arrays of index's shape.
@@ -120,7 +120,7 @@ def fixed_normals(
         samples: number of candidates.
         kind: ``quasi`` (low discrepancy: the additive recurrence of Roberts' generalised golden
             ratio, randomly shifted) or ``pseudo`` (random).
-        seed: of the shift or the draws.
+        seed: seed of the shift or the draws.
 
     Returns:
         (count, samples) float32.

@@ -15,13 +15,13 @@ def settled(
     start: Float[Array, " m"],
     rounds: Int[Array, ""],
 ) -> Float[Array, " m"]:
-    """Where a descent from a start ends, after some rounds of sampling and descent; traceable.
+    """End of a descent from a start, after some rounds of sampling and descent; traceable.
 
     Args:
         sampled: number of a round and where the last one ended, to a start of the next.
         descended: a start to where the descent ends, and the cost there.
         start: (m,) where the first round begins.
-        rounds: how many begin with a sample; 0 in most frames.
+        rounds: number of rounds that begin with a sample; 0 in most frames.
     """
 
     # The last round only descends; of most frames it is the only one. The descent stands here once,

@@ -17,15 +17,15 @@ class TrajectoryConfig:
     """Weights of the motion's cost, against a frame's cost of one.
 
     Attributes:
-        velocity_weight: of squared joint velocity [s^2/rad^2].
-        acceleration_weight: of squared joint acceleration [s^4/rad^2].
-        jerk_weight: of squared joint jerk [s^6/rad^2].
-        motion_weight: of fingertips whose velocity is another than the human's [s^2], in units of a
-            keyvector's weight.
+        velocity_weight: weight of squared joint velocity [s^2/rad^2].
+        acceleration_weight: weight of squared joint acceleration [s^4/rad^2].
+        jerk_weight: weight of squared joint jerk [s^6/rad^2].
+        motion_weight: weight of the difference of fingertip velocities to the human's [s^2], in
+            units of a keyvector's weight.
         motion_speed: human fingertip speed at which that weight is halved [m/s]; it goes on to fall
             with the square of the speed. 0 leaves it constant.
-        speed_limit: of joints [rad/s]; a change from frame to frame that is more at the median rate
-            costs half of ``SPEEDING`` times the square of what is too much. After a lost
+        speed_limit: largest speed of joints [rad/s]; a faster change between frames at the median
+            rate costs half of ``SPEEDING`` times the square of what is too much. After a lost
             frame a command must not jump further than after any other.
         iterations: Newton steps at most.
         tolerance: a step that moves no joint further ends it [rad].

@@ -87,7 +87,7 @@ MARKS: Final = (("*", 150, "#c2455f"), ("s", 45, "#0072b2"))
 
 
 def front(points: Float[np.ndarray, "N 2"]) -> Bool[np.ndarray, " N"]:
-    """Mask of the Pareto front: points to which no other is equal or better in both; less is better."""
+    """Mask of the Pareto front: points to which no other is equal or better in both coordinates."""
     order = np.lexsort((points[:, 1], points[:, 0]))
     chosen = np.zeros(len(points), bool)
     lowest = np.inf

@@ -185,7 +185,7 @@ def check_flexion(axes: FlexionAxes | None) -> Check:
 
 
 def check_side(samples: Samples, axes: FlexionAxes | None, sound: tuple[str, ...]) -> Check:
-    """Checks that thumb, order of the fingers and closing direction agree with the declared side."""
+    """Checks that thumb, order of fingers and closing direction agree with the declared side."""
     hand = samples.hand
     if axes is None or "thumb" not in sound:
         return Check("side", "skipped", "not checked: fingertips or axes have to be mended first")

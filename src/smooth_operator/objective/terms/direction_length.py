@@ -116,7 +116,7 @@ class DirectionLength(PointTerm):
 
     @property
     def is_off(self) -> bool:
-        """Whether both costs are left out."""
+        """True if both costs are left out."""
         return is_off(self.config.direction) and is_off(self.config.length)
 
     def points(self) -> tuple[str, ...]:

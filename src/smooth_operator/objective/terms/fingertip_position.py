@@ -27,7 +27,7 @@ class FingertipPositionConfig:
     """Settings of the fingertip position cost.
 
     Attributes:
-        weight: of a small error, in the units of a keyvector's weight: the cost is
+        weight: weight of a small error, in the units of a keyvector's weight: the cost is
             weight x e^2 / (2 x 20 mm) / (1 + e^2 / width^2) for an error e (Geman-McClure); 0
             leaves the term out.
         width: error beyond which the force falls [m].

@@ -21,7 +21,7 @@ class RobotVectors:
 
     Attributes:
         hand: the robot hand.
-        layout: which landmarks each vector joins; the hand has counterparts of them all.
+        layout: landmarks that each vector joins; the hand has counterparts of them all.
     """
 
     hand: Hand
@@ -64,7 +64,7 @@ class RobotVectors:
         return matrix
 
     def _row(self, landmark: int | None) -> int:
-        """Of a landmark among the moving points; -1 of a fixed one."""
+        """Row of a landmark among the moving points; -1 for a fixed one."""
         return self.moving.index(landmark) if landmark in self.moving else -1
 
     def at(self, points: Float[Array, "P 3"]) -> Float[Array, "K 3"]:

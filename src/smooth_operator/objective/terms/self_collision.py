@@ -29,10 +29,10 @@ class SelfCollisionConfig:
     """Settings of the self-collision cost.
 
     Attributes:
-        weight: of a pair that is too near, in the units of a keyvector's weight: the cost is
+        weight: weight of a pair that is too near, in the units of a keyvector's weight: the cost is
             weight x d^2 / (2 x 20 mm) for a depth d; 0 leaves the term out.
         margin: distance below which a pair counts [m]. Negative lets soft parts sink in.
-        grip: how much deeper thumb and finger may be in each other whose tips are where the
+        grip: further depth that is allowed between thumb and finger whose tips are where the
             human's are [m]: a human who grips an object asks for a pose beyond its surface, and the
             force comes from that.
     """
@@ -74,7 +74,7 @@ class SelfCollision(PointTerm):
 
     @cached_property
     def carried(self) -> Float[np.ndarray, "P J"]:
-        """Which joints carry the first capsule of each pair alone (1), or the second (-1)."""
+        """Joints that carry only the first capsule of each pair (1), or only the second (-1)."""
         moves = PointKinematics(self.pairs.tree, self.pairs.names[::2]).moves.astype(np.float32)
         first, second = self.pairs.pairs.T
         return np.asarray(moves[first] - moves[second])

@@ -1,4 +1,4 @@
-"""What a term of an objective is: a cost of points of the robot, or a cost of its joints.
+"""Terms of an objective: a cost of points of the robot, or a cost of its joints.
 
 A term of your own is a frozen dataclass with its settings. ``LeastSquaresTerm`` needs residuals
 alone; ``PointTerm`` gives gradient and Gauss-Newton rows itself; ``JointTerm`` is for a cost of
@@ -59,7 +59,7 @@ class Term:
 
     @property
     def is_off(self) -> bool:
-        """Whether the term is left out, as with a weight of 0."""
+        """True if the term is left out, as with a weight of 0."""
         return False
 
 
@@ -83,7 +83,7 @@ class PointTerm(Term, ABC):
         Args:
             points: (P, 3) the term's points [m].
             jacobian: (P, J, 3) their derivatives with respect to the J joints [m/rad].
-            goal: what the frame asks.
+            goal: targets of the frame.
         """
 
     def cost(self, points: Sequence[Vector], goal: FrameGoal) -> Array:
@@ -91,7 +91,7 @@ class PointTerm(Term, ABC):
 
         Args:
             points: (x, y, z) of each point [m]: arrays of a common shape, the batch, or floats.
-            goal: what the frame asks.
+            goal: targets of the frame.
 
         Returns:
             costs, of that shape.
