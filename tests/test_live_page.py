@@ -30,11 +30,11 @@ from smooth_operator.planning import make_request
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.pages.hand_view import PALM, SIMULATED, css
 from smooth_operator.teleop.pages.live import live_texts
+from smooth_operator.teleop.pages.live.drawing import LiveDrawing, Pace
 from smooth_operator.teleop.pages.live.live_page import LivePage, PageSetup
 from smooth_operator.teleop.pages.live.live_panel import LivePanel
 from smooth_operator.teleop.pages.live.live_scene import LiveScene
 from smooth_operator.teleop.pages.live.live_session import LiveSession, RateMeter
-from smooth_operator.teleop.pages.live.process import _Page, period_for
 from smooth_operator.teleop.pages.live.settings import (
     LOOP_SETTINGS,
     METHOD_SETTINGS,
@@ -287,31 +287,58 @@ def test_the_legend_names_each_hand_by_its_sign() -> None:
     assert len(chips(live_texts.legend(fingers, simulated=False, task=False))) == 4
 
 
-def test_a_slow_browser_is_left_alone_and_said_to_be_slow() -> None:
-    assert period_for(0.01) == pytest.approx(1 / 30)
-    assert period_for(0.08) == 0.08
-    assert period_for(0.2) == pytest.approx(0.6)  # three of its pictures
-    assert period_for(9.0) == 1.0
+class Browser:
+    """A browser that handles a message after a while, or never."""
+
+    def __init__(self, seconds: float) -> None:
+        self.local_storage, self.seconds, self.asked = self, seconds, 0
+
+    def get_item(self, key: str, timeout: float) -> None:
+        self.asked += 1
+        if self.seconds > timeout:
+            raise TimeoutError
+        time.sleep(self.seconds)
+
+
+def test_at_most_one_frame_is_on_its_way_to_a_slow_browser() -> None:
+    browsers = {1: Browser(0.0), 2: Browser(0.3)}
+    server: Any = SimpleNamespace(get_clients=lambda: browsers)
+    pace = Pace(server)
+    assert pace.delay == 0.0
+    begun = time.monotonic()
+    pace.wait()
+    assert time.monotonic() - begun >= 0.3  # until the slowest has it
+    assert 0.3 <= pace.delay < 2.0
+    browsers[2].seconds = 1e9  # it hangs
+    pace.wait()
+    assert pace.delay == 2.0
+    assert [browser.asked for browser in browsers.values()] == [2, 2]
+    browsers.clear()
+    pace.wait()
     assert live_texts.slow(0.1) == ""
     assert "0.4 s late" in live_texts.slow(0.41)
 
 
-@pytest.mark.parametrize("slow", [False, True])
-def test_a_slow_browser_gets_bodies_after_it_has_handled_the_lines(slow: bool) -> None:
+def test_a_frame_is_sent_as_one_update() -> None:
     called: list[str] = []
+
+    @contextlib.contextmanager
+    def atomic() -> Iterator[None]:
+        called.append("[")
+        yield
+        called.append("]")
 
     def part(**more: Any) -> Any:
         """Notes what is called, in what order."""
-        names = ("draw_lines", "draw_bodies", "draw_scenery", "show", "flush", "wait")
+        names = ("draw", "draw_scenery", "show", "flush")
         calls = {name: lambda *_, name=name: called.append(name) for name in names}
-        return SimpleNamespace(**calls, atomic=contextlib.nullcontext, **more)
+        return SimpleNamespace(**calls, atomic=atomic, **more)
 
-    page: Any = object.__new__(_Page)
+    page: Any = object.__new__(LiveDrawing)
     page._scene = page._panel = page._server = part()
-    page._pace = part(slow=slow, delay=0.4)
+    page._pace = part(delay=0.4)
     page._draw({"hands": {}, "scenery": {}})
-    between = ["flush", "wait"] if slow else []
-    assert called == ["draw_lines", "show", *between, "draw_bodies", "draw_scenery", "flush"]
+    assert called == ["[", "show", "draw", "draw_scenery", "]", "flush"]
 
 
 def test_latches_are_shown_for_methods_that_have_them() -> None:
