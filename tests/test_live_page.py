@@ -24,7 +24,7 @@ from browser_page import new_page
 from hostile_texts import ATTACK, guarded_page, hostile_hand
 
 from smooth_operator import HandFrame, Retargeter, load_hand
-from smooth_operator.errors import ConfigError
+from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.methods.presets import PRESETS, live_presets
 from smooth_operator.planning import make_request
 from smooth_operator.synthetic import SyntheticOperator
@@ -44,6 +44,7 @@ from smooth_operator.teleop.pages.live.settings import (
 )
 from smooth_operator.teleop.pages.viser_server import close_server, open_server, page_url
 from smooth_operator.teleop.recording import read_log
+from smooth_operator.teleop.recording.take_quality import take_quality
 from smooth_operator.teleop.runtime.limiter import Limiter
 from smooth_operator.teleop.runtime.loop import TeleopLoop
 from smooth_operator.teleop.runtime.pipeline import HandPipeline
@@ -453,17 +454,107 @@ def recorded(path: Path) -> int:
     return 0 if commands is None else len(commands.stamps)
 
 
-def test_takes_are_begun_and_ended(stage: Stage) -> None:
-    for number in (1, 2):
-        stage.session.do("record")
-        eventually(lambda: stage.session.recordings.recording)
-        assert stage.see()["controls"]["recording"] == f"take-00{number}.mcap"
-        first = len(stage.ticks)
-        eventually(lambda first=first: len(stage.ticks) > first + 25)
-        stage.session.do("record")
-        eventually(lambda: not stage.session.recordings.recording and not stage.loop.sinks.health())
-        path = stage.session.recordings.folder / f"take-00{number}.mcap"
-        eventually(lambda path=path: recorded(path) >= 20)
+def take(stage: Stage) -> dict[str, Any]:
+    shown: dict[str, Any] = stage.see()["controls"]["take"]
+    return shown
+
+
+def record(stage: Stage) -> Path:
+    """Record a short take; its file."""
+    stage.session.do("record")
+    eventually(lambda: take(stage)["recording"])
+    first = len(stage.ticks)
+    eventually(lambda: len(stage.ticks) > first + 25)
+    assert take(stage)["seconds"] > 0
+    stage.session.do("record")
+    eventually(lambda: take(stage)["open"])
+    assert not stage.loop.sinks.health()
+    return Path(take(stage)["last"][0])
+
+
+def test_takes_are_recorded_named_kept_and_discarded(stage: Stage) -> None:
+    folder, page = stage.session.takes.folder, stage.session
+    first = record(stage)
+    assert (first, recorded(first) >= 20) == (folder / "take-001.mcap", True)
+    for name, words in (("../x", "can't be called"), (".hidden", "can't be called")):
+        page.do("keep", name)
+        assert words in stage.see()["controls"]["message"]
+    page.do("keep", "pour water")
+    assert take(stage)["last"] == [str(folder / "pour_water.mcap")]
+    assert (take(stage)["kept"], take(stage)["open"]) == (1, False)
+    assert [file.name for file in folder.iterdir()] == ["pour_water.mcap"]
+    second = record(stage)
+    page.do("keep", "pour water")
+    assert "there is a take pour_water.mcap already" in stage.see()["controls"]["message"]
+    page.do("discard")
+    assert not second.exists()
+    assert (take(stage)["kept"], take(stage)["last"]) == (1, [])
+    page.do("discard")
+    assert "record one first" in stage.see()["controls"]["message"]
+    third = record(stage)  # nothing is decided: it stays when the next one begins
+    assert record(stage) != third
+    assert third.exists()
+    page.do("keep")
+    assert take(stage)["kept"] == 3
+
+
+def test_the_quality_of_a_take(stage: Stage) -> None:
+    """One with a hold of the loop in it, measured against the log itself."""
+    stage.session.do("record")
+    eventually(lambda: take(stage)["recording"])
+    first = len(stage.ticks)
+    eventually(lambda: len(stage.ticks) > first + 25)
+    stage.loop.controls.change(lambda hand: hand.hold())
+    eventually(lambda: len(stage.ticks) > first + 50)
+    stage.loop.controls.change(lambda hand: hand.go_on())
+    eventually(lambda: stage.mode() is Mode.TRACKING)
+    stage.session.do("record")
+    eventually(lambda: take(stage)["open"])
+    path, hand = Path(take(stage)["last"][0]), load_hand("mimic_p050")
+    quality, log = take_quality(path, hand), read_log(path)
+    assert log.loop is not None
+    assert 0 < quality.seconds < 60.0
+    assert quality.lost_s == pytest.approx(log.loop.modes.count("holding") / RATE, rel=0.5)
+    assert quality.lost_s > 0.1
+    assert quality.frames == log.loop.answers.sum() > 20
+    assert quality.collision is not None
+    text = plain(live_texts.take(take(stage), [quality]))
+    assert path.name in text
+    assert "s without the tracker" in text
+    assert "self-collision" in text
+    with pytest.raises(RecordingError, match="another hand"):
+        take_quality(path, load_hand("leap_hand"))
+    unmeasured = dataclasses.replace(quality, collision=None, depth_mm=None)
+    assert "can't be measured" in live_texts.take(take(stage), [unmeasured])
+    stage.session.do("discard")
+
+
+def test_a_held_wrist_says_why() -> None:
+    wrist = {"engaged": False, "released": False, "tracked": True}
+    hand = {"mode": "stopped", "latched": None, "wrist": wrist}
+    for changes, words in (
+        ({}, "wrist: held (stopped)"),
+        ({"mode": "paused"}, "wrist: held (paused)"),
+        ({"mode": "tracking", "wrist": {**wrist, "released": True}}, "wrist: held (released"),
+        ({"mode": "holding", "wrist": {**wrist, "tracked": False}}, "(the tracker lost it)"),
+        ({"mode": "tracking", "wrist": {**wrist, "engaged": True}}, "there is no arm here"),
+        ({"mode": "tracking", "wrist": None}, "wrist: not tracked"),
+    ):
+        assert words in live_texts.modes({"right": {**hand, **changes}})
+
+
+def test_what_is_compiled_is_shown_with_its_seconds(stage: Stage) -> None:
+    stage.loop.controls.change(lambda hand: hand.hold())
+    eventually(lambda: stage.see()["hands"]["right"]["compiling"] is not None)
+    eventually(lambda: stage.see()["hands"]["right"]["compiling"] > 0.2)
+    seen = stage.see()
+    assert seen["hands"]["right"]["human"]  # the operator's own hand moves meanwhile
+    assert "until the method is compiled: 0 s" in live_texts.modes(seen["hands"])
+    stage.session.switcher.building = "compiling sbr paper"
+    assert stage.see()["controls"]["building"] == "compiling sbr paper, 0 s"
+    stage.session.switcher.building = ""
+    stage.loop.controls.change(lambda hand: hand.go_on())
+    eventually(lambda: stage.see()["hands"]["right"]["compiling"] is None)
 
 
 def test_the_page_cannot_ask_for_what_is_not_there(stage: Stage) -> None:
@@ -636,7 +727,7 @@ def test_the_page_shows_the_loop_and_stops_it(
     eventually(lambda: stage.session.switcher.used.method == "joint_angle")
 
 
-WORDED = {"label", "detail", "message", "building", "recording", "world", "title", "instruction"}
+WORDED = {"label", "detail", "message", "building", "recording", "title", "instruction"}
 
 
 def worded_by_others(seen: Any) -> Any:
@@ -674,7 +765,7 @@ def test_what_others_worded_is_shown_and_never_run(
         "title": f"{ATTACK} title", "instruction": f"{ATTACK} instruction",
     }  # fmt: skip
     seen["hands"]["right"]["wrist"] = {
-        "engaged": True, "released": False, "tracked": False, "world": f"{ATTACK} world"
+        "engaged": True, "released": False, "tracked": False
     }  # fmt: skip
     hands: dict[Side, Any] = {"right": load_hand(hostile_hand(tmp_path / ATTACK))}
     server = open_server("127.0.0.1", 0)
@@ -686,7 +777,7 @@ def test_what_others_worded_is_shown_and_never_run(
         panel.show_meshes(False, f"{ATTACK} note")
         with guarded_page(chromium) as page:
             page.goto(page_url("127.0.0.1", server))
-            shown = ("label", "detail", "message", "title", "instruction", "world", "latched")
+            shown = ("label", "detail", "message", "title", "instruction", "recording", "latched")
             for word in shown:
                 page.get_by_text(f"{ATTACK} {word}").first.wait_for()
             for word in ("event", "reason", "stage", "sink", "of a sink"):

@@ -50,6 +50,11 @@ class HandPage(PageServer):
         self._q = hand.neutral.copy()
         self._lock = threading.Lock()  # viser answers its controls on several threads
 
+    @property
+    def title(self) -> str:
+        """The hand's name."""
+        return self.hand.name
+
     def _build(self, server: viser.ViserServer) -> None:
         self._build_scene(server)
         self._build_panel(server.gui)

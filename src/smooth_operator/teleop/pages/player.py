@@ -74,6 +74,11 @@ class PlaybackServer(PageServer):
         self._stopping = False
         self._thread: threading.Thread | None = None
 
+    @property
+    def title(self) -> str:
+        """That of the first run."""
+        return self.playback.title
+
     # -- life ---------------------------------------------------------------------------------
 
     def _build(self, server: viser.ViserServer) -> None:

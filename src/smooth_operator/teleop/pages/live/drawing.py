@@ -19,7 +19,7 @@ from smooth_operator.teleop.arm.settings import ArmSettings
 from smooth_operator.teleop.pages.hand_view import HandView
 from smooth_operator.teleop.pages.live.live_panel import LivePanel
 from smooth_operator.teleop.pages.live.live_scene import LiveScene
-from smooth_operator.teleop.pages.viser_server import run_script
+from smooth_operator.teleop.pages.viser_server import name_tab, run_script
 from smooth_operator.types import Side
 
 if TYPE_CHECKING:  # it runs as the main module, and would be read a second time
@@ -46,8 +46,8 @@ class LiveDrawing:
         self._wake = threading.Event()
         self._configuration_wanted = False
         self._build(setup)
-        keys = resources.files(__package__).joinpath("stop_keys.js").read_text("utf-8")
-        run_script(self._server, keys)
+        script = resources.files(__package__).joinpath("live_page.js").read_text("utf-8")
+        run_script(self._server, script)
         self._server.on_client_connect(self._greet)
         self._server.on_client_disconnect(self._forget)
         self._pace = Pace(self._server)
@@ -58,6 +58,7 @@ class LiveDrawing:
             side: load_hand(setup["hand"], side, fingers=setup["fingers"])
             for side in setup["sides"]
         }
+        name_tab(self._server, f"{next(iter(hands.values())).name} live – smooth-operator")
         with self._server.atomic():
             self._server.scene.reset()
             self._server.gui.reset()

@@ -72,11 +72,13 @@ class LivePage:
         setup: what to show, and where.
 
     Attributes:
+        setup: as given to it, or to ``change``.
         trouble: why the page ended by itself; empty as long as it has not.
     """
 
     def __init__(self, setup: PageSetup) -> None:
         self.trouble = ""
+        self.setup = setup
         self._url = ""
         self._session: LiveSession | None = None
         self._next: PageSetup | None = None
@@ -124,7 +126,8 @@ class LivePage:
         """Show another setup at the same address; nothing moves on it until ``serve``."""
         if self._session is not None:
             self._session.close()
-        self._session, self._next = None, setup
+        self.setup = self._next = setup
+        self._session = None
 
     def stop(self) -> None:
         """End the page; safe to call twice."""
