@@ -14,12 +14,13 @@ from hand_rigs import RIGS, Rig, missing
 from inspire_simulator import ANGLE_ACT
 from ticks import make_tick
 
-from smooth_operator.errors import SinkError
+from smooth_operator.errors import ConfigError, SinkError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.teleop.hardware import bus_lock
 from smooth_operator.teleop.hardware.actuator_map import ActuatorMap, BoundMap
 from smooth_operator.teleop.hardware.device import HandDevice, WrongAnswerError
+from smooth_operator.teleop.hardware.drivers.linker import LinkerSink
 from smooth_operator.teleop.hardware.hardware_sink import HardwareSink
 from smooth_operator.teleop.hardware.table_file import SettingsWatch, built_in_tables, read_table
 from smooth_operator.teleop.sinks.tick import Mode, Tick
@@ -137,6 +138,14 @@ class Driven:
 
     def statistics(self) -> dict[str, float]:
         return self.sink.figures
+
+
+@pytest.mark.parametrize("hand", ["linker_l10", "linker_l20"])
+def test_a_driver_of_several_models_takes_the_table_of_the_runs_hand(hand: str) -> None:
+    assert LinkerSink().actuators("right", hand).hand == hand
+    assert LinkerSink(model="l20").actuators("right", hand).hand == "linker_l20"
+    with pytest.raises(ConfigError, match=r"linker_l20_right.toml is of the hand 'linker_l20'"):
+        LinkerSink(model="l20").actuators("right").bind(load_hand("leap_hand"))
 
 
 @pytest.mark.parametrize("name", TABLES)

@@ -24,17 +24,17 @@ from browser_page import new_page
 from hostile_texts import ATTACK, guarded_page, hostile_hand
 
 from smooth_operator import HandFrame, Retargeter, load_hand
-from smooth_operator.errors import ConfigError
+from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.methods.presets import PRESETS, live_presets
 from smooth_operator.planning import make_request
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.pages.hand_view import PALM, SIMULATED, css
 from smooth_operator.teleop.pages.live import live_texts
+from smooth_operator.teleop.pages.live.drawing import LiveDrawing, Pace
 from smooth_operator.teleop.pages.live.live_page import LivePage, PageSetup
 from smooth_operator.teleop.pages.live.live_panel import LivePanel
 from smooth_operator.teleop.pages.live.live_scene import LiveScene
 from smooth_operator.teleop.pages.live.live_session import LiveSession, RateMeter
-from smooth_operator.teleop.pages.live.process import _Page, period_for
 from smooth_operator.teleop.pages.live.settings import (
     LOOP_SETTINGS,
     METHOD_SETTINGS,
@@ -44,6 +44,7 @@ from smooth_operator.teleop.pages.live.settings import (
 )
 from smooth_operator.teleop.pages.viser_server import close_server, open_server, page_url
 from smooth_operator.teleop.recording import read_log
+from smooth_operator.teleop.recording.take_quality import take_quality
 from smooth_operator.teleop.runtime.limiter import Limiter
 from smooth_operator.teleop.runtime.loop import TeleopLoop
 from smooth_operator.teleop.runtime.pipeline import HandPipeline
@@ -287,31 +288,58 @@ def test_the_legend_names_each_hand_by_its_sign() -> None:
     assert len(chips(live_texts.legend(fingers, simulated=False, task=False))) == 4
 
 
-def test_a_slow_browser_is_left_alone_and_said_to_be_slow() -> None:
-    assert period_for(0.01) == pytest.approx(1 / 30)
-    assert period_for(0.08) == 0.08
-    assert period_for(0.2) == pytest.approx(0.6)  # three of its pictures
-    assert period_for(9.0) == 1.0
+class Browser:
+    """A browser that handles a message after a while, or never."""
+
+    def __init__(self, seconds: float) -> None:
+        self.local_storage, self.seconds, self.asked = self, seconds, 0
+
+    def get_item(self, key: str, timeout: float) -> None:
+        self.asked += 1
+        if self.seconds > timeout:
+            raise TimeoutError
+        time.sleep(self.seconds)
+
+
+def test_at_most_one_frame_is_on_its_way_to_a_slow_browser() -> None:
+    browsers = {1: Browser(0.0), 2: Browser(0.3)}
+    server: Any = SimpleNamespace(get_clients=lambda: browsers)
+    pace = Pace(server)
+    assert pace.delay == 0.0
+    begun = time.monotonic()
+    pace.wait()
+    assert time.monotonic() - begun >= 0.3  # until the slowest has it
+    assert 0.3 <= pace.delay < 2.0
+    browsers[2].seconds = 1e9  # it hangs
+    pace.wait()
+    assert pace.delay == 2.0
+    assert [browser.asked for browser in browsers.values()] == [2, 2]
+    browsers.clear()
+    pace.wait()
     assert live_texts.slow(0.1) == ""
     assert "0.4 s late" in live_texts.slow(0.41)
 
 
-@pytest.mark.parametrize("slow", [False, True])
-def test_a_slow_browser_gets_bodies_after_it_has_handled_the_lines(slow: bool) -> None:
+def test_a_frame_is_sent_as_one_update() -> None:
     called: list[str] = []
+
+    @contextlib.contextmanager
+    def atomic() -> Iterator[None]:
+        called.append("[")
+        yield
+        called.append("]")
 
     def part(**more: Any) -> Any:
         """Notes what is called, in what order."""
-        names = ("draw_lines", "draw_bodies", "draw_scenery", "show", "flush", "wait")
+        names = ("draw", "draw_scenery", "show", "flush")
         calls = {name: lambda *_, name=name: called.append(name) for name in names}
-        return SimpleNamespace(**calls, atomic=contextlib.nullcontext, **more)
+        return SimpleNamespace(**calls, atomic=atomic, **more)
 
-    page: Any = object.__new__(_Page)
+    page: Any = object.__new__(LiveDrawing)
     page._scene = page._panel = page._server = part()
-    page._pace = part(slow=slow, delay=0.4)
+    page._pace = part(delay=0.4)
     page._draw({"hands": {}, "scenery": {}})
-    between = ["flush", "wait"] if slow else []
-    assert called == ["draw_lines", "show", *between, "draw_bodies", "draw_scenery", "flush"]
+    assert called == ["[", "show", "draw", "draw_scenery", "]", "flush"]
 
 
 def test_latches_are_shown_for_methods_that_have_them() -> None:
@@ -426,17 +454,107 @@ def recorded(path: Path) -> int:
     return 0 if commands is None else len(commands.stamps)
 
 
-def test_takes_are_begun_and_ended(stage: Stage) -> None:
-    for number in (1, 2):
-        stage.session.do("record")
-        eventually(lambda: stage.session.recordings.recording)
-        assert stage.see()["controls"]["recording"] == f"take-00{number}.mcap"
-        first = len(stage.ticks)
-        eventually(lambda first=first: len(stage.ticks) > first + 25)
-        stage.session.do("record")
-        eventually(lambda: not stage.session.recordings.recording and not stage.loop.sinks.health())
-        path = stage.session.recordings.folder / f"take-00{number}.mcap"
-        eventually(lambda path=path: recorded(path) >= 20)
+def take(stage: Stage) -> dict[str, Any]:
+    shown: dict[str, Any] = stage.see()["controls"]["take"]
+    return shown
+
+
+def record(stage: Stage) -> Path:
+    """Record a short take; its file."""
+    stage.session.do("record")
+    eventually(lambda: take(stage)["recording"])
+    first = len(stage.ticks)
+    eventually(lambda: len(stage.ticks) > first + 25)
+    assert take(stage)["seconds"] > 0
+    stage.session.do("record")
+    eventually(lambda: take(stage)["open"])
+    assert not stage.loop.sinks.health()
+    return Path(take(stage)["last"][0])
+
+
+def test_takes_are_recorded_named_kept_and_discarded(stage: Stage) -> None:
+    folder, page = stage.session.takes.folder, stage.session
+    first = record(stage)
+    assert (first, recorded(first) >= 20) == (folder / "take-001.mcap", True)
+    for name, words in (("../x", "can't be called"), (".hidden", "can't be called")):
+        page.do("keep", name)
+        assert words in stage.see()["controls"]["message"]
+    page.do("keep", "pour water")
+    assert take(stage)["last"] == [str(folder / "pour_water.mcap")]
+    assert (take(stage)["kept"], take(stage)["open"]) == (1, False)
+    assert [file.name for file in folder.iterdir()] == ["pour_water.mcap"]
+    second = record(stage)
+    page.do("keep", "pour water")
+    assert "there is a take pour_water.mcap already" in stage.see()["controls"]["message"]
+    page.do("discard")
+    assert not second.exists()
+    assert (take(stage)["kept"], take(stage)["last"]) == (1, [])
+    page.do("discard")
+    assert "record one first" in stage.see()["controls"]["message"]
+    third = record(stage)  # nothing is decided: it stays when the next one begins
+    assert record(stage) != third
+    assert third.exists()
+    page.do("keep")
+    assert take(stage)["kept"] == 3
+
+
+def test_the_quality_of_a_take(stage: Stage) -> None:
+    """One with a hold of the loop in it, measured against the log itself."""
+    stage.session.do("record")
+    eventually(lambda: take(stage)["recording"])
+    first = len(stage.ticks)
+    eventually(lambda: len(stage.ticks) > first + 25)
+    stage.loop.controls.change(lambda hand: hand.hold())
+    eventually(lambda: len(stage.ticks) > first + 50)
+    stage.loop.controls.change(lambda hand: hand.go_on())
+    eventually(lambda: stage.mode() is Mode.TRACKING)
+    stage.session.do("record")
+    eventually(lambda: take(stage)["open"])
+    path, hand = Path(take(stage)["last"][0]), load_hand("mimic_p050")
+    quality, log = take_quality(path, hand), read_log(path)
+    assert log.loop is not None
+    assert 0 < quality.seconds < 60.0
+    assert quality.lost_s == pytest.approx(log.loop.modes.count("holding") / RATE, rel=0.5)
+    assert quality.lost_s > 0.1
+    assert quality.frames == log.loop.answers.sum() > 20
+    assert quality.collision is not None
+    text = plain(live_texts.take(take(stage), [quality]))
+    assert path.name in text
+    assert "s without the tracker" in text
+    assert "self-collision" in text
+    with pytest.raises(RecordingError, match="another hand"):
+        take_quality(path, load_hand("leap_hand"))
+    unmeasured = dataclasses.replace(quality, collision=None, depth_mm=None)
+    assert "can't be measured" in live_texts.take(take(stage), [unmeasured])
+    stage.session.do("discard")
+
+
+def test_a_held_wrist_says_why() -> None:
+    wrist = {"engaged": False, "released": False, "tracked": True}
+    hand = {"mode": "stopped", "latched": None, "wrist": wrist}
+    for changes, words in (
+        ({}, "wrist: held (stopped)"),
+        ({"mode": "paused"}, "wrist: held (paused)"),
+        ({"mode": "tracking", "wrist": {**wrist, "released": True}}, "wrist: held (released"),
+        ({"mode": "holding", "wrist": {**wrist, "tracked": False}}, "(the tracker lost it)"),
+        ({"mode": "tracking", "wrist": {**wrist, "engaged": True}}, "there is no arm here"),
+        ({"mode": "tracking", "wrist": None}, "wrist: not tracked"),
+    ):
+        assert words in live_texts.modes({"right": {**hand, **changes}})
+
+
+def test_what_is_compiled_is_shown_with_its_seconds(stage: Stage) -> None:
+    stage.loop.controls.change(lambda hand: hand.hold())
+    eventually(lambda: stage.see()["hands"]["right"]["compiling"] is not None)
+    eventually(lambda: stage.see()["hands"]["right"]["compiling"] > 0.2)
+    seen = stage.see()
+    assert seen["hands"]["right"]["human"]  # the operator's own hand moves meanwhile
+    assert "until the method is compiled: 0 s" in live_texts.modes(seen["hands"])
+    stage.session.switcher.building = "compiling sbr paper"
+    assert stage.see()["controls"]["building"] == "compiling sbr paper, 0 s"
+    stage.session.switcher.building = ""
+    stage.loop.controls.change(lambda hand: hand.go_on())
+    eventually(lambda: stage.see()["hands"]["right"]["compiling"] is None)
 
 
 def test_the_page_cannot_ask_for_what_is_not_there(stage: Stage) -> None:
@@ -609,7 +727,7 @@ def test_the_page_shows_the_loop_and_stops_it(
     eventually(lambda: stage.session.switcher.used.method == "joint_angle")
 
 
-WORDED = {"label", "detail", "message", "building", "recording", "world", "title", "instruction"}
+WORDED = {"label", "detail", "message", "building", "recording", "title", "instruction"}
 
 
 def worded_by_others(seen: Any) -> Any:
@@ -647,7 +765,7 @@ def test_what_others_worded_is_shown_and_never_run(
         "title": f"{ATTACK} title", "instruction": f"{ATTACK} instruction",
     }  # fmt: skip
     seen["hands"]["right"]["wrist"] = {
-        "engaged": True, "released": False, "tracked": False, "world": f"{ATTACK} world"
+        "engaged": True, "released": False, "tracked": False
     }  # fmt: skip
     hands: dict[Side, Any] = {"right": load_hand(hostile_hand(tmp_path / ATTACK))}
     server = open_server("127.0.0.1", 0)
@@ -659,7 +777,7 @@ def test_what_others_worded_is_shown_and_never_run(
         panel.show_meshes(False, f"{ATTACK} note")
         with guarded_page(chromium) as page:
             page.goto(page_url("127.0.0.1", server))
-            shown = ("label", "detail", "message", "title", "instruction", "world", "latched")
+            shown = ("label", "detail", "message", "title", "instruction", "recording", "latched")
             for word in shown:
                 page.get_by_text(f"{ATTACK} {word}").first.wait_for()
             for word in ("event", "reason", "stage", "sink", "of a sink"):

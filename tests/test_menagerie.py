@@ -234,7 +234,7 @@ def test_teleop_draws_the_vendors_meshes_on_its_page(
         scene = LiveScene(server, {"right": hand}, simulated=False, drawn={"right": drawn})
         every = hand.full_configuration(np.random.default_rng(1).uniform(*hand.limits.T))
         scene.draw({"right": {"positions": every, "human": None, "latched": None}})
-        robot = scene._sides["right"]._robot.command
+        robot = scene._sides["right"]._robot.first
         names = {drawn.model.body(body).name for body in robot.nodes}
         assert {"palm", "rh_ffdistal"} & names
         assert "forearm" not in names
@@ -317,11 +317,11 @@ def test_meshes_are_drawn_where_they_are_here_and_can_be_switched(root: Path) ->
         scene.add_meshes({"right": HandView(there)})
         real = side._robot
         assert real is not before
-        assert {n.visible for n in before.command.nodes.values()} == {False}
+        assert {n.visible for n in before.first.nodes.values()} == {False}
         scene.set_meshes(visible=False)
         assert side._robot is before
-        assert {n.visible for n in real.command.nodes.values()} == {False}
-        assert {n.visible for n in before.command.nodes.values()} == {True}
+        assert {n.visible for n in real.first.nodes.values()} == {False}
+        assert {n.visible for n in before.first.nodes.values()} == {True}
     finally:
         close_server(server)
 

@@ -16,7 +16,13 @@ import pytest
 from metrics_cases import make_trace
 
 from smooth_operator.cli.console import print_metrics
-from smooth_operator.errors import ConfigError, HandModelError, RecordingError, UnknownNameError
+from smooth_operator.errors import (
+    ConfigError,
+    HandModelError,
+    RecordingError,
+    UnknownNameError,
+    did_you_mean,
+)
 from smooth_operator.formats.readers import read_recording
 from smooth_operator.formats.registry import Reader
 from smooth_operator.hands.registry import HANDS, MODELS, hand_names, known_hands, load_hand
@@ -107,6 +113,21 @@ def test_a_method_of_ones_own_is_named_by_its_module() -> None:
 def test_what_is_no_method_is_refused(name: str, error: type[Exception], says: str) -> None:
     with pytest.raises(error, match=re.escape(says)):
         method_config(name)
+
+
+@pytest.mark.parametrize(
+    ("name", "names", "hint"),
+    [
+        ("revo2", ("leap_hand", "brainco_revo2"), "'brainco_revo2'"),
+        ("brainco_revo2", ("leap", "revo2"), "'revo2'"),
+        ("linker", ("linker_l10", "linker_l20", "leap_hand"), "'linker_l10' or 'linker_l20'"),
+        ("wuji", ("wuji_hand", "shadow_hand"), "'wuji_hand'"),
+        ("leap_hand", ("leap", "allegro"), "'leap'"),
+    ],
+)
+def test_a_hand_and_its_sink_find_each_other(name: str, names: tuple[str, ...], hint: str) -> None:
+    assert did_you_mean(name, names) == f" Did you mean {hint}?"
+    assert did_you_mean("xyz", names) == ""
 
 
 def test_a_broken_plugin_is_an_error_only_where_it_is_asked_for(

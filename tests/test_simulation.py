@@ -375,26 +375,26 @@ def test_the_hands_turn_to_the_scene_and_back(
 ) -> None:
     server, scene = page
     view = scene._sides["right"]
-    before, size = view._roots["robot"].wxyz.copy(), scene.aiming.half
+    before, size = view.row.roots["robot"].wxyz.copy(), scene.aiming.half
     simulation.change_task("screwdriver")
     seen = looked(simulation, ("right",))
     scene.draw_scenery(seen)
     assert scene.scenery_number == seen["number"]
     assert view.scenery.there
-    assert np.abs(view._roots["robot"].wxyz - before).max() > 0.1
-    np.testing.assert_allclose(view._roots["human"].wxyz, view._roots["robot"].wxyz)
+    assert np.abs(view.row.roots["robot"].wxyz - before).max() > 0.1
+    np.testing.assert_allclose(view.row.roots["human"].wxyz, view.row.roots["robot"].wxyz)
     assert not scene._floor.visible  # the scene has its own
-    assert not view._roots["human"].visible  # the one that touches things is large
+    assert not view.row.roots["human"].visible  # the one that touches things is large
     wide = scene.aiming.half[0]
     scene.set_own(True)
-    assert view._roots["human"].visible
+    assert view.row.roots["human"].visible
     assert scene.aiming.half[0] > wide
     scene.set_own(False)
     simulation.put_away("right")
     while not (away := looked(simulation, ("right",), seen["number"]))["away"]:
         pass
     scene.draw_scenery(away)
-    assert not view.scenery._object.visible  # type: ignore[union-attr]
+    assert not any(node.visible for node, _, moves in view.scenery._parts if moves)
     blade = np.array(seen["views"]["right"]) @ view.scenery.bounds(seen["poses"]["right"]).T
     assert (blade.min(axis=1) >= view.low - 1e-9).all()
     assert (blade.max(axis=1) <= view.high + 1e-9).all()
@@ -407,36 +407,46 @@ def test_the_hands_turn_to_the_scene_and_back(
     )
     state = {"positions": straight, "simulated": bent, "human": None, "latched": ()}
     scene.draw({"right": state})
-    np.testing.assert_allclose(view._robot.command.data.qpos, hand.qpos(bent))
+    np.testing.assert_allclose(view._robot.first.data.qpos, hand.qpos(bent))
     simulation.change_task("none")
     scene.draw_scenery(looked(simulation, ("right",), seen["number"]))
     assert not view.scenery.there
     assert scene._floor.visible
-    assert view._roots["human"].visible
-    np.testing.assert_allclose(view._roots["robot"].wxyz, before)
+    assert view.row.roots["human"].visible
+    np.testing.assert_allclose(view.row.roots["robot"].wxyz, before)
     np.testing.assert_allclose(scene.aiming.half, size)
     scene.draw({"right": state})
-    np.testing.assert_allclose(view._robot.command.data.qpos, hand.qpos(straight))
+    np.testing.assert_allclose(view._robot.first.data.qpos, hand.qpos(straight))
     assert not [name for name in server.scene._handle_from_node_name if "part_" in name]
 
 
-def test_lines_and_bodies_can_be_sent_one_after_the_other() -> None:
-    """A slow browser shows lines a picture later than bodies, so they are sent earlier."""
+def test_all_that_moves_is_sent_as_one_kind_of_change(
+    simulation: Simulation, page: tuple[viser.ViserServer, LiveScene]
+) -> None:
+    """A browser has the poses of nodes a picture before all else, so none of a node changes."""
+    server, scene = page
     hand = load_hand("mimic_p050")
-    server = open_server("127.0.0.1", 0)
-    try:
-        scene = LiveScene(server, {"right": hand}, simulated=False)
-        view = scene._sides["right"]
-        bent = hand.full_configuration(hand.limits[:, 1])
-        hands: Any = {"right": {"positions": bent, "human": None, "latched": None}}
-        before = view._robot.command.data.qpos.copy()
-        scene.draw_lines(hands)
-        np.testing.assert_allclose(view._balls.node.batched_positions, hand.tips(bent), atol=1e-6)
-        np.testing.assert_array_equal(view._robot.command.data.qpos, before)
-        scene.draw_bodies(hands)
-        np.testing.assert_allclose(view._robot.command.data.qpos, hand.qpos(bent))
-    finally:
-        close_server(server)
+    simulation.change_task("card")
+    seen = looked(simulation, ("right",))
+    scene.draw_scenery(seen)
+    nodes = [h for n, h in server.scene._handle_from_node_name.items() if n.startswith("/right/")]
+
+    def drawn(bend: float, lift: float) -> tuple[list[np.ndarray], list[np.ndarray]]:
+        every = hand.full_configuration(hand.neutral + bend)
+        human = np.random.default_rng(0).normal(size=63) + bend
+        state = {"positions": every, "simulated": every, "human": human, "latched": ()}
+        scene.draw({"right": state})
+        pose = list(seen["poses"]["right"])
+        pose[2] += lift
+        scene.draw_scenery({"number": seen["number"], "poses": {"right": pose}, "fixtures": {}})
+        batched = [np.copy(n.batched_positions) for n in nodes if hasattr(n, "batched_positions")]
+        return [np.concatenate([n.position, n.wxyz]) for n in nodes], batched
+
+    (poses, before), (still, after) = drawn(0.0, 0.0), drawn(0.1, 0.02)
+    np.testing.assert_array_equal(poses, still)
+    moved = [not np.array_equal(*pair) for pair in zip(before, after, strict=True)]
+    assert sum(moved) > len(hand.actuated)
+    simulation.change_task("none")
 
 
 def test_the_forearm_is_cut_off_and_the_picture_holds_the_label() -> None:

@@ -34,7 +34,6 @@ from smooth_operator.teleop.pages.hand_view import (
     geom_mesh,
     linear,
 )
-from smooth_operator.teleop.pages.human import _turn_z, lit_tips
 from smooth_operator.teleop.pages.page_layout import FOV, plan, view_axes
 from smooth_operator.teleop.pages.playback import PlaybackClock
 from smooth_operator.teleop.pages.player_panel import (
@@ -44,6 +43,7 @@ from smooth_operator.teleop.pages.player_panel import (
     metrics_table,
     status_line,
 )
+from smooth_operator.teleop.pages.scene import _turn_z, lit_tips
 from smooth_operator.teleop.pages.viser_server import close_server, open_server, plain
 from smooth_operator.types import Status
 from smooth_operator.web import browser
@@ -512,16 +512,17 @@ def test_finger_colors_differ_for_the_colour_blind() -> None:
 def test_the_scene_shows_the_kinematics_of_its_frame(
     server: PlaybackServer, playback: Playback
 ) -> None:
-    robot, joints = server._scene._robots[0], server._scene._human._joints
+    robot, row = server._scene.robots[0], server._scene.row
+    tips, joints = row.tips["robot_0"].node, row.human._joints
     server.set_frame(40)
-    eventually(lambda: np.allclose(robot._tips.batched_positions, playback.robot_tips[40]))
+    eventually(lambda: np.allclose(tips.batched_positions, playback.robot_tips[40]))
     data = mujoco.MjData(playback.model)
     data.qpos[:] = playback.qpos[40]
     mujoco.mj_kinematics(playback.model, data)
     eventually(lambda: server._panel._timeline.slider.value == 40)
-    for body, node in robot._bodies.items():
-        np.testing.assert_allclose(node.position, data.xpos[body], atol=1e-5)
-        np.testing.assert_allclose(node.wxyz, data.xquat[body], atol=1e-4)
+    for body, node in robot.bodies.nodes.items():
+        np.testing.assert_allclose(node.batched_positions[0], data.xpos[body], atol=1e-5)
+        np.testing.assert_allclose(node.batched_wxyzs[0], data.xquat[body], atol=1e-4)
     np.testing.assert_allclose(joints.batched_positions, playback.human[40], atol=1e-6)
 
 
@@ -531,8 +532,8 @@ def test_the_forearm_is_cut_off() -> None:
     for wrist in (0.0, 0.06):
         playback = make_playback(2, robot_wrist=np.array([0.0, 0.0, wrist]))
         with PlaybackServer(playback, port=0) as server:
-            robot = server._scene._robots[0]
-            vertices = robot._bodies[playback.model.body("palm").id].vertices
+            robot = server._scene.robots[0].bodies
+            vertices = robot.nodes[playback.model.body("palm").id].vertices
             lowest[wrist] = vertices[:, 2].min()
     assert lowest == pytest.approx({0.0: -0.01, 0.06: 0.03}, abs=1e-6)
 
@@ -542,7 +543,7 @@ def test_missing_landmarks_vanish_and_pinches_light_up() -> None:
     human[1, 6] = np.nan
     human[2, 8] = human[2, 4]
     with PlaybackServer(make_playback(3, human=human), port=0) as server:
-        hand, lines = server._scene._human, server._scene._lines
+        hand, lines = server._scene.row.human, server._scene.row.lines
         for frame in (1, 2):
             server.set_frame(frame)
             eventually(lambda frame=frame: server._panel._timeline.slider.value == frame)
@@ -757,7 +758,7 @@ def test_the_page_plays_pauses_and_scrubs(opened: tuple[PlaybackServer, Any, lis
         assert page.get_by_text(label, exact=True).is_visible(), label
     assert page.get_by_text("test hand").first.is_visible()
     page.get_by_label("Keyvectors").uncheck()  # they move, too: what is compared is the hands
-    eventually(lambda: not server._scene._lines["robot_0"].visible)
+    eventually(lambda: not server._scene.row.lines["robot_0"].visible)
     # nothing pinches at the start
     colors = {color: color != HIGHLIGHT for color in (*FINGER_COLORS[:2], HIGHLIGHT)}
     start = settled(page, 470, 600, lambda p: all(has(p, c) == w for c, w in colors.items()))
@@ -792,7 +793,7 @@ def test_the_page_plays_pauses_and_scrubs(opened: tuple[PlaybackServer, Any, lis
     server.pause()
 
     page.get_by_label("Overlay").check()
-    eventually(lambda: np.allclose(server._scene._roots["robot_0"].position, 0))
+    eventually(lambda: np.allclose(server._scene.row.roots["robot_0"].position, 0))
     page.get_by_role("tab", name="Metrics").click()
     page.get_by_role("cell", name="cosine similarity").first.wait_for()
     assert problems == []

@@ -8,6 +8,7 @@ matching built-in, so that code which knows nothing of this package still catche
 from __future__ import annotations
 
 import functools
+import re
 import sys
 from collections.abc import Iterable
 from difflib import get_close_matches
@@ -151,10 +152,21 @@ class UnknownNameError(SmoothOperatorError, KeyError):
 
 
 def did_you_mean(name: str, names: Iterable[str]) -> str:
-    """`` Did you mean 'sbr'?``, for a message; empty if no name is close."""
+    """`` Did you mean 'sbr'?``, for a message; empty if no name is close.
+
+    Close is a name with the same words in it, such as ``brainco_revo2`` to ``revo2``, or one with
+    nearly the same letters.
+    """
     bare = {one.lstrip("-"): one for one in names}  # the dashes of options are like any others
-    close = get_close_matches(name.lstrip("-"), bare, n=1)
-    return f" Did you mean {bare[close[0]]!r}?" if close else ""
+    words = _words(name)
+    same = {one: _words(one) for one in bare}
+    close = [one for one, own in same.items() if words and own and (words <= own or own <= words)]
+    close = close or get_close_matches(name.lstrip("-"), bare, n=1)
+    return f" Did you mean {' or '.join(repr(bare[one]) for one in close[:3])}?" if close else ""
+
+
+def _words(name: str) -> set[str]:
+    return {word for word in re.split(r"[^a-z0-9]+", name.lower()) if len(word) > 2}
 
 
 _SHOWN: Final = 80

@@ -125,7 +125,7 @@ def opened(device: str, side: Side, hand: str | None) -> tuple[HardwareSink, Act
         raise ConfigError(
             f"{device!r} is no real hand; smooth-operator hardware list names the drivers"
         )
-    table = sink.actuators(side)
+    table = sink.actuators(side, hand or "")
     return sink, table, load_hand(hand or table.hand, side)
 
 

@@ -71,6 +71,10 @@ def view(options: View) -> None:
         HandModelError: the commands are not of this hand, or of different hands.
         ConfigError: too few files are named, or the page can't be served there.
     """
+    if options.save is not None:
+        from smooth_operator.simulation.renderer import draw_off_screen
+
+        draw_off_screen()
     from smooth_operator.cli.page import hand_to_draw, playback
     from smooth_operator.metrics import evaluate
     from smooth_operator.teleop.pages import serve

@@ -2,9 +2,41 @@
 
 from __future__ import annotations
 
-import mujoco
+import os
+import sys
+from ctypes.util import find_library
+from typing import TYPE_CHECKING, Final
 
 from smooth_operator.errors import ConfigError
+
+if TYPE_CHECKING:
+    import mujoco
+
+_ADVICE: Final = (
+    "without a display, install EGL (Debian, Ubuntu: libegl1) or OSMesa (libosmesa6), or set the "
+    "environment variable MUJOCO_GL to egl or osmesa where it is installed"
+)
+
+
+def draw_off_screen() -> None:
+    """Has MuJoCo draw by EGL or OSMesa on a Linux machine without a display.
+
+    MuJoCo chooses its OpenGL when it is imported, so this must come before. A choice in the
+    environment variable MUJOCO_GL stays.
+
+    Raises:
+        ConfigError: there is neither a display nor one of the two libraries.
+    """
+    environment = os.environ
+    if sys.platform != "linux" or "mujoco" in sys.modules or environment.get("MUJOCO_GL"):
+        return
+    if environment.get("DISPLAY") or environment.get("WAYLAND_DISPLAY"):
+        return
+    for name in ("EGL", "OSMesa"):
+        if find_library(name):
+            environment["MUJOCO_GL"] = name.lower()
+            return
+    raise ConfigError(f"this machine can't draw with OpenGL: {_ADVICE}")
 
 
 def open_renderer(
@@ -21,12 +53,11 @@ def open_renderer(
     Raises:
         ConfigError: this machine can't draw with OpenGL.
     """
+    import mujoco
+
     model.vis.global_.offwidth = max(model.vis.global_.offwidth, width)
     model.vis.global_.offheight = max(model.vis.global_.offheight, height)
     try:
         return mujoco.Renderer(model, height, width, max_geom=most_shapes)
     except Exception as error:  # each backend has errors of its own
-        raise ConfigError(
-            f"this machine can't draw with OpenGL ({error}); without a display, set the "
-            "environment variable MUJOCO_GL to egl or osmesa and install that library"
-        ) from error
+        raise ConfigError(f"this machine can't draw with OpenGL ({error}); {_ADVICE}") from error

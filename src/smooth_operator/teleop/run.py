@@ -8,16 +8,16 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
 
 from smooth_operator.compilation.start import dispatch_here
-from smooth_operator.errors import require
+from smooth_operator.errors import ConfigError, require
 from smooth_operator.hand_files.menagerie import drawn_on
 from smooth_operator.hand_files.spec_writer import temporary_spec
 from smooth_operator.hands.hand import Hand
-from smooth_operator.hands.registry import default_side
+from smooth_operator.hands.registry import default_side, hand_names
 from smooth_operator.hands.spec import HandSpec
 from smooth_operator.methods.default import DEFAULT_METHOD
 from smooth_operator.methods.method import MethodConfig
@@ -30,7 +30,7 @@ from smooth_operator.planning import (
     resolve,
     resolve_config,
 )
-from smooth_operator.signals import ended_by_signals
+from smooth_operator.signals import Ending, ended_by_signals
 from smooth_operator.teleop.arm.settings import ArmSettings, read_arm
 from smooth_operator.teleop.components import build_sink, build_source
 from smooth_operator.teleop.control.keyboard import keyboard
@@ -38,6 +38,7 @@ from smooth_operator.teleop.control.method_switcher import MethodSwitcher
 from smooth_operator.teleop.control.reporter import LoggingReporter, Reporter, summarise
 from smooth_operator.teleop.control.rpc_handlers import RpcHandlers
 from smooth_operator.teleop.control.task_trials import TaskTrials, with_task
+from smooth_operator.teleop.hardware.hardware_sink import real_hand
 from smooth_operator.teleop.runtime.limiter import Limiter
 from smooth_operator.teleop.runtime.loop import TeleopLoop
 from smooth_operator.teleop.runtime.pipeline import HandPipeline
@@ -165,15 +166,12 @@ def teleoperate(
     """
     reporter = LoggingReporter() if reporter is None else reporter
     parts = safety or SafetyConfig(), limits or LimitsConfig(), wrist or WristConfig()
-    config = LoopConfig(rate, *parts)
-    stop = StopInput(estop) if isinstance(estop, str) else estop
     described = hand.spec if isinstance(hand, Hand) else hand
     if side is None:
         side = default_side(described) if isinstance(described, str) else "right"
     if isinstance(source, str):
         source = build_source(source, side)
     requested = with_task(sinks, task)
-    acting = [build_sink(sink) if isinstance(sink, str) else sink for sink in requested]
     request = make_request(
         hand=described,
         method=method,
@@ -183,22 +181,145 @@ def teleoperate(
         fingers=fingers,
         operator=operator,
     )
-    others = [_with_method(request, name) for text in methods for name in text.split(",")]
-    sides: tuple[Side, ...] = ("right", "left") if side == "both" else (side,)
-    runner = SinkRunner(acting)
-    carrier = read_arm(arm) if isinstance(arm, str) else arm
-    settled, arms = _checked(request, config, sides, source, runner, control, page, carrier)
-    with (
-        ended_by_signals() as ending,
-        _begun_page(page, request, sides, acting, blind, carrier) as begun,
-    ):
+    run = _Run(
+        request=request,
+        others=[_with_method(request, name) for text in methods for name in text.split(",")],
+        config=LoopConfig(rate, *parts),
+        sides=("right", "left") if side == "both" else (side,),
+        source=source,
+        requested=requested,
+        acting=[build_sink(sink) if isinstance(sink, str) else sink for sink in requested],
+        carrier=read_arm(arm) if isinstance(arm, str) else arm,
+        duration=duration,
+        priority=priority,
+        control=control,
+        stop=StopInput(estop) if isinstance(estop, str) else estop,
+        blind=blind,
+        task=task,
+        trials=trials,
+        attended=keys and bool(sys.stdin) and sys.stdin.isatty(),
+        reporter=reporter,
+        started=started,
+    )
+    run.check(page)
+    with ended_by_signals() as ending, _begun_page(page, run) as begun:
+        summary = run.drive(ending, begun)
+        while run.next_request is not None and not ending.came:
+            run.take_next()
+            summary = run.drive(ending, begun)
+        return summary
+
+
+@dataclass
+class _Run:
+    """A teleoperation: what it was asked for, read and checked. It can go on with another hand."""
+
+    request: RetargetRequest
+    others: Sequence[RetargetRequest]
+    config: LoopConfig
+    sides: tuple[Side, ...]
+    source: LiveSource
+    requested: Sequence[str | Sink]
+    acting: Sequence[Sink]
+    carrier: ArmSettings | None
+    duration: float | None
+    priority: Literal["high", "normal"]
+    control: str | None
+    stop: Callable[[], bool] | None
+    blind: bool
+    task: Task | None
+    trials: Path | None
+    attended: bool
+    reporter: Reporter
+    started: Callable[[TeleopLoop], None] | None
+    settled: dict[Side, tuple[Hand, MethodConfig]] = field(default_factory=dict)
+    arms: dict[Side, ArmOfHand] = field(default_factory=dict)
+    next_request: RetargetRequest | None = None
+
+    def check(self, page: PageSettings | None) -> None:
+        """Find out whether all that the run needs is there.
+
+        Whatever is missing, taken or wrong is found here, in a second, and not after a compilation:
+        extras, files, models, addresses, ports. The source is open afterwards.
+        """
+        self._settle(self.request)
+        hands = {side: hand for side, (hand, _) in self.settled.items()}
+        SinkRunner(self.acting).check(hands)
+        if self.control is not None:
+            from smooth_operator.teleop.runtime.rpc_server import check_address
+
+            check_address(self.control)
+        if page is not None:
+            from smooth_operator.teleop.pages.viser_server import free_port
+
+            free_port(page.host, page.port)
+            if page.model is not None:
+                for hand in hands.values():
+                    drawn_on(hand, page.model)  # the page's own process does it again
+        self.source.prepare()
+
+    def _settle(self, request: RetargetRequest) -> None:
+        """Reads the hands of a request, their methods' settings and their arms, or changes
+        nothing."""
+        settled = {side: resolve(request, side) for side in self.sides}
+        hands = {side: hand for side, (hand, _) in settled.items()}
+        for hand in hands.values():
+            Limiter(hand, self.config.limits)
+        arms: dict[Side, ArmOfHand] = {}
+        if self.carrier is not None:
+            require("an arm", "arm", "mink", "daqp")
+            from smooth_operator.teleop.arm.controller import build_arms
+
+            arms = build_arms(self.carrier, hands)
+            for sink in self.acting:
+                sink.use_arms({side: one.carried for side, one in arms.items()})
+        self.settled, self.arms = settled, arms
+
+    @property
+    def other_hands(self) -> list[str]:
+        """Names of the hands that the run could go on with; none where it can't."""
+        fixed = self.task is not None or self.blind or any(map(real_hand, self.acting))
+        if fixed or not isinstance(self.request.hand, str):
+            return []
+        return list(hand_names())
+
+    def change_hand(self, name: str, loop: TeleopLoop, switcher: MethodSwitcher) -> None:
+        """End this loop, and have the next one drive another hand by the same method.
+
+        Raises:
+            ConfigError: it is not among ``other_hands``.
+            SmoothOperatorError: the hand does not fit the settings of the run; nothing changes.
+        """
+        if name not in self.other_hands:
+            raise ConfigError(f"this run can't go on with the hand {name!r}")
+        used = switcher.used
+        following = replace(self.request, hand=name, method=used.method, preset=used.preset,
+                            config=used.base)  # fmt: skip
+        for side in self.sides:
+            hand, _ = resolve(following, side)
+            Limiter(hand, self.config.limits)
+        self.next_request = following
+        loop.controls.quit()
+
+    def take_next(self) -> None:
+        """Go over to the hand of ``change_hand``."""
+        assert self.next_request is not None
+        self.request, self.next_request = self.next_request, None
+        self.reporter.note(f"the next hand: {self.request.hand}", matters=True)
+        self._settle(self.request)
+
+    def drive(self, ending: Ending, begun: LivePage | None) -> dict[str, Any]:
+        """Drives the hands until the run ends, or the next hand is chosen; the summary."""
+        request, reporter, source, sides = self.request, self.reporter, self.source, self.sides
+        settled, blind, config, acting = self.settled, self.blind, self.config, self.acting
+        runner = SinkRunner(acting)
         retargeters = _built(settled, request, blind, reporter)
         pipelines = {
             side: HandPipeline(
                 retargeter,
                 config,
                 driver=Driver(request.method, request.preset, retargeter.config),
-                arm=arms[side].controller if arms else None,
+                arm=self.arms[side].controller if self.arms else None,
                 compiling=not retargeter.compiled,
             )
             for side, retargeter in retargeters.items()
@@ -210,9 +331,9 @@ def teleoperate(
             request,
             {side: retargeter.config for side, retargeter in retargeters.items()},
             source=source if dataclasses.is_dataclass(source) else source.label,
-            sinks=[sink if isinstance(sink, str) else sink.label for sink in requested],
+            sinks=[sink if isinstance(sink, str) else sink.label for sink in self.requested],
             loop=config,
-            arm=carrier,
+            arm=self.carrier,
         )
 
         def record(side: Side, text: str) -> None:
@@ -222,32 +343,36 @@ def teleoperate(
             used = switcher.used
             return {"method": used.method, "preset": used.preset, "source": source.label}
 
-        attended = keys and bool(sys.stdin) and sys.stdin.isatty()
         tried = TaskTrials(
             acting,
             sides,
             reporter,
-            task=task,
-            folder=trials,
-            controlled=control is not None,
-            attended=attended,
+            task=self.task,
+            folder=self.trials,
+            controlled=self.control is not None,
+            attended=self.attended,
             about=about,
             record=record,
         )
-        if begun is not None and page is not None:
+        if begun is not None:
             from smooth_operator.teleop.pages.live.live_session import LiveSession
 
             session = LiveSession(
-                loop, request, acting, switcher=switcher, blind=blind, trial=tried.shown
+                loop,
+                request,
+                acting,
+                switcher=switcher,
+                blind=blind,
+                trial=tried.shown,
+                other_hands=self.other_hands,
+                change_hand=lambda name: self.change_hand(name, loop, switcher),
             )
             loop.watch = session.watch
-            url = begun.serve(session)
-            reporter.note(f"page: {url}", matters=True)
-            if page.open_browser:
-                open_page(url)
-        if others or task is not None or duration is not None or isinstance(source, Replay):
+            begun.serve(session)
+        waits = self.task is not None or self.duration is not None or isinstance(source, Replay)
+        if self.others or waits:
             switcher.building = "compiling"
-            _compile(settled, request, others, blind, reporter)
+            _compile(settled, request, self.others, blind, reporter)
             switcher.building = ""
             for pipeline in pipelines.values():
                 pipeline.go_on()
@@ -261,70 +386,30 @@ def teleoperate(
             contextlib.closing(switcher),
             low_jitter(),
             keyboard(loop, reporter, tried.keys, tried.key_help)
-            if attended
+            if self.attended
             else contextlib.nullcontext(),
-            _remote(loop, control, handlers, reporter),
-            stopped_by(loop, stop),
+            _remote(loop, self.control, handlers, reporter),
+            stopped_by(loop, self.stop),
             _compiling(retargeters, loop, reporter),
             contextlib.ExitStack() as first,
         ):
 
             def opened() -> None:
                 nonlocal granted
-                if priority == "high":
+                if self.priority == "high":
                     granted = first.enter_context(going_first())
                 first.enter_context(_announced(source, reporter))
                 tried.begin()
-                if started is not None:
-                    started(loop)
+                if self.started is not None:
+                    self.started(loop)
 
-            loop.run(duration, recorded, started=opened)
+            loop.run(self.duration, recorded, started=opened)
+        if begun is not None and self.next_request is not None:
+            begun.change(replace(begun.setup, hand=str(self.next_request.hand)))
         seconds = time.perf_counter() - begin
         tried.end()
         more = {"priority": granted, "interrupted": ending.came, **tried.summary()}
         return summarise(loop, seconds, reporter, more)
-
-
-def _checked(
-    request: RetargetRequest,
-    config: LoopConfig,
-    sides: Sequence[Side],
-    source: LiveSource,
-    sinks: SinkRunner,
-    control: str | None,
-    page: PageSettings | None,
-    carrier: ArmSettings | None,
-) -> tuple[dict[Side, tuple[Hand, MethodConfig]], dict[Side, ArmOfHand]]:
-    """The hands, their methods' settings and their arms, once all that a run needs is there.
-
-    Whatever is missing, taken or wrong is found here, in a second, and not after a compilation:
-    extras, files, models, addresses, ports. The source is open afterwards.
-    """
-    settled = {side: resolve(request, side) for side in sides}
-    hands = {side: hand for side, (hand, _) in settled.items()}
-    for hand in hands.values():
-        Limiter(hand, config.limits)
-    arms: dict[Side, ArmOfHand] = {}
-    if carrier is not None:
-        require("an arm", "arm", "mink", "daqp")
-        from smooth_operator.teleop.arm.controller import build_arms
-
-        arms = build_arms(carrier, hands)
-        sinks.use_arms({side: one.carried for side, one in arms.items()})
-    sinks.check(hands)
-    if control is not None:
-        from smooth_operator.teleop.runtime.rpc_server import check_address
-
-        check_address(control)
-    if page is not None:
-        from smooth_operator.teleop.pages.viser_server import free_port
-
-        free_port(page.host, page.port)
-        if page.model is not None:
-            for hand in hands.values():
-                drawn_on(hand, page.model)  # the page's own process does it again
-    source.prepare()
-    return settled, arms
 
 
 def _built(
@@ -459,32 +544,28 @@ class PageSettings:
 
 
 @contextlib.contextmanager
-def _begun_page(
-    page: PageSettings | None,
-    request: RetargetRequest,
-    sides: tuple[Side, ...],
-    acting: Sequence[Sink],
-    blind: bool,
-    arm: ArmSettings | None = None,
-) -> Iterator[LivePage | None]:
-    """The page's process, which gets ready while the method is compiled; None if it is left out."""
+def _begun_page(page: PageSettings | None, run: _Run) -> Iterator[LivePage | None]:
+    """The page's process, whose address is reported first of all; None if it is left out."""
     if page is None:
         yield None
         return
     from smooth_operator.teleop.pages.live.live_page import LivePage, PageSetup
 
-    with temporary_spec(request.hand) as hand:
+    with temporary_spec(run.request.hand) as hand:
         setup = PageSetup(
             hand,
-            sides,
-            request.fingers,
+            run.sides,
+            run.request.fingers,
             page.host,
             page.port,
-            any(sink.measures for sink in acting),
-            blind,
+            any(sink.measures for sink in run.acting),
+            run.blind,
             None if page.model is None else str(page.model),
             page.meshes,
-            arm=arm,
+            arm=run.carrier,
         )
         with LivePage(setup) as begun:
+            run.reporter.note(f"page: {begun.url}", matters=True)
+            if page.open_browser:
+                open_page(begun.url)
             yield begun

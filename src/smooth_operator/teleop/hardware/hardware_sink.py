@@ -119,13 +119,22 @@ class HardwareSink(Sink):
         """Counts and times of the bus, for the summary of a run."""
         return self._statistics.summary()
 
-    def actuators(self, side: Side) -> ActuatorMap:
+    def table_of(self, hand: str) -> str:
+        """Name or path of the table for a robot hand; empty for the one that the driver names."""
+        del hand
+        return self.table
+
+    def actuators(self, side: Side, hand: str = "") -> ActuatorMap:
         """The table of its hand, with this sink's settings.
+
+        Args:
+            side: which hand.
+            hand: name of the run's hand, of a driver that has a table for each of several.
 
         Raises:
             ConfigError: there is none, or it can't be used.
         """
-        table = read_table(find_table(self.table, self.driver, side))
+        table = read_table(find_table(self.table_of(hand), self.driver, side))
         if table.driver != self.driver:
             raise ConfigError(
                 f"{table.file} is a table for the driver {table.driver!r}, not {self.driver!r}"
@@ -150,7 +159,7 @@ class HardwareSink(Sink):
         if self._worker is not None:
             raise SinkError(f"{self.label}: it is open already")
         side = self._side(hands)
-        table = self.actuators(side)
+        table = self.actuators(side, hands[side].name)
         bound = table.bind(hands[side])
         device = self.device(table)
         guard = GuardSettings(self.approach, self.speed, self.contact)

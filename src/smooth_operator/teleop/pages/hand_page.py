@@ -11,8 +11,8 @@ from jaxtyping import Float
 
 from smooth_operator.hands.hand import Hand
 from smooth_operator.teleop.joint_rows import JointRow, joint_rows
-from smooth_operator.teleop.pages.hand_view import PALM, HandView, finger_colors
-from smooth_operator.teleop.pages.human import add_balls
+from smooth_operator.teleop.pages.hand_view import HandView, finger_colors
+from smooth_operator.teleop.pages.scene import RobotBodies, add_balls
 from smooth_operator.teleop.pages.viser_server import PageServer, plain, serve_page
 
 _LANDMARK, _TIP = 0.003, 0.0045  # radii of the balls [m]
@@ -46,11 +46,14 @@ class HandPage(PageServer):
         self.hand = hand
         self._notes = notes
         self._view = HandView(hand, simple=True)
-        self._looks = [_Look(hand, self._view, "/hand")]
-        if drawn is not None:
-            self._looks.insert(0, _Look(hand, HandView(drawn), "/meshes"))
+        self._drawn = [self._view] if drawn is None else [HandView(drawn), self._view]
         self._q = hand.neutral.copy()
         self._lock = threading.Lock()  # viser answers its controls on several threads
+
+    @property
+    def title(self) -> str:
+        """The hand's name."""
+        return self.hand.name
 
     def _build(self, server: viser.ViserServer) -> None:
         self._build_scene(server)
@@ -89,8 +92,10 @@ class HandPage(PageServer):
         scene.set_up_direction(up)
         scene.configure_default_lights(cast_shadow=False)
         colors = finger_colors(len(self.hand.fingers))
-        for look in self._looks:
-            look.build(scene)
+        self._looks = [
+            RobotBodies(scene, self.hand, drawn, f"/hand_{i}", opacity=_TRANSLUCENT)
+            for i, drawn in enumerate(self._drawn)
+        ]
         names, bones = self.hand.tree.names, view.bones()
         points = view.landmarks(self._q)
         shades = np.tile(np.array([[40, 40, 40]], np.uint8), (len(points), 1))
@@ -110,7 +115,8 @@ class HandPage(PageServer):
             for name, point in zip(names, points, strict=True)
         ]
         self._frame = scene.add_frame("/palm", axes_length=_FRAME, axes_radius=0.0012)
-        shown = np.concatenate([points, *self._corners()])
+        every = self.hand.full_configuration(self._q)
+        shown = np.concatenate([points, self._looks[0].corners(every)])
         centre = (shown.min(axis=0) + shown.max(axis=0)) / 2
         distance = 0.6 * float(np.linalg.norm(np.ptp(shown, axis=0))) / np.tan(_FOV / 2)
         direction = toward + 0.35 * right + 0.25 * up
@@ -118,14 +124,6 @@ class HandPage(PageServer):
         camera.position = centre + distance * direction / np.linalg.norm(direction)
         camera.look_at, camera.up = centre, up
         camera.fov, camera.near, camera.far = _FOV, 0.005, 50.0
-
-    def _corners(self) -> list[Float[np.ndarray, "8 3"]]:
-        view = self._looks[0].view
-        poses = view.bodies(self._looks[0].positions(self._q))
-        return [
-            mesh.bounding_box.vertices @ poses[body][0].T + poses[body][1]
-            for body, mesh in view.meshes.items()
-        ]
 
     def _build_panel(self, gui: viser.GuiApi) -> None:
         hand, spec = self.hand, self.hand.spec
@@ -169,8 +167,7 @@ class HandPage(PageServer):
         shape, *meshes = (bool(box.value) for box in self._shown)
         chosen = 1 if meshes == [False] else 0
         for at, look in enumerate(self._looks):
-            for node in look.nodes.values():
-                node.visible = shape and at == chosen
+            look.show(shape and at == chosen)
 
     @staticmethod
     def _toggle(gui: viser.GuiApi, name: str, initial: bool, nodes: list[Any]) -> None:
@@ -202,53 +199,16 @@ class HandPage(PageServer):
         return slider
 
     def _draw(self) -> None:
+        every = self.hand.full_configuration(self._q)
         for look in self._looks:
-            look.draw(self._q)
+            look.draw(every)
         points = self._view.landmarks(self._q)
         self._balls.batched_positions = points
         self._lines.points = np.stack([points[[a, b]] for _, a, b in self._view.bones()])
         for label, point in zip(self._labels, points, strict=True):
             label.position = point
-        every = self.hand.full_configuration(self._q)
         for joint, slider in self._followers:
             slider.value = float(np.clip(every[joint], slider.min, slider.max))
-
-
-class _Look:
-    """The surfaces of a hand on one model.
-
-    Args:
-        hand: the robot hand, in the order of whose joints poses come.
-        view: the same hand on the model to draw.
-        root: name of the parent node.
-    """
-
-    def __init__(self, hand: Hand, view: HandView, root: str) -> None:
-        self.view, self._root = view, root
-        self._order = [hand.actuated_names.index(name) for name in view.hand.actuated_names]
-        self.nodes: dict[int, Any] = {}
-
-    def positions(self, q: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
-        """Actuated joint positions in the order of the model that is drawn."""
-        return q[self._order]
-
-    def build(self, scene: viser.SceneApi) -> None:
-        colors = finger_colors(len(self.view.hand.fingers))
-        for body, mesh in self.view.meshes.items():
-            owner = self.view.finger_of_body[body]
-            self.nodes[body] = scene.add_mesh_simple(
-                f"{self._root}/body_{body}",
-                mesh.vertices,
-                mesh.faces,
-                color=PALM if owner < 0 else tuple(colors[owner].tolist()),
-                opacity=_TRANSLUCENT,
-                side="double",
-            )
-
-    def draw(self, q: Float[np.ndarray, " m"]) -> None:
-        for body, (rotation, position) in self.view.bodies(self.positions(q)).items():
-            self.nodes[body].position = position
-            self.nodes[body].wxyz = viser.transforms.SO3.from_matrix(rotation).wxyz
 
 
 def serve_hand(

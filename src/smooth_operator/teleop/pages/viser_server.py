@@ -6,6 +6,7 @@ import atexit
 import contextlib
 import errno
 import http
+import json
 import os
 import re
 import secrets
@@ -76,6 +77,31 @@ def run_script(server: viser.ViserServer, source: str) -> None:
     """
     interface: Any = server.gui
     interface._websock_interface.queue_message(_messages.RunJavascriptMessage(source=source))
+
+
+_ICON: Final = (
+    "data:image/svg+xml,<svg xmlns='http://www.w3.org/2000/svg' viewBox='0 0 16 16'>"
+    "<g stroke-width='2.4' stroke-linecap='round'>"
+    "<path stroke='%23d55e00' d='M2.2 9.5 5 12'/><path stroke='%2356b4e9' d='M5 4v5'/>"
+    "<path stroke='%23009e73' d='M8 2.4V9'/><path stroke='%23cc79a7' d='M11 3.2V9'/>"
+    "<path stroke='%230072b2' d='M13.8 6v4'/></g>"
+    "<path fill='%23888' d='M4 9h10.5v3l-2 3H7z'/></svg>"
+)
+"""Five fingers in their colours."""
+
+
+def name_tab(server: viser.ViserServer, title: str) -> None:
+    """Gives a page its own title and icon in the browser's tab.
+
+    Args:
+        server: result of ``open_server``.
+        title: any text.
+    """
+    script = (
+        f"document.title = {json.dumps(title)};"
+        f"document.querySelector('link[rel~=icon]')?.setAttribute('href', {json.dumps(_ICON)});"
+    )
+    run_script(server, script)
 
 
 def page_url(host: str, server: viser.ViserServer) -> str:
@@ -237,6 +263,11 @@ class PageServer:
         self._ended = threading.Event()
         self._error: BaseException | None = None
 
+    @property
+    def title(self) -> str:
+        """What stands in the browser's tab. Each page has its own."""
+        raise NotImplementedError
+
     def _build(self, server: viser.ViserServer) -> None:
         """Puts everything on the page; browsers see it at one time. Each page has its own."""
         raise NotImplementedError
@@ -257,6 +288,7 @@ class PageServer:
             return self
         self._server = open_server(self._host, self._wanted_port)
         atexit.register(self.stop)
+        name_tab(self._server, f"{self.title} – smooth-operator")
         with self._server.atomic():
             self._build(self._server)
         self._begin(self._server)

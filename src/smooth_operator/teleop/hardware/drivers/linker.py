@@ -81,18 +81,21 @@ class LinkerSink(HardwareSink):
 
     Attributes:
         port: a CAN channel, ``can0`` or ``INTERFACE:CHANNEL`` of python-can.
-        model: model of the hand; it chooses the table, too, unless one is named.
+        model: model of the hand; it chooses the table, too, unless one is named. If left out, that
+            of the run's hand.
     """
 
     driver: ClassVar[str] = "linker"
 
     port: str = "can0"
-    model: Literal["l10", "l20"] = "l20"
+    model: Literal["l10", "l20"] | None = None
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not self.table:
-            object.__setattr__(self, "table", f"linker_{self.model}")
+    def table_of(self, hand: str) -> str:
+        """The table of the model; see ``HardwareSink``."""
+        return self.table or f"linker_{self._model_of(hand)}"
+
+    def _model_of(self, hand: str) -> str:
+        return self.model or ("l10" if hand == "linker_l10" else "l20")
 
     @property
     def bus(self) -> str:
@@ -102,7 +105,7 @@ class LinkerSink(HardwareSink):
     def device(self, actuators: ActuatorMap) -> LinkerDevice:
         """The hand, not yet open; see ``HardwareSink``."""
         require(LinkerDevice.name, "linker", "can")
-        return LinkerDevice(actuators, self.port, self.model)
+        return LinkerDevice(actuators, self.port, self._model_of(actuators.hand))
 
 
 class LinkerDevice(HandDevice):

@@ -18,7 +18,7 @@ from smooth_operator.simulation.arms.carried import CarriedHand, WristKinematics
 from smooth_operator.simulation.arms.rigid import inverse, matrix_of, pose_of, rigid
 from smooth_operator.teleop.arm.settings import ArmSettings, place_arms
 from smooth_operator.teleop.pages.hand_view import PALM, SIMULATED, HandView, Rgb, body_meshes
-from smooth_operator.teleop.pages.human import BodyNodes
+from smooth_operator.teleop.pages.scene import BodyNodes, add_body, put
 from smooth_operator.types import Side
 
 _SCALE: Final = 0.32  # of the room, next to hands in their own size
@@ -145,25 +145,23 @@ class _ArmView:
         model = arm_spec(carried.arm).compile()
         meshes = body_meshes(model)
         owner = np.full(model.nbody, -1)
-        self._arm = _Smaller(scene, model, meshes, owner, f"{root}/arm", scale=_SCALE, color=PALM)
+        self._arm = BodyNodes(scene, model, meshes, owner, f"{root}/arm", scale=_SCALE, color=PALM)
         self._measured = (
-            _Smaller(scene, model, meshes, owner, f"{root}/measured", scale=_SCALE,
-                     color=SIMULATED, opacity=_GHOST)
+            BodyNodes(scene, model, meshes, owner, f"{root}/measured", scale=_SCALE,
+                      color=SIMULATED, opacity=_GHOST)
             if measured
             else None
         )  # fmt: skip
-        self._hand_root = scene.add_frame(f"{root}/hand", show_axes=False)
         hand = self._own = carried.mount.hand
         view = HandView(hand)
-        self._hand = _Smaller(
-            scene, hand.model, view.meshes, view.finger_of_body, f"{root}/hand/bodies",
-            scale=_SCALE,
-        )  # fmt: skip
+        self._hand = BodyNodes(
+            scene, hand.model, view.meshes, view.finger_of_body, f"{root}/hand", scale=_SCALE
+        )
         self._to_model = inverse(carried.mount.model_to_palm)
         length, thickness = _AXES
-        self._target = scene.add_frame(
-            f"{root}/target", axes_length=_SCALE * length, axes_radius=_SCALE * thickness,
-            origin_radius=_SCALE * 2 * thickness, visible=False,
+        self._target = scene.add_batched_axes(
+            f"{root}/target", np.array([[1.0, 0, 0, 0]]), np.zeros((1, 3)), scale=_SCALE,
+            axes_length=length, axes_radius=thickness, visible=False,
         )  # fmt: skip
         self.scenery = SceneryNodes(scene, f"{root}/scenery", _SCALE)
         self._palm = np.eye(4)
@@ -174,28 +172,15 @@ class _ArmView:
         if self._measured is not None and arm["measured"] is not None:
             self._measured.draw(np.array(arm["measured"], float))
         self._palm = self._base @ matrix_of(self._kinematics.palm(positions))
-        pose = pose_of(self._palm @ self._to_model)
-        self._hand_root.position, self._hand_root.wxyz = _SCALE * pose[:3], pose[3:]
-        self._hand.draw(self._own.qpos(fingers))
+        self._hand.draw(self._own.qpos(fingers), pose_of(self._palm @ self._to_model))
         target = arm["target"]
         self._target.visible = target is not None
         if target is not None:
-            self._target.position = _SCALE * np.array(target[:3])
-            self._target.wxyz = np.array(target[3:])
+            put(self._target, np.array(target[:3]), np.array(target[3:]))
 
     def place_scenery(self, fixture: Float[np.ndarray, "7"]) -> Float[np.ndarray, "7"]:
-        self.scenery.place(_SCALE * fixture[:3], fixture[3:])
+        self.scenery.place(fixture)
         return poses.relative(pose_of(self._palm), fixture)
-
-
-class _Smaller(BodyNodes):
-    """The bodies of a model, smaller than life."""
-
-    def draw(self, qpos: Float[np.ndarray, " nq"]) -> None:
-        self.place(qpos)
-        for body, node in self.nodes.items():
-            node.position = _SCALE * self.data.xpos[body]
-            node.wxyz = self.data.xquat[body]
 
 
 _SPACE: Final = 1.5  # of an object's size is kept in the picture
@@ -214,16 +199,15 @@ class SceneryNodes:
 
     def __init__(self, scene: viser.SceneApi, root: str, scale: float = 1.0) -> None:
         self._scene, self._root, self._scale = scene, root, scale
-        self._frame = scene.add_frame(root, show_axes=False)
-        self._all: viser.FrameHandle | None = None
-        self._object: viser.FrameHandle | None = None
+        self._parts: list[tuple[Any, Float[np.ndarray, "7"], bool]] = []  # node, pose, moves
+        self._object, self._fixture = _HERE, _HERE
         self._count = 0
         self._corners = np.zeros((0, 3))
 
     @property
     def there(self) -> bool:
         """True if there is a scene."""
-        return self._all is not None
+        return bool(self._parts)
 
     def bounds(self, pose: Sequence[float]) -> Float[np.ndarray, "c 3"]:
         """(c, 3) points around the object and where it goes next, in the palm frame [m].
@@ -235,49 +219,54 @@ class SceneryNodes:
 
     def show(self, parts: Sequence[Mapping[str, Any]]) -> None:
         """Draw these shapes in the place of those before; see ``Scenery``."""
-        if self._all is not None:
-            self._all.remove()  # and what hangs from it
-        self._all = self._object = None
+        for node, _, _ in self._parts:
+            node.remove()
+        self._parts = []
         self._corners = np.zeros((0, 3))
-        if not parts:
-            return
         self._count += 1  # a browser may still have the old nodes: names are not used twice
-        root = f"{self._root}/scene_{self._count}"
-        self._all = self._scene.add_frame(root, show_axes=False)
-        self._object = self._scene.add_frame(f"{root}/object", show_axes=False)
         for number, part in enumerate(parts):
-            mesh = _mesh(part["kind"], part["size"])
-            parent = f"{root}/object" if part["moves"] else root
-            if part["moves"]:
+            mesh, moves = _mesh(part["kind"], part["size"]), bool(part["moves"])
+            if moves:
                 box = mesh.bounding_box.vertices @ _rotation(part["quaternion"]).T
                 self._corners = np.concatenate([self._corners, box + np.array(part["position"])])
             *color, opacity = part["color"]
-            opacity = opacity if part["moves"] else min(opacity, _STANDS)
-            self._scene.add_mesh_simple(
-                f"{parent}/part_{number}",
-                self._scale * mesh.vertices,
-                mesh.faces,
-                color=tuple(round(255 * c) for c in color),
+            opacity = opacity if moves else min(opacity, _STANDS)
+            node = add_body(
+                self._scene,
+                f"{self._root}_{self._count}_part_{number}",
+                mesh,
+                [round(255 * c) for c in color],
                 opacity=None if opacity >= 1.0 else opacity,
-                flat_shading=part["kind"] == "box",
-                position=self._scale * np.array(part["position"]),
-                wxyz=part["quaternion"],
+                flat=part["kind"] == "box",
+                scale=self._scale,
             )
+            self._parts.append((node, np.array([*part["position"], *part["quaternion"]]), moves))
+        self._put()
 
     def draw(self, pose: Sequence[float] | None) -> None:
         """Places the object: position [m] and quaternion; None leaves it."""
-        if self._object is not None and pose is not None:
-            self._object.position = self._scale * np.array(pose[:3])
-            self._object.wxyz = np.array(pose[3:])
+        if pose is not None:
+            self._object = np.array(pose, float)
+            self._put()
 
     def hide_object(self, hidden: bool) -> None:
         """True if there is no object now."""
-        if self._object is not None and self._object.visible is hidden:
-            self._object.visible = not hidden
+        for node, _, moves in self._parts:
+            if moves:
+                node.visible = not hidden
 
-    def place(self, position: Float[np.ndarray, "3"], wxyz: Float[np.ndarray, "4"]) -> None:
-        """Places the frame of the scene in that of the node's parent."""
-        self._frame.position, self._frame.wxyz = position, wxyz
+    def place(self, pose: Float[np.ndarray, "7"]) -> None:
+        """Places the scene's frame in that of the node's parent: position [m] and quaternion."""
+        self._fixture = pose
+        self._put()
+
+    def _put(self) -> None:
+        at = poses.compose(self._fixture, self._object)
+        for node, pose, moves in self._parts:
+            put(node, pose[:3], pose[3:], at if moves else self._fixture)
+
+
+_HERE: Final = np.array([0.0, 0, 0, 1, 0, 0, 0])
 
 
 def _rotation(quaternion: Sequence[float]) -> Float[np.ndarray, "3 3"]:

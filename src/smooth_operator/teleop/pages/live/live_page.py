@@ -16,13 +16,15 @@ import sys
 import threading
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import IO, Any, Final
+from typing import IO, TYPE_CHECKING, Any, Final
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.teleop.arm.settings import ArmSettings
-from smooth_operator.teleop.pages.live.live_session import LiveSession
 from smooth_operator.terminal import print_note
 from smooth_operator.types import Side
+
+if TYPE_CHECKING:  # which reads simulations: the process of the page starts before
+    from smooth_operator.teleop.arm.settings import ArmSettings
+    from smooth_operator.teleop.pages.live.live_session import LiveSession
 
 _MODULE: Final = "smooth_operator.teleop.pages.live.process"
 _END_S: Final = 3.0
@@ -64,20 +66,22 @@ class PageSetup:
 class LivePage:
     """The process of a page. Use as a context manager, or call ``stop``.
 
-    It starts immediately, so that it is ready when the methods are compiled.
+    It starts immediately, and its address is there before there is anything to show.
 
     Args:
         setup: what to show, and where.
 
     Attributes:
-        url: address of the page, with its token; empty before ``serve``.
+        setup: as given to it, or to ``change``.
         trouble: why the page ended by itself; empty as long as it has not.
     """
 
     def __init__(self, setup: PageSetup) -> None:
-        self.url = ""
         self.trouble = ""
+        self.setup = setup
+        self._url = ""
         self._session: LiveSession | None = None
+        self._next: PageSetup | None = None
         self._thread: threading.Thread | None = None
         self._ending = False
         self._process = subprocess.Popen(
@@ -92,20 +96,38 @@ class LivePage:
         self._in: IO[bytes] = open(self._process.stdout.fileno(), "rb", closefd=False)  # noqa: SIM115
         self._say(asdict(setup))
 
-    def serve(self, session: LiveSession) -> str:
-        """Show a loop; returns the page's address.
+    @property
+    def url(self) -> str:
+        """Address of the page, with its token; waits until the port is open.
 
         Raises:
             ConfigError: the page can't be served there.
         """
-        first = self._hear() or {"failed": "the process of the page ended before it was ready"}
-        if "failed" in first:
-            raise ConfigError(str(first["failed"]))
-        self.url = str(first["url"])
-        self._session = session
-        self._thread = threading.Thread(target=self._answer, name="page", daemon=True)
-        self._thread.start()
-        return self.url
+        if not self._url:
+            first = self._hear() or {"failed": "the process of the page ended before it was ready"}
+            if "failed" in first:
+                raise ConfigError(str(first["failed"]))
+            self._url = str(first["url"])
+        return self._url
+
+    def serve(self, session: LiveSession) -> str:
+        """Show a loop, in the place of the one before; returns the page's address.
+
+        Raises:
+            ConfigError: the page can't be served there.
+        """
+        url, self._session = self.url, session
+        if self._thread is None:
+            self._thread = threading.Thread(target=self._answer, name="page", daemon=True)
+            self._thread.start()
+        return url
+
+    def change(self, setup: PageSetup) -> None:
+        """Show another setup at the same address; nothing moves on it until ``serve``."""
+        if self._session is not None:
+            self._session.close()
+        self.setup = self._next = setup
+        self._session = None
 
     def stop(self) -> None:
         """End the page; safe to call twice."""
@@ -135,17 +157,25 @@ class LivePage:
 
     def _answer(self) -> None:
         """Answer the page until it ends."""
-        assert self._session is not None
+        failed = ""
         while (message := self._hear()) is not None:
-            if "do" in message:
-                self._session.do(*message["do"])
+            session = self._session
+            if "do" in message and session is not None:
+                session.do(*message["do"])
             elif "look" in message:
-                answer = self._session.look(**message["look"])
+                setup, self._next = self._next, None
+                answer: dict[str, Any] = {"hands": {}}
+                if setup is not None:
+                    answer["setup"] = asdict(setup)
+                elif session is not None:
+                    answer = session.look(**message["look"])
                 if message.get("configuration"):
-                    answer["configuration"] = self._session.configuration()
+                    answer["configuration"] = "" if session is None else session.configuration()
                 self._say(answer)
+            elif "failed" in message:
+                failed = f": {message['failed']}"
         if not self._ending:
-            self.trouble = "the process of the page ended; the loop goes on without it"
+            self.trouble = f"the process of the page ended{failed}; the loop goes on without it"
             print_note(f"note: {self.trouble}")
 
     def _hear(self) -> dict[str, Any] | None:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any, Final
 
 import viser
 
+from smooth_operator.errors import SmoothOperatorError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.methods.default import DEFAULT_METHOD
 from smooth_operator.teleop.pages.live import live_texts
@@ -17,6 +20,7 @@ from smooth_operator.teleop.pages.live.settings import (
     SettingSliders,
 )
 from smooth_operator.teleop.pages.viser_server import add_hotkeys, from_person, plain
+from smooth_operator.teleop.recording.take_quality import TakeQuality, take_quality
 from smooth_operator.types import Side
 
 _UNKNOWN: Final = -1
@@ -27,7 +31,7 @@ button:has(.icon-tabler-hand-stop) .mantine-Button-label {white-space: pre-line;
 button:has(.icon-tabler-hand-stop) .mantine-Button-section,
 button:has(.icon-tabler-lock-open) .mantine-Button-section {margin-inline-end: 0.6em !important}
 div:has(> button :is(.icon-tabler-player-pause, .icon-tabler-player-play,
-    .icon-tabler-player-record)) {
+    .icon-tabler-player-record, .icon-tabler-check, .icon-tabler-trash)) {
   display: inline-block; width: calc(50% - 1.25em); vertical-align: top}
 @media (min-width: 700px) {
   #live-legend {position: fixed; left: 12px; bottom: 12px; max-width: 44vw; z-index: 5;
@@ -35,7 +39,7 @@ div:has(> button :is(.icon-tabler-player-pause, .icon-tabler-player-play,
     pointer-events: none}}
 body:has([data-mode="stopped"])::after {
   content: "\\25A0  STOPPED"; position: fixed; inset: 0; z-index: 1000; pointer-events: none;
-  box-sizing: border-box; padding: 0.3em 0.6em; border: 12px solid #ff2a2a;
+  box-sizing: border-box; padding: 15vh 0.6em 0; box-shadow: inset 0 0 0 6px #ff2a2a;
   background: rgba(255, 0, 0, 0.18); color: #ff4d4d; text-shadow: 0 0 0.2em #000;
   font: 800 clamp(2rem, 6vw, 4.5rem) system-ui, sans-serif}
 </style>"""
@@ -69,9 +73,12 @@ class LivePanel:
         self.settings_number = _UNKNOWN
         self._operators: Mapping[str, Any] | None = None
         self._stopped = self._paused = self._released = False
+        self._hands = hands
+        self._take: Mapping[str, Any] = {}
+        self._quality: Sequence[TakeQuality] | str = ""
         gui = server.gui
         hand = next(iter(hands.values()))
-        self._fingers = hand.fingers
+        self._fingers, self._hand_name = hand.fingers, hand.name
         gui.set_panel_label(hand.name)
         gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
         self._build_main(gui)
@@ -129,6 +136,14 @@ class LivePanel:
         self._modes = gui.add_html(live_texts.modes({}))
         self._pause = gui.add_button("Pause (P)", icon=viser.Icon.PLAYER_PAUSE)
         self._record = gui.add_button("Record (R)", color="gray", icon=viser.Icon.PLAYER_RECORD)
+        self._take_text = gui.add_html("", visible=False)
+        self._name = gui.add_text(
+            "Name", "", visible=False, hint="of the take; Space and X stop the robot here, too"
+        )
+        self._keep = gui.add_button("Keep", icon=viser.Icon.CHECK, visible=False)
+        self._discard = gui.add_button(
+            "Discard", color="gray", icon=viser.Icon.TRASH, visible=False
+        )
         self._summary = gui.add_html("")
         self._slow = gui.add_html("", visible=False)
         self._notice = gui.add_html("")
@@ -137,7 +152,9 @@ class LivePanel:
         self._release.on_click(from_person(lambda _: do("release")))
         self._pause.on_click(from_person(lambda _: self._toggle_pause()))
         self._record.on_click(from_person(lambda _: do("record")))
-        # Space and Esc come as X, from the script of the page (stop_keys.js)
+        self._keep.on_click(from_person(lambda _: do("keep", self._name.value)))
+        self._discard.on_click(from_person(lambda _: do("discard")))
+        # Space and Esc come as X, from the script of the page (live_page.js)
         add_hotkeys(
             gui,
             ("Emergency stop", "X", lambda: do("stop")),
@@ -149,6 +166,10 @@ class LivePanel:
 
     def _build_method(self, gui: viser.GuiApi, download: Callable[[], None]) -> None:
         do = self._do
+        self._hand = gui.add_dropdown(
+            "Hand", (self._hand_name,), visible=False, hint="the run begins again with it"
+        )
+        self._hand.on_update(from_person(lambda event: do("hand", event.target.value)))
         # until the loop says what it runs
         self._method = gui.add_dropdown("Method", (DEFAULT_METHOD,))
         self._preset = gui.add_dropdown("Preset", ("default",))
@@ -205,7 +226,7 @@ class LivePanel:
         self._release.visible = self._pause.disabled = self._stopped
         self._pause.label = "Resume (P)" if self._paused else "Pause (P)"
         self._pause.icon = viser.Icon.PLAYER_PLAY if self._paused else viser.Icon.PLAYER_PAUSE
-        self._record.label = "End recording (R)" if controls["recording"] else "Record (R)"
+        self._show_take(controls["take"])
         if controls["operators"] != self._operators:
             self._operators = controls["operators"]
             self._scene.set_operators(controls["operators"])
@@ -214,10 +235,45 @@ class LivePanel:
         self.settings_number = controls["settings_number"]
         self._limits.show(controls["loop_settings"])
         if "settings" in controls:
+            if "hands" in controls:
+                self._hand.visible = True
+                _choose(self._hand, controls["hands"], self._hand_name)
             presets = controls["presets"]
             _choose(self._method, list(presets), controls["method"])
             _choose(self._preset, presets[controls["method"]], controls["preset"])
             self._settings.show(controls["settings"])
+
+    def _show_take(self, take: Mapping[str, Any]) -> None:
+        """The take that is recorded or the last one, and what can be done about it."""
+        self._record.label = "End recording (R)" if take["recording"] else "Record (R)"
+        self._record.color = "red" if take["recording"] else "gray"
+        if take["last"] != self._take.get("last"):
+            self._quality = "its quality is measured …" if take["last"] else ""
+            self._name.value = ""  # type: ignore[misc]  # it has a setter
+            if take["last"]:
+                threading.Thread(target=self._measure, args=(take["last"],), daemon=True).start()
+        self._take = take
+        self._take_text.content = live_texts.take(take, self._quality)
+        self._take_text.visible = bool(self._take_text.content)
+        for handle in (self._name, self._keep, self._discard):
+            handle.visible = take["open"]
+
+    def _measure(self, files: Sequence[str]) -> None:
+        """Measure a take, for seconds; in this process, which does not slow the loop down."""
+        try:
+            quality: Sequence[TakeQuality] | str = [
+                take_quality(Path(file), _hand_of(file, self._hands)) for file in files
+            ]
+        except SmoothOperatorError as error:
+            quality = f"its quality can't be measured: {error}"
+        if files == self._take.get("last"):
+            self._quality = quality
+
+
+def _hand_of(file: str, hands: Mapping[Side, Hand]) -> Hand:
+    """The hand that a file of a take is of, by its name where there are two."""
+    own = [hand for side, hand in hands.items() if f".{side}." in Path(file).name]
+    return (own or list(hands.values()))[0]
 
 
 def _choose(dropdown: Any, options: list[str], value: str) -> None:

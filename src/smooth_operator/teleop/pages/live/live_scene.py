@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import mujoco
@@ -24,19 +24,12 @@ from smooth_operator.human.palm_axes import human_palm_axes
 from smooth_operator.landmarks import FINGERS, TIPS
 from smooth_operator.teleop.arm.settings import ArmSettings
 from smooth_operator.teleop.opencv import opencv
-from smooth_operator.teleop.pages.hand_view import SIMULATED, HandView, Rgb
-from smooth_operator.teleop.pages.human import (
-    BodyNodes,
-    HumanView,
-    TipBalls,
-    keyvector_colors,
-    thumb_lines,
-)
+from smooth_operator.teleop.pages.hand_view import HandView, Rgb
 from smooth_operator.teleop.pages.live.arm_room import ArmRoom, SceneryNodes
 from smooth_operator.teleop.pages.page_layout import FOREARM, GAP, Aiming, upright
+from smooth_operator.teleop.pages.scene import TRANSLUCENT, HandRow, RobotBodies
 from smooth_operator.types import Side
 
-_LINE: Final = 0.0022  # thickness of a keyvector [m]
 _LABEL: Final = 0.016  # from there to the label [m]
 _LEGEND: Final = 84.0  # height of what lies over the canvas's lower edge [px]
 _FONT: Final = 1.25  # size of the labels
@@ -141,21 +134,9 @@ class LiveScene:
 
     def draw(self, hands: Mapping[Side, Mapping[str, Any]]) -> None:
         """Show the hands; see ``LiveSession.look``."""
-        self.draw_lines(hands)
-        self.draw_bodies(hands)
-
-    def draw_lines(self, hands: Mapping[Side, Mapping[str, Any]]) -> None:
-        """Show the human hands, keyvectors and fingertips, which a browser has in its next picture
-        but one."""
         for side, view in self._sides.items():
             if side in hands:
-                view.draw_lines(hands[side])
-
-    def draw_bodies(self, hands: Mapping[Side, Mapping[str, Any]]) -> None:
-        """Show the robots' bodies, which a browser has in its next picture."""
-        for side, view in self._sides.items():
-            if side in hands:
-                view.draw_bodies(hands[side])
+                view.draw(hands[side])
                 if self._room is not None:
                     self._room.draw(side, hands[side])
 
@@ -177,7 +158,7 @@ class LiveScene:
             if self._room is not None:
                 there = self._room.draw_scenery(side, pose, fixture)
                 if there is not None:  # what stands in the room goes past a hand that moves
-                    view.scenery.place(there[:3], there[3:])
+                    view.scenery.place(there)
 
     def set_operators(self, operators: Mapping[Side, Mapping[str, Any] | None]) -> None:
         """Which calibrations correct the human hands."""
@@ -198,7 +179,7 @@ class LiveScene:
     def set_keyvectors(self, visible: bool) -> None:
         """Show or hide the thumb-to-tip lines."""
         for view in self._sides.values():
-            view.set_keyvectors(visible)
+            view.row.set_keyvectors(visible)
 
     def set_simulated(self, visible: bool) -> None:
         """Show or hide the simulated hand in the robot's place."""
@@ -228,48 +209,31 @@ class _SideView:
         # From the palm frame to the picture: rows right, up, toward become x, z, -y.
         up, toward = upright(view.axes[1], view.axes[2])
         self._axes = np.stack([np.cross(up, toward), up, toward])
-        tips = [TIPS[FINGERS.index(finger)] for finger in hand.fingers]
-        self._roots = {
-            name: scene.add_frame(f"/{side}/{name}", show_axes=False) for name in ("human", "robot")
-        }
         self._model_root = f"/{side}/robot/model"
         self._with_simulated = self._show_simulated = simulated
         self._state: Mapping[str, Any] = {
             "positions": hand.full_configuration(hand.neutral), "human": None, "latched": None,
         }  # fmt: skip
-        self._simple = RobotBodies(scene, hand, view, self._model_root, up, simulated)
+        self._tips = [TIPS[FINGERS.index(finger)] for finger in hand.fingers]
+        words = {"human": f"human {side}", "robot": f"{hand.name} {side}"}
+        self.row = HandRow(
+            scene, f"/{side}", self._tips, words, anchor="center-center", font_screen_scale=_FONT
+        )
+        self._simple = self._bodies(view, self._model_root)
         self._meshes: RobotBodies | None = None
         self._want_meshes = True
-        self._human = HumanView(scene, tips, f"/{side}/human")
-        self._balls = TipBalls(scene, len(tips), f"/{side}/robot/tips")
-        self._tips = tips
         self.scenery = SceneryNodes(scene, f"/{side}/robot/scenery")
-        none = np.zeros(len(tips) - 1, bool)
-        self._lines = {
-            name: scene.add_line_segments(
-                f"/{side}/{name}/keyvectors",
-                np.zeros((len(tips) - 1, 2, 3)),
-                keyvector_colors(len(tips), none),
-                thickness=_LINE,
-            )
-            for name in self._roots
-        }
         self._points = self._hull()
-        words = {"human": "human", "robot": hand.name}
-        self._labels = [
-            scene.add_label(
-                f"/{side}/{name}/label",
-                f"{words[name]} {side}",
-                anchor="center-center",
-                font_screen_scale=_FONT,
-            )
-            for name in self._roots
-        ]
         self._places = (np.zeros(3), np.zeros(3))
         self._overlaid, self._with_human = False, True
         self.face(None, None)
-        self.draw_lines(self._state)
-        self.draw_bodies(self._state)
+        self.draw(self._state)
+
+    def _bodies(self, view: HandView, root: str) -> RobotBodies:
+        meshes = view.without_forearm(FOREARM, self._axes[1])
+        return RobotBodies(
+            self._nodes, self._hand, view, root, meshes=meshes, second=self._with_simulated
+        )
 
     @property
     def _robot(self) -> RobotBodies:
@@ -277,9 +241,7 @@ class _SideView:
         return self._meshes if self._meshes and self._want_meshes else self._simple
 
     def add_meshes(self, view: HandView) -> None:
-        root = f"{self._model_root}_meshes"
-        up = self._axes[1]
-        self._meshes = RobotBodies(self._nodes, self._hand, view, root, up, self._with_simulated)
+        self._meshes = self._bodies(view, f"{self._model_root}_meshes")
         self._show()
 
     def set_meshes(self, visible: bool) -> None:
@@ -290,10 +252,11 @@ class _SideView:
         """Show what is to be drawn in the present pose, and hide the other."""
         self._robot.draw(*self._poses(self._state))
         for bodies in filter(None, (self._simple, self._meshes)):
-            bodies.show(bodies is self._robot, self._show_simulated, self._overlaid)
+            bodies.show(bodies is self._robot, self._show_simulated)
+            bodies.first.set_opacity(TRANSLUCENT if self._overlaid else None)
 
     def show_human(self, visible: bool) -> None:
-        self._with_human = self._roots["human"].visible = visible
+        self._with_human = self.row.roots["human"].visible = visible
 
     def put(self, human: Float[np.ndarray, "2"], robot: Float[np.ndarray, "2"]) -> None:
         """Places of the two when they don't overlap: right and up [m]."""
@@ -310,34 +273,20 @@ class _SideView:
         # with a task, the hand that touches the object is the one to look at
         return (other, every) if self.scenery.there else (every, other)
 
-    def draw_bodies(self, state: Mapping[str, Any]) -> None:
+    def draw(self, state: Mapping[str, Any]) -> None:
         self._state = state
-        self._robot.draw(*self._poses(state))
-
-    def draw_lines(self, state: Mapping[str, Any]) -> None:
-        hand = self._hand
-        every, _ = self._poses(state)
-        latched = np.array([finger in (state["latched"] or ()) for finger in hand.fingers[1:]])
-        robot_tips = hand.tips(every)
-        self._balls.draw(robot_tips, latched)
-        landmarks = self._aligned(state)
-        self._human.draw(landmarks, latched)
-        colors = keyvector_colors(len(self._tips), latched)
-        for name, points in (("human", landmarks[self._tips]), ("robot", robot_tips)):
-            self._lines[name].points = thumb_lines(points)
-            self._lines[name].colors = colors
+        every, other = self._poses(state)
+        self._robot.draw(every, other)
+        latched = np.isin(self._hand.fingers[1:], state["latched"] or ())
+        self.row.draw(self._aligned(state), [self._hand.tips(every)], latched)
 
     def set_overlay(self, overlay: bool) -> None:
         self._overlaid = overlay
         human, robot = self._places
-        self._roots["human"].position = robot if overlay else human
-        self._roots["robot"].position = robot
-        self._labels[0].visible = self._with_human and not overlay
+        self.row.roots["human"].position = robot if overlay else human
+        self.row.roots["robot"].position = robot
+        self.row.labels["human"].visible = self._with_human and not overlay
         self._show()
-
-    def set_keyvectors(self, visible: bool) -> None:
-        for lines in self._lines.values():
-            lines.visible = visible
 
     def set_simulated(self, visible: bool) -> None:
         self._show_simulated = visible
@@ -373,7 +322,7 @@ class _SideView:
         rows = self._axes if axes is None else np.asarray(axes, float)
         turn, wxyz = _VIEW.T @ rows, np.empty(4)
         mujoco.mju_mat2Quat(wxyz, turn.ravel())
-        for root in self._roots.values():
+        for root in self.row.roots.values():
             root.wxyz = wxyz
         end = self._hand.wrist - (FOREARM + _LABEL) * self._axes[1]
         points = np.concatenate([self._points, end[None]])
@@ -381,7 +330,7 @@ class _SideView:
             points = np.concatenate([points, self.scenery.bounds(object_pose)])
         extent = points @ rows.T
         self.low, self.high = extent.min(axis=0), extent.max(axis=0)
-        for label in self._labels:
+        for label in self.row.labels.values():
             label.position = end
 
     def _hull(self) -> Float[np.ndarray, "p 3"]:
@@ -389,99 +338,8 @@ class _SideView:
         hand = self._hand
         neutral, straight = hand.neutral, np.clip(0.0, *hand.limits.T)
         points = [hand.landmark_positions(np.stack([neutral, straight])).reshape(-1, 3)]
-        for q in (neutral, straight):
-            points += self._simple.corners(hand.full_configuration(q))
-        return np.concatenate(points)
-
-
-_TRANSLUCENT = 0.45  # opacity of a hand that overlaps another
-_WITHIN = 0.985  # size of a simulated body, which is seen where it leaves the commanded one
-
-
-class RobotBodies:
-    """The hand at its command, and see-through the hand as it is simulated.
-
-    Args:
-        scene: where to draw.
-        hand: the robot hand, in the order of whose joints poses come.
-        view: the same hand on the model to draw, with the same joints by name, in any order.
-        root: name of the parent node, in the palm frame.
-        up: unit vector along the forearm, toward the fingers.
-        simulated: whether there is a simulated hand.
-    """
-
-    def __init__(
-        self,
-        scene: viser.SceneApi,
-        hand: Hand,
-        view: HandView,
-        root: str,
-        up: Float[np.ndarray, "3"],
-        simulated: bool,
-    ) -> None:
-        drawn = view.hand
-        self._drawn = drawn
-        self._rest = drawn.full_configuration(drawn.neutral)
-        self._order = [drawn.joint_names.index(name) for name in hand.joint_names]
-        self._meshes = view.without_forearm(FOREARM, up)
-        owner = view.finger_of_body
-        wxyz, position = _inverse_palm(drawn)
-        scene.add_frame(root, show_axes=False, wxyz=wxyz, position=position)
-        self.command = BodyNodes(scene, drawn.model, self._meshes, owner, f"{root}/command")
-        fingers = {body: mesh for body, mesh in self._meshes.items() if owner[body] >= 0}
-        self._simulated = (
-            BodyNodes(
-                scene,
-                drawn.model,
-                fingers,
-                owner,
-                f"{root}/simulated",
-                color=SIMULATED,
-                opacity=_TRANSLUCENT,
-                scale=_WITHIN,
-            )
-            if simulated
-            else None
-        )
-
-    def draw(self, every: Float[np.ndarray, " n"], other: Float[np.ndarray, " n"] | None) -> None:
-        """Show a pose, and the one that is seen where it differs."""
-        self.command.draw(self._qpos(every))
-        if self._simulated is not None and other is not None:
-            self._simulated.draw(self._qpos(other))
-
-    def show(self, visible: bool, simulated: bool, overlay: bool) -> None:
-        """Show or hide it; the simulated hand, too; see-through if hands overlap."""
-        self.command.set_visible(visible)
-        self.command.set_opacity(_TRANSLUCENT if overlay else None)
-        if self._simulated is not None:
-            self._simulated.set_visible(visible and simulated)
-
-    def corners(self, every: Float[np.ndarray, " n"]) -> Iterator[Float[np.ndarray, "8 3"]]:
-        """Corners of the bodies' boxes in a pose, in the palm frame [m]."""
-        self.command.place(self._qpos(every))
-        data, palm = self.command.data, self._drawn.model.body(self._drawn.spec.palm).id
-        turn, origin = data.xmat[palm].reshape(3, 3), data.xpos[palm]
-        for body, mesh in self._meshes.items():
-            box = mesh.bounding_box.vertices @ data.xmat[body].reshape(3, 3).T
-            yield (box + data.xpos[body] - origin) @ turn
-
-    def _qpos(self, every: Float[np.ndarray, " n"]) -> Float[np.ndarray, " nq"]:
-        """Joint positions of the drawn model; what it has besides the hand's joints rests."""
-        positions = self._rest.copy()
-        positions[self._order] = every
-        return self._drawn.qpos(positions)
-
-
-def _inverse_palm(hand: Hand) -> tuple[Float[np.ndarray, "4"], Float[np.ndarray, "3"]]:
-    """Pose of the model's world in the palm frame; fingers hang from the palm, it does not move."""
-    data = mujoco.MjData(hand.model)
-    data.qpos[:] = hand.qpos(hand.full_configuration(hand.neutral))
-    mujoco.mj_kinematics(hand.model, data)
-    palm = data.body(hand.spec.palm)
-    wxyz, position = np.empty(4), np.empty(3)
-    mujoco.mju_negPose(position, wxyz, palm.xpos, palm.xquat)
-    return wxyz, position
+        bodies = [self._simple.corners(hand.full_configuration(q)) for q in (neutral, straight)]
+        return np.concatenate([*points, *bodies])
 
 
 _SKY: Final[Rgb] = (72, 80, 92)

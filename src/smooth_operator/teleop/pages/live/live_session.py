@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import threading
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -13,7 +12,6 @@ import numpy as np
 
 from smooth_operator.errors import ConfigError, SinkError, SmoothOperatorError
 from smooth_operator.formats.jsonable import to_json
-from smooth_operator.hands.hand import Hand
 from smooth_operator.methods.presets import live_presets
 from smooth_operator.planning import RetargetRequest, live_configuration
 from smooth_operator.poses import is_valid
@@ -28,9 +26,8 @@ from smooth_operator.teleop.pages.live.settings import (
     changed,
     values,
 )
+from smooth_operator.teleop.pages.live.takes import Takes
 from smooth_operator.teleop.runtime.loop import TeleopLoop
-from smooth_operator.teleop.sinks.record import RecordSink
-from smooth_operator.teleop.sinks.runner import SinkRunner
 from smooth_operator.teleop.sinks.sink import Sink, simulated_hands
 from smooth_operator.teleop.sinks.tick import ArmCommand, Tick, WristCommand
 from smooth_operator.teleop.sources.live import Arrival
@@ -59,6 +56,8 @@ class LiveSession:
         switcher: builds methods; a new one if left out.
         trial: what is to be shown of the trial of a task; None for nothing.
         blind: nothing on the page shows which method drives the hands, and none can be chosen.
+        change_hand: has the run begin again with the hand of this name; None where it can't.
+        other_hands: names of the hands that it can begin again with.
     """
 
     def __init__(
@@ -71,12 +70,15 @@ class LiveSession:
         switcher: MethodSwitcher | None = None,
         blind: bool = False,
         trial: Callable[[], Mapping[str, Any] | None] = lambda: None,
+        change_hand: Callable[[str], None] | None = None,
+        other_hands: Sequence[str] = (),
     ) -> None:
         self.loop = loop
+        self._other_hands = list(other_hands)
         self._trial = trial
         self.switcher = MethodSwitcher(loop, request) if switcher is None else switcher
         self.blind = blind
-        self.recordings = Recordings(loop.sinks, folder / "takes", self._configuration)
+        self.takes = Takes(loop.sinks, folder / "takes", self._configuration)
         self._request, self._folder = request, folder
         self._simulation = simulated_hands(sinks)
         self._scenery = None if self._simulation is None else Scenery(self._simulation)
@@ -93,11 +95,16 @@ class LiveSession:
             "pause": loop.controls.pause,
             "resume": loop.controls.resume,
             "follow": loop.controls.follow,
-            "record": self.recordings.toggle,
+            "record": self.takes.toggle,
+            "keep": self.takes.keep,
+            "discard": self.takes.discard,
             "method": self._choose,
             "set": self._set,
             "set_loop": self._set_loop,
         }
+        if change_hand is not None:
+            self._actions["hand"] = change_hand
+        self._begun: dict[str, float] = {}
         if blind:
             for name in ("method", "set"):
                 del self._actions[name]
@@ -190,7 +197,7 @@ class LiveSession:
             "age_s": age,
             # a method without latches has None, and so has one that is not to be known
             "latched": None if self.blind else pipeline.latched,
-            "compiling": pipeline.supervisor.compiling,
+            "compiling": self._elapsed(side, pipeline.supervisor.compiling, now),
             "scale": pipeline.retargeter.config.alignment.scale,
             "wrist": None if arrival is None else _wrist(arrival, tick, pipeline.clutch.released),
         }
@@ -236,14 +243,16 @@ class LiveSession:
         switcher = self.switcher
         supervisors = [pipeline.supervisor for pipeline in self.loop.pipelines.values()]
         shown, number = switcher.target, self.settings_number
+        building = self._masked(switcher.building, "getting ready")
+        since = self._elapsed("building", bool(building), self.loop.mailbox.clock())
         controls: dict[str, Any] = {
-            "building": self._masked(switcher.building, "getting ready"),
+            "building": building and f"{building}, {since:.0f} s",
             "message": self._message
             or self._masked(switcher.error, "that could not be done; the experimenter knows why")
-            or self.recordings.error,
+            or self.takes.error,
             "stopped": any(supervisor.stopped for supervisor in supervisors),
             "paused": any(supervisor.paused for supervisor in supervisors),
-            "recording": self.recordings.recording,
+            "take": self.takes.state(),
             "operators": {
                 side: None if operator is None else asdict(operator)
                 for side, operator in switcher.operators.items()
@@ -253,11 +262,20 @@ class LiveSession:
         if not self.blind:
             controls["method"], controls["preset"] = shown.method, shown.preset
             controls["presets"] = live_presets()
+            if "hand" in self._actions:
+                controls["hands"] = self._other_hands
         if number != shown_number:
             if not self.blind:
                 controls["settings"] = values(shown.shown, METHOD_SETTINGS)
             controls["loop_settings"] = values(self.loop.config, LOOP_SETTINGS)
         return controls
+
+    def _elapsed(self, what: str, going_on: bool, now: float) -> float | None:
+        """How long something goes on [s], since it was first looked at; None where it does not."""
+        if not going_on:
+            self._begun.pop(what, None)
+            return None
+        return now - self._begun.setdefault(what, now)
 
     def _masked(self, words: str, blind: str) -> str:
         """A text that may name a method, or its substitute on a blind page."""
@@ -303,7 +321,6 @@ def _wrist(arrival: Arrival, tick: Tick, released: bool) -> dict[str, Any] | Non
         return None
     return {
         "tracked": bool(command.valid and is_valid(pose)),
-        "world": arrival.frame.world or "its world",
         "engaged": command.engaged,
         "released": released,
     }
@@ -347,65 +364,6 @@ class RateMeter:
         elif time - self._start[1] >= self._window:
             self.rate = round((number - self._start[0]) / (time - self._start[1]), 1)
             self._start = number, time
-
-
-@dataclass(frozen=True)
-class _Take(RecordSink):
-    """A recording that holds the configuration of when it began, and not of when the run did."""
-
-    configuration: Callable[[], Mapping[str, Any]] = dict
-
-    def open(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> None:
-        """Create the files."""
-        super().open(hands, {**config, **self.configuration()})
-
-
-class Recordings:
-    """Begins and ends recordings; creating and ending files may take a while, and is waited for by
-    nobody.
-
-    Args:
-        sinks: sinks of the running loop.
-        folder: where the takes go.
-        configuration: what has changed since the run began, for the log.
-    """
-
-    def __init__(
-        self,
-        sinks: SinkRunner,
-        folder: Path,
-        configuration: Callable[[], Mapping[str, Any]] = dict,
-    ) -> None:
-        self.folder = folder
-        self.error = ""
-        self._sinks, self._configuration = sinks, configuration
-        self._take: _Take | None = None
-        self._working = threading.Lock()
-
-    @property
-    def recording(self) -> str:
-        """The files that are being written, or nothing."""
-        take = self._take
-        return "" if take is None else ", ".join(path.name for path in take.paths)
-
-    def toggle(self) -> None:
-        """Begin a take, or end the one that runs; does not wait."""
-        threading.Thread(target=self._toggle, name="take", daemon=True).start()
-
-    def _toggle(self) -> None:
-        with self._working:
-            self.error = ""
-            take, self._take = self._take, None
-            if take is not None:
-                self._sinks.remove(take)
-                return
-            try:
-                take = _Take(self.folder, configuration=self._configuration)
-                self._sinks.add(take)
-            except SmoothOperatorError as error:
-                self.error = str(error)
-            else:
-                self._take = take
 
 
 class Scenery:

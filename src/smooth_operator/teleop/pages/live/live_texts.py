@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 from collections.abc import Mapping, Sequence
+from pathlib import PurePath
 from typing import Any, Final
 
 from smooth_operator.teleop.pages.hand_view import PALM, SIMULATED, css, finger_colors
@@ -32,6 +33,7 @@ _ARM_STATES: Final = {
     "braking": "brakes, too near to something",
     "stopped": "stopped",
 }
+_STARTS: Final = "◌ getting ready: the hand and its method are read"
 _OFF: Final = 0.01  # a wrist that is farther off is worth a word [m]
 _NEAR: Final = 0.03  # [m]
 _SLOW_S: Final = 0.25
@@ -52,30 +54,33 @@ def modes(hands: Mapping[str, Mapping[str, Any]]) -> str:
             f"<b>{sign} {side}: {words}</b>"
             + ("" if latched is None else "<br><span data-latched>pinch latches: "
                f"{html.escape(', '.join(latched) or 'none')}</span>")
-            + ("" if not state.get("compiling") else
-               "<br><span data-compiling>the robot holds: the method is compiled</span>")
-            + f"<br><span data-wrist>{_wrist(state.get('wrist'))}</span>"
+            + ("" if (seconds := state.get("compiling")) is None else
+               "<br><span data-compiling>the robot holds until the method is compiled: "
+               f"{seconds:.0f} s (a first start takes up to a minute)</span>")
+            + f"<br><span data-wrist>wrist: {_wrist(state)}</span>"
             + ("" if state.get("arm") is None else
                f"<br><span data-arm>{_arm(state['arm'])}</span>")
             + "</div>"
         )  # fmt: skip
-    return f'<div id="live-modes" role="status" style="{_BOX}">{"".join(rows) or "…"}</div>'
+    return f'<div id="live-modes" role="status" style="{_BOX}">{"".join(rows) or _STARTS}</div>'
 
 
-def _wrist(wrist: Mapping[str, Any] | None) -> str:
-    """True if the tracker has a wrist, and whether that moves the robot's."""
+def _wrist(state: Mapping[str, Any]) -> str:
+    """What the operator's wrist does, or why the robot's is held."""
+    wrist, mode = state.get("wrist"), state["mode"]
     if wrist is None:
-        return "wrist: not tracked"
-    what = (
-        "moves the robot's"
-        if wrist["engaged"]
-        else "released (C)"
-        if wrist["released"]
-        else "lost: the robot's is held"
-        if not wrist["tracked"]
-        else "the robot's is held"
-    )
-    return f"wrist in {html.escape(wrist['world'])}: {what}"
+        return "not tracked"
+    if wrist["engaged"]:
+        return (
+            "tracked; there is no arm here, the sinks get its target"
+            if state.get("arm") is None
+            else "moves the arm"
+        )
+    if mode in ("stopped", "paused"):
+        return f"held ({mode})"
+    if wrist["released"]:
+        return "held (released; C engages)"
+    return "held" if wrist["tracked"] else "held (the tracker lost it)"
 
 
 def _arm(arm: Mapping[str, Any]) -> str:
@@ -160,11 +165,52 @@ def notice(controls: Mapping[str, Any]) -> str:
     parts = []
     if controls["building"]:
         parts.append(f"<b>⏳ {html.escape(controls['building'])}…</b>")
-    if controls["recording"]:
-        parts.append(f"<b>⏺ recording</b> {html.escape(controls['recording'])}")
     if controls["message"]:
         parts.append(f"<b>⚠</b> {html.escape(controls['message'])}")
     return f'<div id="live-notice" role="alert" style="{_BOX}">{"<br>".join(parts)}</div>'
+
+
+def take(state: Mapping[str, Any], quality: Sequence[Any] | str) -> str:
+    """The take that is recorded, or the last one with its quality; empty before the first.
+
+    Args:
+        state: what ``Takes.state`` gave.
+        quality: ``TakeQuality`` of each file of the last take, or why there is none.
+    """
+    count = f"takes kept: {state['kept']}"
+    if state["recording"]:
+        head = f"⏺ recording {html.escape(state['recording'])}"
+        return _take(f'<b style="color:#ff5a5a">{head}</b><br>{state["seconds"]:.1f} s · {count}')
+    if not state["last"]:
+        return ""
+    names = ", ".join(PurePath(path).name for path in state["last"])
+    if isinstance(quality, str):
+        figures = html.escape(quality)
+    else:
+        figures = "<br>".join(_quality(each) for each in quality)
+    return _take(f"<b>{html.escape(names)}</b> · {count}<br>{figures}")
+
+
+def _take(content: str) -> str:
+    return f'<div id="live-take" role="status" style="{_BOX}">{content}</div>'
+
+
+def _quality(quality: Any) -> str:
+    """One line: length, and of each fault how much of it there is."""
+    facts = [
+        (quality.lost_s >= 0.05, f"{quality.lost_s:.1f} s without the tracker"),
+        (quality.unused > 0, f"{quality.unused} frames of no use"),
+        (quality.jumps > 0, f"{quality.jumps} jumps"),
+        (
+            bool(quality.collision),
+            "self-collision can't be measured"
+            if quality.collision is None
+            else f"self-collision {100 * quality.collision:.0f} % of poses"
+            + (f", {quality.depth_mm:.1f} mm deep" if quality.collision else ""),
+        ),
+    ]
+    marks = " · ".join(f"{'⚠' if bad else '✓'}&nbsp;{words}" for bad, words in facts)
+    return f"{quality.seconds:.1f} s, {quality.frames} frames<br>{marks}"
 
 
 def legend(fingers: Sequence[str], simulated: bool, task: bool) -> str:

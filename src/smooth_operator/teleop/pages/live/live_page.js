@@ -1,4 +1,4 @@
-// Keys of the live page. Space, Esc and X always stop, whatever has the focus; nothing else does.
+// Keys and tab of the live page. Space, Esc and X always stop, whatever has the focus; nothing else does.
 //
 // The page's library ignores its hotkeys in text fields and buttons take Space for a click, so the
 // stop keys are caught before either, and passed on as the hotkey X from the document itself.
@@ -38,9 +38,15 @@
     if (button) setTimeout(() => button.blur());
   }, true);
 
-  const title = document.title;
+  const STOPPED = "■ STOPPED";
+  let title = document.title;
   setInterval(() => {
     const stopped = document.querySelector('[data-mode="stopped"]') !== null;
-    document.title = stopped ? "■ STOPPED" : title;
+    if (document.title !== STOPPED) title = document.title;
+    document.title = stopped ? STOPPED : title;
+    // The panel says that the browser is slow, and this lies over the hands.
+    for (const notice of document.querySelectorAll(".mantine-Notification-root"))
+      if (notice.textContent.includes("Software WebGL"))
+        notice.querySelector("button")?.click();
   }, 200);
 })();

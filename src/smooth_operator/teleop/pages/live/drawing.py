@@ -1,0 +1,202 @@
+"""Scene and panel of the live page on its server, at the pace of the slowest browser."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Mapping
+from importlib import resources
+from typing import TYPE_CHECKING, Any, Final
+
+import viser
+
+from smooth_operator.errors import SmoothOperatorError
+from smooth_operator.hand_files.menagerie import hand_with_meshes
+from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.registry import load_hand
+from smooth_operator.teleop.arm.settings import ArmSettings
+from smooth_operator.teleop.pages.hand_view import HandView
+from smooth_operator.teleop.pages.live.live_panel import LivePanel
+from smooth_operator.teleop.pages.live.live_scene import LiveScene
+from smooth_operator.teleop.pages.viser_server import name_tab, run_script
+from smooth_operator.types import Side
+
+if TYPE_CHECKING:  # it runs as the main module, and would be read a second time
+    from smooth_operator.teleop.pages.live.process import Link
+
+_TEXT_S: Final = 0.25  # between two updates of text, which costs a browser more than poses [s]
+_IDLE_S: Final = 0.5  # while nobody watches
+
+
+class LiveDrawing:
+    """Scene and panel on a server, drawn by one thread.
+
+    Args:
+        server: where to draw.
+        link: to the loop's process.
+        setup: a ``PageSetup`` as JSON values.
+
+    Raises:
+        SmoothOperatorError: the hand can't be read.
+    """
+
+    def __init__(self, server: viser.ViserServer, link: Link, setup: Mapping[str, Any]) -> None:
+        self._server, self._link = server, link
+        self._wake = threading.Event()
+        self._configuration_wanted = False
+        self._build(setup)
+        script = resources.files(__package__).joinpath("live_page.js").read_text("utf-8")
+        run_script(self._server, script)
+        self._server.on_client_connect(self._greet)
+        self._server.on_client_disconnect(self._forget)
+        self._pace = Pace(self._server)
+
+    def _build(self, setup: Mapping[str, Any]) -> None:
+        """Puts scene and panel of a setup on the page, in the place of what is there."""
+        hands = {
+            side: load_hand(setup["hand"], side, fingers=setup["fingers"])
+            for side in setup["sides"]
+        }
+        name_tab(self._server, f"{next(iter(hands.values())).name} live – smooth-operator")
+        with self._server.atomic():
+            self._server.scene.reset()
+            self._server.gui.reset()
+            if not setup["details"]:
+                self._server.scene.configure_environment_map(None)
+            arm = None if setup["arm"] is None else ArmSettings(**setup["arm"])
+            self._scene = LiveScene(self._server, hands, setup["simulated"], arm=arm)
+            download = None if setup["blind"] else self.download
+            self._panel = LivePanel(self._server, hands, self._link.do, self._scene, download)
+        for client in self._server.get_clients().values():
+            self._scene.aiming.greet(client)
+        self._hands = hands
+        self._drawn: tuple[dict[Side, HandView], str] | None = None
+        if setup["meshes"]:
+            threading.Thread(
+                target=self._find_meshes, args=(hands, setup["model"]), name="meshes", daemon=True
+            ).start()
+
+    def run(self) -> None:
+        """Draw until the loop ends."""
+        next_text = 0.0
+        while True:
+            begun = time.monotonic()
+            watched = bool(self._server.get_clients())
+            configuration, self._configuration_wanted = self._configuration_wanted, False
+            text = watched and begun >= next_text
+            state = self._link.look(
+                text=text,
+                settings=self._panel.settings_number,
+                scenery=self._scene.scenery_number,
+                configuration=configuration,
+            )
+            if "setup" in state:
+                self._build(state["setup"])
+                continue
+            if watched:
+                self._show_meshes()
+                self._draw(state)
+            if configuration:
+                self._server.send_file_download(
+                    "configuration.json", state["configuration"].encode(), save_immediately=True
+                )
+            if text:
+                next_text = begun + _TEXT_S
+            spent = time.monotonic() - begun
+            if watched:
+                self._pace.wait()
+            # At most half of a core, whatever the machine: a slow one draws less often.
+            rest = max(begun + _FASTEST_S - time.monotonic(), spent) if watched else _IDLE_S
+            self._wake.wait(rest)
+            self._wake.clear()
+
+    def _find_meshes(self, hands: dict[Side, Hand], model: str | None) -> None:
+        """Read the hands' meshes, which takes seconds; the page shows simple shapes until then."""
+        try:
+            there = {side: hand_with_meshes(hand, model) for side, hand in hands.items()}
+            views = {side: HandView(hand) for side, hand in there.items() if hand is not None}
+            drawn: tuple[dict[Side, HandView], str] = views, ""
+        except (SmoothOperatorError, ValueError, IndexError, ArithmeticError) as error:
+            drawn = {}, f"simple shapes are drawn: {error}"
+        if hands is self._hands:  # not another hand by now
+            self._drawn = drawn
+            self._wake.set()
+
+    def _show_meshes(self) -> None:
+        """Draw the meshes from now on, when they are read."""
+        if self._drawn is not None:
+            (views, note), self._drawn = self._drawn, None
+            with self._server.atomic():
+                self._scene.add_meshes(views)
+                self._panel.show_meshes(bool(views), note)
+
+    def _draw(self, state: dict[str, Any]) -> None:
+        """Send all that has changed, as one update."""
+        with self._server.atomic():
+            self._panel.show(state, self._pace.delay)
+            self._scene.draw(state["hands"])
+            if "scenery" in state:
+                self._scene.draw_scenery(state["scenery"])
+        self._server.flush()
+
+    def download(self) -> None:
+        """Have the configuration sent to all browsers."""
+        self._configuration_wanted = True
+        self._wake.set()
+
+    async def _greet(self, client: Any) -> None:
+        self._scene.aiming.greet(client)
+        self._wake.set()
+
+    async def _forget(self, client: Any) -> None:
+        self._scene.aiming.forget(client)
+
+
+_FASTEST_S: Final = 1 / 30
+"""Least time between two drawn frames [s]."""
+_RECENT_S: Final = 4.0
+_PATIENCE_S: Final = 2.0
+
+
+class Pace:
+    """Waits until the browsers have handled a frame, so that at most one is on its way.
+
+    Browsers handle messages in order, so one that can't keep up answers late. What it has not shown
+    yet would grow without bound otherwise, and a page that is seconds late is dangerous: frames in
+    between are never sent to it.
+
+    Args:
+        server: whose browsers they are.
+    """
+
+    def __init__(self, server: viser.ViserServer) -> None:
+        self._server = server
+        self._recent: deque[tuple[float, float]] = deque()
+
+    @property
+    def delay(self) -> float:
+        """Time that the slowest browser took for a frame, at worst in the last few seconds [s]; the
+        time of one picture varies a lot without a graphics card."""
+        return max((seconds for _, seconds in self._recent), default=0.0)
+
+    def wait(self) -> None:
+        """Until all browsers have handled what they were sent; two seconds at most for each."""
+        clients = list(self._server.get_clients().values())
+        slowest = max((_round_trip(client) for client in clients), default=0.0)
+        now = time.monotonic()
+        self._recent.append((now, slowest))
+        while self._recent[0][0] < now - _RECENT_S:
+            self._recent.popleft()
+
+
+def _round_trip(client: Any) -> float:
+    """Until a browser has handled all that it was sent before now [s]; 0 if it has left."""
+    start = time.monotonic()
+    try:
+        client.local_storage.get_item("pace", timeout=_PATIENCE_S)
+    except TimeoutError:
+        return _PATIENCE_S
+    except RuntimeError:  # it has left, or keeps no such things, and says so
+        pass
+    return time.monotonic() - start

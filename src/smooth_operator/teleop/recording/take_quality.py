@@ -1,0 +1,90 @@
+"""Quality of a take: lost frames, jumps of the robot, and self-collision."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from smooth_operator.errors import RecordingError
+from smooth_operator.hands.collision import penetration_depths
+from smooth_operator.hands.hand import Hand
+from smooth_operator.human.alignment import AlignmentConfig, align_recording
+from smooth_operator.landmarks import FINGERS, TIPS
+from smooth_operator.metrics import posture, safety
+from smooth_operator.teleop.recording.log_reader import read_log
+from smooth_operator.types import Status
+
+_LOST: Final = ("waiting", "holding", "easing")
+"""Modes of a hand whose tracker gives nothing."""
+_POSES: Final = 500
+"""Poses of a take whose self-collision is looked at, evenly spread: more would take seconds."""
+
+
+@dataclass(frozen=True)
+class TakeQuality:
+    """What tells a good take from a bad one.
+
+    Attributes:
+        seconds: length [s].
+        frames: frames of the tracker that were answered.
+        lost_s: time in which the tracker gave no frame that could be used [s].
+        unused: frames that the method could not use.
+        jumps: frames in which a fingertip of the robot went 12 mm further than the human's.
+        collision: share of poses with links over 2 mm inside each other; None where the hand has no
+            shapes to measure it by.
+        depth_mm: deepest overlap [mm]; None with ``collision``.
+    """
+
+    seconds: float
+    frames: int
+    lost_s: float
+    unused: int
+    jumps: int
+    collision: float | None
+    depth_mm: float | None
+
+
+def take_quality(path: Path, hand: Hand) -> TakeQuality:
+    """Quality of the recording of one hand.
+
+    Args:
+        path: the log.
+        hand: the robot hand that it is of.
+
+    Raises:
+        RecordingError: it can't be read, holds no commands, or those of another hand.
+    """
+    log = read_log(path)
+    if log.commands is None or log.loop is None or not len(log.commands):
+        raise RecordingError(f"{path.name} holds no commands of a running loop")
+    if log.commands.joint_names != hand.joint_names:
+        raise RecordingError(f"{path.name} is of another hand than {hand.name!r}")
+    times, q = log.loop.times, np.asarray(log.commands.joint_positions, float)
+    answers = log.loop.answers
+    period = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
+    chosen = np.unique(np.linspace(0, len(q) - 1, min(len(q), _POSES)).astype(int))
+    depths = penetration_depths(hand, q[chosen])
+    collisions = None if depths is None else safety.self_collision(depths)
+    jumps = 0
+    if log.recording is not None:
+        stamps, rows, columns = np.intersect1d(
+            log.recording.stamps, log.commands.stamps[answers], return_indices=True
+        )
+        if len(stamps) > 1:
+            aligned = align_recording(log.recording, hand, AlignmentConfig())
+            tips = [TIPS[FINGERS.index(finger)] for finger in hand.fingers]
+            human = posture.steps(aligned[rows][:, tips])
+            robot = posture.steps(hand.tips(q[answers][columns]))
+            jumps = round((posture.jumps_per_1000(human, robot) or 0.0) * len(human) / 1e3)
+    return TakeQuality(
+        seconds=float(times[-1] - times[0]),
+        frames=int(answers.sum()),
+        lost_s=period * sum(mode in _LOST for mode in log.loop.modes),
+        unused=int((log.commands.status[answers] != Status.OK).sum()),
+        jumps=jumps,
+        collision=None if collisions is None else collisions["share"],
+        depth_mm=None if collisions is None else collisions["max_depth_mm"],
+    )
