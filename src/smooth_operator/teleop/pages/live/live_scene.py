@@ -28,6 +28,7 @@ from smooth_operator.teleop.pages.hand_view import SIMULATED, HandView, Rgb
 from smooth_operator.teleop.pages.human import (
     BodyNodes,
     HumanView,
+    TargetMarks,
     TipBalls,
     keyvector_colors,
     thumb_lines,
@@ -236,12 +237,14 @@ class _SideView:
         self._with_simulated = self._show_simulated = simulated
         self._state: Mapping[str, Any] = {
             "positions": hand.full_configuration(hand.neutral), "human": None, "latched": None,
+            "targets": None,
         }  # fmt: skip
         self._simple = RobotBodies(scene, hand, view, self._model_root, up, simulated)
         self._meshes: RobotBodies | None = None
         self._want_meshes = True
         self._human = HumanView(scene, tips, f"/{side}/human")
         self._balls = TipBalls(scene, len(tips), f"/{side}/robot/tips")
+        self._targets = TargetMarks(scene, len(tips), f"/{side}/robot/targets")
         self._tips = tips
         self.scenery = SceneryNodes(scene, f"/{side}/robot/scenery")
         none = np.zeros(len(tips) - 1, bool)
@@ -320,6 +323,7 @@ class _SideView:
         latched = np.array([finger in (state["latched"] or ()) for finger in hand.fingers[1:]])
         robot_tips = hand.tips(every)
         self._balls.draw(robot_tips, latched)
+        self._targets.draw(state.get("targets"), robot_tips)
         landmarks = self._aligned(state)
         self._human.draw(landmarks, latched)
         colors = keyvector_colors(len(self._tips), latched)
@@ -338,6 +342,7 @@ class _SideView:
     def set_keyvectors(self, visible: bool) -> None:
         for lines in self._lines.values():
             lines.visible = visible
+        self._targets.set_visible(visible)
 
     def set_simulated(self, visible: bool) -> None:
         self._show_simulated = visible
