@@ -22,6 +22,7 @@ from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError, HandModelError, UnknownNameError
 from smooth_operator.formats.commands import read_commands
 from smooth_operator.human.alignment import AlignmentConfig
+from smooth_operator.human.palm_axes import human_palm_axes
 from smooth_operator.lab.benchmark import compare, latency, read_results, suite
 from smooth_operator.lab.benchmark.cells import cells_of, fingerprint
 from smooth_operator.lab.benchmark.clips import make_clip
@@ -642,8 +643,9 @@ def test_the_view_has_fingers_up_and_the_thumb_on_its_side(side: str) -> None:
     assert np.linalg.det(basis) == pytest.approx(1)
     at = dict(zip(hand.tree.names, hand.landmark_positions(hand.neutral) @ basis.T, strict=True))
     assert at["middle_mcp"][1] > at["wrist"][1]
-    left_to_right = at["pinky_mcp"][0] - at["index_mcp"][0]
-    assert left_to_right * (1 if side == "right" else -1) > 0.02
+    right = at["index_mcp"][0] - at["pinky_mcp"][0]
+    assert right * (1 if side == "right" else -1) > 0.02
+    assert basis[2] @ human_palm_axes(hand)[2] > 0.5  # the palm is in sight
 
 
 def test_a_clip_holds_the_landmarks_to_a_tenth_of_a_millimetre() -> None:

@@ -213,6 +213,7 @@ def test_what_is_shown_is_what_the_loop_does(stage: Stage) -> None:
     status = seen["status"]
     assert 0 < status["rates"]["right"] < 1.1 * RATE
     assert hand["latched"] is None  # joint_angle has no latches
+    assert hand["targets"] is None  # nor places of fingertips
     assert {"tracker", "receive", "solve", "limit", "send", "total"} == set(status["stages"])
     assert status["source"]["state"] == "running"
     controls = seen["controls"]

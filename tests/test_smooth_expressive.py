@@ -7,12 +7,13 @@ import pytest
 
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
+from smooth_operator.human.alignment import AlignmentConfig, align_recording
 from smooth_operator.landmarks import TIPS
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.metrics.assemble import assemble_trace
 from smooth_operator.metrics.evaluation import evaluate
 from smooth_operator.synthetic import SyntheticOperator
-from smooth_operator.types import CommandTrajectory, HandRecording, Status
+from smooth_operator.types import CommandTrajectory, HandFrame, HandRecording, Status
 
 
 @pytest.fixture(scope="module")
@@ -91,3 +92,33 @@ def test_a_left_hand_mirrors_the_right(operator: HandRecording, answer: CommandT
     mirrored = HandRecording(operator.landmarks * (-1, 1, 1), operator.stamps, "left")
     commands = left.run(mirrored)[0]
     np.testing.assert_allclose(commands.joint_positions, answer.joint_positions, atol=3e-3)
+
+
+def test_the_fingertips_are_near_their_targets_on_either_side(
+    hand: Hand, expressive: Retargeter, operator: HandRecording
+) -> None:
+    """The left hand is described as the mirror image: its targets are those of the right, too."""
+    assert expressive.fingertip_targets(expressive.init()) is None
+    assert Retargeter(hand, method="sbr").fingertip_targets() is None
+    left = Retargeter("mimic_p050", side="left", method="smooth", preset="expressive")
+    states = expressive.init(), left.init()
+    gaps, human_gaps = [], []
+    human = align_recording(operator, hand, AlignmentConfig())
+    for i in range(0, len(operator), 2):
+        frame = operator[i]
+        mirrored = HandFrame(frame.landmarks * [-1, 1, 1], frame.stamp, "left")
+        (one, right), (other, _) = (
+            retargeter.step(state, shown)
+            for retargeter, state, shown in zip(
+                (expressive, left), states, (frame, mirrored), strict=True
+            )
+        )
+        states = one, other
+        targets = expressive.fingertip_targets(one)
+        assert targets is not None
+        np.testing.assert_allclose(left.fingertip_targets(other), targets * [-1, 1, 1], atol=1e-6)
+        tips = hand.tips(right.command.positions)
+        gaps.append(np.linalg.norm(tips - targets, axis=1).mean())
+        human_gaps.append(np.linalg.norm(tips - human[i, list(TIPS)], axis=1).mean())
+    assert np.mean(gaps) < 0.008  # [m]
+    assert np.mean(gaps) < 0.5 * np.mean(human_gaps)  # where the human's are drawn

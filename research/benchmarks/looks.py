@@ -10,19 +10,20 @@ mean of a method is over recordings, each one unit.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
+from smooth_operator.cli.hand_shape import ModelShape
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.lab.benchmark.contact_sheet import contact_sheet
+from smooth_operator.lab.benchmark.panels import Panel, Run
 from smooth_operator.lab.benchmark.recordings import load_sources, parse_request
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.metrics import Trace, evaluate
 from smooth_operator.metrics.assemble import assemble_trace
-from smooth_operator.reporting.drawing import write_figure
 from smooth_operator.types import HandRecording
 
 COLUMNS: Final = {
@@ -69,6 +70,16 @@ def run(method: str, hand_name: str, recordings: dict[str, HandRecording]) -> di
     }
 
 
+def panel_of(recording: str, hand: str, traces: Mapping[str, Trace]) -> Panel:
+    """One recording on a hand, with the run of each method."""
+    first = next(iter(traces.values()))
+    runs = []
+    for method, trace in traces.items():
+        assert trace.robot_landmarks is not None  # `assemble_trace` fills them in
+        runs.append(Run(method, trace.human, trace.robot_landmarks, trace.joint_positions))
+    return Panel((recording, hand, "right"), load_hand(hand), first.stamps, tuple(runs))
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Prints a table for each hand, and draws its sheets if a folder is named."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -95,7 +106,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
             for name in recordings:
                 one = {method: by_recording[name] for method, by_recording in traces.items()}
                 stem = f"{hand}_{Path(name).stem}".replace(":", "-")
-                write_figure(contact_sheet(one), options.sheets / stem)
+                sheet = contact_sheet([panel_of(name, hand, one)], ModelShape)
+                if sheet is not None:
+                    sheet.save(options.sheets / f"{stem}.png")
 
 
 if __name__ == "__main__":

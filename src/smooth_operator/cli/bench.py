@@ -43,7 +43,7 @@ def bench(options: Bench) -> None:
         SystemExit: with ``SOME_FAILED``.
         KeyboardInterrupt: stopped; what is finished is kept.
     """
-    if not options.no_report:
+    if not options.no_report or options.sheet:
         require("the report (--no-report leaves it out)", "lab", "matplotlib")
     progress = Progressing(options.quiet)
     dispatch_here()  # before planning, which may start JAX
@@ -60,7 +60,7 @@ def bench(options: Bench) -> None:
         seed=options.seed,
         definition=options.definition,
         metrics=comma_words(options.metrics),
-        latency_frames=options.latency_frames,
+        latency_frames=0 if options.sheet else options.latency_frames,
         workers=options.workers,
         cluster=options.cluster,
         fingers=None if options.fingers is None else parse_fingers(options.fingers),
@@ -87,17 +87,27 @@ def bench(options: Bench) -> None:
         if others is not None:
             comparison = compare(rows, others, str(options.compare))
         write_json(options.output / RESULTS, rows, indent=1)
-        if not options.no_report:
+        written = [RESULTS]
+        if options.sheet:
+            from smooth_operator.cli.hand_shape import ModelShape
+            from smooth_operator.lab.benchmark.contact_sheet import write_sheets
+
+            with progress.waiting("drawing the hands"):
+                written += [
+                    path.name for path in write_sheets(finished, options.output, ModelShape)
+                ]
+        elif not options.no_report:
+            from smooth_operator.cli.hand_shape import ModelShape
             from smooth_operator.lab.benchmark.page import write_report
 
             with progress.waiting("drawing the report"):
-                write_report(finished, rows, settings, comparison)
+                write_report(finished, rows, settings, comparison, ModelShape)
+            written.append(REPORT)
     if not options.quiet:
         print_results(rows)
         if comparison is not None:
             print_comparison(comparison)
-        written = RESULTS if options.no_report else f"{RESULTS} and {REPORT}"
-        progress.note(f"wrote {options.output}: {written}")
+        progress.note(f"wrote {options.output}: {' and '.join(written)}")
     failed = sum(row["status"] != "ok" for row in rows)
     if failed:
         where = "" if options.quiet else ", see above"

@@ -17,13 +17,14 @@ class Bench(Ordered, Common):
 
     work: ClassVar[str] = "smooth_operator.cli.bench:bench"
     details: ClassVar[str] = """FOLDER gets results.json (a row for each recording, hand and
-method), report.html (everything in one file: tables, plots, clips), plots/, and cells/
-(the commands of each). The same command continues a stopped run; unchanged
-results are not measured again. Latency is measured at the end, with no other work.
+method), report.html (everything in one file: tables, poses, plots, clips), summary.md (the main
+table), plots/, and cells/ (the commands of each). The same command continues a stopped run;
+unchanged results are not measured again. Latency is measured at the end, with no other work.
 
 A recording is a file, a folder of files, or `synthetic` (`synthetic:SEED`), the built-in
 operator, which is used if there is none. It may bring its own settings after an @:
-glove.npz@:500 (frames), video.npz@30hz (rate), video.npz@30hz,left,100:900.
+glove.npz@:500 (frames), video.npz@30hz (rate), video.npz@30hz,left,camera,100:900.
+Means are over recordings of each tracker (glove, headset, camera), then over trackers.
 
 Methods are names, or METHOD:PRESET, METHOD:all or METHOD:FILE (a trained model); `all` is
 each method with its default preset.
@@ -38,6 +39,8 @@ Examples:
       three candidates on your own recordings
   smooth-operator bench glove.npz@:500 --methods all --output new --compare old/results.json
       what changed since an earlier benchmark
+  smooth-operator bench glove.npz --methods smooth,sbr --hands leap_hand --sheet --output out
+      pictures of poses, side by side
   smooth-operator bench recordings/ --hands all --workers 8 --output out
       a folder, on every hand, in eight processes
 """
@@ -94,6 +97,10 @@ Examples:
 
     compare: Annotated[Path | None, arg(metavar="OTHER/results.json")] = None
     """Results of another benchmark to compare with this one."""
+
+    sheet: bool = False
+    """Draw only the contact sheet of each hand: poses of the recordings, the human hand and each
+    method's. No latency, no report."""
 
     no_report: bool = False
     """Write the results, but no report and no plots."""

@@ -110,6 +110,16 @@ class Method(ABC):
         del state
         return None
 
+    def fingertip_targets(self, state: Any) -> Float[Array, "F 3"] | None:
+        """(F, 3) places of the fingertips that the last frame asks for, in the palm frame [m];
+        None for a method that does not place them, NaN before the first frame.
+
+        Args:
+            state: from ``init`` or a step.
+        """
+        del state
+        return None
+
     def frame_goals(self) -> FrameGoals | None:
         """Targets of each frame of a recording, for trajectory optimisation over all its frames.
 

@@ -169,6 +169,24 @@ class Retargeter:
             float(output.scale),
         )
 
+    def fingertip_targets(
+        self, state: RetargetState | None = None
+    ) -> Float[np.ndarray, "F 3"] | None:
+        """Places of the fingertips that the last frame asks for, in the palm frame [m].
+
+        Args:
+            state: from ``step``; None for the one that is kept inside.
+
+        Returns:
+            (F, 3), thumb first; None for a method that does not place fingertips, and before the
+            first frame.
+        """
+        state = self._state if state is None else state
+        targets = self.shared.method.fingertip_targets(state.method)
+        if targets is None or not np.isfinite(targets).all():
+            return None
+        return np.asarray(targets, float) * (_REFLECTION if self.shared.reflects else 1.0)
+
     def check_side(self, side: str) -> None:
         """Raises ConfigError unless a human hand of this side drives the hand."""
         if side != self.hand.spec.side:

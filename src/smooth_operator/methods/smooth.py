@@ -279,6 +279,13 @@ class Smooth(Method):
         """(F - 1,) which fingers are latched to the thumb; None if the policy has no latches."""
         return self.config.objective.targets.latched(state.targets)
 
+    def fingertip_targets(self, state: SmoothState) -> Float[Array, "F 3"] | None:
+        """(F, 3) places of the fingertips that the last frame asks for, in the palm frame [m];
+        None without a correspondence, NaN before the first frame."""
+        if not state.operator:
+            return None
+        return jnp.where(state.frames > 0, state.operator.places, jnp.nan)
+
     def frame_goals(self) -> FrameGoals:
         """The objective on landmarks without the filter, which a known future makes needless."""
         return FrameGoals(self.objective)

@@ -77,11 +77,11 @@ class Metric:
 
 
 GROUPS: Final[Mapping[str, str]] = {
-    "accuracy": "Accuracy: does the robot hand have the human hand's shape?",
     "posture": "Posture: is the robot hand open and closed as the human hand is?",
     "grasping": "Grasping: do pinches close, and do fingers stay out of each other?",
     "motion": "Motion: does the robot hand move as the human hand does?",
     "smoothness": "Smoothness: does it move without jitter?",
+    "accuracy": "Accuracy: do the vectors between wrist and fingertips agree, as in the paper?",
     "reach": "Reach: how much of its range is in use?",
     "latency": "Latency: how long does a command take?",
     "run": "Run: what was measured?",

@@ -185,7 +185,7 @@ METRICS: Final[tuple[Metric, ...]] = (
            "posture", _spread_error),
     Metric("common_shift_mm", "mm", "down", "error that all wrist-to-tip vectors share", "posture",
            lambda t: summary.scaled(posture.common_shift(t.human_reaches, t.robot_reaches), 1e3)),
-    Metric("pinch_gap_excess_mm", "mm", "", "robot tip gap minus the human's that is under 15 mm",
+    Metric("pinch_gap_excess_mm", "mm", "down", "robot tip gap over the human's of under 15 mm",
            "grasping", _pinch_gap_excess, short="gap excess"),
     Metric("pinch_error_mm", "mm", "down", "robot tip gap while the human's is under 15 mm",
            "grasping", lambda t: summary.mean(_pinch_gaps(t)), short="pinch gap"),

@@ -39,7 +39,11 @@ def join(parts: Iterable[Html | str]) -> Html:
 
 
 def table(
-    headers: Sequence[Html], rows: Iterable[Iterable[Html]], class_: str = "", foot: Html = Html("")
+    headers: Sequence[Html],
+    rows: Iterable[Iterable[Html]],
+    class_: str = "",
+    foot: Html = Html(""),
+    groups: Sequence[tuple[str, int]] = (),
 ) -> Html:
     """A table that scrolls by itself where it is too wide; the first column names its rows.
 
@@ -48,6 +52,7 @@ def table(
         rows: cells, either bare HTML or whole ``<td>`` elements.
         class_: of the table.
         foot: rows below the others, as HTML.
+        groups: titles above the columns after the first, each with its number of columns.
     """
 
     def row(cells: Iterable[Html]) -> str:
@@ -60,7 +65,12 @@ def table(
     )
     body = "".join(row(cells) for cells in rows)
     below = f"<tbody class='below'>{foot}</tbody>" if foot else ""
-    inside = f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody>{below}"
+    over = "".join(
+        element("th", escape(title), scope="colgroup", colspan=str(count))
+        for title, count in groups
+    )
+    top = f"<tr class='groups'><td></td>{over}</tr>" if over else ""
+    inside = f"<thead>{top}<tr>{head}</tr></thead><tbody>{body}</tbody>{below}"
     return element("div", element("table", Html(inside), class_=class_), class_="scroll")
 
 

@@ -8,7 +8,7 @@
   for (const table of document.querySelectorAll("table.sortable")) {
     const body = table.tBodies[0];
     const first = [...body.rows];
-    const heads = [...table.tHead.rows[0].cells];
+    const heads = [...table.tHead.rows[table.tHead.rows.length - 1].cells];  // below the groups
     let by = null;
     const sort = (head) => {
       const column = head.cellIndex;

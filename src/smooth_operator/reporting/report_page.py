@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import io
 import re
 from collections.abc import Sequence
 from functools import cache
@@ -13,11 +15,12 @@ from typing import TYPE_CHECKING, Final
 from smooth_operator.atomic_files import atomic_write, file_name, output_error
 from smooth_operator.errors import require
 from smooth_operator.reporting.drawing import write_figure
-from smooth_operator.reporting.html import Html, figure
+from smooth_operator.reporting.html import Html, element, escape, figure
 
 if TYPE_CHECKING:
     from jinja2 import Environment
     from matplotlib.figure import Figure
+    from PIL.Image import Image
 
 _HOME: Final = files("smooth_operator.reporting")
 STYLE: Final = _HOME / "report.css"
@@ -110,16 +113,33 @@ class Plots:
     def element(self, drawn: Figure | None, stem: str, caption: str) -> Html:
         """A figure with its caption, written as ``STEM.png`` and ``STEM.svg``; nothing for None.
 
-        A stem that holds the path of a hand becomes a name that is harmless as a file's.
-
         Raises:
             OutputError: a file can't be written.
         """
         if drawn is None:
             return Html("")
-        if not re.fullmatch(r"[\w.-]+", stem):
-            stem = file_name(stem, (stem,))
-        return figure(write_figure(drawn, self.folder / stem), caption, caption)
+        return figure(write_figure(drawn, self.folder / plot_name(stem)), caption, caption)
+
+    def picture(self, drawn: Image | None, stem: str, caption: str) -> Html:
+        """A picture with its caption, written as ``STEM.webp``; nothing for None.
+
+        Raises:
+            OutputError: the file can't be written.
+        """
+        if drawn is None:
+            return Html("")
+        content = io.BytesIO()
+        drawn.save(content, format="WEBP", quality=85, method=6)
+        with atomic_write(self.folder / f"{plot_name(stem)}.webp") as file:
+            file.write(content.getvalue())
+        source = f"data:image/webp;base64,{base64.b64encode(content.getvalue()).decode()}"
+        inside = f'<img src="{source}" alt="{escape(caption)}" width="{drawn.width}">'
+        return element("figure", Html(f"{inside}{element('figcaption', escape(caption))}"))
+
+
+def plot_name(stem: str) -> str:
+    """A stem as a file's name; one that holds the path of a hand becomes harmless."""
+    return stem if re.fullmatch(r"[\w.-]+", stem) else file_name(stem, (stem,))
 
 
 def _text(part: Traversable | str) -> str:

@@ -120,14 +120,14 @@ def robot_bones(hand: Hand) -> list[tuple[int, int]]:
 def view_basis(hand: Hand) -> Float[np.ndarray, "3 3"]:
     """Rows are right, up and towards the viewer, in the palm frame: fingers up, palm in sight.
 
-    The thumb is on the left for a right hand, as one sees one's own palm, and on the right for a
+    The thumb is on the right for a right hand, as one sees one's own palm, and on the left for a
     left one.
     """
     at = dict(zip(hand.tree.names, hand.landmark_positions(hand.neutral), strict=True))
     bases = [at[LANDMARKS[BASES[FINGERS.index(finger)]]] for finger in hand.fingers]
     long = bases[1:]
     up = np.mean(long, axis=0) - hand.wrist
-    across = bases[-1] - bases[0]
+    across = bases[0] - bases[-1]
     if hand.spec.side == "left":
         across = -across
     up = up / max(float(np.linalg.norm(up)), 1e-9)

@@ -6,7 +6,13 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-from smooth_operator.lab.benchmark.results import Row, row_method, value_of
+from smooth_operator.lab.benchmark.results import (
+    Row,
+    row_method,
+    row_tracker,
+    row_unit,
+    value_of,
+)
 from smooth_operator.metrics import METRICS, Metric
 from smooth_operator.metrics.registry import plugin_metrics
 
@@ -21,13 +27,25 @@ HEADLINES: Final[tuple[Metric, ...]] = tuple(
 )  # fmt: skip
 """The six columns of the paper's table."""
 
-COLUMNS: Final[tuple[Metric, ...]] = (
-    *HEADLINES[:4],
-    _BY_NAME["pinch_error_mm"],
-    _BY_NAME["self_collision.share"],
-    *HEADLINES[4:],
-)
-"""The columns of a benchmark's tables: the paper's, and the two that decide grasping."""
+COLUMN_GROUPS: Final[Mapping[str, tuple[Metric, ...]]] = {
+    group: tuple(_BY_NAME[name] for name in names)
+    for group, names in {
+        "looks": (
+            "finger_extension_error", "finger_direction_error_deg", "thumb_direction_error_deg",
+            "pinch_gap_excess_mm",
+        ),
+        "motion": ("motion_preservation", "jumps_per_1000"),
+        "safety": ("self_collision.share",),
+        "speed": ("latency_ms.p50",),
+        "the paper's": (
+            "cosine_similarity", "scale_ratio", "flatness", "workspace_utilisation",
+        ),
+    }.items()
+}  # fmt: skip
+"""Columns of a benchmark's tables, group by group; the paper's six are among them."""
+
+COLUMNS: Final[tuple[Metric, ...]] = tuple(m for group in COLUMN_GROUPS.values() for m in group)
+"""All columns of a benchmark's tables."""
 
 NUMBERS: Final[tuple[Metric, ...]] = tuple(
     metric
@@ -85,9 +103,11 @@ def lines_of(rows: Iterable[Row], metrics: Sequence[Metric] | None = None) -> li
 
 
 def overall(rows: Iterable[Row], metrics: Sequence[Metric] | None = None) -> list[Line]:
-    """Means over the recordings, one line for each method, of the rows of one hand.
+    """Means over the trackers, one line for each method, of the rows of one hand.
 
-    A metric that some recordings do not have (no pinch) is the mean of those that do, which are the
+    Parts of one recording are one unit. A figure is the mean of its units' for each tracker, then
+    the mean over the trackers, so that many recordings of one tracker do not outweigh another. A
+    metric that some recordings do not have (no pinch) is the mean of those that do, which are the
     same for all methods. Recordings on which every method failed do not count.
     """
     metrics = numbers() if metrics is None else metrics
@@ -101,12 +121,38 @@ def overall(rows: Iterable[Row], metrics: Sequence[Metric] | None = None) -> lis
         good = [row for row in own if row["status"] == "ok"]
         values: dict[str, float | None] = {}
         for metric in metrics:
-            finite = [v for row in good if (v := value_of(row, metric)) is not None]
-            values[metric.name] = sum(finite) / len(finite) if finite else None
+            figures: dict[str, dict[str, list[float]]] = {}
+            for row in good:
+                value = value_of(row, metric)
+                if value is not None:
+                    of_unit = figures.setdefault(row_tracker(row), {}).setdefault(row_unit(row), [])
+                    of_unit.append(value)
+            by_tracker = [_mean([_mean(unit) for unit in t.values()]) for t in figures.values()]
+            values[metric.name] = _mean(by_tracker) if by_tracker else None
         failed = None if good else str(own[0]["reason"])
         of = sum(row["recording"] in usable for row in own)
         lines.append(Line(method, values, failed, len(good), of))
     return lines
+
+
+def by_tracker(rows: Iterable[Row]) -> dict[str, list[Row]]:
+    """Rows of each tracker that any method succeeded on, in their order."""
+    groups: dict[str, list[Row]] = {}
+    for row in rows:
+        groups.setdefault(row_tracker(row), []).append(row)
+    return {t: own for t, own in groups.items() if any(row["status"] == "ok" for row in own)}
+
+
+def sample_text(rows: Iterable[Row]) -> str:
+    """Numbers of recordings of each tracker, for a person: ``3 recordings: 2 glove, 1 camera``."""
+    counts = {
+        tracker: len({row_unit(row) for row in own if row["status"] == "ok"})
+        for tracker, own in by_tracker(rows).items()
+    }
+    total = sum(counts.values())
+    words = f"{total} recording{'' if total == 1 else 's'}"
+    listed = ", ".join(f"{count} {tracker}" for tracker, count in counts.items())
+    return f"{words}: {listed}" if len(counts) > 1 else words
 
 
 def by_panel(rows: Iterable[Row]) -> dict[tuple[str, str, str], list[Row]]:
@@ -186,6 +232,10 @@ def shown_value(metric: Metric, value: float | None) -> str:
     if metric.name == "flatness" or (value and abs(value) < 1e-3):
         return f"{value:.2e}"
     return f"{value:.4f}" if metric.goal == "->1" else f"{value:.4g}"
+
+
+def _mean(values: Sequence[float]) -> float:
+    return sum(values) / len(values)
 
 
 def _grouped(rows: Iterable[Row], names: Sequence[str]) -> dict[tuple[str, ...], list[Any]]:

@@ -2,9 +2,9 @@
 
 A recording is named by its path, or ``synthetic`` or ``synthetic:SEED`` for the built-in operator,
 and may bring its own settings after an ``@``, separated by commas: a range of frames, a rate, a
-side, an order of landmarks; for the built-in operator also the noise of its tracker, the length of
-its hand and its tempo. ``glove.npz@:500``, ``video.npz@30hz,mano``, ``synthetic:3@left,100:300``,
-``synthetic:3@0.5mm``, ``synthetic:3@17.5cm,1.2x``.
+side, an order of landmarks, a tracker; for the built-in operator also the noise of its tracker, the
+length of its hand and its tempo. ``glove.npz@:500``, ``video.npz@30hz,mano,camera``,
+``synthetic:3@left,100:300``, ``synthetic:3@0.5mm``, ``synthetic:3@17.5cm,1.2x``.
 """
 
 from __future__ import annotations
@@ -31,7 +31,16 @@ SYNTHETIC: Final = "synthetic"
 SYNTHETIC_SECONDS: Final = 20.0
 """How long the built-in operator moves [s]."""
 
-_NOTED: Final = ("side_assumed", "implausible_frames")  # what a report says of a recording
+TRACKERS: Final = ("glove", "headset", "camera")
+"""Kinds of trackers that a recording may name."""
+UNKNOWN_TRACKER: Final = "other"
+"""Kind of the recordings that name none and whose format does not tell."""
+
+_TRACKER_OF: Final = {
+    "manus": "glove", "avp": "headset", "hts": "headset", "hts_json": "headset",
+    "egodex": "headset",
+}  # fmt: skip
+_NOTED: Final = ("side_assumed", "implausible_frames", "format")  # what a report reads of it
 _RATE = re.compile(r"(\d+(?:\.\d+)?)\s*hz", re.IGNORECASE)
 _NOISE = re.compile(r"(\d+(?:\.\d+)?)\s*mm", re.IGNORECASE)
 _LENGTH = re.compile(r"(\d+(?:\.\d+)?)\s*cm", re.IGNORECASE)
@@ -52,6 +61,7 @@ class Request:
         hand_length: of the built-in operator [m]; None as it comes.
         speed: tempo of the built-in operator; 1 is natural.
         layout: order of the landmarks in a plain array; None for the project's own.
+        tracker: one of ``TRACKERS``; None as the format tells.
     """
 
     path: Path | None
@@ -63,6 +73,7 @@ class Request:
     hand_length: float | None = None
     speed: float = 1.0
     layout: str | None = None
+    tracker: str | None = None
 
     @property
     def unit(self) -> str:
@@ -115,11 +126,21 @@ class Source:
         return self.recording.side if self.recording else self.request.side or "right"
 
     @property
+    def tracker(self) -> str:
+        """Kind of its tracker: one of ``TRACKERS``, ``synthetic`` or ``UNKNOWN_TRACKER``."""
+        if self.request.path is None:
+            return SYNTHETIC
+        stored = "" if self.recording is None else str(self.recording.meta.get("format"))
+        return self.request.tracker or _TRACKER_OF.get(stored, UNKNOWN_TRACKER)
+
+    @property
     def facts(self) -> dict[str, object]:
         """What a reader of the results wants to know of it."""
         recording = self.recording
         return {
             "path": None if self.request.path is None else str(self.request.path),
+            "unit": self.request.unit,
+            "tracker": self.tracker,
             "frames": self.frames,
             "sha256": self.digest or None,
             "side_assumed": bool(recording and recording.meta.get("side_assumed")),
@@ -151,7 +172,7 @@ def parse_request(
     name, at, options = text.rpartition("@")
     if not at or Path(text).exists():  # a file's name may hold an @
         name, options = text, ""
-    noise, length, speed = 0.0, None, 1.0
+    noise, length, speed, tracker = 0.0, None, 1.0, None
     for option in filter(None, (part.strip() for part in options.split(","))):
         if rated := _RATE.fullmatch(option):
             rate = float(rated[1])
@@ -167,12 +188,15 @@ def parse_request(
             side = as_side(option)
         elif option.lower() in LAYOUTS:
             layout = option.lower()
+        elif option.lower() in TRACKERS:
+            tracker = option.lower()
         else:
             raise ConfigError(
                 f"{text!r}: {option!r} is no setting of a recording; after the @ stand a range of "
-                "frames (:500), a rate (60hz), a side (left), an order of landmarks (mano) or, for "
-                "the built-in operator, the noise of its tracker (0.5mm), the length of its hand "
-                "(17.5cm) and its tempo (1.2x), with commas between them"
+                "frames (:500), a rate (60hz), a side (left), an order of landmarks (mano), a "
+                f"tracker ({', '.join(TRACKERS)}) or, for the built-in operator, the noise of its "
+                "tracker (0.5mm), the length of its hand (17.5cm) and its tempo (1.2x), with "
+                "commas between them"
             )
     if frames is not None:
         frame_slice(frames, 10**12)  # a text that is no range is refused before anything is read
@@ -187,7 +211,7 @@ def parse_request(
             f"{text!r}: noise, length and tempo are for the built-in operator, as in "
             f"{SYNTHETIC}:3@1mm,17.5cm,1.2x"
         )
-    return Request(Path(name), 0, frames, rate, side, layout=layout)
+    return Request(Path(name), 0, frames, rate, side, layout=layout, tracker=tracker)
 
 
 def load_sources(requests: Iterable[Request]) -> list[Source]:

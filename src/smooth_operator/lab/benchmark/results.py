@@ -9,6 +9,7 @@ from typing import Any, Final, TypeAlias
 from smooth_operator.errors import RecordingError, UnknownNameError
 from smooth_operator.io.documents import read_json
 from smooth_operator.lab.benchmark.benchmark_folder import CELLS, RESULTS
+from smooth_operator.lab.benchmark.recordings import UNKNOWN_TRACKER
 from smooth_operator.lab.benchmark.settings import Settings, method_label
 from smooth_operator.lab.benchmark.suite import Finished
 from smooth_operator.metrics import Metric
@@ -79,6 +80,21 @@ def row_key(row: Mapping[str, Any]) -> tuple[str, ...]:
 def row_method(row: Mapping[str, Any]) -> str:
     """How the row's method is called in tables."""
     return method_label(str(row["method"]), str(row["preset"]))
+
+
+def row_tracker(row: Mapping[str, Any]) -> str:
+    """Kind of tracker of the row's recording."""
+    return str(_source(row).get("tracker", UNKNOWN_TRACKER))
+
+
+def row_unit(row: Mapping[str, Any]) -> str:
+    """The recording that the row's frames are of, as a whole: parts of a file share it."""
+    return str(_source(row).get("unit") or row["recording"])
+
+
+def _source(row: Mapping[str, Any]) -> Mapping[str, Any]:
+    source = row.get("source")
+    return source if isinstance(source, Mapping) else {}
 
 
 def value_of(row: Mapping[str, Any], metric: Metric) -> float | None:

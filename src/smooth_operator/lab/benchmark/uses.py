@@ -21,16 +21,22 @@ FEW: Final = 5
 """Recordings below which the page warns that the order may be another on others."""
 
 RULES: Final = (
-    "Overall is the mean rank over the columns of the table. Grasping: the smallest pinch gap of "
-    f"the methods with at most {100 * COLLISION_LIMIT:.0f} % of frames in self-collision, or of "
-    "all where self-collision was not measured. "
-    "Directions: the cosine similarity nearest 1. Calm motion: the least flatness of the methods "
-    f"with a motion preservation of at least {MOTION_FLOOR:g}. Speed: the least median latency."
+    "Overall is the mean rank over the columns of the table, where equal figures share a rank. "
+    "Looks: the least extension error. Grasping: the least pinch gap over the human's of the "
+    f"methods with at most {100 * COLLISION_LIMIT:.0f} % of frames in self-collision, or of all "
+    "where self-collision was not measured. Directions: the cosine similarity nearest 1. Calm "
+    "motion: the least flatness of the methods with a motion preservation of at least "
+    f"{MOTION_FLOOR:g}. Speed: the least median latency."
 )
 """How the methods are chosen, for a person."""
 
+RANK: Final = Metric("mean_rank", "", "down", "mean rank over these columns; 1 is first in all")
+"""Column of the mean rank."""
+
 _METRIC: Final = {metric.name: metric for metric in METRICS}
-_PINCH: Final = _METRIC["pinch_error_mm"]
+_EXTENSION: Final = _METRIC["finger_extension_error"]
+_FINGERS: Final = _METRIC["finger_direction_error_deg"]
+_PINCH: Final = _METRIC["pinch_gap_excess_mm"]
 _COLLISION: Final = _METRIC["self_collision.share"]
 _COSINE: Final = _METRIC["cosine_similarity"]
 _MOTION: Final = _METRIC["motion_preservation"]
@@ -57,15 +63,20 @@ def mean_ranks(lines: Sequence[Line]) -> dict[str, float]:
     """Mean rank of each method over the columns that any method has a value in; 1 is the best.
 
     Methods that failed on a recording do not compete. A method without a value is the last of its
-    column.
+    column; figures that look the same in the table share a rank.
     """
     running = _competing(lines)
     ranks: list[np.ndarray] = []
     for metric in COLUMNS:
         values = [line.values.get(metric.name) for line in running]
         if metric.goal and any(value is not None for value in values):
-            worth = [-np.inf if v is None else merit(metric, v) for v in values]
-            ranks.append(rankdata([-one for one in worth]))
+            merits: dict[str, float] = {}  # the best of those that look the same
+            for value in values:
+                shown, worth = shown_value(metric, value), -np.inf
+                if value is not None:
+                    worth = merit(metric, value)
+                merits[shown] = max(worth, merits.get(shown, -np.inf))
+            ranks.append(rankdata([-merits[shown_value(metric, value)] for value in values]))
     if not ranks:
         return {}
     means = np.mean(ranks, axis=0)
@@ -83,12 +94,13 @@ def find_uses(lines: Sequence[Line]) -> list[Use]:
     crowded = f"every method has over {100 * COLLISION_LIMIT:.0f} % of frames in self-collision"
     still = f"no method reaches a motion preservation of {MOTION_FLOOR:g}"
     return [
-        _use("pinching and grasping", free, _PINCH, (_PINCH, _COLLISION), crowded)
+        _use("looks", running, running, _EXTENSION, (_EXTENSION, _FINGERS), ""),
+        _use("pinching and grasping", free, running, _PINCH, (_PINCH, _COLLISION), crowded)
         if measured
-        else _use("pinching and grasping", running, _PINCH, (_PINCH,), ""),
-        _use("pointing as the human does", running, _COSINE, (_COSINE,), ""),
-        _use("calm motion that keeps up", moving, _FLATNESS, (_FLATNESS, _MOTION), still),
-        _use("speed", running, _LATENCY, (_LATENCY,), ""),
+        else _use("pinching and grasping", running, running, _PINCH, (_PINCH,), ""),
+        _use("pointing as the human does", running, running, _COSINE, (_COSINE,), ""),
+        _use("calm motion that keeps up", moving, running, _FLATNESS, (_FLATNESS, _MOTION), still),
+        _use("speed", running, running, _LATENCY, (_LATENCY,), ""),
     ]
 
 
@@ -113,20 +125,36 @@ def verdict(lines: Sequence[Line]) -> str:
 
 
 def _use(
-    name: str, lines: Sequence[Line], by: Metric, shown: Sequence[Metric], why_none: str
+    name: str,
+    lines: Sequence[Line],
+    every: Sequence[Line],
+    by: Metric,
+    shown: Sequence[Metric],
+    why_none: str,
 ) -> Use:
+    """The best of ``lines``; where one of ``every`` has a better figure, it is named, too."""
     measured = [line for line in lines if line.values.get(by.name) is not None]
     if not measured:
         return Use(name, (), why_none if not lines else f"no {_words(by)} was measured")
     tops = best(measured, by) or set(range(len(measured)))
     top = measured[min(tops)]
     figures = ", ".join(f"{_words(m)} {_with_unit(m, top)}" for m in shown)
+    barred = [
+        line for line in every if line not in measured and line.values.get(by.name) is not None
+    ]
+    better = [i for i in best([*barred, top], by) if i < len(barred)]
+    if better:
+        other = barred[better[0]]
+        why = ", ".join(f"{_words(m)} {_with_unit(m, other)}" for m in shown)
+        figures += f"; {other.method} does not count: {why}"
     return Use(name, tuple(measured[i].method for i in sorted(tops)), figures)
 
 
 def _words(metric: Metric) -> str:
     return {
-        "pinch_error_mm": "pinch gap",
+        "finger_extension_error": "extension error",
+        "finger_direction_error_deg": "fingers off by",
+        "pinch_gap_excess_mm": "pinch gap over the human's",
         "self_collision.share": "self-collision",
         "latency_ms.p50": "median latency",
     }.get(metric.name, metric.name.replace("_", " "))

@@ -153,6 +153,7 @@ def _turn_z(direction: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 4"]:
 
 _BALL, _BALL_PINCHED = 0.0035, 0.0075  # radii of the fingertip markers [m]
 _LINE: Final = 0.0022  # thickness of a keyvector [m]
+_TARGET, _TARGET_LINE = 0.0028, 0.0012  # radius of a target, thickness of its line [m]
 TRANSLUCENT: Final = 0.45
 """Opacity of a hand that overlaps another."""
 _WITHIN: Final = 0.985  # size of a second hand, which is seen where it leaves the first
@@ -395,6 +396,42 @@ class TipBalls:
         self.node.batched_scales = np.where(lit, _BALL_PINCHED, _BALL)
         colors = np.where(lit[:, None], np.array(HIGHLIGHT), self._palette)
         self.node.batched_colors = linear(colors)
+
+
+class TargetMarks:
+    """The places that the method wants for the fingertips, each with a line from the robot's tip.
+
+    Args:
+        scene: where to draw.
+        count: number of fingers.
+        name: name of the nodes.
+    """
+
+    def __init__(self, scene: viser.SceneApi, count: int, name: str) -> None:
+        palette = finger_colors(count)
+        none = np.zeros((count, 3))
+        self._balls = add_balls(scene, f"{name}/places", none, np.zeros(count), palette)
+        lines = np.repeat(linear(palette)[:, None], 2, axis=1)
+        self._lines = scene.add_line_segments(
+            f"{name}/lines", np.zeros((count, 2, 3)), lines, thickness=_TARGET_LINE
+        )
+
+    def draw(self, targets: Sequence[float] | None, tips: Float[np.ndarray, "F 3"]) -> None:
+        """Show the places.
+
+        Args:
+            targets: 3 F numbers [m]; None for a method that has none.
+            tips: (F, 3) the robot's fingertips [m].
+        """
+        places = tips if targets is None else np.reshape(targets, (-1, 3))
+        size = 0.0 if targets is None else _TARGET
+        self._balls.batched_positions = places
+        self._balls.batched_scales = np.full(len(tips), size)
+        self._lines.points = np.stack([tips, places], axis=1)
+
+    def set_visible(self, visible: bool) -> None:
+        """Show or hide them."""
+        self._balls.visible = self._lines.visible = visible
 
 
 class HandRow:

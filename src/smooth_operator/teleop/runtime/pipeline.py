@@ -134,6 +134,12 @@ class HandPipeline:
         fingers = self.retargeter.hand.fingers[1:]
         return tuple(f for f, on in zip(fingers, np.asarray(latched), strict=True) if on)
 
+    @property
+    def fingertip_targets(self) -> np.ndarray | None:
+        """(F, 3) places of the fingertips that the last frame asks for, in the palm frame [m]; None
+        where there are none. Safe from any thread."""
+        return self.retargeter.fingertip_targets(self._state)
+
     def step(self, now: float, arrival: Arrival | None = None) -> Tick:
         """The next command.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib.resources import files
 from pathlib import Path
 
@@ -10,25 +10,35 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.atomic_files import file_name
+from smooth_operator.hands.hand import Hand
 from smooth_operator.lab.benchmark import figures, uses
 from smooth_operator.lab.benchmark.benchmark_folder import PLOTS, REPORT
 from smooth_operator.lab.benchmark.clips import make_clip
 from smooth_operator.lab.benchmark.comparison import Comparison
+from smooth_operator.lab.benchmark.contact_sheet import (
+    contact_sheet,
+    panels_by_hand,
+    skeleton_shape,
+)
 from smooth_operator.lab.benchmark.page import tables
 from smooth_operator.lab.benchmark.page.player import player
+from smooth_operator.lab.benchmark.page.summary import write_summary
 from smooth_operator.lab.benchmark.panels import Panel, make_panels
 from smooth_operator.lab.benchmark.ranking import (
     Line,
     by_hand,
     by_panel,
+    by_tracker,
     collision_footnotes,
     lines_of,
     overall,
+    sample_text,
 )
-from smooth_operator.lab.benchmark.results import Row, row_method
+from smooth_operator.lab.benchmark.results import Row, row_method, row_unit
 from smooth_operator.lab.benchmark.settings import Settings
 from smooth_operator.lab.benchmark.suite import Finished
 from smooth_operator.reporting.drawing import colors_of, styled
+from smooth_operator.reporting.hand_surface import HandShape
 from smooth_operator.reporting.html import Html, details, element, escape, join, paragraph
 from smooth_operator.reporting.report_page import SORTING, Plots, write_report_page
 
@@ -43,14 +53,16 @@ def write_report(
     rows: Sequence[Row],
     settings: Settings,
     comparison: Comparison | None = None,
+    shape: Callable[[Hand], HandShape] = skeleton_shape,
 ) -> Path:
-    """Writes the page and its plots into the folder of the benchmark.
+    """Writes the page, its plots and the main table in Markdown into the folder of the benchmark.
 
     Args:
         finished: what ``run_suite`` gave.
         rows: what ``make_rows`` made of it.
         settings: what was asked for.
         comparison: with another benchmark.
+        shape: gives the shape that a robot hand is drawn with.
 
     Returns:
         The page. It needs no other file, and nothing from the network.
@@ -59,13 +71,21 @@ def write_report(
         OutputError: a file can't be written.
     """
     plots = Plots(settings.output / PLOTS)
-    page = _Page(finished, rows, plots)
+    write_summary(rows, settings)
+    page = _Page(finished, rows, plots, shape)
     return page.write(settings.output / REPORT, settings, comparison)
 
 
 class _Page:
-    def __init__(self, finished: Sequence[Finished], rows: Sequence[Row], plots: Plots) -> None:
+    def __init__(
+        self,
+        finished: Sequence[Finished],
+        rows: Sequence[Row],
+        plots: Plots,
+        shape: Callable[[Hand], HandShape],
+    ) -> None:
         self._finished, self._rows, self._plots = finished, rows, plots
+        self._shape = shape
         self._colors = colors_of(row_method(row) for row in rows)
         self._hands = by_hand(rows)
         self._panels = {panel.key: panel for panel in make_panels(finished)}
@@ -74,6 +94,7 @@ class _Page:
         failed = [row for row in self._rows if row["status"] != "ok"]
         sections = [
             ("Summary", "summary", self._summary()),
+            ("Poses", "poses", self._poses()),
             ("Latency", "latency", self._latency()),
         ]
         if comparison is not None:
@@ -114,19 +135,30 @@ class _Page:
     def _summary(self) -> Html:
         parts: list[Html] = []
         for hand, rows in self._hands.items():
-            count = len({row["recording"] for row in rows if row["status"] == "ok"})
+            count = len({row_unit(row) for row in rows if row["status"] == "ok"})
+            trackers = by_tracker(rows)
             lines = overall(rows)
-            title = f"{hand}: mean over {count} recordings" if count > 1 else hand
+            several = len({row["recording"] for row in rows if row["status"] == "ok"}) > 1
+            title = f"{hand}: mean over {sample_text(rows)}" if several else hand
             parts.append(element("h3", escape(title)))
             parts.append(self._verdict(lines, count))
             parts.append(tables.headline_table(lines, self._colors, paper=hand == _PAPER_HAND))
             parts += [paragraph(note, "soft") for note in collision_footnotes(rows)]
-            if count > 1:
+            if len(trackers) > 1:
+                parts += [
+                    details(
+                        f"{tracker}: mean over {sample_text(own)}",
+                        tables.headline_table(overall(own), self._colors),
+                    )
+                    for tracker, own in trackers.items()
+                ]
+            if several:
                 parts.append(
                     paragraph(
-                        "Flatness and workspace utilisation depend on a recording's rate and "
-                        "length; their means weigh the recordings unevenly. Methods that failed on "
-                        "a recording do not compete here.",
+                        "Parts of one file are one recording. A figure is the mean over the "
+                        "recordings of each tracker, then over the trackers. Flatness and "
+                        "workspace utilisation depend on a recording's rate and length. Methods "
+                        "that failed on a recording do not compete here.",
                         "soft",
                     )
                 )
@@ -138,10 +170,25 @@ class _Page:
                         drawn,
                         f"accuracy-smoothness-{hand}",
                         "Accuracy against smoothness: the lower left corner is best. "
-                        + ("Small: a recording each; large: their mean. " if count > 1 else "")
+                        + ("Small: a recording each; large: their mean. " if several else "")
                         + "Both axes are logarithmic.",
                     )
                 )
+        return join(parts)
+
+    def _poses(self) -> Html:
+        """A contact sheet for each hand and side."""
+        parts = []
+        for (hand, side), panels in panels_by_hand(self._panels.values()).items():
+            name = f"{hand} {side}"
+            drawn = self._plots.picture(
+                contact_sheet(panels, self._shape),
+                f"sheet-{hand}-{side}",
+                f"{name}: the frames that show each pose best, from the palm and from the thumb's "
+                "side. Every hand stands upright on its own wrist.",
+            )
+            none = paragraph(f"{name}: no recording shows a pose, such as a flat hand or a fist.")
+            parts.append(drawn or none)
         return join(parts)
 
     def _verdict(self, lines: Sequence[Line], count: int) -> Html:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from smooth_operator.lab.benchmark.comparison import Change, Compared, Comparison
 from smooth_operator.lab.benchmark.per_finger import PER_FINGER
 from smooth_operator.lab.benchmark.published import PAPER_NOTE, PAPER_TABLE
 from smooth_operator.lab.benchmark.ranking import (
+    COLUMN_GROUPS,
+    COLUMNS,
     Line,
     best,
     columns,
@@ -19,7 +22,9 @@ from smooth_operator.lab.benchmark.ranking import (
 )
 from smooth_operator.lab.benchmark.results import Row, row_method
 from smooth_operator.lab.benchmark.settings import method_label
+from smooth_operator.lab.benchmark.uses import RANK, mean_ranks
 from smooth_operator.metrics import Metric
+from smooth_operator.metrics.metric import GROUPS
 from smooth_operator.metrics.registry import known_metrics
 from smooth_operator.reporting.html import (
     Html,
@@ -48,7 +53,7 @@ def header(metric: Metric) -> Html:
 def headline_table(
     lines: Sequence[Line], colors: Mapping[str, str], *, paper: bool = False
 ) -> Html:
-    """The paper's columns, pinch gap and self-collision; the best marked.
+    """The main columns, group by group, and the mean rank over them; the best marked.
 
     Args:
         lines: one a method.
@@ -63,6 +68,7 @@ def headline_table(
                 join(
                     [
                         name_cell(f"{name}, paper"),
+                        element("td", "–"),  # no rank
                         *(
                             element("td", escape(shown_value(metric, values.get(metric.name))))
                             for metric in columns()
@@ -72,7 +78,7 @@ def headline_table(
             )
             for name, values in PAPER_TABLE.items()
         )
-    body = _table(lines, columns(), colors, foot)
+    body = _table(lines, colors, foot)
     return join([body, paragraph(PAPER_NOTE, "soft")]) if paper else body
 
 
@@ -92,7 +98,16 @@ def full_table(rows: Sequence[Row], colors: Mapping[str, str]) -> Html:
         ),
     ]
     body = []
-    for metric in numbers():
+    order = [*GROUPS, ""]
+    group = None
+    for metric in sorted(
+        numbers(), key=lambda m: order.index(m.group if m.group in GROUPS else "")
+    ):
+        if metric.group != group:
+            group = metric.group
+            title = escape(GROUPS.get(group, "Other").partition(":")[0])
+            span = str(len(lines) + 1)
+            body.append([element("th", title, scope="rowgroup", colspan=span, class_="group")])
         top = best(lines, metric)
         title = element("span", escape(metric.name), title=metric.meaning)
         unit = element("small", escape(" ".join(filter(None, (metric.unit, metric.sign)))))
@@ -137,7 +152,7 @@ def finger_tables(rows: Sequence[Row], colors: Mapping[str, str]) -> Html:
         unit = " ".join(filter(None, (metric.unit, metric.sign)))
         title = escape(f"{metric.name.removesuffix('_mm').replace('_', ' ')} {unit}")
         parts.append(table([title, *(escape(f) for f in fingers)], body))
-        parts.append(paragraph(f"{metric.meaning[0].upper()}{metric.meaning[1:]}.", "soft"))
+        parts.append(paragraph(_sentence(metric.meaning), "soft"))
     return join(parts)
 
 
@@ -201,16 +216,28 @@ def comparison_tables(comparison: Comparison) -> Html:
 def metric_table() -> Html:
     """What each metric is."""
     metrics = known_metrics()
-    body = [
-        [
-            Html(f'<th scope="row"><code>{escape(m.name)}</code></th>'),
-            Html(escape(m.unit or "–")),
-            Html(escape(m.better or "a fact")),
-            Html(escape(m.meaning)),
+    rest = [m for m in metrics if m.group not in GROUPS]
+    rest += [m for m in PER_FINGER if m.name not in {n.name for n in metrics}]
+    groups = {question: [m for m in metrics if m.group == g] for g, question in GROUPS.items()}
+    body = []
+    for question, own in {**groups, "Plugins and fingers": rest}.items():
+        body.append(
+            [element("th", escape(question), scope="rowgroup", colspan="4", class_="group")]
+        )
+        body += [
+            [
+                Html(f'<th scope="row"><code>{escape(m.name)}</code></th>'),
+                escape(m.unit or "–"),
+                escape(m.better or "a fact"),
+                escape(_sentence(m.meaning)),
+            ]
+            for m in own
         ]
-        for m in (*metrics, *(m for m in PER_FINGER if m.name not in {n.name for n in metrics}))
-    ]
     return table([escape(h) for h in ("metric", "unit", "best", "what it is")], body, "words")
+
+
+def _sentence(text: str) -> str:
+    return f"{text[:1].upper()}{text[1:]}."
 
 
 def facts_table(facts: Mapping[str, Any]) -> Html:
@@ -219,9 +246,12 @@ def facts_table(facts: Mapping[str, Any]) -> Html:
     return text_table(("what", "value"), body, "words")
 
 
-def _table(
-    lines: Sequence[Line], metrics: Sequence[Metric], colors: Mapping[str, str], foot: Html
-) -> Html:
+def _table(lines: Sequence[Line], colors: Mapping[str, str], foot: Html) -> Html:
+    ranks = mean_ranks(lines)
+    metrics = (RANK, *columns())
+    lines = [
+        replace(line, values={**line.values, RANK.name: ranks.get(line.method)}) for line in lines
+    ]
     tops = [best(lines, metric) for metric in metrics]
     body: list[list[Html]] = []
     for i, line in enumerate(lines):
@@ -236,7 +266,10 @@ def _table(
             ]
         body.append(cells)
     headers = [escape("method"), *(header(m) for m in metrics)]
-    return table(headers, body, "sortable", foot)
+    groups = [(title, len(own)) for title, own in COLUMN_GROUPS.items()]
+    more = len(metrics) - 1 - len(COLUMNS)  # of plugins
+    groups += [("plugins", more)] if more else []
+    return table(headers, body, "sortable", foot, [("all", 1), *groups])
 
 
 def _value(metric: Metric, value: float | None, top: bool) -> Html:

@@ -27,7 +27,7 @@ from smooth_operator.teleop.opencv import opencv
 from smooth_operator.teleop.pages.hand_view import HandView, Rgb
 from smooth_operator.teleop.pages.live.arm_room import ArmRoom, SceneryNodes
 from smooth_operator.teleop.pages.page_layout import FOREARM, GAP, Aiming, upright
-from smooth_operator.teleop.pages.scene import TRANSLUCENT, HandRow, RobotBodies
+from smooth_operator.teleop.pages.scene import TRANSLUCENT, HandRow, RobotBodies, TargetMarks
 from smooth_operator.types import Side
 
 _LABEL: Final = 0.016  # from there to the label [m]
@@ -177,9 +177,10 @@ class LiveScene:
         self._aim()
 
     def set_keyvectors(self, visible: bool) -> None:
-        """Show or hide the thumb-to-tip lines."""
+        """Show or hide the thumb-to-tip lines, and the places of the fingertips."""
         for view in self._sides.values():
             view.row.set_keyvectors(visible)
+            view.targets.set_visible(visible)
 
     def set_simulated(self, visible: bool) -> None:
         """Show or hide the simulated hand in the robot's place."""
@@ -213,6 +214,7 @@ class _SideView:
         self._with_simulated = self._show_simulated = simulated
         self._state: Mapping[str, Any] = {
             "positions": hand.full_configuration(hand.neutral), "human": None, "latched": None,
+            "targets": None,
         }  # fmt: skip
         self._tips = [TIPS[FINGERS.index(finger)] for finger in hand.fingers]
         words = {"human": f"human {side}", "robot": f"{hand.name} {side}"}
@@ -222,6 +224,7 @@ class _SideView:
         self._simple = self._bodies(view, self._model_root)
         self._meshes: RobotBodies | None = None
         self._want_meshes = True
+        self.targets = TargetMarks(scene, len(self._tips), f"/{side}/robot/targets")
         self.scenery = SceneryNodes(scene, f"/{side}/robot/scenery")
         self._points = self._hull()
         self._places = (np.zeros(3), np.zeros(3))
@@ -278,7 +281,9 @@ class _SideView:
         every, other = self._poses(state)
         self._robot.draw(every, other)
         latched = np.isin(self._hand.fingers[1:], state["latched"] or ())
-        self.row.draw(self._aligned(state), [self._hand.tips(every)], latched)
+        robot_tips = self._hand.tips(every)
+        self.row.draw(self._aligned(state), [robot_tips], latched)
+        self.targets.draw(state.get("targets"), robot_tips)
 
     def set_overlay(self, overlay: bool) -> None:
         self._overlaid = overlay

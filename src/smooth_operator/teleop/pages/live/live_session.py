@@ -197,6 +197,9 @@ class LiveSession:
             "age_s": age,
             # a method without latches has None, and so has one that is not to be known
             "latched": None if self.blind else pipeline.latched,
+            "targets": None
+            if self.blind or (targets := pipeline.fingertip_targets) is None
+            else _numbers(targets.ravel()),
             "compiling": self._elapsed(side, pipeline.supervisor.compiling, now),
             "scale": pipeline.retargeter.config.alignment.scale,
             "wrist": None if arrival is None else _wrist(arrival, tick, pipeline.clutch.released),

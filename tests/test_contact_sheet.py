@@ -1,0 +1,137 @@
+"""Poses that are found in recordings, and pictures of hands in them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from smooth_operator import load_hand
+from smooth_operator.cli.hand_shape import ModelShape
+from smooth_operator.lab.benchmark.contact_sheet import (
+    CELL,
+    HandPicture,
+    contact_sheet,
+    find_poses,
+    from_thumb,
+    pose_scores,
+)
+from smooth_operator.lab.benchmark.panels import Panel, Run, robot_landmarks, view_basis
+from smooth_operator.reporting.hand_surface import Surface, landmark_surface, paint, rod
+from smooth_operator.synthetic.hand_anatomy import draw_anatomy
+from smooth_operator.synthetic.human_kinematics import couple, pose_hand
+from smooth_operator.synthetic.poses import FIST, FLAT, pinch_postures
+
+STILL = 9
+
+
+def human_hand(postures: list[np.ndarray]) -> np.ndarray:
+    """(T, 21, 3) landmarks; each posture is held for ``STILL`` frames."""
+    held = np.repeat(np.stack(postures), STILL, axis=0)
+    return pose_hand(draw_anatomy(0.19, 0), couple(held)).landmarks
+
+
+def panel(human: np.ndarray, name: str = "a", side: str = "right", methods: str = "m") -> Panel:
+    hand = load_hand("shadow_hand", side)
+    joints = np.tile(hand.full_configuration(hand.neutral), (len(human), 1))
+    points = robot_landmarks(hand, joints)
+    runs = tuple(Run(method, human, points, joints) for method in methods)
+    return Panel((name, hand.name, side), hand, np.arange(len(human)) / 100.0, runs)
+
+
+def test_poses_are_found_where_they_are() -> None:
+    human = human_hand([FLAT, FIST, *pinch_postures(0)])
+    found = {pose.name: pose.frame // STILL for pose in find_poses([panel(human)])}
+    assert found["flat"] == 0
+    assert found["fist"] == 1
+    pinches = [name for name in found if name.startswith(("pinch", "OK", "tripod"))]
+    assert pinches
+    assert all(found[name] >= 2 for name in pinches)
+
+
+def test_a_single_wrong_frame_is_no_pose_and_nan_is_none() -> None:
+    human = human_hand([FLAT, FLAT])
+    human[5] = human_hand([FIST])[0]
+    human[0] = np.nan
+    assert [pose.name for pose in find_poses([panel(human)])] == ["flat"]
+    assert (pose_scores(human)["fist"] <= 0).all()
+    assert find_poses([panel(np.full((STILL, 21, 3), np.nan))]) == []
+
+
+def test_the_best_recording_shows_a_pose() -> None:
+    flat, fist = panel(human_hand([FLAT]), "flat"), panel(human_hand([FIST]), "fist")
+    shown = {pose.name: pose.panel.key[0] for pose in find_poses([fist, flat])}
+    assert shown["flat"] == "flat"
+    assert shown["fist"] == "fist"
+
+
+def test_the_nearer_surface_hides_the_other() -> None:
+    square = np.array([[[-1, -1, 0], [1, -1, 0], [1, 1, 0]], [[-1, -1, 0], [1, 1, 0], [-1, 1, 0]]])
+    near, far = square * 0.5 + [0, 0, 1], square * 1.0
+    colors = np.repeat(np.array([[200, 0, 0], [0, 0, 200]], np.uint8), 2, axis=0)
+    picture = paint(Surface(np.concatenate([near, far]), colors), np.eye(3), (0.0, 0.0), 1.25, 50)
+    middle, side, corner = picture[25, 25], picture[25, 9], picture[1, 1]
+    assert middle[0] > 100
+    assert middle[2] == 0
+    assert side[2] > 100
+    assert side[0] == 0
+    assert (corner == 255).all()  # paper
+    behind = paint(
+        Surface(np.concatenate([near, far]), colors), np.diag([1.0, 1, -1]), (0, 0), 1.25, 50
+    )
+    assert behind[25, 25, 2] > 100  # from the other side the large one is in front
+
+
+def test_a_rod_is_closed_and_as_thick_as_asked() -> None:
+    start, end = np.array([0.0, 0, 0]), np.array([0.0, 0.03, 0.04])
+    corners = rod(start, end, 0.005).reshape(-1, 3)
+    axis = (end - start) / 0.05
+    along = np.clip(corners @ axis, 0, 0.05)
+    away = np.linalg.norm(corners - along[:, None] * axis, axis=1)
+    np.testing.assert_allclose(away.max(), 0.005, rtol=1e-6)
+    np.testing.assert_allclose((corners @ axis).max(), 0.055, rtol=1e-6)
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+def test_the_second_view_is_from_the_thumbs_side(side: str) -> None:
+    hand = load_hand("shadow_hand", side)
+    view = view_basis(hand)
+    turned = from_thumb(view, hand.spec.side)
+    np.testing.assert_allclose(turned @ turned.T, np.eye(3), atol=1e-12)
+    at = dict(zip(hand.tree.names, hand.landmark_positions(hand.neutral), strict=True))
+    assert turned[2] @ (at["index_mcp"] - at["pinky_mcp"]) > 0.02
+
+
+def test_a_human_hand_stands_upright_with_its_palm_in_sight() -> None:
+    points = human_hand([FLAT])[0]
+    for side, hand in (("right", points), ("left", points * [-1, 1, 1])):
+        palm = HandPicture.of_human(hand, side).views[0]  # type: ignore[arg-type]
+        bent = human_hand([FIST])[0] * ([1, 1, 1] if side == "right" else [-1, 1, 1])
+        assert palm[1] @ (hand[12] - hand[0]) > 0.1
+        assert palm[2] @ (bent[12] - bent[9]) > 0.005  # fingers close toward the viewer
+    assert len(landmark_surface(np.full((21, 3), np.nan)).triangles) == 0
+
+
+def test_a_sheet_has_a_row_a_pose_and_a_column_a_method(tmp_path: Path) -> None:
+    human = human_hand([FLAT, FIST])
+    first, second = panel(human[:STILL], "one", methods="mn"), panel(human[STILL:], "two")
+    shapes: list[str] = []
+
+    def shape(hand):  # type: ignore[no-untyped-def]
+        shapes.append(hand.name)
+        return ModelShape(hand)
+
+    sheet = contact_sheet([first, second], shape, ("fist", "flat"))
+    assert sheet is not None
+    assert shapes == ["shadow_hand"]
+    pixels = np.asarray(sheet)
+    ink = (pixels < 250).any(axis=-1)
+    assert pixels.shape[0] > 2 * CELL
+    column = (pixels.shape[1] - 3 * 2 * CELL) // 2
+    assert column > 0
+    rows = [ink[-2 * CELL : -CELL], ink[-CELL:]]
+    robot_n = slice(pixels.shape[1] - 2 * CELL - 4, None)
+    assert rows[0][2:-2, robot_n].sum() == 0  # the second method has no fist
+    assert rows[1][2:-2, robot_n].sum() > 500
+    assert contact_sheet([panel(np.full((STILL, 21, 3), np.nan))]) is None
