@@ -3,14 +3,16 @@
     python research/benchmarks/policy_loop.py --output build/policy_loop                 # all of it
     python research/benchmarks/policy_loop.py --demonstrations 10 --steps 200 --worlds 5 --seeds 1
 
-For each task and method virtual operators record demonstrations as a LeRobot data set, until there
-are enough of score 1; LeRobot's ACT, small enough for a processor, is trained on it by
+For each task and method demonstrations are recorded as a LeRobot data set until there are enough of
+score 1: by virtual operators, who look and correct, or with ``--source demonstrations`` by an
+operator who performs one motion that was found by search, without looking, in perturbed worlds (as
+``bench --physics demonstrations``; many more succeed). LeRobot's ACT, small enough for a processor, is trained on it by
 ``lerobot-train`` with several seeds; each policy is evaluated in the same worlds of the environment
 ``smooth_hand``, which begins an episode in the mean start pose of the demonstrations. What is
 finished in the output folder is kept, so that a run that was stopped goes on where it was.
 
-Success is a score of 1 without a reset. Intervals (95 %) are bootstraps: of persons for operators;
-of seeds and worlds, crossed, for policies. With one seed they are of the worlds alone. Needs
+Success is a score of 1 without a reset. Intervals (95 %) are bootstraps: of persons or
+worlds for operators; of seeds and worlds, crossed, for policies. With one seed they are of the worlds alone. Needs
 ``lerobot[training,evaluation]`` and packages/lerobot_env_smooth_hand on Python 3.12 or later.
 """
 
@@ -28,7 +30,7 @@ from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import tyro
@@ -37,8 +39,19 @@ from smooth_operator import load_hand
 from smooth_operator.hands.hand import Hand
 from smooth_operator.lab.benchmark.settings import select_methods
 from smooth_operator.methods.retargeter import Retargeter
+from smooth_operator.simulation.scenes import scene_for
 from smooth_operator.simulation.scenes.variation import draw_variation
 from smooth_operator.simulation.tasks import task_named
+from smooth_operator_research.demonstrations.demonstration import (
+    DemonstrationLandmarks,
+    load_demonstration,
+)
+from smooth_operator_research.demonstrations.perturbation import (
+    PerturbedLandmarks,
+    draw_perturbation,
+)
+from smooth_operator_research.demonstrations.trial_loop import TrialTrace, run_trial
+from smooth_operator_research.physics.demonstrations import STAYS_S
 from smooth_operator_research.run_report import BenchmarkError, Report
 from smooth_operator_research.virtual_operator import draw_person, make_familiar, simulate_trial
 from smooth_operator_research.virtual_operator.trial import LOOKS_HZ
@@ -52,6 +65,7 @@ POLICY = {
     "n_vae_encoder_layers": 2, "optimizer_lr": 3e-4, "device": "cpu", "push_to_hub": "false",
 }  # fmt: skip
 RESAMPLES = 5000
+Source = Literal["operators", "demonstrations"]
 
 
 @dataclass(frozen=True)
@@ -62,6 +76,7 @@ class Settings:
         tasks: card, cube, screwdriver.
         methods: METHOD or METHOD:PRESET; the others are compared with the first.
         hand: name of the robot hand.
+        source: of the demonstrations.
         demonstrations: kept for each task and method.
         most_trials: after which a method's demonstrations are what there are.
         steps: of each training.
@@ -76,6 +91,7 @@ class Settings:
     tasks: tuple[str, ...] = ("card", "cube")
     methods: tuple[str, ...] = ("smooth", "sbr:paper", "dexpilot:published", "geort")
     hand: str = "mimic_p050"
+    source: Source = "operators"
     demonstrations: int = 100
     most_trials: int = 1000
     steps: int = 5000
@@ -115,51 +131,73 @@ def retargeter(hand: str, method: str) -> Retargeter:
     return Retargeter(load_hand(hand), config=choice.config)
 
 
-def trials_of_person(task: str, hand: str, method: str, person: int) -> list[Trial]:
-    """Free movement, then some trials, each in another world."""
-    from lerobot_env_smooth_hand.environment import object_state
+def trials_of(source: Source, task: str, hand: str, method: str, number: int) -> list[Trial]:
+    """The trials of an independent unit: a person, or a world."""
+    if source == "operators":
+        return trials_of_person(task, hand, method, number)
+    return [trial_in_world(task, hand, method, number)]
 
+
+def trials_of_person(task: str, hand: str, method: str, person: int) -> list[Trial]:
+    """Free movement, then some trials, each with another object."""
     familiar = make_familiar(draw_person(person), retargeter(hand, method), seed=0)
-    actuated = list(familiar.retargeter.hand.actuated)
-    every = round(LOOKS_HZ / FPS)
     trials = []
     for number in range(TRIALS_A_PERSON):
-        world = draw_variation(np.random.default_rng([person, number, 0x9C]))
         done = simulate_trial(
             familiar, task_named(task), rate_hz=FPS, practised=number, practised_here=number,
-            resets=0, seed=number, variation=world, trace=True,
+            resets=0, seed=number, trace=True,
+            variation=draw_variation(np.random.default_rng([person, number, 0x9C])),
         )  # fmt: skip
-        trace = done.trace
-        assert trace is not None
-        # A row: what was measured before a command, and the command.
-        rows = np.arange(every, len(trace.commands), every)
-        start = trace.states[0].quaternion
-        trials.append(
-            Trial(
-                done.outcome.score == 1.0 and done.diverged == 0,
-                done.outcome.seconds,
-                trace.positions[rows - 1][:, actuated],
-                np.array(
-                    [object_state(s.position, s.quaternion, start)
-                     for s in (trace.states[k - 1] for k in rows)]
-                ),
-                trace.commands[rows][:, actuated],
-            )
-        )  # fmt: skip
+        success = done.outcome.score == 1.0 and done.diverged == 0
+        trials.append(sampled(familiar.retargeter.hand, success, done.outcome.seconds, done.trace))
     return trials
 
 
-def people(
-    pool: ProcessPoolExecutor, task: str, hand: str, method: str, workers: int
+def trial_in_world(task: str, hand: str, method: str, number: int) -> Trial:
+    """A searched motion through the retargeter in a perturbed world."""
+    demonstration = load_demonstration(task, hand)
+    landmarks = DemonstrationLandmarks(demonstration)
+    world = draw_perturbation(number + 1)
+    done = run_trial(
+        retargeter(hand, method), world.scene(scene_for(task, demonstration.robot)),
+        task_named(task), PerturbedLandmarks(landmarks, world), rate_hz=LOOKS_HZ,
+        seconds=landmarks.seconds + STAYS_S, seed=0, prepare=world.prepare, trace=True,
+    )  # fmt: skip
+    success = done.score == 1.0 and done.diverged == 0
+    return sampled(demonstration.robot, success, done.seconds, done.trace)
+
+
+def sampled(hand: Hand, success: bool, seconds: float, trace: TrialTrace | None) -> Trial:
+    """A trial at ``FPS``: what was measured before a command, and the command."""
+    from lerobot_env_smooth_hand.environment import object_state
+
+    assert trace is not None
+    every, actuated = round(LOOKS_HZ / FPS), list(hand.actuated)
+    rows = np.arange(every, len(trace.commands), every)
+    start = trace.states[0].quaternion
+    objects = [trace.states[k - 1] for k in rows]
+    return Trial(
+        success,
+        seconds,
+        trace.positions[rows - 1][:, actuated],
+        np.array([object_state(s.position, s.quaternion, start) for s in objects]),
+        trace.commands[rows][:, actuated],
+    )
+
+
+def units(
+    settings: Settings, pool: ProcessPoolExecutor, task: str, method: str
 ) -> Iterator[list[Trial]]:
-    """Trials of person after person, in order."""
+    """Trials of person after person, or world after world, in order."""
     running: list[Future[list[Trial]]] = []
-    person = 0
+    number = 0
     try:
         while True:
-            while len(running) < workers:
-                running.append(pool.submit(trials_of_person, task, hand, method, person))
-                person += 1
+            while len(running) < settings.workers:
+                running.append(
+                    pool.submit(trials_of, settings.source, task, settings.hand, method, number)
+                )
+                number += 1
             yield running.pop(0).result()
     finally:
         for future in running:
@@ -196,7 +234,7 @@ def record(settings: Settings, pool: ProcessPoolExecutor, task: str, method: str
     successes: list[list[int]] = []
     lengths: list[int] = []
     starts: list[np.ndarray] = []
-    for trials in people(pool, task, settings.hand, method, settings.workers):
+    for trials in units(settings, pool, task, method):
         successes.append([int(trial.success) for trial in trials])
         for trial in trials:
             if not trial.success or len(lengths) >= settings.demonstrations:
@@ -213,11 +251,9 @@ def record(settings: Settings, pool: ProcessPoolExecutor, task: str, method: str
             dataset.save_episode()
             lengths.append(len(trial.action))
             starts.append(trial.state[0])
-        print(
-            f"{task}, {method}: {sum(map(len, successes))} trials, {len(lengths)} demonstrations",
-            flush=True,
-        )
         tried = sum(map(len, successes))
+        if tried % 10 == 0:
+            print(f"{task}, {method}: {tried} trials, {len(lengths)} successes", flush=True)
         if len(lengths) >= settings.demonstrations or tried >= settings.most_trials:
             break
     dataset.finalize()
@@ -305,8 +341,8 @@ def interval(values: np.ndarray) -> tuple[float, float]:
     return float(np.percentile(values, 2.5)), float(np.percentile(values, 97.5))
 
 
-def share_of_people(successes: list[list[int]]) -> tuple[float, float, float]:
-    """Share of successful trials, with its interval over persons."""
+def share_of_units(successes: list[list[int]]) -> tuple[float, float, float]:
+    """Share of successful trials, with its interval over persons or worlds."""
     rates = np.array([np.mean(each) for each in successes])
     rng = np.random.default_rng(0)
     drawn = rates[rng.integers(len(rates), size=(RESAMPLES, len(rates)))].mean(axis=1)
@@ -327,7 +363,7 @@ def percent(value: float, low: float, high: float, sign: str = "") -> str:
 
 
 def cell_folder(settings: Settings, task: str, method: str) -> Path:
-    return settings.output / f"{settings.hand}-{task}-{method.replace(':', '_')}"
+    return settings.output / f"{settings.source}-{settings.hand}-{task}-{method.replace(':', '_')}"
 
 
 def main(settings: Settings) -> None:
@@ -345,7 +381,7 @@ def main(settings: Settings) -> None:
                 trials = record(settings, pool, task, method)
                 times["record"] += time.perf_counter() - clock
                 frames, key = trials["frames"], f"{task}/{method}"
-                operators = share_of_people(trials["successes"])
+                operators = share_of_units(trials["successes"])
                 report.add(key, {"operator_success": operators[0], "demonstrations": len(frames)})
                 row: list[object] = [
                     task, method, sum(map(len, trials["successes"])), percent(*operators),

@@ -132,9 +132,7 @@ class HandTask(gymnasium.Env[Observation, np.ndarray]):
         self._run = TaskRun(self.simulated_task, physics.scene).go(physics.time)
         return self._observation(physics), {"is_success": False}
 
-    def step(
-        self, action: np.ndarray
-    ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+    def step(self, action: np.ndarray) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Send targets of the actuated joints, and let a period pass.
 
         Args:
@@ -199,9 +197,7 @@ class HandTask(gymnasium.Env[Observation, np.ndarray]):
             camera.close()
 
 
-def object_state(
-    position: np.ndarray, quaternion: np.ndarray, reference: np.ndarray
-) -> np.ndarray:
+def object_state(position: np.ndarray, quaternion: np.ndarray, reference: np.ndarray) -> np.ndarray:
     """(7,) float32 of ``OBJECT_NAMES``.
 
     Args:

@@ -71,7 +71,8 @@ class SimulatedCamera:
         self._renderer = open_renderer(model, width, height)
         self._camera = mujoco.MjvCamera()
         self._camera.type = mujoco.mjtCamera.mjCAMERA_FREE
-        target, azimuth, elevation, distance = _aim(physics)
+        self._data.qpos[:] = physics.data.qpos
+        target, azimuth, elevation, distance = _aim(physics, self._data)
         self._camera.lookat[:] = target
         self._camera.azimuth = azimuth if view.azimuth is None else view.azimuth
         self._camera.elevation = elevation if view.elevation is None else view.elevation
@@ -96,14 +97,16 @@ class SimulatedCamera:
         self._renderer.close()
 
 
-def _aim(physics: HandPhysics) -> tuple[Float[np.ndarray, "3"], float, float, float]:
+def _aim(
+    physics: HandPhysics, data: mujoco.MjData
+) -> tuple[Float[np.ndarray, "3"], float, float, float]:
     """Point that is looked at (3,) [m], azimuth and elevation [degrees], distance [m]."""
     if isinstance(physics, ScenePhysics):
         azimuth, elevation = physics.scene.view
         if physics.hand.spec.side == "left":
             azimuth = -azimuth
         return np.asarray(physics.scene.start[0]), azimuth, elevation, _DISTANCE_M
-    hand, data = physics.hand, physics.data
+    hand = physics.hand
     mujoco.mj_kinematics(physics.model, data)
     name = hand.spec.palm
     if mujoco.mj_name2id(physics.model, mujoco.mjtObj.mjOBJ_BODY, name) < 0:

@@ -26,6 +26,7 @@ from smooth_operator.simulation.scenes.variation import (
 from smooth_operator.synthetic.tracker import TrackerModel, TrackerStream
 from smooth_operator_research.demonstrations.trial_loop import RATE_HZ, LandmarkSource
 
+
 @dataclass(frozen=True)
 class PerturbationRanges:
     """How far worlds differ; each quantity is uniform in its range, and 0 leaves it out.
