@@ -1,19 +1,20 @@
-"""Retargeter to policy: do policies differ by the retargeter that their demonstrations came through?
+"""From retargeter to policy: do policies differ by the retargeter of their demonstrations?
 
-    python research/benchmarks/policy_loop.py --output build/policy_loop                 # all of it
+    python research/benchmarks/policy_loop.py --source demonstrations                 # all of it
     python research/benchmarks/policy_loop.py --demonstrations 10 --steps 200 --worlds 5 --seeds 1
 
 For each task and method demonstrations are recorded as a LeRobot data set until there are enough of
 score 1: by virtual operators, who look and correct, or with ``--source demonstrations`` by an
 operator who performs one motion that was found by search, without looking, in perturbed worlds (as
-``bench --physics demonstrations``; many more succeed). LeRobot's ACT, small enough for a processor, is trained on it by
-``lerobot-train`` with several seeds; each policy is evaluated in the same worlds of the environment
-``smooth_hand``, which begins an episode in the mean start pose of the demonstrations. What is
-finished in the output folder is kept, so that a run that was stopped goes on where it was.
+``bench --physics demonstrations``; many more succeed). LeRobot's ACT, small enough for a processor,
+is trained on it by ``lerobot-train`` with several seeds. Each policy is evaluated in the same
+worlds of the environment ``smooth_hand``, which begins an episode in the mean start pose of the
+demonstrations. What is finished in the output folder is kept, so that a run that was stopped goes
+on where it was; another size needs another folder.
 
-Success is a score of 1 without a reset. Intervals (95 %) are bootstraps: of persons or
-worlds for operators; of seeds and worlds, crossed, for policies. With one seed they are of the worlds alone. Needs
-``lerobot[training,evaluation]`` and packages/lerobot_env_smooth_hand on Python 3.12 or later.
+Success is a score of 1 without a reset. Intervals (95 %) are bootstraps: of persons or worlds for
+operators; of seeds and worlds, crossed, for policies. With one seed they are of the worlds alone.
+Needs ``lerobot[training,evaluation]`` and packages/lerobot_env_smooth_hand on Python 3.12 or later.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Gymnasium environments ``smooth_hand/card``, ``cube`` and ``screwdriver``, and LeRobot's plug-in."""
+"""Gymnasium environments ``smooth_hand/card``, ``cube``, ``screwdriver``; LeRobot's plug-in."""
 
 import importlib.util
 

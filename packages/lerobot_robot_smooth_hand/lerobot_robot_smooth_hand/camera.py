@@ -122,11 +122,11 @@ class SmoothHandCamera(Camera):
         self._check()
         return self._wait(timeout_ms / 1e3)
 
-    def read_latest(self, max_age_ms: int = 1000) -> np.ndarray:
+    def read_latest(self, max_age_ms: int | None = None) -> np.ndarray:
         """The newest picture.
 
         Args:
-            max_age_ms: an older one is an error [ms].
+            max_age_ms: an older one is an error [ms]; None for ``stale_s`` of the settings.
 
         Raises:
             TimeoutError: it is too old.
@@ -136,7 +136,8 @@ class SmoothHandCamera(Camera):
         with self._new:
             self._fail()
             age = 1e3 * (time.perf_counter() - self._time)
-            if self._picture is None or age > max_age_ms:
+            limit = 1e3 * self.config.stale_s if max_age_ms is None else max_age_ms
+            if self._picture is None or age > limit:
                 raise TimeoutError(f"the newest picture of the camera is {age:.0f} ms old")
             self._given = self._number
             return self._picture
@@ -175,9 +176,8 @@ class SmoothHandCamera(Camera):
     def _draw(self) -> None:
         """The thread; another task's scene needs another camera."""
         simulation, side, config = self._simulation, self._side, self.config
-        assert simulation is not None
-        assert side is not None
-        assert config.fps and config.width and config.height
+        assert simulation is not None and side is not None  # noqa: PT018
+        assert config.fps and config.width and config.height  # noqa: PT018
         view = View(config.azimuth, config.elevation, config.distance)
         physics, camera = None, None
         try:

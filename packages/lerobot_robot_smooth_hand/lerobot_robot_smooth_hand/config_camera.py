@@ -20,6 +20,7 @@ class SmoothHandCameraConfig(CameraConfig):
             the hand's task, or its palm where there is none.
         elevation: likewise [degrees].
         distance: to what is looked at [m]; None likewise.
+        stale_s: a picture older than this is an error, not an observation [s].
     """
 
     fps: int | None = 30
@@ -29,3 +30,4 @@ class SmoothHandCameraConfig(CameraConfig):
     azimuth: float | None = None
     elevation: float | None = None
     distance: float | None = None
+    stale_s: float = 1.0

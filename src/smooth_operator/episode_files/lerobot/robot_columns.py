@@ -7,7 +7,7 @@ if the robot has its default settings, or with the wrist ``--robot.wrist=quatern
 ``observation.state``              float32 (m,)  measured positions of the actuated joints [rad]
 ``observation.environment_state``  float32 (n,)  on request: measured positions of all joints [rad]
 ``action``                         float32 (m,)  their newest command [rad]; with the wrist
-                                                 (m + 7,), ``tcp.x``, … ``tcp.qz`` [m, quaternion wxyz]
+                                                 (m + 7,), ``tcp.x``, … ``tcp.qz`` [m; wxyz]
 =================================  ============  =================================================
 
 A row is a moment of LeRobot's clock, from the first command that is measured to the last one.
