@@ -1,4 +1,4 @@
-"""The part of LeRobot that the two plug-ins build on, for machines without LeRobot.
+"""The part of LeRobot that the robot and the teleoperator build on, for machines without LeRobot.
 
 Where LeRobot is installed, the plug-ins get the real one.
 """
@@ -18,6 +18,7 @@ import pytest
 PACKAGES = Path(__file__).resolve().parents[1] / "packages"
 TELEOPERATOR = "lerobot_teleoperator_smooth_operator"
 ROBOT = "lerobot_robot_smooth_hand"
+ENVIRONMENT = "lerobot_env_smooth_hand"
 
 REAL = importlib.util.find_spec("lerobot") is not None
 """Whether LeRobot is installed."""
@@ -51,7 +52,7 @@ class _Config:
 class _Device:
     """What LeRobot's base classes of devices do themselves."""
 
-    def __init__(self, config: _Config) -> None:
+    def __init__(self, config: Any) -> None:
         self.id = config.id
 
 
@@ -76,7 +77,12 @@ def _modules() -> dict[str, ModuleType]:
     class RobotConfig(_Config):
         registered: ClassVar[dict[str, type]] = {}
 
+    @dataclass(kw_only=True)
     class CameraConfig(_Config):
+        fps: int | None = None
+        width: int | None = None
+        height: int | None = None
+
         registered: ClassVar[dict[str, type]] = {}
 
     teleoperator = _abstract(
@@ -85,9 +91,11 @@ def _modules() -> dict[str, ModuleType]:
     robot = _abstract(
         *_COMMON, "action_features", "observation_features", "get_observation", "send_action"
     )
+    camera = _abstract("is_connected", "connect", "read", "async_read", "disconnect")
     contents: dict[str, dict[str, object]] = {
         "lerobot": {},
         "lerobot.cameras": {"CameraConfig": CameraConfig},
+        "lerobot.cameras.camera": {"Camera": camera},
         "lerobot.cameras.utils": {"make_cameras_from_configs": lambda configs: {}},
         "lerobot.teleoperators": {},
         "lerobot.teleoperators.config": {"TeleoperatorConfig": TeleoperatorConfig},

@@ -7,13 +7,13 @@ import subprocess
 import tomllib
 from pathlib import Path
 
-from lerobot_stand_in import PACKAGES, ROBOT, TELEOPERATOR
+from lerobot_stand_in import ENVIRONMENT, PACKAGES, ROBOT, TELEOPERATOR
 from plugin_environment import environment_with
 
 MAIN = tomllib.loads((PACKAGES.parent / "pyproject.toml").read_text())["project"]
 
 
-NAMES = (ROBOT, TELEOPERATOR)
+NAMES = (ENVIRONMENT, ROBOT, TELEOPERATOR)
 
 ASK = f"""
 import importlib.metadata, importlib.util, json, pathlib
@@ -36,10 +36,10 @@ def test_plugins_are_installed_under_the_names_that_lerobot_looks_for(tmp_path: 
         assert Path(where).name == name
         assert Path(where).is_relative_to(tmp_path / "venv")
         assert version == MAIN["version"]
-        assert "lerobot>=0.4.4" in needs
+        assert ("gymnasium>=1.0" if name == ENVIRONMENT else "lerobot>=0.4.4") in needs
         ours = [need for need in needs if need.startswith(MAIN["name"])]
         assert ours
-        assert all(f"]~={version.rpartition('.')[0]}" in need for need in ours)
+        assert all(f"~={version.rpartition('.')[0]}" in need for need in ours)
         assert modules == len(list((PACKAGES / name / name).glob("*.py")))
         licence = (PACKAGES / name / "LICENSE").read_text()
         assert licence == (PACKAGES.parent / "LICENSE").read_text()

@@ -36,7 +36,7 @@ class SmoothHandConfig(RobotConfig):
         velocity: largest velocity of any joint [rad/s].
         acceleration: largest acceleration of any joint [rad/s^2].
         stale_s: a measurement older than this is an error, not an observation [s].
-        cameras: LeRobot's cameras.
+        cameras: LeRobot's cameras, and of type ``smooth_hand`` a simulated one.
     """
 
     hand: str = "mimic_p050"

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, cast
 from lerobot.robots.robot import Robot
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
 
+from lerobot_robot_smooth_hand.camera import SmoothHandCamera
 from lerobot_robot_smooth_hand.config_smooth_hand import SmoothHandConfig
 from lerobot_robot_smooth_hand.hand_port import FACTORS, HandPort
 from lerobot_robot_smooth_hand.wrist_port import KINDS
@@ -94,7 +95,8 @@ class SmoothHand(Robot):
 
         Raises:
             DeviceAlreadyConnectedError: it is connected.
-            DeviceNotConnectedError: the hand is not measured.
+            DeviceNotConnectedError: the hand is not measured, or a camera can't draw.
+            ValueError: a simulated camera has no simulated hand to look at.
             SmoothOperatorError: a sink can't be opened.
         """
         if self._connected:
@@ -111,6 +113,8 @@ class SmoothHand(Robot):
             for hand in self._hands:
                 hand.attach(self._sinks)
             for camera in self.cameras.values():
+                if isinstance(camera, SmoothHandCamera):
+                    camera.attach(self._sinks, [hand.side for hand in self._hands])
                 camera.connect()
                 opened.callback(camera.disconnect)
             self._opened = opened.pop_all()

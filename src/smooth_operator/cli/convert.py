@@ -42,6 +42,7 @@ Examples:
   smooth-operator convert glove.npz --output glove.mcap
   smooth-operator convert glove.npz --commands out.npz --output demo.mcap
   smooth-operator convert recordings --commands results --task "pinch" --output dataset
+  smooth-operator convert takes --columns robot --task "pinch" --output dataset
   smooth-operator convert dataset --episode 3 --output demo.h5
   smooth-operator convert dataset --to npz --output episodes    (there and back)
   smooth-operator convert clip.mp4 --side right --output clip.npz
@@ -81,6 +82,17 @@ Examples:
     fps: Annotated[int | None, arg(metavar="N")] = None
     """Frames a second of a LeRobot dataset; the median of the recordings, rounded, if left out."""
 
+    columns: Annotated[
+        Literal["all", "robot", "robot-wrist"], arg(metavar="all|robot|robot-wrist")
+    ] = "all"
+    """Columns of a LeRobot dataset: all that the input holds, or those that lerobot-record writes
+    for the robot smooth_hand, at --fps (30 if left out), so that both merge; robot-wrist: with
+    --robot.wrist=quaternion."""
+
+    environment_state: bool = False
+    """With --columns robot: also observation.environment_state, the measured positions of all
+    joints [rad], which some policies ask for where there is no picture."""
+
     episode: Annotated[int | None, arg(metavar="N")] = None
     """Only this episode of a LeRobot dataset."""
 
@@ -109,6 +121,10 @@ def convert(options: Convert) -> None:
     to = format_of(options.output, options.to)
     if options.fps is not None and to != "lerobot":
         raise ConfigError("--fps is of LeRobot datasets; the other formats keep each true stamp")
+    if (options.columns != "all" or options.environment_state) and to != "lerobot":
+        raise ConfigError("--columns and --environment-state are of LeRobot datasets")
+    if options.environment_state and options.columns == "all":
+        raise ConfigError("--environment-state is one of the columns of --columns robot; add that")
     if not options.inputs:
         raise ConfigError("give at least one INPUT to convert")
     apart = [options.output, *([] if options.commands is None else [options.commands])]
@@ -155,12 +171,15 @@ def _write_dataset(
     with folder_for(options.output.resolve().parent):
         written = 0
 
-        def done(episode: Episode) -> None:
+        def done(frames: int) -> None:
             nonlocal written
-            written += len(episode)
+            written += frames
 
         with progress.waiting(f"converting {len(loads)} episodes"):
-            notes = write_dataset(options.output, loads, fps=options.fps, done=done)
+            notes = write_dataset(
+                options.output, loads, fps=options.fps, columns=options.columns,
+                environment_state=options.environment_state, done=done,
+            )  # fmt: skip
     for note in notes:
         progress.note(note, matters=True)
     progress.note(f"wrote {options.output}: {len(loads)} episodes, {written} frames")

@@ -64,6 +64,16 @@ class HandPhysics:
         self._target: Float[np.ndarray, " m"] = hand.neutral.copy()
         self._place(self._target)
 
+    @property
+    def model(self) -> mujoco.MjModel:
+        """The compiled model."""
+        return self._built.model
+
+    @property
+    def data(self) -> mujoco.MjData:
+        """Its state; to look at."""
+        return self._data
+
     def restart(self) -> None:
         """Begin again: time 0, at rest in the neutral pose."""
         self.time = self._due = 0.0

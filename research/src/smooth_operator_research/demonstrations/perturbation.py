@@ -6,22 +6,25 @@ World 0 is the unperturbed one.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from typing import Final, TypeVar
+from dataclasses import dataclass, field
+from typing import Final
 
-import mujoco
 import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.landmarks import BASES, NUM_LANDMARKS, WRIST
 from smooth_operator.settings import check_numbers
 from smooth_operator.simulation.scenes.physics import ScenePhysics
-from smooth_operator.simulation.scenes.scene import OBJECT, Scene
 from smooth_operator.simulation.scenes.state import SceneState
+from smooth_operator.simulation.scenes.variation import (
+    FRICTION,
+    MASS,
+    SHIFT_M,
+    TURN_RAD,
+    ObjectVariation,
+)
 from smooth_operator.synthetic.tracker import TrackerModel, TrackerStream
 from smooth_operator_research.demonstrations.trial_loop import RATE_HZ, LandmarkSource
-
-_S = TypeVar("_S", bound=Scene)
 
 
 @dataclass(frozen=True)
@@ -41,10 +44,10 @@ class PerturbationRanges:
         frame_loss_burst: largest mean length of a gap [s]; the least is a frame.
     """
 
-    shift: float = 0.002
-    turn: float = float(np.radians(3.0))
-    friction: float = 0.1
-    mass: float = 0.2
+    shift: float = SHIFT_M
+    turn: float = TURN_RAD
+    friction: float = FRICTION
+    mass: float = MASS
     hand: float = 0.07
     finger: float = 0.03
     noise: float = 0.001
@@ -68,52 +71,21 @@ def _ones() -> Float[np.ndarray, "5"]:
     return np.ones(len(BASES))
 
 
-@dataclass(frozen=True, eq=False)
-class Perturbation:
-    """One world. The defaults change nothing.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Perturbation(ObjectVariation):
+    """One world: an object's variation, an operator, a tracker. The defaults change nothing.
 
     Attributes:
         number: of the world; 0 for the unperturbed one.
-        shift: (2,) of the object along x and y of the world [m].
-        turn: of the object about the vertical [rad].
-        friction: factor of the object's friction.
-        mass: factor of its mass.
         palm: factor of the operator's palm, from the wrist to the bases of the fingers.
         bones: (5,) factor of the bones of each human finger, thumb first.
         tracker: its noise and dropped frames.
     """
 
     number: int = 0
-    shift: Float[np.ndarray, "2"] = field(default_factory=lambda: np.zeros(2))
-    turn: float = 0.0
-    friction: float = 1.0
-    mass: float = 1.0
     palm: float = 1.0
     bones: Float[np.ndarray, "5"] = field(default_factory=_ones)
     tracker: TrackerModel = field(default_factory=TrackerModel)
-
-    def scene(self, scene: _S) -> _S:
-        """The scene with the object where it starts in this world."""
-        position, quaternion = scene.start
-        shift = np.array([*self.shift, 0.0])
-        about = np.array([np.cos(self.turn / 2), 0.0, 0.0, np.sin(self.turn / 2)])
-        turned = np.zeros(4)
-        mujoco.mju_mulQuat(turned, about, np.asarray(quaternion, float))
-        return replace(scene, start=(position + shift, turned))
-
-    def prepare(self, physics: ScenePhysics) -> None:
-        """Give the object its friction and mass; before a trial."""
-        model = physics.model
-        body = model.body(OBJECT).id
-        own = np.flatnonzero(np.asarray(model.geom_bodyid) == body)
-        model.geom_friction[own, :2] *= self.friction
-        model.body_mass[body] *= self.mass
-        model.body_inertia[body] *= self.mass
-        # What MuJoCo derives from masses; it also forgets what an object that still waits for the
-        # hand to leave its place will touch.
-        touches = [np.array(one) for one in (model.body_contype, model.body_conaffinity)]
-        mujoco.mj_setConst(model, mujoco.MjData(model))
-        model.body_contype[:], model.body_conaffinity[:] = touches
 
     def operator(self, landmarks: Float[np.ndarray, "21 3"]) -> Float[np.ndarray, "21 3"]:
         """(21, 3) the same joint angles with this operator's bones."""

@@ -14,9 +14,14 @@ from smooth_operator.simulation.scenes.physics import ScenePhysics
 from smooth_operator.simulation.scenes.scene import Scene
 from smooth_operator.simulation.scenes.scene_registry import scene_for
 from smooth_operator.simulation.scenes.state import SceneState
+from smooth_operator.simulation.scenes.variation import ObjectVariation
 from smooth_operator.simulation.tasks.task_registry import SimulatedTask
 from smooth_operator.simulation.tasks.trial import Outcome
-from smooth_operator_research.demonstrations.trial_loop import FrameRetargeter, run_trial
+from smooth_operator_research.demonstrations.trial_loop import (
+    FrameRetargeter,
+    TrialTrace,
+    run_trial,
+)
 from smooth_operator_research.virtual_operator.familiarisation import (
     InternalModel,
     familiarise,
@@ -82,12 +87,14 @@ class OperatorTrial:
         attempts: how often the person began.
         frames: that the retargeter received.
         diverged: how often the physics diverged and was reset.
+        trace: what happened, at ``LOOKS_HZ``; None unless asked for.
     """
 
     outcome: Outcome
     attempts: int
     frames: int
     diverged: int
+    trace: TrialTrace | None = None
 
 
 def simulate_trial(
@@ -100,6 +107,8 @@ def simulate_trial(
     resets: int = 1,
     seconds: float | None = None,
     seed: int = 0,
+    variation: ObjectVariation | None = None,
+    trace: bool = False,
 ) -> OperatorTrial:
     """Have a person do a trial with a retargeter.
 
@@ -112,21 +121,28 @@ def simulate_trial(
         resets: how often the object may be put back: 0 or 1.
         seconds: time limit [s]; None for the task's own.
         seed: of all noise of this trial.
+        variation: of the object; None for the nominal one.
+        trace: keep what happened.
 
     Raises:
         HandModelError: the hand can't do the task.
     """
     scene, reach = _prepared(task.name, familiar.retargeter.hand)
+    if variation is not None:
+        scene = variation.scene(scene)
     source = _Tracked(familiar, task, scene, reach, rate_hz, practised, practised_here, resets,
                       seed)  # fmt: skip
     result = run_trial(
         familiar.retargeter, scene, task, source, rate_hz=LOOKS_HZ, seconds=seconds, lead_s=LEAD_S,
-        seed=seed, interventions=source.intervention,
+        seed=seed, interventions=source.intervention, trace=trace,
+        prepare=None if variation is None else variation.prepare,
     )  # fmt: skip
     outcome = Outcome(
         result.score, result.line, result.seconds, result.ended, result.reason, result.resets
     )
-    return OperatorTrial(outcome, source.operator.attempts, result.frames, result.diverged)
+    return OperatorTrial(
+        outcome, source.operator.attempts, result.frames, result.diverged, result.trace
+    )
 
 
 class _Tracked:

@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final, TypeAlias
+from typing import Any, Final, Literal, TypeAlias
 
 import numpy as np
 
+from smooth_operator.episode_files.lerobot import robot_columns
 from smooth_operator.episode_files.lerobot.columns import UNITS, Layout, episode_columns
+from smooth_operator.episode_files.lerobot.robot_columns import RobotLayout
 from smooth_operator.episode_files.lerobot.tables import (
     CODEBASE_VERSION,
     DATA_PATH,
@@ -41,6 +43,7 @@ _PAUSE: Final = 3.0  # a step this many times the median is a pause of the track
 _KEPT_BYTES: Final = 256 << 20  # of episodes kept between the two passes, so not read again
 
 Load: TypeAlias = Callable[[], Episode]
+Columns: TypeAlias = Literal["all", "robot", "robot-wrist"]
 
 
 @dataclass
@@ -53,6 +56,14 @@ class _Survey:
     rates: list[float] = field(default_factory=list)
     robots: set[str] = field(default_factory=set)
     kept: dict[int, Episode] = field(default_factory=dict)
+    robot: RobotLayout | None = None
+
+    @property
+    def robot_type(self) -> str | None:
+        """Name of the robot, if the episodes have one."""
+        if self.robot is not None:
+            return robot_columns.ROBOT_TYPE
+        return next(iter(self.robots)) or None if len(self.robots) == 1 else None
 
 
 def write_dataset(
@@ -60,7 +71,9 @@ def write_dataset(
     episodes: Sequence[Load],
     *,
     fps: int | None = None,
-    done: Callable[[Episode], None] = lambda _: None,
+    columns: Columns = "all",
+    environment_state: bool = False,
+    done: Callable[[int], None] = lambda _: None,
 ) -> list[str]:
     """Writes a dataset; it stands at ``path`` when it is whole, and not before.
 
@@ -69,8 +82,11 @@ def write_dataset(
         episodes: each gives an episode when called, and the same when called again: they are looked
             at twice, so that not all need to be in memory.
         fps: frames a second; None for the median over the episodes of their mean rate, pauses left
-            out, rounded.
-        done: called with each episode that was written.
+            out, rounded, and 30 with the columns of a robot.
+        columns: ``all``, or those that LeRobot records of the robot ``smooth_hand``: ``robot``, or
+            ``robot-wrist`` with its wrist; see ``robot_columns``.
+        environment_state: with ``observation.environment_state`` among those of the robot.
+        done: called with the frames of each episode that was written.
 
     Returns:
         What a person should know: stamps that ``fps`` does not give back, values that are NaN.
@@ -85,7 +101,11 @@ def write_dataset(
     arrow()  # a missing extra costs a second, not the reading of everything
     if fps is not None and fps < 1:
         raise ConfigError(f"fps must be a whole number of frames a second from 1, not {fps}")
-    survey = _look(episodes)
+    if environment_state and columns == "all":
+        raise ConfigError("the environment's state is one of the columns of a robot; ask for those")
+    survey = _look(episodes, columns, environment_state)
+    if fps is None and survey.robot is not None:
+        fps = robot_columns.FPS
     if fps is None:
         if not survey.rates:
             raise ConfigError("no episode has two frames, so none has a rate; say it with --fps")
@@ -93,38 +113,40 @@ def write_dataset(
     notes = _Notes(fps)
     rows: list[dict[str, Any]] = []
     statistics: list[dict[str, Statistics]] = []
-    features = survey.layout.features()
+    features = (survey.robot or survey.layout).features()
     with staged_folder(path) as stage:
         files = _DataFiles(stage)
         try:
             first = 0
             for number, episode in enumerate(_again(episodes, survey)):
                 task = episode.task or UNNAMED_TASK
-                columns = episode_columns(
-                    episode,
-                    survey.layout,
-                    number=number,
-                    first=first,
-                    task=survey.tasks.index(task),
-                    fps=fps,
-                )
-                chunk, file = files.append({name: column(v) for name, v in columns.items()})
-                statistics.append({name: column_statistics(v) for name, v in columns.items()})
+                index = survey.tasks.index(task)
+                if survey.robot is not None:
+                    values = survey.robot.columns(
+                        episode, number=number, first=first, task=index, fps=fps
+                    )
+                else:
+                    values = episode_columns(
+                        episode, survey.layout, number=number, first=first, task=index, fps=fps
+                    )
+                    notes.look(episode)
+                count = len(values["index"])
+                chunk, file = files.append({name: column(v) for name, v in values.items()})
+                statistics.append({name: column_statistics(v) for name, v in values.items()})
                 rows.append(
                     {
                         "episode_index": number,
                         "tasks": [task],
-                        "length": len(episode),
+                        "length": count,
                         "data/chunk_index": chunk,
                         "data/file_index": file,
                         "dataset_from_index": first,
-                        "dataset_to_index": first + len(episode),
-                        OWN_COLUMN: to_json(_own(episode)),
+                        "dataset_to_index": first + count,
+                        **({} if survey.robot else {OWN_COLUMN: to_json(_own(episode))}),
                     }
                 )
-                first += len(episode)
-                notes.look(episode)
-                done(episode)
+                first += count
+                done(count)
         finally:
             files.close()
         listed = stage / EPISODES_PATH.format(chunk_index=0, file_index=0)
@@ -138,7 +160,7 @@ def write_dataset(
         _write_json(stage / "meta" / "stats.json", joint)
         info = {
             "codebase_version": CODEBASE_VERSION,
-            "robot_type": survey.robots.pop() or None if len(survey.robots) == 1 else None,
+            "robot_type": survey.robot_type,
             "total_episodes": len(rows),
             "total_frames": first,
             "total_tasks": len(survey.tasks),
@@ -167,7 +189,12 @@ def _card(info: dict[str, Any]) -> str:
     rows = []
     for name, feature in info["features"].items():
         kind = feature["dtype"] + ("" if feature["names"] is None else f" × {feature['shape'][0]}")
-        rows.append((name, kind, UNITS.get(name, "index")))
+        units = (
+            {**UNITS, **robot_columns.UNITS}
+            if info["robot_type"] == robot_columns.ROBOT_TYPE
+            else UNITS
+        )
+        rows.append((name, kind, units.get(name, "index")))
     return dataset_card("Human hands and robot commands", text, rows)
 
 
@@ -181,7 +208,7 @@ def is_own_dataset(path: Path) -> bool:
     return isinstance(mark, dict) and mark.get("program") == PROGRAM and not others
 
 
-def _look(episodes: Sequence[Load]) -> _Survey:
+def _look(episodes: Sequence[Load], columns: Columns, environment_state: bool) -> _Survey:
     survey: _Survey | None = None
     name, budget = "", _KEPT_BYTES
     for number, load in enumerate(episodes):
@@ -192,6 +219,14 @@ def _look(episodes: Sequence[Load]) -> _Survey:
         if survey is None:
             survey, name = _Survey(layout), episode.name
         survey.layout = survey.layout.widened(layout, (name, episode.name))
+        if columns != "all":
+            own = RobotLayout.of(episode, columns == "robot-wrist", environment_state)
+            if survey.robot not in (None, own):
+                raise RecordingError(
+                    f"{name} and {episode.name} have different robot hands; write each to its own "
+                    "LeRobot dataset"
+                )
+            survey.robot = own
         task = episode.task or UNNAMED_TASK
         if task not in survey.tasks:
             survey.tasks.append(task)

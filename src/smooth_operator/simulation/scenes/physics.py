@@ -88,16 +88,6 @@ class ScenePhysics(HandPhysics):
         self._gripped = 0
         self.reset_object()
 
-    @property
-    def model(self) -> mujoco.MjModel:
-        """The compiled scene."""
-        return self._built.model
-
-    @property
-    def data(self) -> mujoco.MjData:
-        """Its state; to look at."""
-        return self._data
-
     def restart(self) -> None:
         """Begin again: time 0, the hand at rest in the neutral pose, the object at its start."""
         super().restart()

@@ -147,6 +147,14 @@ class Simulation(Sink):
         world = self._world
         return None if world is None else world.states.get(side)
 
+    def snapshot(self, side: Side) -> tuple[HandPhysics, Float[np.ndarray, " q"]] | None:
+        """A hand's physics, whose state belongs to another thread, and the newest (q,) positions of
+        its model; safe from any thread. None while there is no such hand."""
+        world = self._world
+        if world is None or side not in world.physics:
+            return None
+        return world.physics[side], world.qpos[side]
+
     def use_arms(self, arms: Mapping[Side, CarriedHand]) -> None:
         """The arms that carry the hands; see ``Sink``."""
         self._arms.update(arms)
@@ -296,6 +304,7 @@ class World:
         }
         self.number = next(_NUMBERS)
         self.states = {side: _measured(side, p, now) for side, p in physics.items()}
+        self.qpos = {side: np.array(p.data.qpos) for side, p in physics.items()}
         self.physics, self._events = physics, events
         self.scenes: dict[Side, SceneState] = {
             side: p.observe() for side, p in physics.items() if isinstance(p, ScenePhysics)
@@ -404,6 +413,7 @@ class World:
                 resets = f"{text} ({physics.resets} times)" if physics.resets > 1 else text
                 self._events[:] = [e for e in self._events if not e.startswith(text)] + [resets]
             self.states[side] = _measured(side, physics, now)
+            self.qpos[side] = np.array(physics.data.qpos)
             if (arm := physics.arm_positions) is not None:
                 self.arms[side] = arm
             if isinstance(physics, ScenePhysics):

@@ -5,7 +5,7 @@
     meta/info.json, stats.json, tasks.parquet       as LeRobot has them; of all whole shards
     meta/episodes/chunk-000/file-000.parquet        the episodes of one shard
     meta/shards/, meta/configurations/              what a continued run needs; LeRobot ignores it
-    data/chunk-000/file-000.parquet                 the frames of a shard, many episodes in one
+    data/chunk-000/file-000.parquet                 the frames of a shard, a row group an episode
     videos/observation.images.camera/chunk-000/     the source's videos, one file each
     README.md                                       the columns and their units
 
@@ -51,7 +51,6 @@ from smooth_operator.lab.datasets.writers.lerobot_columns import RobotLayout, un
 from smooth_operator.lab.datasets.writers.registry import WritingOptions
 from smooth_operator.lab.datasets.writers.resampling import drift, mean_rate, resampled
 from smooth_operator.lab.datasets.writers.shards import (
-    MB,
     ShardedWriter,
     close_quietly,
     drop_parquet,
@@ -64,7 +63,6 @@ from smooth_operator.lab.datasets.writers.videos import VIDEO_KEY, VideoHead, pl
 require("a LeRobot data set", "datasets", "pyarrow")
 
 _FILE_MB: Final = 100  # at most in a file, as LeRobot
-_GROUP_BYTES: Final = 8 * MB  # of frames in a row group
 _OFF_GRID: Final = 0.25  # frames
 _IMAGENET: Final = {"mean": (0.485, 0.456, 0.406), "std": (0.229, 0.224, 0.225)}
 
@@ -101,8 +99,6 @@ class _Writer(ShardedWriter):
         path.parent.mkdir(parents=True, exist_ok=True)
         self._file: IO[bytes] = hidden(path).open("wb")
         self._parquet: Any = None
-        self._group: list[dict[str, np.ndarray]] = []
-        self._group_bytes = 0
         self._rows: list[dict[str, Any]] = []
         self._statistics: list[dict[str, Statistics]] = []
         self._new_tasks: list[str] = []
@@ -181,38 +177,30 @@ class _Writer(ShardedWriter):
             row |= self._linked(video, start, count / fps)
         self._rows.append(row)
         self._statistics.append(columns_statistics(columns))
-        self._group.append(columns)
-        self._group_bytes += sum(values.nbytes for values in columns.values())
         self._shard_frames += count
         entry["episode"] = number
         entry["frames"] = count
-        if self._group_bytes >= min(_GROUP_BYTES, self._limit):
-            self._flush()
+        self._write(columns)
 
-    def _flush(self) -> None:
-        if not self._group:
-            return
-        names = list(self._group[0])
-        joined = {name: np.concatenate([each[name] for each in self._group]) for name in names}
-        table = arrow().table({name: column(values) for name, values in joined.items()})
+    def _write(self, columns: dict[str, np.ndarray]) -> None:
+        """A clip is one row group, as an episode of LeRobot's own recorder is."""
+        table = arrow().table({name: column(values) for name, values in columns.items()})
         if self._parquet is None:
             # Numbers of a movement hardly repeat: a dictionary of them only takes time.
-            floats = [name for name in names if joined[name].dtype.kind == "f"]
+            floats = [name for name in columns if columns[name].dtype.kind == "f"]
             self._parquet = parquet().ParquetWriter(
                 self._file,
                 table.schema,
                 compression="zstd",
-                use_dictionary=[name for name in names if name not in floats],
+                use_dictionary=[name for name in columns if name not in floats],
             )
         self._parquet.write_table(table, row_group_size=table.num_rows)
-        self._group, self._group_bytes = [], 0
 
     def _size(self) -> int:
         return self._file.tell()
 
     def _end(self, number: int) -> dict[str, Any]:
         assert self._layout is not None
-        self._flush()
         self._parquet.close()
         self._file.close()
         data, episodes = self._path(DATA_PATH, number), self._path(EPISODES_PATH, number)

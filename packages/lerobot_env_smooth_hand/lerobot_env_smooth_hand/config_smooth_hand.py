@@ -1,0 +1,93 @@
+"""Settings of the environment, as LeRobot's command line shows them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from lerobot.configs import FeatureType, PolicyFeature
+from lerobot.envs.configs import EnvConfig
+from lerobot.utils.constants import ACTION, OBS_ENV_STATE, OBS_IMAGE, OBS_STATE
+
+from lerobot_env_smooth_hand.environment import OBJECT_NAMES
+from smooth_operator.hands.registry import load_hand
+from smooth_operator.types import as_side
+
+
+@EnvConfig.register_subclass("smooth_hand")
+@dataclass
+class SmoothHandEnv(EnvConfig):
+    """Settings of the environment; see ``HandTask`` for their meaning.
+
+    Attributes:
+        task: ``card``, ``cube`` or ``screwdriver``.
+        fps: steps a second, those of the data set that the policy was trained on [Hz].
+        hand: name of the robot hand, or the path of its spec file.
+        side: ``right`` or ``left``.
+        seconds: after which an episode is truncated [s]; 0 for the task's own limit.
+        start: pose of the actuated joints at the start [rad]; empty for the neutral one.
+        variation: factor of the limits within which the object varies.
+        pictures: whether observations have ``observation.image``.
+        width: of a picture [px].
+        height: of a picture [px].
+        render_mode: ``rgb_array``; LeRobot writes videos of evaluations.
+        features: filled in from the hand.
+        features_map: names of the features in data sets.
+    """
+
+    task: str | None = "card"
+    fps: int = 25
+    hand: str = "mimic_p050"
+    side: str = "right"
+    seconds: float = 0.0
+    start: list[float] = field(default_factory=list)
+    variation: float = 1.0
+    pictures: bool = False
+    width: int = 320
+    height: int = 240
+    render_mode: str = "rgb_array"
+    features: dict[str, PolicyFeature] = field(default_factory=dict)
+    features_map: dict[str, str] = field(
+        default_factory=lambda: {
+            ACTION: ACTION,
+            "agent_pos": OBS_STATE,
+            "environment_state": OBS_ENV_STATE,
+            "pixels": OBS_IMAGE,
+        }
+    )
+
+    def __post_init__(self) -> None:
+        """Fill in the features.
+
+        Raises:
+            SmoothOperatorError: there is no such hand.
+        """
+        joints = (len(load_hand(self.hand, as_side(self.side)).actuated),)
+        self.features = {
+            ACTION: PolicyFeature(type=FeatureType.ACTION, shape=joints),
+            "agent_pos": PolicyFeature(type=FeatureType.STATE, shape=joints),
+            "environment_state": PolicyFeature(type=FeatureType.ENV, shape=(len(OBJECT_NAMES),)),
+        }
+        if self.pictures:
+            shape = (self.height, self.width, 3)
+            self.features["pixels"] = PolicyFeature(type=FeatureType.VISUAL, shape=shape)
+
+    @property
+    def package_name(self) -> str:
+        """The module that registers the environments."""
+        return "lerobot_env_smooth_hand"
+
+    @property
+    def gym_id(self) -> str:
+        """The environment's name in Gymnasium."""
+        return f"smooth_hand/{self.task}"
+
+    @property
+    def gym_kwargs(self) -> dict[str, Any]:
+        """Arguments of ``HandTask``."""
+        return {
+            "hand": self.hand, "side": self.side, "fps": self.fps,
+            "seconds": self.seconds or None, "start": self.start or None,
+            "variation": self.variation, "pictures": self.pictures, "width": self.width,
+            "height": self.height, "render_mode": self.render_mode,
+        }  # fmt: skip

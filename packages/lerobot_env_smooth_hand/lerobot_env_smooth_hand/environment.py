@@ -1,0 +1,221 @@
+"""A simulated robot hand at one of the study's tasks, as a Gymnasium environment."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, ClassVar, Final
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+
+from smooth_operator.errors import ConfigError
+from smooth_operator.hands.registry import load_hand
+from smooth_operator.simulation.camera import SimulatedCamera
+from smooth_operator.simulation.scenes import ScenePhysics, scene_for
+from smooth_operator.simulation.scenes.variation import draw_variation
+from smooth_operator.simulation.tasks import TASKS, Phase, TaskRun, task_named
+from smooth_operator.types import as_side
+
+LOOKS_HZ: Final = 100.0
+"""Looks of the scorer at the scene a second, at least [Hz]."""
+
+SETTLE_S: Final = 1.0
+"""Time in which the hand goes to its start pose before an episode [s]."""
+
+OBJECT_NAMES: Final = tuple(f"object.{name}" for name in ("x", "y", "z", "qw", "qx", "qy", "qz"))
+"""Components of the environment's state: position [m] and quaternion of the object in the world."""
+
+Observation = dict[str, Any]
+
+
+class HandTask(gymnasium.Env[Observation, np.ndarray]):
+    """A task of the study: slide a card and pinch it, turn a cube, pivot a screwdriver.
+
+    The observation has ``agent_pos``, the (m,) measured positions of the actuated joints [rad],
+    ``environment_state``, the (7,) position [m] and quaternion wxyz of the object in the world,
+    and with pictures ``pixels``. An action is the (m,) targets of the same joints [rad]; they are
+    kept within the joints' limits. The reward of an episode is the score of the trial, 0, 0.5 or 1,
+    in its last step; ``info["is_success"]`` is true for a score of 1.
+
+    Each episode has another start, friction and mass of the object, as the benchmark's worlds do;
+    ``reset`` with a seed repeats one.
+
+    Args:
+        task: ``card``, ``cube`` or ``screwdriver``.
+        hand: name of the robot hand, or the path of its spec file.
+        side: ``right`` or ``left``.
+        fps: steps a second [Hz].
+        seconds: after which an episode is truncated [s]; None for the task's own limit.
+        start: (m,) pose of the actuated joints at the start [rad]; None for the neutral one.
+        variation: factor of the limits within which the object varies; 0 for the nominal object.
+        pictures: whether the observation has ``pixels``.
+        width: of a picture [px].
+        height: of a picture [px].
+        render_mode: ``rgb_array``, or None.
+
+    Raises:
+        ConfigError: a number is out of its range.
+        UnknownNameError: there is no such task or hand.
+        HandModelError: the hand can't do the task.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 25}
+
+    def __init__(
+        self,
+        task: str = "card",
+        hand: str = "mimic_p050",
+        side: str = "right",
+        fps: int = 25,
+        seconds: float | None = None,
+        start: Sequence[float] | None = None,
+        variation: float = 1.0,
+        pictures: bool = False,
+        width: int = 320,
+        height: int = 240,
+        render_mode: str | None = None,
+    ) -> None:
+        if not (1 <= fps <= 500 and (seconds is None or 0.0 < seconds <= 3600.0)):
+            raise ConfigError(
+                f"environment: expected 1 to 500 steps a second and a time limit above 0 and up to "
+                f"3600 s, not {fps} and {seconds}"
+            )
+        if not 0.0 <= variation <= 10.0:
+            raise ConfigError(f"environment: variation must be 0 to 10, not {variation}")
+        self.simulated_task = task_named(task)
+        self.task, self.task_description = task, self.simulated_task.task.instruction
+        self.hand = load_hand(hand, as_side(side))
+        self.render_mode, self.metadata = render_mode, {**self.metadata, "render_fps": fps}
+        self._scene = scene_for(self.simulated_task.name, self.hand)
+        self._fps, self._variation = fps, variation
+        limit = self.simulated_task.seconds if seconds is None else seconds
+        self._max_episode_steps = max(1, math.ceil(limit * fps - 1e-6))
+        self._pictures, self._size = pictures, (width, height)
+        low, high = self.hand.limits.T
+        joints = len(self.hand.actuated)
+        self._start = self.hand.neutral if start is None else np.asarray(start, float)
+        if self._start.shape != (joints,) or not np.isfinite(self._start).all():
+            raise ConfigError(
+                f"environment: start must be {joints} finite numbers, one for each of "
+                f"{', '.join(self.hand.actuated_names)}"
+            )
+        parts: dict[str, spaces.Space[Any]] = {
+            "agent_pos": spaces.Box(-np.inf, np.inf, (joints,), np.float32),
+            "environment_state": spaces.Box(-np.inf, np.inf, (len(OBJECT_NAMES),), np.float32),
+        }
+        if pictures:
+            parts["pixels"] = spaces.Box(0, 255, (height, width, 3), np.uint8)
+        self.observation_space = spaces.Dict(parts)
+        self.action_space = spaces.Box(low.astype(np.float32), high.astype(np.float32))
+        self._camera: SimulatedCamera | None = None
+        self._physics: ScenePhysics | None = None
+        self._run: TaskRun | None = None
+        self._steps = 0
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Begin an episode: the hand in its start pose, the object at its start in a new world."""
+        super().reset(seed=seed)
+        del options
+        world = draw_variation(self.np_random, self._variation)
+        self._close_camera()
+        physics = ScenePhysics(self.hand, world.scene(self._scene))
+        world.prepare(physics)
+        physics.command(self.hand.full_configuration(self._start))
+        physics.put_away()
+        physics.advance(SETTLE_S)
+        physics.reset_object()
+        self._physics, self._steps = physics, 0
+        self._run = TaskRun(self.simulated_task, physics.scene).go(physics.time)
+        return self._observation(physics), {"is_success": False}
+
+    def step(self, action: np.ndarray) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Send targets of the actuated joints, and let a period pass.
+
+        Args:
+            action: (m,) targets [rad]; what is not finite leaves its joint's target as it is.
+
+        Raises:
+            gymnasium.error.ResetNeeded: the episode is over, or none has begun.
+        """
+        physics, run = self._physics, self._run
+        if physics is None or run is None or run.phase is not Phase.RUNNING:
+            raise gymnasium.error.ResetNeeded("call reset() before step()")
+        physics.command(self.hand.full_configuration(np.asarray(action, float)))
+        looks = math.ceil(LOOKS_HZ / self._fps)
+        resets = physics.resets
+        for _ in range(looks):
+            physics.advance(1.0 / (self._fps * looks))
+            run = run.observe(physics.observe())
+        self._steps += 1
+        diverged = physics.resets > resets  # such an episode measures nothing
+        if run.phase is Phase.RUNNING and (diverged or self._steps >= self._max_episode_steps):
+            run = run.finish(physics.time)
+        self._run, outcome = run, run.outcome
+        truncated = outcome is not None and outcome.ended in ("timeout", "finished")
+        score = 0.0 if outcome is None or diverged else outcome.score
+        info: dict[str, Any] = {"is_success": score == 1.0}
+        if outcome is not None:
+            info |= {"score": score, "reason": outcome.reason, "diverged": diverged}
+        done = outcome is not None and not truncated
+        return self._observation(physics), score, done, truncated, info
+
+    def render(self) -> np.ndarray | None:  # type: ignore[override]
+        """(height, width, 3) picture of the scene; None without a render mode."""
+        if self.render_mode is None or self._physics is None:
+            return None
+        return self._picture(self._physics)
+
+    def close(self) -> None:
+        """Give the OpenGL context back."""
+        self._close_camera()
+
+    def _observation(self, physics: ScenePhysics) -> Observation:
+        state = physics.observe()
+        measured = physics.positions[list(self.hand.actuated)]
+        seen: Observation = {
+            "agent_pos": measured.astype(np.float32),
+            "environment_state": object_state(
+                state.position, state.quaternion, self._scene.start[1]
+            ),
+        }
+        if self._pictures:
+            seen["pixels"] = self._picture(physics)
+        return seen
+
+    def _picture(self, physics: ScenePhysics) -> np.ndarray:
+        if self._camera is None:
+            self._camera = SimulatedCamera(physics, *self._size)
+        return self._camera.draw(physics.data.qpos)
+
+    def _close_camera(self) -> None:
+        camera, self._camera = self._camera, None
+        if camera is not None:
+            camera.close()
+
+
+def object_state(position: np.ndarray, quaternion: np.ndarray, reference: np.ndarray) -> np.ndarray:
+    """(7,) float32 of ``OBJECT_NAMES``.
+
+    Args:
+        position: (3,) of the object in the world [m].
+        quaternion: (4,) w x y z of the object in the world.
+        reference: (4,) at the start; of q and -q the one that is nearer to it is taken.
+    """
+    sign = 1.0 if float(np.dot(quaternion, reference)) >= 0.0 else -1.0
+    return np.concatenate([position, sign * quaternion]).astype(np.float32)
+
+
+def register() -> None:
+    """Make the tasks known to ``gymnasium.make``; a second call changes nothing."""
+    for name in TASKS:
+        if f"smooth_hand/{name}" not in gymnasium.registry:
+            gymnasium.register(
+                f"smooth_hand/{name}",
+                "lerobot_env_smooth_hand.environment:HandTask",
+                kwargs={"task": name},
+                disable_env_checker=True,
+            )

@@ -1,0 +1,33 @@
+"""Settings of the simulated camera, as LeRobot's command line shows them."""
+
+from dataclasses import dataclass
+
+from lerobot.cameras import CameraConfig
+
+
+# LeRobot finds the class by the name without "Config", in this package.
+@CameraConfig.register_subclass("smooth_hand")
+@dataclass(kw_only=True)
+class SmoothHandCameraConfig(CameraConfig):
+    """Settings of a camera that looks at the hand in the sink ``mujoco``.
+
+    Attributes:
+        fps: pictures a second, at most [Hz].
+        width: of a picture [px].
+        height: of a picture [px].
+        side: ``right`` or ``left``; None for the robot's, of both hands the right one.
+        azimuth: of the direction of view, as MuJoCo counts it [degrees]; None for one that shows
+            the hand's task, or its palm where there is none.
+        elevation: likewise [degrees].
+        distance: to what is looked at [m]; None likewise.
+        stale_s: a picture older than this is an error, not an observation [s].
+    """
+
+    fps: int | None = 30
+    width: int | None = 320
+    height: int | None = 240
+    side: str | None = None
+    azimuth: float | None = None
+    elevation: float | None = None
+    distance: float | None = None
+    stale_s: float = 1.0

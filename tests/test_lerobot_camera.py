@@ -1,0 +1,137 @@
+"""The simulated camera: what it shows, and as a camera of the LeRobot robot."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterator
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from lerobot_stand_in import REAL, ROBOT, use_plugins
+
+from smooth_operator import load_hand
+from smooth_operator.errors import ConfigError
+from smooth_operator.simulation.camera import SimulatedCamera, View
+from smooth_operator.simulation.physics import HandPhysics
+from smooth_operator.simulation.scenes import ScenePhysics, scene_for
+from smooth_operator.simulation.scenes.scene import OBJECT
+
+
+def camera_at(physics: HandPhysics, *size: int, view: View | None = None) -> SimulatedCamera:
+    try:
+        return SimulatedCamera(physics, *size, view=view)
+    except ConfigError as error:
+        if "OpenGL" not in str(error):
+            raise
+        pytest.skip(str(error))
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+@pytest.mark.parametrize("task", ["none", "card", "screwdriver"])
+def test_hand_and_object_are_in_the_picture_and_move_in_it(task: str, side: Any) -> None:
+    hand = load_hand("mimic_p050", side)
+    physics = HandPhysics(hand) if task == "none" else ScenePhysics(hand, scene_for(task, hand))
+    camera = camera_at(physics, 160, 120)
+    first = camera.draw(physics.data.qpos)
+    assert first.shape == (120, 160, 3)
+    moved = physics.data.qpos.copy()
+    moved[[physics.model.joint(j).qposadr[0] for j in names(physics)]] += 0.3
+    changed = (camera.draw(moved) != first).any(axis=2)
+    assert changed.mean() > 0.005  # the fingers are seen, and not the whole picture
+    assert changed.mean() < 0.5
+    if task != "none":
+        away = physics.data.qpos.copy()
+        away[physics.model.joint(OBJECT).qposadr[0]] += 5.0
+        gone = (camera.draw(away) != first).any(axis=2)
+        rows, columns = np.nonzero(gone)
+        assert len(rows) > 50
+        assert abs(columns.mean() - 80) < 40  # it is what the camera looks at
+        assert abs(rows.mean() - 60) < 30
+    camera.close()
+
+
+def test_the_view_can_be_chosen_and_wrong_sizes_are_refused() -> None:
+    hand = load_hand("mimic_p050")
+    physics = ScenePhysics(hand, scene_for("cube", hand))
+    pictures = []
+    for view in (None, View(azimuth=20.0), View(distance=1.0)):
+        camera = camera_at(physics, 64, 64, view=view)
+        pictures.append(camera.draw(physics.data.qpos))
+        camera.close()
+    assert (pictures[0] != pictures[1]).any()
+    assert (pictures[0] != pictures[2]).any()
+    with pytest.raises(ConfigError, match="16 to 4096 pixels"):
+        SimulatedCamera(physics, 8, 64)
+    with pytest.raises(ConfigError, match="distance"):
+        SimulatedCamera(physics, 64, 64, View(distance=0.0))
+
+
+@pytest.fixture
+def plugin(monkeypatch: pytest.MonkeyPatch) -> Iterator[SimpleNamespace]:
+    use_plugins(monkeypatch)
+    import lerobot_robot_smooth_hand as package
+    from lerobot.utils import errors
+
+    if not REAL:
+        robot = sys.modules[f"{ROBOT}.robot"]
+        monkeypatch.setattr(
+            robot, "_cameras",
+            lambda config: {n: package.SmoothHandCamera(c) for n, c in config.cameras.items()},
+        )  # fmt: skip
+    yield SimpleNamespace(package=package, errors=errors)
+    for name in [n for n in sys.modules if n.startswith(ROBOT) and not REAL]:
+        del sys.modules[name]  # they hold the classes of a stand-in that is gone
+
+
+def test_the_robots_observations_have_pictures_of_its_simulated_hand(
+    plugin: SimpleNamespace,
+) -> None:
+    camera_at(HandPhysics(load_hand("mimic_p050")), 64, 64).close()  # or there is no OpenGL
+    config = plugin.package.SmoothHandCameraConfig(width=96, height=64, fps=20)
+    robot = plugin.package.SmoothHand(
+        plugin.package.SmoothHandConfig(sinks=["mujoco:task=cube"], cameras={"front": config})
+    )
+    assert robot.observation_features["front"] == (64, 96, 3)
+    robot.connect()
+    try:
+        first = robot.get_observation()["front"]
+        assert first.shape == (64, 96, 3)
+        low, high = load_hand("mimic_p050").limits.T
+        names = list(robot.action_features)
+        goal = dict(zip(names, (low + 0.7 * (high - low)).tolist(), strict=True))
+        end, changed = time.perf_counter() + 30.0, False
+        while time.perf_counter() < end and not changed:
+            robot.send_action(goal)
+            time.sleep(0.02)
+            changed = bool((robot.get_observation()["front"] != first).mean() > 0.01)
+        assert changed
+        camera = robot.cameras["front"]
+        assert (camera.async_read(2000.0) != first).any()
+        assert camera.read().shape == (64, 96, 3)
+        with pytest.raises(plugin.errors.DeviceAlreadyConnectedError):
+            camera.connect()
+    finally:
+        robot.disconnect()
+    assert not camera.is_connected
+    with pytest.raises(plugin.errors.DeviceNotConnectedError):
+        camera.read_latest()
+
+
+def test_a_camera_without_a_simulated_hand_says_so(plugin: SimpleNamespace) -> None:
+    config = plugin.package.SmoothHandCameraConfig(side="left")
+    with pytest.raises(plugin.errors.DeviceNotConnectedError, match="belongs to the robot"):
+        plugin.package.SmoothHandCamera(config).connect()
+    robot = plugin.package.SmoothHand(plugin.package.SmoothHandConfig(cameras={"front": config}))
+    with pytest.raises(ValueError, match="a hand in simulation"):
+        robot.connect()
+    assert not robot.is_connected
+    with pytest.raises(ValueError, match="above 0"):
+        plugin.package.SmoothHandCamera(plugin.package.SmoothHandCameraConfig(width=0))
+
+
+def names(physics: HandPhysics) -> list[str]:
+    prefix = "hand/" if isinstance(physics, ScenePhysics) else ""
+    return [prefix + name for name in physics.hand.actuated_names]

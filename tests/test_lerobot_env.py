@@ -1,0 +1,158 @@
+"""The environment with the study's tasks: spaces, seeds, scores, limits of time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from lerobot_stand_in import ENVIRONMENT, PACKAGES
+
+from smooth_operator import load_hand
+from smooth_operator.errors import ConfigError, UnknownNameError
+from smooth_operator.simulation.scenes import ScenePhysics
+from smooth_operator.simulation.scenes.scene import OBJECT
+
+gymnasium = pytest.importorskip("gymnasium", reason="gymnasium is not installed")
+
+Make = Callable[..., Any]
+
+
+@pytest.fixture
+def make(monkeypatch: pytest.MonkeyPatch) -> Iterator[Make]:
+    monkeypatch.syspath_prepend(str(PACKAGES / ENVIRONMENT))
+    from lerobot_env_smooth_hand import HandTask
+
+    made = []
+
+    def new(**settings: Any) -> Any:
+        made.append(HandTask(**settings))
+        return made[-1]
+
+    yield new
+    for environment in made:
+        environment.close()
+
+
+@pytest.mark.parametrize(
+    ("hand", "side", "task"),
+    [("mimic_p050", "right", "card"), ("shadow_hand", "left", "cube"),
+     ("leap_hand", "right", "screwdriver")],
+)  # fmt: skip
+def test_each_task_is_an_environment_by_gymnasiums_own_check(
+    make: Make, hand: str, side: str, task: str
+) -> None:
+    from gymnasium.utils.env_checker import check_env
+
+    check_env(make(hand=hand, side=side, task=task), skip_render_check=True)
+    made = gymnasium.make(f"smooth_hand/{task}", hand=hand, side=side)
+    assert made.action_space.shape == (len(load_hand(hand).actuated),)
+    made.close()
+
+
+def test_a_seed_repeats_a_world_and_another_one_is_another(make: Make) -> None:
+    environment = make(task="card")
+
+    def starts(seed: int) -> np.ndarray:
+        seen, _ = environment.reset(seed=seed)
+        return np.concatenate([seen["agent_pos"], seen["environment_state"]])
+
+    first = starts(1)
+    np.testing.assert_array_equal(first, starts(1))
+    assert np.abs(first - starts(2))[-7:].max() > 1e-4
+    nominal = make(task="card", variation=0.0)
+    seen = [nominal.reset(seed=seed)[0]["environment_state"] for seed in (1, 2)]
+    np.testing.assert_array_equal(*seen)
+    assert np.abs(first[-7:-5] - seen[0][:2]).max() <= 0.002 + 1e-6
+
+
+def test_an_episode_begins_in_the_start_pose_and_follows_its_actions(make: Make) -> None:
+    hand = load_hand("mimic_p050")
+    low, high = hand.limits.T
+    start = 0.7 * hand.neutral + 0.3 * (low + high) / 2
+    environment = make(task="screwdriver", start=start.tolist())
+    seen, _ = environment.reset(seed=0)
+    np.testing.assert_allclose(seen["agent_pos"], start, atol=0.05)
+    for _ in range(25):
+        seen, *_ = environment.step(hand.neutral.astype(np.float32))
+    np.testing.assert_allclose(seen["agent_pos"], hand.neutral, atol=0.1)
+
+
+def test_time_is_truncated_and_a_lost_object_ends_an_episode(make: Make) -> None:
+    environment = make(task="card", seconds=0.2, fps=25)
+    environment.reset(seed=0)
+    rest = environment.hand.neutral.astype(np.float32)
+    ends = [environment.step(rest)[1:] for _ in range(5)]
+    assert [(done, late) for _, done, late, _ in ends] == [(False, False)] * 4 + [(False, True)]
+    assert ends[-1][0] == 0.0
+    assert ends[-1][3]["is_success"] is False
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        environment.step(rest)
+
+    environment = make(task="card")
+    environment.reset(seed=0)
+    _move_object(environment, (0.5, 0.5, 0.0))
+    _, reward, done, late, info = environment.step(rest)
+    assert (reward, done, late) == (0.0, True, False)
+    assert info["reason"] == "the card fell"
+
+
+def test_a_goal_that_is_met_is_a_success(make: Make) -> None:
+    """The cube, turned by a right angle as no hand could in an instant, and left alone."""
+    environment = make(task="cube", variation=0.0)
+    environment.reset(seed=0)
+    physics: ScenePhysics = environment._physics
+    rest = physics.positions[list(environment.hand.actuated)].astype(np.float32)
+    address = physics.model.joint(OBJECT).qposadr[0]
+    turned = np.cos(np.pi / 4), np.sin(np.pi / 4)
+    results = []
+    for step in range(50):
+        if step == 5:
+            w, x, y, z = physics.data.qpos[address + 3 : address + 7]
+            c, s = turned  # about the world's z
+            physics.data.qpos[address + 3 : address + 7] = (
+                c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w
+            )  # fmt: skip
+        results.append(environment.step(rest))
+        if results[-1][2]:
+            break
+    _, reward, done, late, info = results[-1]
+    assert (reward, done, late) == (1.0, True, False), info
+    assert info["is_success"] is True
+    assert sum(result[1] for result in results) == 1.0
+
+
+def test_pictures_are_of_the_size_that_was_chosen(make: Make) -> None:
+    environment = make(
+        task="cube", pictures=True, width=96, height=64, render_mode="rgb_array"
+    )  # fmt: skip
+    try:
+        seen, _ = environment.reset(seed=0)
+    except ConfigError as error:
+        pytest.skip(str(error))
+    assert seen["pixels"].shape == (64, 96, 3)
+    assert seen["pixels"].dtype == np.uint8
+    assert np.ptp(seen["pixels"]) > 100
+    _move_object(environment, (0.0, 0.0, 0.03))
+    assert (environment.render() != seen["pixels"]).any()
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [({"fps": 0}, "steps a second"), ({"seconds": 0.0}, "time limit"),
+     ({"start": [0.0]}, "16 finite numbers"), ({"variation": -1.0}, "variation")],
+)  # fmt: skip
+def test_settings_out_of_range_are_refused(
+    make: Make, settings: dict[str, Any], words: str
+) -> None:
+    with pytest.raises(ConfigError, match=words):
+        make(**settings)
+    with pytest.raises(UnknownNameError, match="card"):
+        make(task="crad")
+
+
+def _move_object(environment: Any, by: tuple[float, float, float]) -> None:
+    physics = environment._physics
+    address = physics.model.joint(OBJECT).qposadr[0]
+    physics.data.qpos[address : address + 3] += by

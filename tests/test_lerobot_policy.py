@@ -1,0 +1,197 @@
+"""From a take to a policy with the real LeRobot: record, convert, merge, train, evaluate.
+
+Needs LeRobot and our three plug-ins installed; CI has a job with them (``lerobot-policy``).
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from free_port import free_port
+from lerobot_stand_in import ENVIRONMENT, REAL, ROBOT, TELEOPERATOR
+
+from smooth_operator import load_hand
+from smooth_operator.cli import main
+from smooth_operator.errors import ConfigError
+from smooth_operator.simulation.camera import SimulatedCamera
+from smooth_operator.simulation.physics import HandPhysics
+
+INSTALLED = {str(each.metadata["Name"]) for each in importlib.metadata.distributions()}
+LACKING = {"lerobot", "accelerate", TELEOPERATOR, ROBOT, ENVIRONMENT} - INSTALLED
+
+pytestmark = [
+    pytest.mark.lerobot,
+    pytest.mark.skipif(
+        not REAL or bool(LACKING), reason=f"not installed: {', '.join(sorted(LACKING))}"
+    ),
+]
+
+FPS, TASK = 10, "Move the fingers"
+SMALL = {
+    "type": "act", "device": "cpu", "push_to_hub": "false", "dim_model": 32, "n_heads": 2,
+    "dim_feedforward": 64, "n_encoder_layers": 1, "use_vae": "false", "chunk_size": 5,
+    "n_action_steps": 5, "pretrained_backbone_weights": "null",
+}  # fmt: skip
+CAMERA = "{front: {type: smooth_hand, width: 96, height: 64, fps: 10, stale_s: 30}}"
+
+
+def run(module: str, folder: Path, options: dict[str, Any]) -> str:
+    """One of LeRobot's programs, offline; what it said."""
+    environment = {
+        **os.environ, "HF_HUB_OFFLINE": "1", "HF_HOME": str(folder / "huggingface"),
+        "JAX_PLATFORMS": "cpu",
+    }  # fmt: skip
+    done = subprocess.run(
+        [sys.executable, "-m", f"lerobot.scripts.{module}",
+         *(f"--{name}={value}" for name, value in options.items())],
+        env=environment, cwd=folder, capture_output=True, encoding="utf-8", timeout=500,
+    )  # fmt: skip
+    assert done.returncode == 0, f"{module}: {done.stderr[-4000:]}"
+    return done.stdout + done.stderr
+
+
+def train(folder: Path, data: Path, name: str, **more: Any) -> Path:
+    """Three steps of ACT; the folder of the weights."""
+    run("lerobot_train", folder, {
+        "dataset.repo_id": f"test/{data.name}", "dataset.root": data, "steps": 3, "save_freq": 3,
+        "batch_size": 4, "num_workers": 0, "env_eval_freq": 0, "output_dir": folder / name,
+        "wandb.enable": "false", **{f"policy.{key}": value for key, value in SMALL.items()}, **more,
+    })  # fmt: skip
+    model = folder / name / "checkpoints" / "last" / "pretrained_model"
+    assert (model / "model.safetensors").exists()
+    return model
+
+
+def load(root: Path) -> Any:
+    """A data set as LeRobot's own class opens it."""
+    os.environ["HF_HUB_OFFLINE"] = "1"
+    from lerobot.datasets import LeRobotDataset
+
+    return LeRobotDataset(f"test/{root.name}", root=root)
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with ``plain`` and ``seen``, recorded by lerobot-record, and ``take.mcap``."""
+    folder = tmp_path_factory.mktemp("policy")
+    address = f"tcp://127.0.0.1:{free_port()}"
+    teleop = [
+        "teleop", "--source", "synthetic", "--hand", "mimic_p050", "--method", "joint_angle",
+        "--sink", f"zmq:{address},valid_for_s=10", "mujoco", f"record:{folder / 'take.mcap'}",
+        "--no-view",
+    ]  # fmt: skip
+    record = {
+        "robot.type": "smooth_hand", "robot.hand": "mimic_p050", "teleop.type": "smooth_operator",
+        "teleop.address": address, "teleop.timeout_s": 120, "dataset.num_episodes": 1,
+        "dataset.episode_time_s": 3, "dataset.reset_time_s": 0, "dataset.fps": FPS,
+        "dataset.single_task": TASK, "dataset.push_to_hub": "false", "dataset.video": "false",
+        "play_sounds": "false",
+    }  # fmt: skip
+    with subprocess.Popen(
+        [sys.executable, "-m", "smooth_operator", *teleop], cwd=folder,
+        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, encoding="utf-8",
+    ) as operator:  # fmt: skip
+        try:
+            for name, more in (("plain", {}), ("seen", {"robot.cameras": CAMERA})):
+                if name == "seen" and not can_draw():
+                    continue
+                where = {"dataset.repo_id": f"test/{name}", "dataset.root": folder / name}
+                run("lerobot_record", folder, {**record, **where, **more})
+        finally:
+            operator.terminate()
+            operator.communicate(timeout=60)
+    return folder
+
+
+def can_draw() -> bool:
+    try:
+        SimulatedCamera(HandPhysics(load_hand("mimic_p050")), 64, 64).close()
+    except ConfigError:
+        return False
+    return True
+
+
+def test_act_is_trained_on_a_recording_with_a_simulated_camera(recorded: Path) -> None:
+    if not can_draw():
+        pytest.skip("this machine can't draw with OpenGL")
+    data = load(recorded / "seen")
+    picture = data[len(data) // 2]["observation.images.front"]
+    assert tuple(picture.shape) == (3, 64, 96)
+    assert float(picture.max() - picture.min()) > 0.3  # the hand, and what is behind it
+    model = train(recorded, recorded / "seen", "seen-policy")
+    inputs = json.loads((model / "config.json").read_text())["input_features"]
+    assert set(inputs) == {"observation.state", "observation.images.front"}
+
+
+def test_a_log_merges_with_a_recording_by_lerobots_tool(recorded: Path) -> None:
+    command = ["convert", str(recorded / "take.mcap"), "--columns", "robot", "--fps", str(FPS)]
+    assert main([*command, "--task", TASK, "--output", str(recorded / "log")]) == 0
+    own, log = load(recorded / "plain"), load(recorded / "log")
+    assert log.features == own.features
+    assert log.meta.robot_type == own.meta.robot_type == "smooth_hand"
+    run("lerobot_edit_dataset", recorded, {
+        "new_repo_id": "test/both", "new_root": recorded / "both", "operation.type": "merge",
+        "operation.repo_ids": "[test/plain, test/log]",
+        "operation.roots": f"[{recorded / 'plain'}, {recorded / 'log'}]", "push_to_hub": "false",
+    })  # fmt: skip
+    both = load(recorded / "both")
+    assert (both.num_episodes, len(both)) == (2, len(own) + len(log))
+    np.testing.assert_array_equal(both[len(own)]["action"], log[0]["action"])
+
+
+def test_act_is_trained_on_the_environments_state_of_a_log(recorded: Path) -> None:
+    command = ["convert", str(recorded / "take.mcap"), "--columns", "robot", "--task", TASK]
+    assert main([*command, "--environment-state", "--output", str(recorded / "state")]) == 0
+    model = train(recorded, recorded / "state", "state-policy")
+    inputs = json.loads((model / "config.json").read_text())["input_features"]
+    assert inputs["observation.environment_state"]["shape"] == [20]
+
+
+def test_a_policy_is_evaluated_in_the_environment(recorded: Path) -> None:
+    """A data set of the environment, made by holding the start pose; ACT; lerobot-eval."""
+    import lerobot_env_smooth_hand as package
+    from lerobot.datasets import LeRobotDataset
+    from lerobot_env_smooth_hand.environment import OBJECT_NAMES
+
+    environment = package.HandTask(task="card", fps=FPS)
+    joints = [f"{name}.pos" for name in environment.hand.actuated_names]
+    names = {
+        "observation.state": joints, "observation.environment_state": list(OBJECT_NAMES),
+        "action": joints,
+    }  # fmt: skip
+    data = LeRobotDataset.create(
+        "test/card", FPS, root=recorded / "card", robot_type="smooth_hand", use_videos=False,
+        features={
+            key: {"dtype": "float32", "shape": (len(each),), "names": each}
+            for key, each in names.items()
+        },
+    )  # fmt: skip
+    for seed in range(2):
+        seen, _ = environment.reset(seed=seed)
+        for _ in range(15):
+            action = environment.hand.neutral.astype(np.float32)
+            data.add_frame({
+                "observation.state": seen["agent_pos"], "action": action, "task": "card",
+                "observation.environment_state": seen["environment_state"],
+            })  # fmt: skip
+            seen, *_ = environment.step(action)
+        data.save_episode()
+    data.finalize()
+    model = train(recorded, recorded / "card", "card-policy")
+    run("lerobot_eval", recorded, {
+        "policy.path": model, "policy.device": "cpu", "env.type": "smooth_hand",
+        "env.task": "card", "env.fps": FPS, "env.seconds": 1, "env.width": 64, "env.height": 64,
+        "eval.n_episodes": 2, "eval.batch_size": 2, "output_dir": recorded / "evaluation",
+        "eval.recording": str(not can_draw()).lower(),  # else it renders videos
+    })  # fmt: skip
+    info = json.loads((recorded / "evaluation" / "eval_info.json").read_text())
+    assert info["overall"]["n_episodes"] == 2
+    assert 0.0 <= info["overall"]["pc_success"] <= 100.0
