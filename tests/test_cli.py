@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -73,7 +74,8 @@ def test_demo_writes_a_consistent_folder(run: Run, tmp_path: Path) -> None:
     status, out, err = run("demo", "--output", folder, *options)
     assert status == 0, err
     assert "retargeting" in err
-    assert "thumb-to-tip" in out
+    assert len(re.findall(r"^(good|look|–) +[A-Z0-9]", out, re.MULTILINE)) == 5
+    assert "Next: smooth-operator teleop" in out
     found = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
     plots = {f"plots/{name}.png" for name in ("fingertips", "joints", "latency", "thumb_distances")}
     files = {"commands.npz", "commands.json", "config.json", "log.mcap", "metrics.json"}
@@ -94,7 +96,7 @@ def test_demo_writes_a_consistent_folder(run: Run, tmp_path: Path) -> None:
     assert config["config"]["sampling"]["samples"] == 32
     assert config["versions"]["jax"]
 
-    # A former demo is replaced; another kind of folder is not, unless asked, and then it stays.
+    # An earlier demo is replaced; another kind of folder is not.
     (folder / "notes.txt").write_text("mine", encoding="utf-8")
     status, *_ = run("demo", "--output", folder, *options, "--side", "left", "--quiet")
     assert status == 0
@@ -104,10 +106,8 @@ def test_demo_writes_a_consistent_folder(run: Run, tmp_path: Path) -> None:
     (other / "thesis.txt").write_text("mine", encoding="utf-8")
     status, out, err = run("demo", "--output", other, *options)
     assert (status, out) == (2, "")
-    assert "--overwrite" in err
+    assert "another folder with --output" in err
     assert [path.name for path in other.iterdir()] == ["thesis.txt"]
-    assert run("demo", "--output", other, *options, "--overwrite")[0] == 0
-    assert {path.name for path in other.iterdir()} >= {"thesis.txt", "commands.npz"}
     assert (folder / "notes.txt").read_text(encoding="utf-8") == "mine"
 
 
@@ -121,7 +121,7 @@ def test_retarget_is_the_library_and_repeats_itself(run: Run, glove: Path, tmp_p
     assert metrics["frames"] == 15
     assert metrics["tracking_loss"] > 0
 
-    status, out, err = run(*arguments, "--output", again, "--quiet")
+    status, out, err = run(*arguments, "--output", again, "--quiet", "--all")
     assert status == 0
     assert "cosine_similarity" in out
     assert err == ""
@@ -250,7 +250,7 @@ def test_stopping_while_writing_leaves_the_former_result(
     run: Run, glove: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "out.npz"
-    arguments = ("retarget", glove, *TINY, "--frames", ":5", "--output", out)
+    arguments = ("retarget", glove, *TINY, "--frames", ":5", "--overwrite", "--output", out)
     assert run(*arguments)[0] == 0
     before = out.read_bytes()
 
@@ -290,6 +290,46 @@ def test_metrics_are_printed_group_by_group(capsys: pytest.CaptureFixture[str]) 
     assert sum(name in {metric.name for metric in METRICS} for name in names) == len(METRICS)
     assert names.index("Grasping") < names.index("self_collision.share") < names.index("Motion")
     assert ["index", "0.5"] in lines  # a figure of each finger has a row of its own
+
+
+def test_a_summary_says_what_is_good_and_what_to_do(capsys: pytest.CaptureFixture[str]) -> None:
+    from smooth_operator.cli.console import print_summary
+
+    metrics: dict[str, object] = {
+        "finger_direction_error_deg": 7.25,
+        "pinch_gap_excess_mm": 6.5,
+        "self_collision": {"share": 0.0175},
+        "jumps_per_1000": None,
+        "latency_ms": {"p99": 12.0},
+        "rate_hz": 100.0,
+    }
+    print_summary("a title", metrics, ["Next: something"])
+    lines = [line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines()]
+    assert [mark for mark, _ in lines[1:6]] == ["good", "look", "good", "–", "look"]
+    text = "\n".join(sentence for _, sentence in lines)
+    assert "7.25° away" in text
+    assert "1.75 % of the frames" in text
+    assert "good: up to 10 ms" in text  # a frame at 100 Hz
+    assert text.count("calibrate") == 1
+    assert "doctor" in text
+    assert lines[-1] == ["Next:", "something"]
+
+
+def test_retarget_replaces_a_result_only_with_overwrite(
+    run: Run, glove: Path, tmp_path: Path
+) -> None:
+    arguments = ("retarget", glove, *TINY, "--frames", ":5", "--output", tmp_path / "out.npz")
+    status, out, _ = run(*arguments)
+    assert status == 0
+    assert "smooth-operator view" in out
+    before = (tmp_path / "out.npz").read_bytes()
+    status, _, err = run(*arguments)
+    assert status == 2
+    assert "add --overwrite" in err
+    assert (tmp_path / "out.npz").read_bytes() == before
+    status, out, _ = run(*arguments, "--overwrite", "--all")
+    assert status == 0
+    assert "motion_preservation" in out
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGINT to send to one process")

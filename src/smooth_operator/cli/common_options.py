@@ -95,6 +95,14 @@ class Retargeting:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Measured:
+    """Option of every command that measures one recording and prints the figures."""
+
+    all: bool = False
+    """Print every metric, not five."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Synthetic:
     """Options of every command that records the built-in operator."""
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, Final
 
 from rich import box
@@ -27,6 +28,52 @@ _REDRAW_S: Final = 0.1
 _EXTRAS: Final = {"first_command_s": ("s", "↓", "building and compiling, once per start")}
 _WIDTH_OF_A_FILE: Final = 160
 _WIDTH_TO_EXPLAIN: Final = 115
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One of the figures that are printed after a run.
+
+    Attributes:
+        metric: name of the metric.
+        good: the largest good value; None for the time between two frames [ms].
+        sentence: format of a sentence with the value.
+        absent: sentence if the value is unknown.
+        advice: what to do if the value is larger than ``good``.
+    """
+
+    metric: str
+    good: float | None
+    sentence: str
+    absent: str
+    advice: str
+
+
+_CALIBRATE: Final = "smooth-operator calibrate fits the robot hand to the operator's"
+SUMMARY: Final = (
+    Figure("finger_direction_error_deg", 10.0,
+           "Robot fingers point {:.3g}° away from the human's on average (good: up to {:.3g}°)",
+           "No frame shows where the human's fingers point", _CALIBRATE),
+    Figure("pinch_gap_excess_mm", 5.0,
+           "In a pinch the robot's fingertips are {:.3g} mm further apart than the human's (good: "
+           "up to {:.3g} mm)",
+           "The human pinches in no frame", _CALIBRATE),
+    Figure("self_collision.share", 0.05,
+           "Parts of the robot hand are inside each other in {:.3g} % of the frames (good: up to "
+           "{:.3g} %)",
+           "Self-collision of this hand can't be measured",
+           "--method smooth avoids self-collision; hands check tests the hand's description"),
+    Figure("jumps_per_1000", 1.0,
+           "A robot fingertip jumps in {:.3g} of 1,000 frames (good: up to {:.3g})",
+           "There are too few frames to find jumps",
+           "look at the jumps with view: the tracker may have jumped as well"),
+    Figure("latency_ms.p99", None,
+           "99 of 100 commands took up to {:.3g} ms (good: up to {:.3g} ms, the time between two "
+           "frames)",
+           "The time of a command was not measured",
+           "smooth-operator doctor says where time goes on this machine"),
+)  # fmt: skip
+"""The five figures of ``demo`` and ``retarget``: shape, pinches, collision, steadiness, speed."""
 
 
 class Progressing:
@@ -161,6 +208,38 @@ def output_console(width: int = _WIDTH_OF_A_FILE) -> Console:
 def plain_table(title: str | Text | None = None) -> Table:
     """A table with a line below its head and no frame."""
     return Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+
+
+def print_summary(title: str, metrics: Mapping[str, object], following: Sequence[str]) -> None:
+    """Prints the figures of ``SUMMARY`` with their verdicts, and what to do next.
+
+    Args:
+        title: printed above the figures.
+        metrics: result of ``evaluate``.
+        following: commands that a user may try next, each with an explanation.
+    """
+    from smooth_operator.metrics.table import METRICS
+
+    console = output_console()
+    console.print(title, markup=False, soft_wrap=True)
+    metric = {metric.name: metric for metric in METRICS}
+    table = Table(box=None, show_header=False, pad_edge=False)
+    advice: dict[str, None] = {}
+    for figure in SUMMARY:
+        value = metric[figure.metric].of(metrics)
+        rate = metric["rate_hz"].of(metrics)
+        good = figure.good or (1e3 / rate if isinstance(rate, float) and rate > 0 else None)
+        if not isinstance(value, int | float) or good is None:
+            table.add_row("–", figure.absent)
+            continue
+        mark, style = ("good", "green") if value <= good else ("look", "yellow")
+        if value > good:
+            advice[figure.advice] = None
+        times = 100 if "%" in figure.sentence else 1
+        table.add_row(Text(mark, style), figure.sentence.format(times * value, times * good))
+    console.print(table)
+    for line in (*(f"To improve: {text}" for text in advice), *following):
+        console.print(line, markup=False, soft_wrap=True)
 
 
 def print_metrics(title: str, metrics: Mapping[str, object]) -> None:

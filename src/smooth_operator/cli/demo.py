@@ -4,11 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final
 
 from tyro.conf import arg
 
-from smooth_operator.cli.common_options import Common, Meshes, Page, Retargeting, Synthetic
+from smooth_operator.cli.common_options import (
+    Common,
+    Measured,
+    Meshes,
+    Page,
+    Retargeting,
+    Synthetic,
+)
 
 if TYPE_CHECKING:
     from smooth_operator.lab.offline import Outcome
@@ -17,8 +24,8 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Demo(Common, Page, Meshes, Retargeting, Synthetic):
-    """Retarget a synthetic operator, print the metrics, and play the result in the browser."""
+class Demo(Common, Page, Meshes, Retargeting, Synthetic, Measured):
+    """Retarget a synthetic operator, print five figures, and play the result in the browser."""
 
     work: ClassVar[str] = "smooth_operator.cli.demo:demo"
     details: ClassVar[str] = """The folder holds commands.npz and commands.json (the resolved
@@ -31,9 +38,6 @@ Examples:
 
     output: Annotated[Path, arg(metavar="FOLDER")] = Path("smooth-operator-demo")
     """Folder to write; the files of an earlier demo in it are replaced."""
-
-    overwrite: bool = False
-    """Write into the folder even if it holds other things; those stay."""
 
     no_view: bool = False
     """Don't serve the page: for machines without a browser."""
@@ -50,7 +54,7 @@ def demo(options: Demo) -> None:
     require("a report with figures", "lab", "matplotlib")
     require("a log of the session", "teleop", "mcap", "viser")
 
-    from smooth_operator.cli.console import Progressing, print_metrics
+    from smooth_operator.cli.console import Progressing, print_metrics, print_summary
     from smooth_operator.cli.outputs import check_demo_folder, folder_for, staged
     from smooth_operator.cli.page import hand_to_draw
     from smooth_operator.cli.sample import synthetic_operator
@@ -60,7 +64,7 @@ def demo(options: Demo) -> None:
     from smooth_operator.planning import configuration, plan
 
     progress = Progressing(options.quiet)
-    check_demo_folder(options.output, options.overwrite)
+    check_demo_folder(options.output)
     request = requested(options, side=options.side)
     operator = synthetic_operator(options, options.seed, default_side(request.hand))
     todo = plan(operator.record(options.duration), request)
@@ -73,7 +77,11 @@ def demo(options: Demo) -> None:
         with progress.waiting("writing"), staged(options.output) as folder:
             _write(folder, todo.recording, outcome, trace, metrics, config)
     title = f"{todo.hand.name} {todo.hand.spec.side}: {todo.method} {todo.preset}"
-    print_metrics(f"the built-in operator on {title}", metrics)
+    heading = f"the built-in operator on {title}"
+    if options.all:
+        print_metrics(heading, metrics)
+    else:
+        print_summary(heading, metrics, _FOLLOWING)
     progress.note(f"wrote {options.output}")
     if not options.no_view:
         from smooth_operator.cli.page import playback
@@ -82,6 +90,13 @@ def demo(options: Demo) -> None:
         drawn = hand_to_draw(todo.hand, options)
         page = playback(title, todo.hand, trace, metrics, drawn)
         serve(page, host=options.host, port=options.port, open_browser=not options.no_browser)
+
+
+_FOLLOWING: Final = (
+    "Next: smooth-operator teleop (the live page), or a recording of your own: smooth-operator "
+    "retarget RECORDING --output out.npz",
+    "All figures: --all, and metrics.json in the folder",
+)
 
 
 def _write(

@@ -13,12 +13,12 @@ from smooth_operator.formats.commands import config_path, read_commands
 from smooth_operator.lab.offline.finished import read_configuration as read_configuration
 
 
-def check_commands_path(path: Path, recording: Path) -> None:
-    """Looks whether ``OUT.npz`` and its configuration may be written; writes nothing.
+def check_commands_path(path: Path, recording: Path, overwrite: bool) -> None:
+    """Checks that ``OUT.npz`` and its configuration may be written; writes nothing.
 
     Raises:
-        OutputError: the name does not end in ``.npz``, or it or its configuration's is taken by
-            something other than an earlier result.
+        OutputError: the name does not end in ``.npz``; there is an earlier result and ``overwrite``
+            is false; or one of the two names is taken by something other than an earlier result.
     """
     if path.suffix != ".npz":
         raise OutputError(f"can't write {str(path)!r}: the name must end in .npz")
@@ -38,6 +38,10 @@ def check_commands_path(path: Path, recording: Path) -> None:
                 f"can't write {str(path)!r}: it holds something other than commands; choose "
                 "another name, or remove it first"
             ) from None
+        if not overwrite:
+            raise OutputError(
+                f"can't write {str(path)!r}: it exists; choose another name, or add --overwrite"
+            )
     if beside.exists() and read_configuration(beside) is None:
         raise OutputError(
             f"can't write {str(beside)!r}, the configuration of {path.name}: it holds "
@@ -73,7 +77,7 @@ def folder_for(folder: Path) -> Iterator[None]:
         raise
 
 
-def check_demo_folder(folder: Path, overwrite: bool) -> None:
+def check_demo_folder(folder: Path) -> None:
     """Looks whether the demo may write into a folder; writes nothing.
 
     Raises:
@@ -84,7 +88,7 @@ def check_demo_folder(folder: Path, overwrite: bool) -> None:
     if not folder.is_dir():
         raise OutputError(f"can't write {str(folder)!r}: a file stands there; name a folder")
     former = read_configuration(folder / "config.json")
-    if overwrite or (former is not None and former.get("command") == "demo"):
+    if former is not None and former.get("command") == "demo":
         return
     try:
         empty = not any(folder.iterdir())
@@ -93,7 +97,7 @@ def check_demo_folder(folder: Path, overwrite: bool) -> None:
     if not empty:
         raise OutputError(
             f"can't write into {str(folder)!r}: it holds something other than an earlier demo; "
-            "give another folder with --output, or add --overwrite (other files stay)"
+            "give another folder with --output"
         )
 
 

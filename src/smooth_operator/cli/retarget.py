@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import shlex
 import time
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from tyro.conf import Positional, arg
 
-from smooth_operator.cli.common_options import Common, HandSide, Ordered, Retargeting
+from smooth_operator.cli.common_options import Common, HandSide, Measured, Ordered, Retargeting
 from smooth_operator.errors import ConfigError, OutputError, RecordingError
 from smooth_operator.terminal import printable
 
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Retarget(Common, Ordered, Retargeting):
+class Retarget(Common, Ordered, Retargeting, Measured):
     """Turn a recording of a human hand, or a folder of them, into joint commands."""
 
     work: ClassVar[str] = "smooth_operator.cli.retarget:retarget"
@@ -72,7 +73,7 @@ Examples:
     nodes need this package and the same folders."""
 
     overwrite: bool = False
-    """Retarget recordings of a folder again that an earlier run has finished."""
+    """Replace what is there: OUT.npz, or the finished results of a folder."""
 
     json: bool = False
     """Print the metrics (of a folder: the summary) as one JSON object on standard output, and
@@ -86,7 +87,7 @@ def retarget(options: Retarget) -> None:
         SmoothOperatorError: with the reason; nothing is then left half done.
         SystemExit: 1, if some recordings of a folder failed.
     """
-    from smooth_operator.cli.console import Progressing, print_metrics
+    from smooth_operator.cli.console import Progressing, print_metrics, print_summary
     from smooth_operator.cli.outputs import check_commands_path, folder_for
     from smooth_operator.cli.session import execute_shown, measure_shown, requested
     from smooth_operator.formats.checks import reading_notes
@@ -105,7 +106,7 @@ def retarget(options: Retarget) -> None:
                 f"--{name} is for a folder of recordings, and {options.recording} is none"
             )
     progress = Progressing(options.quiet)
-    check_commands_path(options.output, options.recording)
+    check_commands_path(options.output, options.recording, options.overwrite)
     request = requested(
         options,
         side=options.side,
@@ -143,8 +144,14 @@ def retarget(options: Retarget) -> None:
     progress.note(f"wrote {options.output}")
     if options.json:
         print(to_json(metrics))
-    else:
-        print_metrics(f"{recording.name} on {todo.hand.name}, {todo.method} {todo.preset}", metrics)
+        return
+    title = f"{recording.name} on {todo.hand.name}, {todo.method} {todo.preset}"
+    if options.all:
+        print_metrics(title, metrics)
+        return
+    files = shlex.join(map(str, (options.output, options.recording)))
+    look = f"Next: smooth-operator view {files} plays both in the browser; --all or --json prints"
+    print_summary(title, metrics, [f"{look} all figures"])
 
 
 _SHOWN_FAILURES = 40
