@@ -50,20 +50,22 @@ def _set_up_environment() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
-RESEARCH = Path(__file__).resolve().parent / "research"
+HOME = Path(__file__).resolve().parent
+PARTS = ((HOME / "research", "src"), (HOME / "packages" / "smooth_hand_datasets", ""))
+"""Folder of a distribution of this repository, and the folder in it of its modules."""
 
 
-def _offer_commands() -> None:
-    """The entry points of research, where it is on Python's path but not installed."""
-    if not (RESEARCH / "pyproject.toml").is_file():
+def _offer_parts(root: Path, source: str) -> None:
+    """The entry points of a distribution, if it is not installed."""
+    if not (root / "pyproject.toml").is_file():
         return
-    project = tomllib.loads((RESEARCH / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    project = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     try:
         metadata.distribution(project["name"])
         return
     except metadata.PackageNotFoundError:
         pass
-    home = Path(tempfile.mkdtemp(prefix="smooth-operator-research-"))
+    home = Path(tempfile.mkdtemp(prefix="smooth-operator-parts-"))
     folder = home / f"{project['name'].replace('-', '_')}-{project['version']}.dist-info"
     folder.mkdir()
     name, version = project["name"], project["version"]
@@ -74,14 +76,15 @@ def _offer_commands() -> None:
         for group, points in groups
     )
     (folder / "entry_points.txt").write_text(text)
-    paths = [str(RESEARCH / "src"), str(home)]
+    paths = [str(root / source), str(home)]
     sys.path += paths
     inherited = os.environ.get("PYTHONPATH", "").split(os.pathsep)
     os.environ["PYTHONPATH"] = os.pathsep.join([*filter(None, inherited), *paths])
 
 
 _set_up_environment()
-_offer_commands()
+for part in PARTS:
+    _offer_parts(*part)
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # as `nohup pytest &` starts it
     signal.signal(signal.SIGINT, signal.default_int_handler)
 for name in ("SIGHUP", "SIGQUIT"):  # ignored in the same way; commands that tests end inherit that

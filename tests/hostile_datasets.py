@@ -3,7 +3,8 @@
 ``python tests/hostile_datasets.py TRIES [SEED] [LAYOUT ...]`` has so many mutants of each layout's
 files read in a process with limits, and prints what came of them. Read soundly means: numbers where
 a landmark is valid, stamps that increase, and no hand that shows the other one in most of its
-frames. ``test_dataset_readers.py`` reads a few in its own process.
+frames. ``test_dataset_readers.py`` reads a few in its own process. The layouts of
+``packages/smooth_hand_datasets`` need the folder of its tests on ``PYTHONPATH``.
 """
 
 from __future__ import annotations

@@ -15,7 +15,9 @@ PACKAGE = "smooth_operator"
 SOURCE = Path(__file__).resolve().parents[1] / "src" / PACKAGE
 RESEARCH = SOURCE.parents[1] / "research" / "src" / "smooth_operator_research"
 """Experiments outside the wheel: they may import all of the package, which imports none of them."""
-BOTH = pytest.mark.parametrize("source", [SOURCE, RESEARCH], ids=lambda path: path.name)
+DATA_SETS = SOURCE.parents[1] / "packages" / "smooth_hand_datasets" / "smooth_hand_datasets"
+"""Research data sets, outside the wheel in the same way."""
+ALL = pytest.mark.parametrize("source", [SOURCE, RESEARCH, DATA_SETS], ids=lambda path: path.name)
 
 ROOT = "__init__"
 """The package itself: the public names, re-exported from the levels up to its own."""
@@ -95,7 +97,7 @@ CLOSURE_LINES = 15_700
 MAX_LINES = 700
 UNPICKLERS = {"pickle", "_pickle", "cPickle", "dill", "cloudpickle", "joblib", "shelve", "marshal"}
 TARGET = re.compile(rf"{PACKAGE}\.[\w. ]+(:[\w. ]+)?")
-RESTRICTED = {"smooth_operator/lab/datasets/mano/unpickle.py"}
+RESTRICTED = {"smooth_hand_datasets/unpickle.py"}
 """Reads pickles as data, with an ``Unpickler`` that refuses every name but a few."""
 DRAWERS = {"util", "utils", "helpers", "misc"}
 
@@ -360,17 +362,17 @@ def test_modules_import_only_from_their_own_level_or_below() -> None:
     assert not level_violations(SOURCE), "\n".join(level_violations(SOURCE))
 
 
-def test_nothing_imports_research() -> None:
+def test_the_package_imports_no_other_distribution_of_the_repository() -> None:
     names = [
         f"{path.relative_to(SOURCE)}:{line}"
         for path in modules(SOURCE)
         for line, name in imported_modules(SOURCE, path)
-        if name.split(".")[0] == RESEARCH.name
+        if name.split(".")[0] in (RESEARCH.name, DATA_SETS.name)
     ]
     assert names == []
 
 
-@BOTH
+@ALL
 def test_no_modules_import_each_other_in_a_circle(source: Path) -> None:
     assert not cycle(source), " imports ".join(cycle(source))
 
@@ -386,7 +388,7 @@ def test_what_a_retargeter_imports_is_small() -> None:
     assert total <= CLOSURE_LINES, f"{total} lines in {len(lines)} modules:\n{listing}"
 
 
-@BOTH
+@ALL
 def test_nothing_unpickles(source: Path) -> None:
     assert not unpickling(source), "\n".join(unpickling(source))
 
@@ -395,7 +397,7 @@ def test_digests_of_code_name_files_that_exist() -> None:
     assert not missing_code(SOURCE), "\n".join(missing_code(SOURCE))
 
 
-@BOTH
+@ALL
 def test_modules_are_small_and_named_after_what_they_hold(source: Path) -> None:
     assert not misshapen(source), "\n".join(misshapen(source))
 

@@ -19,7 +19,7 @@ PROJECT = Path(__file__).resolve().parents[1]
 PARTS = (
     "method", "term", "hand", "source", "sink", "real hand", "reader",
     "data set layout", "data set format", "metric", "command",
-    "experiment", "physics measure", "demonstration", "doc page",
+    "research data set", "experiment", "physics measure", "demonstration", "doc page",
 )  # fmt: skip
 YAML_FILES = sorted({*PROJECT.glob(".github/**/*.yml"), PROJECT / ".pre-commit-config.yaml"})
 

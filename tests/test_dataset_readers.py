@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import random
+import re
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -13,9 +14,20 @@ import dataset_files as files
 import numpy as np
 import pytest
 
-from smooth_operator.errors import RecordingError, SmoothOperatorError
+from smooth_operator import plugins
+from smooth_operator.errors import ConfigError, RecordingError, SmoothOperatorError
+from smooth_operator.lab.datasets import retargeting
 from smooth_operator.lab.datasets.clip import CAMERA, Clip
-from smooth_operator.lab.datasets.registry import DATASETS, ReadingOptions
+from smooth_operator.lab.datasets.registry import (
+    DATASETS,
+    RESEARCH_LAYOUTS,
+    ReadingOptions,
+    readers,
+)
+from smooth_operator.lab.datasets.sources import find_items
+from smooth_operator.lab.datasets.writers.registry import WRITERS
+from smooth_operator.methods.presets import method_config
+from smooth_operator.planning import RetargetRequest
 from smooth_operator.poses import is_valid, matrices, separation, wrist_from_landmarks
 
 RATED = ReadingOptions(rate=files.RATE)
@@ -24,7 +36,7 @@ COUNT = 30
 
 def layout_of(path: Path) -> str:
     """The first layout that a file is of, as the command asks them."""
-    return next(name for name in DATASETS if DATASETS.load(name).matches(path))
+    return next(name for name, reader in readers().items() if reader.matches(path))
 
 
 def clip_of(path: Path, options: ReadingOptions = RATED) -> Clip:
@@ -347,6 +359,36 @@ def test_json_of_other_programs_is_no_data_set(tmp_path: Path) -> None:
     (tmp_path / "a.jsonl").write_text(json.dumps({"x": 1}) + "\n")
     names = [name for name in DATASETS if DATASETS.load(name).matches(tmp_path / "a.jsonl")]
     assert names == ["files"]  # by its suffix; it says then what it reads
+
+
+# --- readers of another distribution ------------------------------------------------------------
+
+
+def test_without_the_research_data_sets_messages_say_how_to_install_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(plugins, "_installed", lambda group: {})
+    monkeypatch.setattr(retargeting, "find_spec", lambda name: None)
+    request = RetargetRequest(
+        "allegro_hand", "smooth", "offline", method_config("smooth", "offline")
+    )
+    tries: tuple[Callable[[], object], ...] = (
+        lambda: DATASETS.load("grab"),
+        lambda: WRITERS.load("spider"),
+        lambda: retargeting.Recipe(request, with_objects=True),
+    )
+    install = r"python -m pip install \./packages/smooth_hand_datasets"
+    for attempt in tries:
+        with pytest.raises(ConfigError, match=install):
+            attempt()
+    (tmp_path / "hand.pkl").write_bytes(b"pred_keypoints_3d")
+    (refused,) = find_items([str(tmp_path / "hand.pkl")]).refused
+    assert re.search(install, refused.reason)
+
+
+def test_all_layouts_of_the_research_data_sets_are_named() -> None:
+    offered = {name for name, entry in DATASETS.plugins.items() if "smooth_hand" in entry.target}
+    assert offered == set(RESEARCH_LAYOUTS)
 
 
 # --- damaged files -----------------------------------------------------------------------------

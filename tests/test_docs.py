@@ -19,7 +19,7 @@ PROJECT = Path(__file__).resolve().parents[1]
 README = PROJECT / "README.md"
 PAGES = [
     README,
-    *(p for top in ("docs", "research") for p in sorted((PROJECT / top).rglob("*.md"))),
+    *(p for top in ("docs", "research", "packages") for p in sorted((PROJECT / top).rglob("*.md"))),
 ]
 SOURCE = PROJECT / "src" / "smooth_operator"
 RESEARCH = PROJECT / "research" / "src" / "smooth_operator_research"

@@ -102,6 +102,7 @@ class Registry(Mapping[str, Entry]):
         built_in: name -> part.
         needs: names of the attributes that every part has.
         advice: remedy for a missing attribute, for the message.
+        elsewhere: name -> where to get a part of another distribution, for the message.
     """
 
     def __init__(
@@ -110,11 +111,13 @@ class Registry(Mapping[str, Entry]):
         built_in: Mapping[str, Entry],
         needs: tuple[str, ...] = (),
         advice: str = "",
+        elsewhere: Mapping[str, str] | None = None,
     ) -> None:
         self.kind = kind
         self.built_in = dict(built_in)
         self._added: dict[str, Entry] = {}
         self.needs, self.advice = needs, advice
+        self.elsewhere = dict(elsewhere or {})
 
     @property
     def group(self) -> str:
@@ -171,11 +174,14 @@ class Registry(Mapping[str, Entry]):
 
         Raises:
             UnknownNameError: there is no such name.
+            ConfigError: the name is of a distribution that is not installed.
         """
         if name in self:
             return self[name]
         if is_target(name):
             return Entry(name)
+        if name in self.elsewhere:
+            raise ConfigError(f"{self.kind} {name!r} is {self.elsewhere[name]}")
         raise UnknownNameError(self.kind, name, self)
 
     def load(self, name: str) -> Any:

@@ -11,7 +11,7 @@ from smooth_operator.cli.console import Progressing, output_console, plain_table
 from smooth_operator.cli.dataset_options import Dataset
 from smooth_operator.cli.outputs import folder_for
 from smooth_operator.cli.session import requested
-from smooth_operator.errors import ConfigError, require
+from smooth_operator.errors import ConfigError
 from smooth_operator.formats.jsonable import to_json
 from smooth_operator.lab.datasets.filters import NO_LIMITS, Limits
 from smooth_operator.lab.datasets.pipeline import DatasetRequest, Progress, make_dataset
@@ -61,8 +61,6 @@ def request_of(options: Dataset) -> DatasetRequest:
     if options.shard is not None and options.merge:
         raise ConfigError("--shard retargets a share and --merge nothing; give one of them")
     WRITERS.load(options.format)  # its module asks for its extra: before anything compiles
-    if options.with_objects:
-        require("objects with a shape", "objects", "trimesh", "igl")
     limits = Limits(
         not options.whole,
         options.hands,

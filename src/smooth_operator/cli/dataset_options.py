@@ -35,8 +35,7 @@ Formats:
   lerobot      a LeRobot data set, v3.0: state and action of the robot, wrists, videos
   webdataset   tar files, a sample a clip
   parquet      Parquet files, a row a clip
-  spider       keypoints and objects as SPIDER reads them
-  flashdex     clips as FlashDexRetarget reads them
+  spider, flashdex (after: pip install ./packages/smooth_hand_datasets)
 
 Exit status: 0 done, 1 some clips could not be read or retargeted (the others are done), 2 the
 request is invalid, 130 stopped.
@@ -81,7 +80,8 @@ Examples:
 
     with_objects: bool = False
     """Robot fingertips touch what the human's touch, and stay out of the objects, in clips that
-    have an object's pose and mesh (extra objects). For whole recordings: --preset offline."""
+    have an object's pose and mesh. For whole recordings: --preset offline. Needs
+    packages/smooth_hand_datasets."""
 
     whole: bool = False
     """Keep or drop clips whole; do not cut them."""

@@ -9,15 +9,16 @@ from typing import Final, TypeAlias
 import numpy as np
 from jaxtyping import Float
 
+from smooth_hand_datasets.objects.hand_surface import HandSurface
+from smooth_hand_datasets.objects.interaction_metrics import interaction_figures, interaction_tracks
+from smooth_hand_datasets.objects.placement import landmarks_in_world, palm_in_world
+from smooth_hand_datasets.objects.retargeter import ObjectAwareRetargeter
+from smooth_hand_datasets.objects.terms import DEFAULT, ObjectSettings
 from smooth_operator import poses
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.alignment import AlignmentConfig
-from smooth_operator.lab.objects.hand_surface import HandSurface
-from smooth_operator.lab.objects.interaction_metrics import interaction_figures, interaction_tracks
-from smooth_operator.lab.objects.placement import landmarks_in_world, palm_in_world
-from smooth_operator.lab.objects.retargeter import ObjectAwareRetargeter, whole_config
-from smooth_operator.lab.objects.terms import DEFAULT, ObjectSettings
+from smooth_operator.lab.datasets.retargeting import whole_config
 from smooth_operator.lab.offline.trajectory_retargeter import TrajectoryRetargeter
 from smooth_operator.landmarks import FINGERS, TIPS
 from smooth_operator.methods.presets import method_config

@@ -8,13 +8,13 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Float
 
+from smooth_hand_datasets.objects.hand_surface import HandSurface
+from smooth_hand_datasets.objects.interaction_metrics import hand_depths
+from smooth_hand_datasets.objects.placement import apply
+from smooth_hand_datasets.objects.terms import DEFAULT
 from smooth_operator import poses
 from smooth_operator.errors import require
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.lab.objects.hand_surface import HandSurface
-from smooth_operator.lab.objects.interaction_metrics import hand_depths
-from smooth_operator.lab.objects.placement import apply
-from smooth_operator.lab.objects.terms import DEFAULT
 from smooth_operator_research.objects.comparison import AWARE, BLIND, answer_of
 from smooth_operator_research.objects.scenes import MadeClip, SceneSpec, make_clip
 

@@ -8,9 +8,9 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
+from smooth_hand_datasets.objects.contacts import pad_centres
+from smooth_hand_datasets.objects.signed_distance import Solid, Sphere, signed_distance
 from smooth_operator import poses
-from smooth_operator.lab.objects.contacts import pad_centres
-from smooth_operator.lab.objects.signed_distance import Solid, Sphere, signed_distance
 from smooth_operator.landmarks import TIPS
 from smooth_operator.synthetic.hand_anatomy import FREE, LOWER, UPPER, HandAnatomy, couple
 from smooth_operator.synthetic.human_kinematics import pose_hand

@@ -18,12 +18,9 @@ from typing import Final, Literal, TypeAlias, get_args
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator import poses
-from smooth_operator.errors import ConfigError
-from smooth_operator.lab.datasets.clip import Clip, ObjectTrack
-from smooth_operator.lab.objects.contacts import Contacts, Scene, nearest_object, pad_centres
-from smooth_operator.lab.objects.placement import landmarks_in_world
-from smooth_operator.lab.objects.signed_distance import (
+from smooth_hand_datasets.objects.contacts import Contacts, Scene, nearest_object, pad_centres
+from smooth_hand_datasets.objects.placement import landmarks_in_world
+from smooth_hand_datasets.objects.signed_distance import (
     Box,
     Capsule,
     Cylinder,
@@ -31,6 +28,9 @@ from smooth_operator.lab.objects.signed_distance import (
     Solid,
     Sphere,
 )
+from smooth_operator import poses
+from smooth_operator.errors import ConfigError
+from smooth_operator.lab.datasets.clip import Clip, ObjectTrack
 from smooth_operator.synthetic.hand_anatomy import couple, draw_anatomy
 from smooth_operator.synthetic.human_kinematics import HandPoses, mirror, pose_hand
 from smooth_operator.types import HandRecording, Side

@@ -14,7 +14,6 @@ from smooth_operator.hands.collision import penetration_depths
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import AlignmentConfig, align_recording
 from smooth_operator.lab.datasets.robot_clip import RobotClip
-from smooth_operator.lab.objects.interaction_metrics import interaction_figures
 from smooth_operator.landmarks import FINGERS, TIPS, WRIST
 from smooth_operator.metrics import summary
 from smooth_operator.metrics.consistency import second_derivative
@@ -69,8 +68,6 @@ FIGURES: Final = (
 """What is measured of each hand; ``frames``, ``seconds`` and ``rate_hz`` are of the episode. The
 last four are known where a clip was retargeted with its objects."""
 
-
-_CONTACTS: Final = ("contact_precision", "contact_recall", "contact_error_mm")
 
 Tracks: TypeAlias = dict[str, Float[np.ndarray, " T"]]
 
@@ -209,13 +206,16 @@ def _at_objects(episode: RobotClip, side: Side) -> dict[str, float | None]:
     """Figures of contacts, of an episode that has their tracks."""
     if f"{side}.object_depth" not in episode.tracks:
         return {}
-    split = {tuple(name.split(".", 1)): values for name, values in episode.tracks.items()}
-    own = {name: values for (of, name), values in split.items() if of == side}
-    figures = interaction_figures(own)
-    chosen = {name: figures[name] for name in _CONTACTS} | {
-        "object_depth_mm": figures["penetration_max_mm"]
+    names = ("shared_contacts", "robot_contacts", "human_contacts")
+    shared, robot, human = (int(episode.tracks[f"{side}.{name}"].sum()) for name in names)
+    error = 1e3 * float(episode.tracks[f"{side}.contact_error"].sum())
+    depth = np.maximum(episode.tracks[f"{side}.object_depth"], 0.0)
+    return {
+        "contact_precision": shared / robot if robot else None,
+        "contact_recall": shared / human if human else None,
+        "contact_error_mm": error / human if human else None,
+        "object_depth_mm": summary.scaled(summary.maximum(depth), 1e3),
     }
-    return {name: None if np.isnan(value) else value for name, value in chosen.items()}
 
 
 def longest_gap(valid: np.ndarray, stamps: np.ndarray, period: float) -> float:

@@ -13,6 +13,18 @@ from smooth_operator.types import Side
 
 _READERS: Final = "smooth_operator.lab.datasets.readers"
 
+RESEARCH_PACKAGE: Final = (
+    "a part of smooth-hand-datasets, research data sets of hands and objects, which is not "
+    "installed; in a clone of the repository: python -m pip install ./packages/smooth_hand_datasets"
+)
+"""Where to get what this distribution does not have, for messages."""
+
+RESEARCH_LAYOUTS: Final = (
+    *("arctic", "dexycb", "dynhamr", "egohandkit", "grab", "hawor", "ho3d", "hot3d", "mano"),
+    *("oakink2", "predictions", "taco"),
+)
+"""Layouts that smooth-hand-datasets reads."""
+
 
 @dataclass(frozen=True)
 class ReadingOptions:
@@ -87,23 +99,22 @@ DATASETS: Final = Registry(
             ("avp", "headsets:AVP_RECORDING", "Tracking Streamer (Vision Pro): tracking.jsonl"),
             ("hts", "headsets:HTS_RECORDING", "Hand Tracking Streamer (Quest): lines, JSON lines"),
             ("landmarks", "landmarks:LANDMARKS_OF_BOTH_HANDS", "an .npz with 'right' and 'left'"),
-            ("egohandkit", "egohandkit:EGOHANDKIT", "EgoHandKit: hand_tracking.parquet"),
             ("parquet", "packed:PACKED", "clips that the format 'parquet' has packed"),
             ("synthetic", "synthetic:SYNTHETIC", "clips of the built-in operator, by description"),
-            ("predictions", "predictions:PREDICTIONS", "HaMeR, WiLoR, HaWoR: landmarks of a video"),
-            ("hawor", "reconstructions:HAWOR", "HaWoR: world_space_res.pth, MANO's parameters"),
-            ("dynhamr", "reconstructions:DYN_HAMR", "Dyn-HaMR: *_world_results.npz"),
-            ("dexycb", "dexycb:DEXYCB", "DexYCB: MANO, objects, camera"),
-            ("ho3d", "ho3d:HO3D", "HO-3D, H2O-3D: MANO, an object"),
-            ("arctic", "arctic:ARCTIC", "ARCTIC: MANO, an articulated object, camera"),
-            ("oakink2", "oakink2:OAKINK2", "OakInk2: MANO, objects, camera and task"),
-            ("taco", "taco:TACO", "TACO: MANO, tool and target, camera, video and task"),
-            ("grab", "grab:GRAB", "GRAB: MANO, an object"),
-            ("hot3d", "hot3d:HOT3D", "HOT3D: MANO, objects"),
-            ("mano", "mano:MANO", "your own parameters of MANO, as .npz or .pkl"),
             ("files", "files:FILES", "any recording of one hand that 'retarget' reads"),
         )
     },
     needs=("what", "expects", "matches", "clips", "read"),
+    elsewhere=dict.fromkeys(RESEARCH_LAYOUTS, RESEARCH_PACKAGE),
 )
 """Name -> ``DatasetReader``. A path belongs to the first that matches; ``--layout`` names one."""
+
+
+def readers() -> dict[str, DatasetReader]:
+    """All readers by name, in the order in which a path is offered to them.
+
+    A reader with a true attribute ``generic`` follows the others; ``files`` is the last.
+    """
+    parts: dict[str, DatasetReader] = DATASETS.loadable()
+    names = sorted(parts, key=lambda n: (n == "files", getattr(parts[n], "generic", False)))
+    return {name: parts[name] for name in names}

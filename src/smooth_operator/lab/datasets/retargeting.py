@@ -6,27 +6,49 @@ import functools
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from importlib.util import find_spec
 from typing import Any, Final
 
 import numpy as np
 
-from smooth_operator.errors import RecordingError, SmoothOperatorError
+from smooth_operator.errors import ConfigError, RecordingError, SmoothOperatorError
 from smooth_operator.formats.jsonable import to_json
 from smooth_operator.lab.datasets.clip import SIDES, Clip
 from smooth_operator.lab.datasets.parts import Frame, in_frame, with_side
 from smooth_operator.lab.datasets.quality import Tracks, quality_tracks
-from smooth_operator.lab.datasets.registry import ReadingOptions
+from smooth_operator.lab.datasets.registry import RESEARCH_PACKAGE, ReadingOptions
 from smooth_operator.lab.datasets.robot_clip import RobotClip
-from smooth_operator.lab.objects.retargeter import object_aware, whole_config
 from smooth_operator.lab.offline.answers import answers
 from smooth_operator.lab.offline.finished import digest
+from smooth_operator.methods.method import MethodConfig, TrajectoryMethodConfig
 from smooth_operator.planning import PROGRAM, Plan, RetargetRequest, plan
+from smooth_operator.plugins import Entry
 from smooth_operator.result_cache import key_digest
 from smooth_operator.types import CommandTrajectory, HandRecording, Side, Status
 from smooth_operator.version import package_version
 
+_OBJECT_AWARE: Final = Entry("smooth_hand_datasets.objects.retargeter:object_aware")
+"""Function of clip, side and plan that retargets one hand of a clip with its objects.
+
+Its result has the attributes ``commands``, ``loss`` (T,), ``tracks`` (name -> (T,)) and
+``T_world_wrist`` (T, 7).
+"""
+
 SHORTEST: Final = 2
 """Fewest frames of a clip: with one there is no rate."""
+
+
+def whole_config(config: MethodConfig) -> TrajectoryMethodConfig:
+    """A configuration as one of whole recordings.
+
+    Raises:
+        ConfigError: it answers frame by frame.
+    """
+    if config.trajectory is None:
+        raise ConfigError(
+            "objects are for whole recordings: choose a preset for them, such as smooth:offline"
+        )
+    return config.trajectory
 
 
 @dataclass(frozen=True)
@@ -60,10 +82,11 @@ class Recipe:
         frame: where wrists and objects are given; None for each clip's own frame.
         side: retarget this hand only; None for all that a clip has.
         with_objects: keep the contacts of the human's fingertips with objects, in clips that have
-            an object with a shape and the wrist's pose (``lab.objects``).
+            an object with a shape and the wrist's pose, with ``smooth_hand_datasets``.
 
     Raises:
-        ConfigError: objects are asked for, and the configuration answers frame by frame.
+        ConfigError: objects are to be kept, and the configuration answers frame by frame, or the
+            distribution that does it is not installed.
     """
 
     request: RetargetRequest
@@ -74,6 +97,8 @@ class Recipe:
 
     def __post_init__(self) -> None:
         if self.with_objects:
+            if find_spec("smooth_hand_datasets") is None:
+                raise ConfigError(f"retargeting with objects is {RESEARCH_PACKAGE}")
             whole_config(self.request.config)
 
     @functools.cached_property
@@ -254,7 +279,7 @@ def _answers(group: Sequence[_Work], recipe: Recipe) -> list[_Answer | SmoothOpe
 def _with_objects(work: _Work, scene: Clip) -> _Answer | SmoothOperatorError:
     plan = work.plan
     try:
-        answer = object_aware(scene, work.side, plan)
+        answer = _OBJECT_AWARE.load()(scene, work.side, plan)
         (tracks,) = quality_tracks(
             [plan.recording], [answer.commands], [answer.loss], plan.hand, plan.config.alignment
         )

@@ -12,7 +12,14 @@ from typing import Final, TypeAlias
 
 from smooth_operator.errors import ConfigError, RecordingError, SmoothOperatorError
 from smooth_operator.lab.datasets.manifest import Row, is_manifest, read_manifest
-from smooth_operator.lab.datasets.registry import DATASETS, ClipRef, DatasetReader
+from smooth_operator.lab.datasets.registry import (
+    DATASETS,
+    RESEARCH_LAYOUTS,
+    RESEARCH_PACKAGE,
+    ClipRef,
+    DatasetReader,
+    readers,
+)
 from smooth_operator.lab.datasets.remote import is_address, list_remote, local_path
 from smooth_operator.parallel.tasks import describe
 from smooth_operator.result_cache import key_digest
@@ -163,10 +170,8 @@ def find_reader(path: Path, layout: str | None) -> tuple[str, DatasetReader] | N
     Raises:
         UnknownNameError: there is no reader of the name ``layout``.
     """
-    readers: dict[str, DatasetReader] = (
-        DATASETS.loadable() if layout is None else {layout: DATASETS.load(layout)}
-    )
-    for name, reader in readers.items():
+    choice = readers() if layout is None else {layout: DATASETS.load(layout)}
+    for name, reader in choice.items():
         try:
             if reader.matches(path):
                 return name, reader
@@ -311,7 +316,9 @@ def _unknown(layout: str | None) -> str:
     if layout is not None:
         reader = DATASETS.load(layout)
         return f"it is not {reader.what}; expected {reader.expects}"
-    return f"no reader knows it; layouts that are read: {', '.join(DATASETS)}"
+    missing = [name for name in RESEARCH_LAYOUTS if name not in DATASETS]
+    more = f"; {', '.join(missing)}: {RESEARCH_PACKAGE}" if missing else ""
+    return f"no reader recognises it; layouts that are read: {', '.join(DATASETS)}{more}"
 
 
 def _name(path: Path, root: Path) -> str:

@@ -9,6 +9,7 @@ from types import TracebackType
 from typing import Final, Literal, Protocol
 
 from smooth_operator.errors import ConfigError
+from smooth_operator.lab.datasets.registry import RESEARCH_PACKAGE
 from smooth_operator.lab.datasets.robot_clip import RobotClip
 from smooth_operator.plugins import Entry, Registry
 from smooth_operator.types import Side
@@ -137,10 +138,9 @@ WRITERS: Final = Registry(
             ("lerobot", "lerobot:LEROBOT", "LeRobot v3: state and action of the robot, videos"),
             ("webdataset", "webdataset:WEBDATASET", "tar shards, a sample a clip"),
             ("parquet", "parquet:PARQUET", "Parquet files, a row a clip"),
-            ("spider", "spider:SPIDER", "keypoints and objects as SPIDER reads them"),
-            ("flashdex", "flashdex:FLASHDEX", "clips as FlashDexRetarget reads them"),
         )
     },
     needs=("what", "loses", "open"),
+    elsewhere=dict.fromkeys(("flashdex", "spider"), RESEARCH_PACKAGE),
 )
 """Name -> ``DatasetFormat``, open to plugins as ``smooth_operator.writers``."""

@@ -27,13 +27,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from smooth_hand_datasets.objects.contacts import Contacts, Scene
+from smooth_hand_datasets.objects.hand_surface import HandSurface
+from smooth_hand_datasets.objects.signed_distance import FAR_M, Shape, signed_distance
 from smooth_operator import poses
 from smooth_operator.compilation.compiled_program import compiled
 from smooth_operator.geometry import AnyArray
 from smooth_operator.hands.hand import Hand
-from smooth_operator.lab.objects.contacts import Contacts, Scene
-from smooth_operator.lab.objects.hand_surface import HandSurface
-from smooth_operator.lab.objects.signed_distance import FAR_M, Shape, signed_distance
 from smooth_operator.landmarks import FINGERS
 from smooth_operator.settings import check_numbers
 

@@ -1,8 +1,8 @@
 """Whole recordings retargeted with the objects that the hand touches.
 
 All frames are solved jointly, as by ``TrajectoryRetargeter``, with the costs of
-``smooth_operator.lab.objects.terms`` added. The robot's palm lies on the human's; within bounds the
-wrist may move off it, so that fingers of another length reach what the human touches.
+``smooth_hand_datasets.objects.terms`` added. The robot's palm lies on the human's; within bounds
+the wrist may move off it, so that fingers of another length reach what the human touches.
 """
 
 from __future__ import annotations
@@ -15,31 +15,32 @@ from typing import Final, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator import poses
-from smooth_operator.compilation.cache import jax_cache
-from smooth_operator.compilation.start import dispatch_here
-from smooth_operator.errors import ConfigError, RecordingError
-from smooth_operator.hands.hand import Hand, fingerprint
-from smooth_operator.lab.datasets.clip import Clip
-from smooth_operator.lab.objects.contacts import (
+from smooth_hand_datasets.objects.contacts import (
     Contacts,
     ContactSettings,
     clip_scene,
     find_contacts,
 )
-from smooth_operator.lab.objects.interaction_metrics import interaction_figures, interaction_tracks
-from smooth_operator.lab.objects.placement import palm_in_world, wrist_in_palm
-from smooth_operator.lab.objects.signed_distance import Shape, Solid
-from smooth_operator.lab.objects.terms import (
+from smooth_hand_datasets.objects.interaction_metrics import interaction_figures, interaction_tracks
+from smooth_hand_datasets.objects.placement import palm_in_world, wrist_in_palm
+from smooth_hand_datasets.objects.signed_distance import Shape, Solid
+from smooth_hand_datasets.objects.terms import (
     UNITS,
     ObjectCosts,
     ObjectFrame,
     ObjectSettings,
     object_frames,
 )
+from smooth_operator import poses
+from smooth_operator.compilation.cache import jax_cache
+from smooth_operator.compilation.start import dispatch_here
+from smooth_operator.errors import RecordingError
+from smooth_operator.hands.hand import Hand, fingerprint
+from smooth_operator.lab.datasets.clip import Clip
+from smooth_operator.lab.datasets.retargeting import whole_config
 from smooth_operator.lab.offline.trajectory_retargeter import TrajectoryRetargeter
 from smooth_operator.lab.offline.trajectory_solver import FrameBlocks
-from smooth_operator.methods.method import MethodConfig, TrajectoryMethodConfig
+from smooth_operator.methods.method import TrajectoryMethodConfig
 from smooth_operator.methods.presets import method_config
 from smooth_operator.planning import Plan
 from smooth_operator.types import CommandTrajectory, Side
@@ -180,19 +181,6 @@ class ObjectAwareRetargeter:
         turn = poses.from_rotation_vectors(correction[:, 3:])
         place = correction[:, :3] + centre - poses.rotate(turn, np.broadcast_to(centre, (1, 3)))
         return poses.compose(palm, np.concatenate([place, turn], axis=-1))
-
-
-def whole_config(config: MethodConfig) -> TrajectoryMethodConfig:
-    """A configuration as one of whole recordings.
-
-    Raises:
-        ConfigError: it answers frame by frame.
-    """
-    if config.trajectory is None:
-        raise ConfigError(
-            "objects are for whole recordings: choose a preset for them, such as smooth:offline"
-        )
-    return config.trajectory
 
 
 def object_aware(clip: Clip, side: Side, plan: Plan) -> ObjectAware:

@@ -33,13 +33,13 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Float
 
+from smooth_hand_datasets.unpickle import load_restricted, numbers
 from smooth_operator.errors import DocumentError, RecordingError, brief
 from smooth_operator.formats.arrays import open_arrays
 from smooth_operator.formats.bounds import Allowance
 from smooth_operator.formats.checks import stamps_from_rate
 from smooth_operator.io import documents
 from smooth_operator.lab.datasets.clip import CAMERA, SIDES, Clip
-from smooth_operator.lab.datasets.mano.unpickle import load_restricted, numbers
 from smooth_operator.lab.datasets.readers.both_hands import (
     checked_hands,
     first_video,

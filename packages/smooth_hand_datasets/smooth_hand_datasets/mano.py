@@ -16,13 +16,9 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator import poses
-from smooth_operator.errors import ConfigError, RecordingError, listed
-from smooth_operator.formats.arrays import open_arrays
-from smooth_operator.formats.checks import stamps_from_rate
-from smooth_operator.lab.datasets.clip import CAMERA, SIDES, Clip
-from smooth_operator.lab.datasets.mano.model import PlacedHand, load_model
-from smooth_operator.lab.datasets.mano.unpickle import (
+from smooth_hand_datasets.mano_model import PlacedHand, load_model
+from smooth_hand_datasets.scene import Scene, checked_count, world_pose
+from smooth_hand_datasets.unpickle import (
     NotDataError,
     array,
     load_restricted,
@@ -30,8 +26,12 @@ from smooth_operator.lab.datasets.mano.unpickle import (
     table,
     text,
 )
+from smooth_operator import poses
+from smooth_operator.errors import ConfigError, RecordingError, listed
+from smooth_operator.formats.arrays import open_arrays
+from smooth_operator.formats.checks import stamps_from_rate
+from smooth_operator.lab.datasets.clip import CAMERA, SIDES, Clip
 from smooth_operator.lab.datasets.readers.both_hands import shares
-from smooth_operator.lab.datasets.readers.scene import Scene, checked_count, world_pose
 from smooth_operator.lab.datasets.registry import ClipRef, ReadingOptions
 from smooth_operator.poses import WORLD_AXES
 from smooth_operator.types import Side, as_side
@@ -55,6 +55,7 @@ _RIGID: Final = 0.02
 class Mano:
     """Files with parameters."""
 
+    generic = True  # other layouts have such names, too: it is asked after them
     what = "parameters of MANO"
     expects = (
         "for each hand global_orient (T, 3), hand_pose (T, 45), betas (10,) and transl (T, 3), or "

@@ -13,11 +13,8 @@ from typing import Final
 
 import numpy as np
 
-from smooth_operator import poses
-from smooth_operator.lab.datasets.clip import Clip
-from smooth_operator.lab.datasets.mano.model import load_model
-from smooth_operator.lab.datasets.mano.unpickle import array, load_restricted, numbers, table
-from smooth_operator.lab.datasets.readers.scene import (
+from smooth_hand_datasets.mano_model import load_model
+from smooth_hand_datasets.scene import (
     Scene,
     Thing,
     checked_count,
@@ -25,6 +22,9 @@ from smooth_operator.lab.datasets.readers.scene import (
     rigid,
     stamps_at,
 )
+from smooth_hand_datasets.unpickle import array, load_restricted, numbers, table
+from smooth_operator import poses
+from smooth_operator.lab.datasets.clip import Clip
 from smooth_operator.lab.datasets.registry import ClipRef, ReadingOptions
 from smooth_operator.types import Side
 

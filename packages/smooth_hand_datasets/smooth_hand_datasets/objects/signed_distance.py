@@ -18,7 +18,7 @@ from typing import Any, Final, NamedTuple, TypeAlias
 import numpy as np
 from jaxtyping import Float, Int
 
-from smooth_operator.errors import RecordingError, reason, require
+from smooth_operator.errors import RecordingError, reason
 from smooth_operator.geometry import AnyArray, AnyKind, array_namespace
 
 CELLS: Final = 64
@@ -164,12 +164,7 @@ class Mesh:
     def nearest(
         self, points: Float[np.ndarray, "n 3"]
     ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 3"]]:
-        """Signed distances [m] and the nearest points of the surface [m].
-
-        Raises:
-            MissingExtraError: libigl is not installed.
-        """
-        require("the signed distance of a mesh", "objects", "igl")
+        """Signed distances [m] and the nearest points of the surface [m]."""
         import igl
 
         if not len(points):
@@ -267,7 +262,6 @@ def read_solid(path: Path, scale: float = 1.0) -> Solid:
 @lru_cache(maxsize=64)
 def _read_solid(path: Path, scale: float, changed: int, size: int) -> Solid:
     del changed, size  # part of the cache's key: a file that is written again is read again
-    require("the mesh of an object", "objects", "trimesh", "igl")
     import trimesh
 
     try:

@@ -16,9 +16,9 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
+from smooth_hand_datasets.unpickle import array, load_restricted, table
 from smooth_operator import poses
 from smooth_operator.errors import RecordingError
-from smooth_operator.lab.datasets.mano.unpickle import array, load_restricted, table
 from smooth_operator.landmarks import LAYOUTS
 from smooth_operator.types import Side
 

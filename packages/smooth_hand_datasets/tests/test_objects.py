@@ -8,28 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from smooth_operator import poses
-from smooth_operator.errors import ConfigError, RecordingError
-from smooth_operator.hands.registry import load_hand
-from smooth_operator.human.alignment import AlignmentConfig
-from smooth_operator.lab.datasets.clip import Clip, ObjectTrack
-from smooth_operator.lab.datasets.parts import robot_part
-from smooth_operator.lab.datasets.quality import quality_figures
-from smooth_operator.lab.datasets.retargeting import Recipe, retarget_clips
-from smooth_operator.lab.datasets.robot_clip import RobotClip
-from smooth_operator.lab.datasets.sources import find_items
-from smooth_operator.lab.datasets.work import read_item
-from smooth_operator.lab.objects.contacts import ContactSettings, clip_scene, find_contacts
-from smooth_operator.lab.objects.hand_surface import HandSurface
-from smooth_operator.lab.objects.interaction_metrics import agreement, hand_depths
-from smooth_operator.lab.objects.placement import (
+from smooth_hand_datasets.objects.contacts import ContactSettings, clip_scene, find_contacts
+from smooth_hand_datasets.objects.hand_surface import HandSurface
+from smooth_hand_datasets.objects.interaction_metrics import agreement, hand_depths
+from smooth_hand_datasets.objects.placement import (
     apply,
     landmarks_in_world,
     palm_in_world,
     wrist_in_palm,
 )
-from smooth_operator.lab.objects.retargeter import ObjectAwareRetargeter, whole_config
-from smooth_operator.lab.objects.signed_distance import (
+from smooth_hand_datasets.objects.retargeter import ObjectAwareRetargeter
+from smooth_hand_datasets.objects.signed_distance import (
     Box,
     Capsule,
     Cylinder,
@@ -39,7 +28,18 @@ from smooth_operator.lab.objects.signed_distance import (
     read_solid,
     signed_distance,
 )
-from smooth_operator.lab.objects.terms import ObjectCosts, ObjectSettings, object_frames
+from smooth_hand_datasets.objects.terms import ObjectCosts, ObjectSettings, object_frames
+from smooth_operator import poses
+from smooth_operator.errors import ConfigError, RecordingError
+from smooth_operator.hands.registry import load_hand
+from smooth_operator.human.alignment import AlignmentConfig
+from smooth_operator.lab.datasets.clip import Clip, ObjectTrack
+from smooth_operator.lab.datasets.parts import robot_part
+from smooth_operator.lab.datasets.quality import quality_figures
+from smooth_operator.lab.datasets.retargeting import Recipe, retarget_clips, whole_config
+from smooth_operator.lab.datasets.robot_clip import RobotClip
+from smooth_operator.lab.datasets.sources import find_items
+from smooth_operator.lab.datasets.work import read_item
 from smooth_operator.methods.method import TrajectoryMethodConfig
 from smooth_operator.methods.presets import method_config
 from smooth_operator.methods.sbr import SbrConfig

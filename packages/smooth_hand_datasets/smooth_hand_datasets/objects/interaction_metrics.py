@@ -17,11 +17,11 @@ from typing import Final, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from smooth_hand_datasets.objects.contacts import Contacts, Scene
+from smooth_hand_datasets.objects.hand_surface import Fixed, HandSurface
+from smooth_hand_datasets.objects.placement import apply
+from smooth_hand_datasets.objects.signed_distance import FAR_M, Grid, Solid, signed_distance
 from smooth_operator import poses
-from smooth_operator.lab.objects.contacts import Contacts, Scene
-from smooth_operator.lab.objects.hand_surface import Fixed, HandSurface
-from smooth_operator.lab.objects.placement import apply
-from smooth_operator.lab.objects.signed_distance import FAR_M, Grid, Solid, signed_distance
 from smooth_operator.landmarks import FINGERS
 
 CONTACT_M: Final = 0.005

@@ -1,9 +1,10 @@
 """Damaged data sets in MANO's parameters: each is read soundly or refused; run as a script.
 
-``python tests/hostile_mano.py TRIES [SEED] [LAYOUT ...]`` damages one file of each data set so many
-times, has it read in a process with limits, and prints what came of it. Read soundly means: numbers
-where a landmark is valid, stamps that increase, poses of objects and camera that are poses or NaN,
-and hands that are of their side. ``test_mano_readers.py`` does a few in its own process.
+``hostile_mano.py TRIES [SEED] [LAYOUT ...]``, with the folder ``tests`` of the repository on
+``PYTHONPATH``, damages one file of each data set so many times, has it read in a process with
+limits, and prints what came of it. Read soundly means: numbers where a landmark is valid, stamps
+that increase, poses of objects and camera that are poses or NaN, and hands that are of their side.
+``test_mano_readers.py`` does a few in its own process.
 """
 
 from __future__ import annotations

@@ -14,14 +14,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from smooth_operator import poses
-from smooth_operator.errors import DocumentError, RecordingError, require
-from smooth_operator.formats.arrays import open_arrays
-from smooth_operator.io.documents import read_text
-from smooth_operator.lab.datasets.clip import Clip
-from smooth_operator.lab.datasets.mano.model import load_model
-from smooth_operator.lab.datasets.mano.unpickle import array, table
-from smooth_operator.lab.datasets.readers.scene import (
+from smooth_hand_datasets.mano_model import load_model
+from smooth_hand_datasets.scene import (
     Scene,
     Thing,
     checked_count,
@@ -29,6 +23,12 @@ from smooth_operator.lab.datasets.readers.scene import (
     rigid,
     stamps_at,
 )
+from smooth_hand_datasets.unpickle import array, table
+from smooth_operator import poses
+from smooth_operator.errors import DocumentError, RecordingError
+from smooth_operator.formats.arrays import open_arrays
+from smooth_operator.io.documents import read_text
+from smooth_operator.lab.datasets.clip import Clip
 from smooth_operator.lab.datasets.registry import ClipRef, ReadingOptions
 from smooth_operator.types import Side, as_side
 
@@ -159,7 +159,6 @@ def _texts(value: Any, where: str) -> list[str]:
 
 
 def _yaml(path: Path, needs: tuple[str, ...]) -> dict[Any, Any]:
-    require("reading DexYCB", "lab", "yaml")
     import yaml
 
     try:

@@ -17,6 +17,7 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Float
 
+from smooth_hand_datasets.objects.placement import landmarks_in_world
 from smooth_operator import poses
 from smooth_operator.atomic_files import atomic_write
 from smooth_operator.errors import RecordingError, reason
@@ -25,7 +26,6 @@ from smooth_operator.lab.datasets.robot_clip import RobotClip
 from smooth_operator.lab.datasets.writers.arrays import slug
 from smooth_operator.lab.datasets.writers.resampling import Grid, resampled
 from smooth_operator.lab.datasets.writers.webdataset import TarShards
-from smooth_operator.lab.objects.placement import landmarks_in_world
 from smooth_operator.types import Side
 
 MOST_MISSING: Final = 0.2

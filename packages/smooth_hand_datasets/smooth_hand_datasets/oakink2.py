@@ -13,13 +13,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from smooth_operator import poses
-from smooth_operator.errors import DocumentError, RecordingError
-from smooth_operator.io.documents import read_json
-from smooth_operator.lab.datasets.clip import Clip
-from smooth_operator.lab.datasets.mano.model import load_model
-from smooth_operator.lab.datasets.mano.unpickle import array, load_restricted, table, text
-from smooth_operator.lab.datasets.readers.scene import (
+from smooth_hand_datasets.mano_model import load_model
+from smooth_hand_datasets.scene import (
     Scene,
     Thing,
     checked_count,
@@ -27,6 +22,11 @@ from smooth_operator.lab.datasets.readers.scene import (
     rigid,
     world_pose,
 )
+from smooth_hand_datasets.unpickle import array, load_restricted, table, text
+from smooth_operator import poses
+from smooth_operator.errors import DocumentError, RecordingError
+from smooth_operator.io.documents import read_json
+from smooth_operator.lab.datasets.clip import Clip
 from smooth_operator.lab.datasets.registry import ClipRef, ReadingOptions
 from smooth_operator.poses import WORLD_AXES
 from smooth_operator.types import Side

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from mano_files import poses_of, reference_landmarks
 
+from smooth_hand_datasets.mano_model import ManoModel, from_axis_angle, load_model
 from smooth_operator import poses
 from smooth_operator.errors import RecordingError
-from smooth_operator.lab.datasets.mano.model import ManoModel, from_axis_angle, load_model
 from smooth_operator.landmarks import LANDMARKS
 from smooth_operator.types import Side
 

@@ -17,13 +17,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from smooth_operator import poses
-from smooth_operator.errors import DocumentError, RecordingError
-from smooth_operator.io.documents import check_plain_file, parse_json, read_json, read_text
-from smooth_operator.lab.datasets.clip import Clip
-from smooth_operator.lab.datasets.mano.model import PlacedHand, load_model
-from smooth_operator.lab.datasets.mano.unpickle import array, table
-from smooth_operator.lab.datasets.readers.scene import (
+from smooth_hand_datasets.mano_model import PlacedHand, load_model
+from smooth_hand_datasets.scene import (
     MOST_FRAMES,
     Scene,
     Thing,
@@ -31,6 +26,11 @@ from smooth_operator.lab.datasets.readers.scene import (
     nearby,
     world_pose,
 )
+from smooth_hand_datasets.unpickle import array, table
+from smooth_operator import poses
+from smooth_operator.errors import DocumentError, RecordingError
+from smooth_operator.io.documents import check_plain_file, parse_json, read_json, read_text
+from smooth_operator.lab.datasets.clip import Clip
 from smooth_operator.lab.datasets.registry import ClipRef, ReadingOptions
 from smooth_operator.poses import WORLD_AXES
 from smooth_operator.types import Side

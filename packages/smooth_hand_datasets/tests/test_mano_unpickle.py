@@ -19,9 +19,9 @@ import numpy as np
 import pytest
 from mano_files import Pickled
 
+from smooth_hand_datasets import unpickle
+from smooth_hand_datasets.unpickle import array, load_restricted, numbers, table
 from smooth_operator.errors import RecordingError
-from smooth_operator.lab.datasets.mano import unpickle
-from smooth_operator.lab.datasets.mano.unpickle import array, load_restricted, numbers, table
 
 
 def load(folder: Path, data: bytes, name: str = "a.pkl") -> Any:
@@ -272,7 +272,7 @@ def test_the_reader_imports_nothing_that_a_file_names(tmp_path: Path) -> None:
     code = (
         "import sys; sys.path.insert(0, sys.argv[1])\n"
         "from pathlib import Path\n"
-        "from smooth_operator.lab.datasets.mano.unpickle import load_restricted\n"
+        "from smooth_hand_datasets.unpickle import load_restricted\n"
         "before = set(sys.modules)\n"
         "try:\n    load_restricted(Path(sys.argv[1]) / 'a.pkl')\n"
         "except Exception as error:\n    print(type(error).__name__, error)\n"

@@ -14,12 +14,12 @@ from typing import Any, Final
 
 import numpy as np
 
+from smooth_hand_datasets.mano_model import from_axis_angle, load_model
+from smooth_hand_datasets.scene import Scene, Thing, checked_count, world_pose
+from smooth_hand_datasets.unpickle import array, load_restricted, table, text
 from smooth_operator import poses
 from smooth_operator.errors import RecordingError
 from smooth_operator.lab.datasets.clip import CAMERA, Clip
-from smooth_operator.lab.datasets.mano.model import from_axis_angle, load_model
-from smooth_operator.lab.datasets.mano.unpickle import array, load_restricted, table, text
-from smooth_operator.lab.datasets.readers.scene import Scene, Thing, checked_count, world_pose
 from smooth_operator.lab.datasets.registry import ClipRef, ReadingOptions
 from smooth_operator.types import Side
 

@@ -13,14 +13,14 @@ from typing import Any, Final
 
 import numpy as np
 
+from smooth_hand_datasets.mano_model import PlacedHand, load_model
+from smooth_hand_datasets.scene import Scene, Thing, checked_count, stamps_at
+from smooth_hand_datasets.unpickle import array, load_restricted, numbers, table, text
 from smooth_operator import poses
-from smooth_operator.errors import RecordingError, brief, reason, require
+from smooth_operator.errors import RecordingError, brief, reason
 from smooth_operator.formats.arrays import open_arrays
 from smooth_operator.io.documents import check_plain_file
 from smooth_operator.lab.datasets.clip import Clip
-from smooth_operator.lab.datasets.mano.model import PlacedHand, load_model
-from smooth_operator.lab.datasets.mano.unpickle import array, load_restricted, numbers, table, text
-from smooth_operator.lab.datasets.readers.scene import Scene, Thing, checked_count, stamps_at
 from smooth_operator.lab.datasets.registry import ClipRef, ReadingOptions
 from smooth_operator.types import Side
 
@@ -132,7 +132,6 @@ def _vertices(root: Path, relative: Any, where: str) -> np.ndarray:
             f"{where}: the subject's hand, {brief(text(relative) or 'vtemp')}, is not in {root}; "
             "extract tools/subject_meshes of the data set there: the hands have no other shape"
         )
-    require("reading GRAB", "lab", "trimesh")
     import trimesh
 
     size = check_plain_file(path)

@@ -1,0 +1,1 @@
+"""Research data sets of hands and objects: readers, writers, and retargeting with objects."""
