@@ -22,8 +22,7 @@ from smooth_operator.errors import ConfigError, SourceError
 from smooth_operator.formats.readers import read_recording
 from smooth_operator.landmarks import FROM_MANUS_25, METACARPALS_MANUS_25
 from smooth_operator.synthetic.operator import SyntheticOperator
-from smooth_operator.synthetic.settings import check_range, check_seed
-from smooth_operator.synthetic.tracker import TrackerModel
+from smooth_operator.synthetic.tracker import TrackerModel, check_range, check_seed
 from smooth_operator.teleop.sources.inboxes import load_zmq
 from smooth_operator.teleop.sources.live import Clock, on_time
 from smooth_operator.teleop.sources.manus_gloves import NODES

@@ -113,7 +113,7 @@ def plan(path: Path) -> None:
 
 
 def geort(path: Path) -> None:
-    from smooth_operator.baselines.geort_model import read_geort_model
+    from smooth_operator.baselines.geort import read_geort_model
 
     read_geort_model(path)
 

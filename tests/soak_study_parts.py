@@ -16,7 +16,7 @@ from soak_study_ledger import Ledger
 from study_console import ConsoleProcess, eventually
 
 from smooth_operator.errors import RemoteRefusedError
-from smooth_operator.simulation.tasks.rubrics import PAPER_TASKS
+from smooth_operator.simulation.tasks.task import PAPER_TASKS
 from smooth_operator.study.design.forms import DEFAULT_FORMS
 from smooth_operator.study.design.plan import Plan, make_plan, scaled
 from smooth_operator.study.design.plan_file import write_plan_files

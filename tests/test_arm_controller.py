@@ -15,11 +15,11 @@ import pytest
 
 from smooth_operator.errors import ConfigError, UnknownNameError
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.simulation.arms.arm_model import FLANGE, arm_spec
+from smooth_operator.simulation.arms.arm import FLANGE, arm_spec
 from smooth_operator.simulation.arms.catalogue import ARMS, arm_named
-from smooth_operator.simulation.arms.hand_mount import HandMount
+from smooth_operator.simulation.arms.hand_mount import HandCapsules, HandMount
 from smooth_operator.simulation.scenes import ScenePhysics, scene_for
-from smooth_operator.simulation.scenes.arm_physics import ArmPhysics
+from smooth_operator.simulation.scenes.physics import ArmPhysics
 from smooth_operator.teleop import teleoperate
 from smooth_operator.teleop.arm.controller import ArmController
 from smooth_operator.teleop.arm.settings import ArmSettings, place_arms, read_arm
@@ -100,8 +100,8 @@ def test_an_unknown_arm_is_named_with_those_that_there_are() -> None:
 @pytest.mark.parametrize("hand", ["mimic_p050", "shadow_hand", "leap_hand"])
 def test_a_hand_stands_on_the_flange_with_its_fingers_outward(hand: str, side: str) -> None:
     mount = _mount(hand, "panda", side)
-    middles, _ = mount.capsules().at(mount.hand.full_configuration(mount.hand.neutral))
-    radii = mount.capsules().radii
+    middles, _ = HandCapsules(mount).at(mount.hand.full_configuration(mount.hand.neutral))
+    radii = HandCapsules(mount).radii
     assert (middles[:, 2] + radii).min() > 0.0, "all of it is in front of the flange"
     tips = mount.hand.tips(mount.hand.full_configuration(mount.hand.neutral))
     to_flange = mount.flange_to_wrist @ np.linalg.inv(mount.palm_to_wrist)

@@ -24,7 +24,7 @@ from smooth_operator.errors import (
     RecordingError,
     SmoothOperatorError,
 )
-from smooth_operator.headsets.avp_messages import METHOD, read_hands
+from smooth_operator.headsets.avp import METHOD, read_hands
 from smooth_operator.io.anatomy import chirality
 from smooth_operator.poses import separation
 from smooth_operator.teleop.components import build_source

@@ -15,9 +15,8 @@ from smooth_operator import Retargeter, SyntheticOperator, load_hand, method_con
 from smooth_operator.calibration.estimate import MARGIN, Calibration, _project, calibrate
 from smooth_operator.calibration.features import measure_features
 from smooth_operator.calibration.operator_file import read_operator
-from smooth_operator.calibration.prompts import Prompt, prompted, prompts
 from smooth_operator.calibration.report import closed_gaps, report
-from smooth_operator.calibration.segments import poses
+from smooth_operator.calibration.segments import Prompt, poses, prompts
 from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.formats.readers import read_recording
@@ -195,25 +194,19 @@ def test_a_finger_that_never_pinched_has_the_offset_of_the_others(hand: Hand) ->
 # Prompts.
 
 
-def test_prompted_frames_calibrate_as_found_ones_do(
+def test_segments_that_prompts_mark_calibrate_like_those_of_a_search(
     exact: HandRecording, hand: Hand, found: Calibration
 ) -> None:
-    made = np.array(exact.meta["gesture"])
-    asked = []
-    for prompt in prompts():
-        (segment, *_) = [s for s in found.segments if s.pose == prompt.pose]
-        start, stop = exact.stamps[[segment.start, segment.stop - 1]]
-        asked.append((replace(prompt, settle=1.0, hold=stop - start), start - 1.0))
-    assert len(asked) == 7
-    assert set(made) > {"spread"}
-    segments = prompted(exact.stamps, asked)
-    assert [s.pose for s in segments] == [prompt.pose for prompt, _ in asked]
+    segments = [
+        replace(next(s for s in found.segments if s.pose == prompt.pose), confidence=1.0)
+        for prompt in prompts()
+    ]
+    assert len(segments) == 7
     calibration = calibrate(exact, hand, segments)
     assert all(f.confidence == 1.0 for f in calibration.findings)
     for a, b in zip(found.operator.fingers, calibration.operator.fingers, strict=True):
         assert b.reach == pytest.approx(a.reach, rel=0.05)
         assert abs(b.tip_pad - a.tip_pad) < 0.002
-    assert prompted(exact.stamps, [(Prompt("flat", "now"), 1e6)]) == []
     assert sum(prompt.settle + prompt.hold for prompt in prompts()) < 120  # two minutes
     assert [p.pose for p in prompts(("thumb", "ring"))] == ["flat", "spread", "fist", "pinch_ring"]
 
@@ -525,7 +518,6 @@ def test_the_demo_drives_some_fingers_and_says_so(tmp_path: Path, run: Run) -> N
 
 
 def test_a_session_waits_while_no_hand_is_seen_and_labels_what_was_held() -> None:
-    from smooth_operator.calibration.prompts import Prompt
     from smooth_operator.teleop.runtime.calibration_session import CalibrationSession
     from smooth_operator.teleop.sources.live import Arrival
     from smooth_operator.types import HandFrame
@@ -561,7 +553,6 @@ def test_a_session_waits_while_no_hand_is_seen_and_labels_what_was_held() -> Non
 def test_calibrate_asks_a_live_operator(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from smooth_operator.calibration.prompts import Prompt
     from smooth_operator.cli import main, prompting
 
     monkeypatch.setattr(

@@ -18,10 +18,11 @@ import pytest
 from trees import pincer
 
 from smooth_operator import Retargeter, load_hand, method_config
-from smooth_operator.baselines.geort import GeortConfig, built_in_model
-from smooth_operator.baselines.geort_model import (
+from smooth_operator.baselines.geort import (
+    GeortConfig,
     GeortModel,
     Weights,
+    built_in_model,
     finger_joints,
     forward,
     read_geort_model,

@@ -18,11 +18,12 @@ import numpy as np
 import pytest
 
 from smooth_operator import Retargeter, Status, load_hand, method_names
-from smooth_operator.baselines.geort import GeortConfig, built_in_model
-from smooth_operator.baselines.geort_model import (
+from smooth_operator.baselines.geort import (
     HIDDEN,
+    GeortConfig,
     GeortModel,
     Weights,
+    built_in_model,
     finger_joints,
     recognition,
     write_geort_model,

@@ -13,9 +13,15 @@ import pytest
 from made_hands import hand_points
 from trees import limited_poses, pincer, random_rotations, unit
 
-from smooth_operator.baselines.joint_angle import JointAngleConfig, JointAngleMap
-from smooth_operator.baselines.joint_angles import JOINT_ANGLES, NUM_JOINT_ANGLES, joint_angles
-from smooth_operator.baselines.joint_map import joint_map, robot_joint_angles
+from smooth_operator.baselines.joint_angle import (
+    JOINT_ANGLES,
+    NUM_JOINT_ANGLES,
+    JointAngleConfig,
+    JointAngleMap,
+    joint_angles,
+    joint_map,
+    robot_joint_angles,
+)
 from smooth_operator.errors import HandModelError, UnknownNameError
 from smooth_operator.formats.readers import read_recording
 from smooth_operator.hands.hand import Hand

@@ -17,8 +17,7 @@ from smooth_operator.hand_files.vendor_model import on_model
 from smooth_operator.hands.collision import penetration_depths
 from smooth_operator.hands.hand import Hand, load_hand_spec
 from smooth_operator.hands.loading import Coupling
-from smooth_operator.hands.selection import select_fingers
-from smooth_operator.hands.spec import HandSpec
+from smooth_operator.hands.spec import HandSpec, select_fingers
 from smooth_operator.lab.discovery import discover
 from smooth_operator.methods.default import DEFAULT_METHOD
 from smooth_operator.synthetic import SyntheticOperator

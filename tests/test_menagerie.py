@@ -17,7 +17,7 @@ from smooth_operator.cli.hands_show import Show
 from smooth_operator.cli.page import hand_to_draw, playback
 from smooth_operator.errors import HandModelError, MissingExtraError, install_command
 from smooth_operator.formats.commands import write_commands
-from smooth_operator.hand_files.menagerie import (
+from smooth_operator.hand_files.vendor_model import (
     drawn_on,
     hand_with_meshes,
     has_meshes,

@@ -9,8 +9,12 @@ import nlopt
 import numpy as np
 import pytest
 
-from smooth_operator.baselines.scipy_slsqp import ScipySlsqpConfig, scipy_slsqp_minimise
-from smooth_operator.baselines.slsqp import SlsqpConfig, slsqp_minimise
+from smooth_operator.baselines.slsqp import (
+    ScipySlsqpConfig,
+    SlsqpConfig,
+    scipy_slsqp_minimise,
+    slsqp_minimise,
+)
 from smooth_operator.errors import ConfigError
 
 WIDE = np.tile([-3.0, 3.0], (4, 1))

@@ -18,7 +18,7 @@ from smooth_operator.cli import main
 from smooth_operator.cli.study_new import ask_protocol
 from smooth_operator.errors import SmoothOperatorError, StudyError, UnknownNameError
 from smooth_operator.methods.presets import live_presets
-from smooth_operator.simulation.tasks.rubrics import PAPER_TASKS
+from smooth_operator.simulation.tasks.task import PAPER_TASKS
 from smooth_operator.study.design.forms import DEFAULT_FORMS
 from smooth_operator.study.design.latin import balance, balanced_rows
 from smooth_operator.study.design.plan import (

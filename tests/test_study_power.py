@@ -12,7 +12,7 @@ import pytest
 
 from smooth_operator.cli import main
 from smooth_operator.errors import StudyError
-from smooth_operator.simulation.tasks.rubrics import PAPER_TASKS
+from smooth_operator.simulation.tasks.task import PAPER_TASKS
 from smooth_operator.study.analysis.analyze import analyze_study
 from smooth_operator.study.analysis.readings import equivalences
 from smooth_operator.study.analysis.results import MODES

@@ -23,7 +23,7 @@ from smooth_operator.errors import (
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.simulation.scenes import SCENES, ScenePhysics, SceneState, scene_for
 from smooth_operator.simulation.scenes.card import CARD, CardScene
-from smooth_operator.simulation.scenes.reach import opposition
+from smooth_operator.simulation.scenes.mount import opposition
 from smooth_operator.simulation.tasks import (
     TASKS,
     Phase,
@@ -135,7 +135,7 @@ class Script:
 def ended(run: TaskRun | None) -> tuple[float, str, str]:
     """Score, line of the rubric and why it ended; the score is that of the line."""
     assert run is not None
-    assert run.outcome is not None, run.standing
+    assert run.outcome is not None, run.assessment
     assert run.task.task.line(run.outcome.line).score == run.outcome.score
     return run.outcome.score, run.outcome.line, run.outcome.ended
 
@@ -153,7 +153,7 @@ def over_the_edge(script: Script) -> np.ndarray:
 def test_card_slid_over_the_edge_and_pinched() -> None:
     script = Script("card")
     script.to(over_the_edge(script), seconds=1.0, fingers={1: 0.001})
-    assert script.run.standing.reason == "over the edge"
+    assert script.run.assessment.reason == "over the edge"
     script.to(script.position + by(0, 0, 0.01), seconds=0.2, fingers=PINCH)
     run = script.rest(0.6, PINCH)
     assert ended(run) == (1.0, "done", "success")
@@ -195,10 +195,10 @@ def test_card_flicked_out_of_reach_needs_the_reset(away: tuple[float, float]) ->
     script = Script("card")
     run = script.to(script.start + by(*away, -INTO), seconds=0.2)
     assert run.phase is Phase.RUNNING
-    assert run.standing.stuck
+    assert run.assessment.stuck
     script.run = run.reset()
     script.to(script.start - (0, 0, INTO), seconds=STEP)
-    assert not script.run.standing.stuck
+    assert not script.run.assessment.stuck
     script.to(over_the_edge(script), seconds=0.4)
     script.to(script.position + by(0, 0, 0.01), fingers=PINCH)
     assert ended(script.rest(0.6, PINCH)) == (0.5, "out-of-reach", "success")
@@ -263,7 +263,7 @@ def test_cube_turned_too_little_or_too_far(degrees: float) -> None:
         script.to(quaternion=turned((0, 0, 1), share * degrees), seconds=1.0)
     run = script.rest(1.0, spin=np.zeros(3))
     assert run.phase is Phase.RUNNING
-    assert f"{degrees}°" in run.standing.reason
+    assert f"{degrees}°" in run.assessment.reason
     assert ended(run.finish(script.time)) == (0.0, "not-done", "finished")
 
 
@@ -293,7 +293,7 @@ def test_cube_that_flips_on_the_way_is_worth_half(axis: tuple[float, float, floa
     script.to(script.start + by(0, 0, 0.02), seconds=0.2)
     script.to(quaternion=onto, seconds=0.6)
     script.to(script.start - (0, 0, INTO), seconds=0.2)
-    assert "flipped" in script.run.standing.reason
+    assert "flipped" in script.run.assessment.reason
     script.to(quaternion=after(turned((0, 0, 1), 45), onto), seconds=0.5)
     script.to(quaternion=after(turned((0, 0, 1), 90), onto), seconds=0.5)
     run = script.rest(0.7, spin=np.zeros(3))
@@ -304,7 +304,7 @@ def test_cube_that_is_misaligned_needs_the_reset() -> None:
     script = Script("cube")
     script.to(script.start + by(0, 0, 0.004), turned((1, 0, 0), 25), seconds=0.5)
     run = script.rest(1.2, spin=np.zeros(3))
-    assert run.standing.stuck
+    assert run.assessment.stuck
     script.run = run.reset()
     script.to(script.start - (0, 0, INTO), script.upright, seconds=STEP)
     script.to(quaternion=turned((0, 0, 1), 90), seconds=1.0)
@@ -391,7 +391,7 @@ def test_a_trial_starts_with_go_and_has_one_reset() -> None:
     scene, state = script.scene, script.state({})
     run = TaskRun(TASKS["card"], scene)
     assert run.observe(state) is run
-    assert run.standing.score == 0.0
+    assert run.assessment.score == 0.0
     for early in (run.reset, lambda: run.finish(0.0)):
         with pytest.raises(StudyError, match="ready"):
             early()
@@ -568,7 +568,7 @@ def test_a_hand_that_does_nothing_does_not_do_it(task: str) -> None:
         "mimic_p050").neutral)  # fmt: skip
     *_, (_, run) = play(idle)
     assert run.phase is Phase.RUNNING
-    assert run.standing.score == 0.0
+    assert run.assessment.score == 0.0
 
 
 # Records, and the live system

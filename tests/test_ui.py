@@ -693,7 +693,7 @@ def test_a_token_is_in_no_argument_of_the_browser(monkeypatch: pytest.MonkeyPatc
 
 
 def test_the_file_that_leads_to_a_page_does_not_stay(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(browser, "_KEPT_S", 0.05)
+    monkeypatch.setattr(browser, "_FILE_S", 0.05)
     file = browser.leading_to("http://localhost/?token=x")
     end = time.monotonic() + 20.0
     while file.exists():

@@ -24,9 +24,9 @@ from typing import Any
 import numpy as np
 
 from smooth_operator import Retargeter, load_hand, poses
-from smooth_operator.simulation.scenes.arm_physics import ArmPhysics
+from smooth_operator.simulation.scenes.physics import ArmPhysics
 from smooth_operator.synthetic import SyntheticOperator
-from smooth_operator.synthetic.wrist import WristMotion
+from smooth_operator.synthetic.tracker import WristMotion
 from smooth_operator.teleop.arm.controller import build_arms
 from smooth_operator.teleop.arm.settings import ArmSettings
 from smooth_operator.teleop.runtime.pipeline import HandPipeline

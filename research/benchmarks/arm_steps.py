@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from smooth_operator import load_hand, poses
-from smooth_operator.synthetic.wrist import WristMotion
+from smooth_operator.synthetic.tracker import WristMotion
 from smooth_operator.teleop.arm.controller import build_arms
 from smooth_operator.teleop.arm.settings import ArmSettings
 

@@ -74,7 +74,7 @@ def trial(task: str, hand_name: str, arm: str | None, number: int, seed: int) ->
     seconds = float(demonstration.times[-1]) + STAYS_S
     for moment in perform(physics, TASKS[task], commands, seconds=seconds, lead_s=lead):
         outcome = moment.run.outcome
-        score = moment.run.standing.score if outcome is None else outcome.score
+        score = moment.run.assessment.score if outcome is None else outcome.score
         ended = "finished" if outcome is None else outcome.reason
     worst = 1e3 * max(errors) if errors else 0.0
     return {"score": score, "off_mm": worst, "ended": ended}  # type: ignore[dict-item]

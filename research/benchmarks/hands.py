@@ -32,8 +32,7 @@ from rich.progress import (
 )
 
 from smooth_operator import HandRecording, SmoothOperatorError, hand_names, load_hand
-from smooth_operator.baselines.geort import GeortConfig, built_in_model
-from smooth_operator.baselines.geort_model import write_geort_model
+from smooth_operator.baselines.geort import GeortConfig, built_in_model, write_geort_model
 from smooth_operator.hands.hand import Hand
 from smooth_operator.lab.benchmark.recordings import load_sources, parse_request
 from smooth_operator.lab.offline import build, execute

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from smooth_operator.baselines.joint_angles import joint_angles
+from smooth_operator.baselines.joint_angle import joint_angles
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.anatomical_axes import palm_axes
@@ -94,8 +94,8 @@ def test_the_object_is_where_and_as_heavy_as_the_world_says(task: str) -> None:
     # It starts at rest as a trial sees it: not turned yet, not lost.
     assert physics.advance(0.05)
     run = TASKS[task].scorer(scene).observe(physics.observe())
-    assert run.standing.score == 0.0
-    assert not run.standing.dropped
+    assert run.assessment.score == 0.0
+    assert not run.assessment.dropped
 
 
 def test_an_object_that_waits_for_the_hand_is_solid_afterwards() -> None:

@@ -4,13 +4,20 @@ from __future__ import annotations
 
 import pytest
 
-from smooth_operator.simulation.scenes.pads import pad_force, pad_impedance
+from smooth_operator.simulation.scenes.pads import PRESSED_DEPTH, TIME_CONSTANT, pad_impedance
 from smooth_operator_research.physics import validity
 from smooth_operator_research.physics.grasp_physics import GRASP_OBJECTS, GraspObject
 
 
 def thing(name: str) -> GraspObject:
     return next(one for one in GRASP_OBJECTS if one.name == name)
+
+
+def pad_force(depth: float, inverse_mass: float) -> float:
+    """Force of MuJoCo's contact at rest [N], by the formula in ``pads``."""
+    low, high = pad_impedance(inverse_mass)
+    d = low + (high - low) * min(depth / PRESSED_DEPTH, 1.0)
+    return d * d * depth / ((1.0 - d) * high**2 * TIME_CONSTANT**2 * inverse_mass)
 
 
 @pytest.mark.parametrize("mass", [0.002, 0.009, 0.045, 0.2])

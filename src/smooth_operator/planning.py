@@ -14,8 +14,7 @@ from smooth_operator.formats.environment import environment
 from smooth_operator.formats.readers import read_recording
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import default_side, load_hand
-from smooth_operator.hands.selection import parse_fingers
-from smooth_operator.hands.spec import HandSpec
+from smooth_operator.hands.spec import HandSpec, parse_fingers
 from smooth_operator.hands.spec_file import read_hand_spec
 from smooth_operator.human.alignment import calibrate_scale
 from smooth_operator.human.operator import OperatorProfile

@@ -1,10 +1,10 @@
-"""Joint angles as the paper's authors measure them: where their hybrid baseline begins.
+"""Joint angles by the paper's authors: the start of their hybrid baseline.
 
-Each finger is a chain of frames from the wrist, whose y axes lie along the bones and whose x axes
-stay as near to the parent's as they can. A joint follows one Euler angle of one such frame. The map
-is the authors' own, published for the joints of the mimic P0.50 hand. A joint that drives another
-one takes half of the angle, as in the authors' code, which divides each angle among the joints that
-share it. Our own method (``smooth_operator.baselines.joint_angle``) measures other angles.
+Each finger is a chain of frames from the wrist, with y axes along the bones and x axes as near as
+possible to the parent's. A joint follows one Euler angle of one frame. The map is the authors' own,
+published for the joints of the mimic P0.50 hand. A joint that drives another one takes half of the
+angle, as in the authors' code, which divides each angle among the joints that share it. The method
+``smooth_operator.baselines.joint_angle`` uses other angles.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from smooth_operator.hands.hand import Hand
+from smooth_operator.human.anatomical_axes import unit_vectors
 from smooth_operator.landmarks import BASES, FINGERS, NUM_LANDMARKS, WRIST
 
 _TURN: Final = np.pi / 8 - np.pi / 2
@@ -43,13 +44,13 @@ _MAP: Final = {
 
 
 class PublishedAngles:
-    """The published map from landmarks to joint positions, for a hand with the joints it names.
+    """The published map from landmarks to joint positions, for a hand with its joints.
 
     Attributes:
-        needs: the human landmarks that the map uses: all 21.
+        needs: human landmarks that the map uses: all 21.
 
     Args:
-        hand: the robot hand; ``fits`` says whether it has the joints.
+        hand: the robot hand, for which ``fits`` is True.
     """
 
     needs: tuple[int, ...] = tuple(range(NUM_LANDMARKS))
@@ -59,11 +60,11 @@ class PublishedAngles:
 
     @staticmethod
     def fits(hand: Hand) -> bool:
-        """Whether the hand's actuated joints are those of the map."""
+        """True if the hand's actuated joints are those of the map."""
         return set(hand.actuated_names) == set(_MAP)
 
     def positions(self, aligned: Float[Array, "21 3"]) -> Float[Array, " m"]:
-        """Joint positions for a hand; traceable.
+        """Joint positions for landmarks; traceable.
 
         Args:
             aligned: (21, 3) finite landmarks in any frame [m].
@@ -83,8 +84,8 @@ class PublishedAngles:
 def _chain_angles(landmarks: Float[Array, "21 3"]) -> dict[str, Float[Array, "5 4"]]:
     """Euler angles (about fixed x, y, z, in this order) of each bone's frame in its parent's."""
     points = landmarks - landmarks[WRIST]
-    ray = _unit(points[BASES[1]])
-    normal = _unit(jnp.cross(ray, points[BASES[4]]))
+    ray = unit_vectors(points[BASES[1]], jnp)
+    normal = unit_vectors(jnp.cross(ray, points[BASES[4]]), jnp)
     palm = jnp.stack([ray, jnp.cross(normal, ray), normal], axis=-1)
     cosine, sine = np.cos(_TURN), np.sin(_TURN)
     turn = np.array([[cosine, -sine, 0], [sine, cosine, 0], [0, 0, 1]]) @ np.diag([-1, 1, -1])
@@ -95,8 +96,9 @@ def _chain_angles(landmarks: Float[Array, "21 3"]) -> dict[str, Float[Array, "5 
     frame = jnp.broadcast_to(jnp.eye(3, dtype=landmarks.dtype), (len(BASES), 3, 3))
     turns = []
     for i in range(4):
-        y = _unit(jnp.einsum("fij,fi->fj", frame, bones[:, i]))
-        z = _unit(jnp.stack([jnp.zeros_like(y[:, 0]), -y[:, 2], y[:, 1]], axis=-1))  # x cross y
+        y = unit_vectors(jnp.einsum("fij,fi->fj", frame, bones[:, i]), jnp)
+        z = jnp.stack([jnp.zeros_like(y[:, 0]), -y[:, 2], y[:, 1]], axis=-1)  # x cross y
+        z = unit_vectors(z, jnp)
         local = jnp.stack([jnp.cross(y, z), y, z], axis=-1)
         frame = frame @ local
         turns.append(local)
@@ -105,8 +107,3 @@ def _chain_angles(landmarks: Float[Array, "21 3"]) -> dict[str, Float[Array, "5 
         "x": jnp.arctan2(local[..., 2, 1], local[..., 2, 2]),
         "z": jnp.arctan2(local[..., 1, 0], local[..., 0, 0]),
     }
-
-
-def _unit(vector: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
-    length = jnp.sqrt((vector * vector).sum(axis=-1, keepdims=True))
-    return vector / jnp.maximum(length, 1e-9)

@@ -1,7 +1,9 @@
-"""Sequential least-squares quadratic programming within bounds: NLopt's SLSQP, on the host.
+"""Sequential least-squares quadratic programming (SLSQP) within bounds, on the host.
 
-Kraft's SLSQP (1988) is what DexPilot and its successors are solved with. Whatever makes it stop,
-the answer here is the best point that it has seen.
+DexPilot and its successors use Kraft's SLSQP (1988). With NLopt's implementation, the result is
+the best evaluated point, whatever the reason of the stop. With SciPy's, which the published
+descending methods use with 20 iterations at most, it is the last point: if the limit ends a frame,
+that is not a minimum, and the next frame continues from it, so the limit acts as a filter.
 """
 
 from __future__ import annotations
@@ -22,7 +24,7 @@ ValueAndGradient: TypeAlias = Callable[[np.ndarray], np.ndarray]
 
 
 Stop: TypeAlias = Literal["tolerance", "optimality", "evaluations", "time", "rounding"]
-"""Why SLSQP stopped."""
+"""Reason of a stop of SLSQP."""
 
 
 LINE_SEARCH_FAILED: Final = (
@@ -30,22 +32,22 @@ LINE_SEARCH_FAILED: Final = (
     RuntimeError,
     getattr(nlopt, "runtime_error", RuntimeError),
 )
-"""What NLopt raises of a failed line search, which float32 may end in: a RuntimeError or, by the
-version, another exception."""
+"""Exceptions of NLopt after a failed line search, which the rounding of float32 can cause; which
+one depends on the version."""
 
 
 @dataclass(frozen=True)
 class SlsqpConfig:
-    """When SLSQP stops.
+    """Stopping conditions of NLopt's SLSQP.
 
     Attributes:
-        tolerance: change of the objective in one iteration that counts as none.
-        max_evaluations: evaluations of the objective per frame.
-        time_budget_ms: time per frame [ms]; the best point so far is then the answer, and the
-            same frames no longer give the same commands on a slower machine. None: no limit.
-        optimality: largest component of the gradient, but for those that push against a bound, at
-            which a point counts as a minimum. 0 asks for none: from a start that is one already,
-            SLSQP then searches until rounding stops it.
+        tolerance: smallest change of the objective in an iteration.
+        max_evaluations: largest number of evaluations of the objective per frame.
+        time_budget_ms: largest time per frame [ms], after which the result is the best point so
+            far; commands then depend on the machine's speed. None: no limit.
+        optimality: largest component of the gradient, without those that push against a bound, at
+            which a point counts as a minimum. With 0, a search that starts at a minimum goes on
+            until rounding stops it.
     """
 
     tolerance: float = 1e-6
@@ -68,12 +70,12 @@ class SlsqpConfig:
 
 
 class SlsqpResult(NamedTuple):
-    """Where SLSQP ended.
+    """Result of SLSQP.
 
     Attributes:
-        x: (m,) the best point seen, within the bounds.
-        value: the objective there; NaN if it was finite nowhere.
-        evaluations: of the objective.
+        x: (m,) the point, within the bounds.
+        value: objective at the point; NaN if no evaluation was finite.
+        evaluations: number of evaluations of the objective.
         stopped_by: ``tolerance``, ``optimality``, ``evaluations``, ``time`` or ``rounding`` (no
             further descent in the precision of the objective).
     """
@@ -90,13 +92,13 @@ def slsqp_minimise(
     limits: Float[np.ndarray, "m 2"],
     config: SlsqpConfig,
 ) -> SlsqpResult:
-    """Minimise within bounds.
+    """Minimise within bounds by NLopt's SLSQP; the result is the best evaluated point.
 
     Args:
-        objective: value and gradient at a point; not finite where it is undefined.
-        start: (m,) where to begin; clipped to the bounds.
+        objective: value and gradient at a point, not finite where undefined.
+        start: (m,) start of the search; clipped to the bounds.
         limits: (m, 2) bounds.
-        config: when to stop.
+        config: stopping conditions.
     """
     low, high = limits[:, 0], limits[:, 1]
     best = np.clip(np.asarray(start, np.float64), low, high)
@@ -106,18 +108,18 @@ def slsqp_minimise(
 
     def evaluate(x: np.ndarray, gradient: np.ndarray) -> float:
         nonlocal stopped_by, best, lowest, evaluations, last_x, last
-        # A line search asks for the value, and then for the gradient at the same point.
+        # a line search evaluates the value, and then the gradient at the same point
         here = x.tobytes()
         if here != last_x:
             evaluations += 1
             last_x, last = here, objective(x)
-            if not math.isfinite(last.sum()):  # one number counts them all
+            if not math.isfinite(last.sum()):  # a single test for all components
                 stopped_by = "rounding"
                 raise nlopt.ForcedStop("the objective is not finite")
         value = float(last[0])
         if value < lowest:
             best, lowest = x.copy(), value
-            # a step down the gradient that the bounds cut short
+            # gradient step, clipped to the bounds
             if abs(np.clip(x - last[1:], low, high) - x).max() <= config.optimality:
                 stopped_by = "optimality"
                 raise nlopt.ForcedStop("this is a minimum")
@@ -136,7 +138,7 @@ def slsqp_minimise(
     try:
         solver.optimize(best.copy())
     except nlopt.ForcedStop:
-        pass  # it was said why
+        pass  # ``evaluate`` has set the reason
     except LINE_SEARCH_FAILED:
         stopped_by = "rounding"
     else:
@@ -147,3 +149,71 @@ def slsqp_minimise(
             stopped_by = "time"
     best = np.clip(best, low, high)  # NLopt may round over a bound
     return SlsqpResult(best, lowest if math.isfinite(lowest) else math.nan, evaluations, stopped_by)
+
+
+_STOPS: Final[dict[int, Stop]] = {0: "tolerance", 9: "evaluations"}
+"""SciPy's exit modes; others are failures of the line search or of the subproblem."""
+
+
+@dataclass(frozen=True)
+class ScipySlsqpConfig:
+    """Stopping conditions of SciPy's SLSQP.
+
+    Attributes:
+        tolerance: smallest change of the objective in an iteration.
+        max_iterations: largest number of iterations per frame; each is a quadratic subproblem and
+            a line search with one or more evaluations.
+    """
+
+    tolerance: float = 1e-6
+    max_iterations: int = 20
+
+    def __post_init__(self) -> None:
+        if self.tolerance <= 0 or self.max_iterations < 1:
+            raise ConfigError(
+                "SciPy's SLSQP needs tolerance > 0 and max_iterations >= 1, not "
+                f"tolerance={self.tolerance}, max_iterations={self.max_iterations}"
+            )
+
+
+def scipy_slsqp_minimise(
+    objective: ValueAndGradient,
+    start: Float[np.ndarray, " m"],
+    limits: Float[np.ndarray, "m 2"],
+    config: ScipySlsqpConfig,
+) -> SlsqpResult:
+    """Minimise within bounds by SciPy's SLSQP; the result is the last point, as in published code.
+
+    ``stopped_by`` is ``evaluations`` after the limit of iterations.
+
+    Args:
+        objective: value and gradient at a point.
+        start: (m,) start of the search; clipped to the bounds.
+        limits: (m, 2) bounds.
+        config: stopping conditions.
+    """
+    from scipy.optimize import minimize  # here, since the import takes half a second
+
+    low, high = limits[:, 0], limits[:, 1]
+    evaluations = 0
+
+    def evaluate(x: np.ndarray) -> tuple[float, np.ndarray]:
+        nonlocal evaluations
+        evaluations += 1
+        both = objective(x).astype(np.float64)
+        return float(both[0]), both[1:]
+
+    solution = minimize(
+        evaluate,
+        np.clip(np.asarray(start, np.float64), low, high),
+        jac=True,
+        method="SLSQP",
+        bounds=np.stack([low, high], axis=1),
+        tol=config.tolerance,
+        options={"maxiter": config.max_iterations},
+    )
+    x = np.clip(np.asarray(solution.x, np.float64), low, high)
+    value = float(solution.fun)
+    if not (math.isfinite(value) and np.isfinite(x).all()):
+        return SlsqpResult(x, math.nan, evaluations, "rounding")
+    return SlsqpResult(x, value, evaluations, _STOPS.get(int(solution.status), "rounding"))

@@ -1,11 +1,10 @@
-"""Optimisation-based methods: an objective, minimised by SLSQP from a warm start.
+"""Optimisation-based methods: an objective that SLSQP minimises from a warm start.
 
-Newton steps within the compiled program come first, since the objective's exact Hessian is
-available there, and SLSQP has to estimate it again in every frame; SLSQP goes on from what they
-found, unless that is a minimum already.
+Newton steps in the compiled program come first: they have the objective's exact Hessian, which
+SLSQP estimates again in every frame. SLSQP continues from their result, unless that is a minimum.
 
-DexPilot, AKO, the keyvector method and the hybrid of it with joint angles differ in their targets,
-weights and starting point only.
+DexPilot, AKO, the keyvector method and its hybrid with joint angles differ only in their targets,
+weights and starting point.
 """
 
 from __future__ import annotations
@@ -23,8 +22,13 @@ from jaxtyping import Array, Bool, Float, UInt32
 
 from smooth_operator.baselines.joint_angle import JointAngleMap
 from smooth_operator.baselines.published_angles import PublishedAngles
-from smooth_operator.baselines.scipy_slsqp import ScipySlsqpConfig, scipy_slsqp_minimise
-from smooth_operator.baselines.slsqp import SlsqpConfig, ValueAndGradient, slsqp_minimise
+from smooth_operator.baselines.slsqp import (
+    ScipySlsqpConfig,
+    SlsqpConfig,
+    ValueAndGradient,
+    scipy_slsqp_minimise,
+    slsqp_minimise,
+)
 from smooth_operator.compilation.compiled_program import compiled
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
@@ -46,15 +50,14 @@ class SlsqpMethodConfig(ObjectiveMethodConfig):
     """Settings of a method that is solved by SLSQP.
 
     Attributes:
-        alignment: how human landmarks reach the palm frame.
+        alignment: alignment of human landmarks to the palm frame.
         objective: targets, loss and weights.
-        solver: which SLSQP, and when it stops: NLopt's (``SlsqpConfig``), or SciPy's
-            (``ScipySlsqpConfig``).
-        start: where to begin: at the ``previous`` command; at the ``joint_angle`` method's answer
-            to the frame; or at the joint angles of the paper's authors (``published_angles``),
-            which are known for the joints of the mimic hand: on another hand that is
-            ``joint_angle``.
-        approach: Newton steps before SLSQP; with no iterations, SLSQP does it all.
+        solver: implementation of SLSQP and its stopping conditions: NLopt's (``SlsqpConfig``) or
+            SciPy's (``ScipySlsqpConfig``).
+        start: start of the search: the ``previous`` command; the ``joint_angle`` method's command
+            for the frame; or the joint angles of the paper's authors (``published_angles``), which
+            exist for the joints of the mimic hand, and are ``joint_angle`` for another hand.
+        approach: Newton steps before SLSQP; without iterations, SLSQP alone.
     """
 
     alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
@@ -75,16 +78,16 @@ class SlsqpMethodConfig(ObjectiveMethodConfig):
         """The method for one hand.
 
         Raises:
-            ConfigError: if the hand lacks points that the targets need.
-            SmoothOperatorError: if the start is of joint angles and the hand has no map of them.
+            ConfigError: the hand lacks points that the targets need.
+            SmoothOperatorError: the start needs a map of joint angles that the hand does not have.
         """
         method = SlsqpMethod(hand, self)
-        _ = method.needs  # whatever the hand lacks is said now
+        _ = method.needs  # raises its errors here
         return method
 
 
 class SlsqpMethodState(NamedTuple):
-    """All that the method remembers between frames.
+    """State of the method between frames.
 
     Attributes:
         q: (m,) last command of the actuated joints [rad].
@@ -96,13 +99,13 @@ class SlsqpMethodState(NamedTuple):
 
 
 class SlsqpProblem(NamedTuple):
-    """One frame, ready to be solved; in few arrays, since each costs 2 to 5 us per frame.
+    """Optimisation problem of one frame; in few arrays, since each costs 2 to 5 us per frame.
 
     Attributes:
         targets: vectors and weights of the frame.
-        start: (m,) where SLSQP is to begin [rad].
-        optimality: (2,) the objective there, and the largest component of its gradient that the
-            limits leave free (the KKT residual), where Newton steps came before; NaN otherwise.
+        start: (m,) start of SLSQP [rad].
+        optimality: (2,) objective at the start, and the largest component of its gradient that the
+            limits leave free (the KKT residual); NaN without Newton steps.
         policy: state of the target policy after this frame.
     """
 
@@ -121,17 +124,17 @@ class SlsqpMethod(HostMethod):
     compiling: Compiling | None = field(default=None, init=False, repr=False)
 
     def compile_with(self, compiling: Compiling) -> None:
-        """Has ``evaluate`` compiled by a function."""
+        """Set the function that compiles ``evaluate``."""
         object.__setattr__(self, "compiling", compiling)
 
     @cached_property
     def objective(self) -> Objective:
-        """What is minimised."""
+        """The minimised objective."""
         return Objective(self.hand, self.config.objective)
 
     @cached_property
     def joint_angles(self) -> JointAngleMap | PublishedAngles | None:
-        """Where the search begins, if not at the previous command."""
+        """Map that gives the start of the search; None for the previous command."""
         if self.config.start == "previous":
             return None
         if self.config.start == "published_angles" and PublishedAngles.fits(self.hand):
@@ -140,16 +143,16 @@ class SlsqpMethod(HostMethod):
 
     @cached_property
     def needs(self) -> tuple[int, ...]:
-        """Landmarks of the vectors, and of the joint angles if it starts there."""
+        """Landmarks of the vectors, and of the joint angles if they give the start."""
         angles = () if self.joint_angles is None else self.joint_angles.needs
         return tuple(sorted({*self.objective.layout.landmarks, *angles}))
 
     @cached_property
     def evaluate(self) -> Callable[[Float[np.ndarray, " n"]], Float[Array, " 1+m"]]:
-        """A ``packed`` point and goal to value and gradient: one array in and one out, since each
-        costs 2 to 5 us a call.
+        """Compiled function from a ``packed`` point and goal to value and gradient.
 
-        Through the unrolled kinematics: it takes 2 s longer to compile than the small program of
+        It has one array in and one out, since each costs 2 to 5 us per call. It uses the unrolled
+        kinematics, which takes 2 s longer to compile than the small program of
         ``Objective.value_grad_hess``, and a third of its time to run.
         """
         count, joints = len(self.objective.layout.vectors), len(self.hand.neutral)
@@ -163,30 +166,30 @@ class SlsqpMethod(HostMethod):
 
         compiling = self.compiling
         evaluate = compiled(both) if compiling is None else compiling(both, "evaluate")
-        # compiled with the first frame, though SLSQP may not be needed before the hundredth
+        # compile at the first frame, also if SLSQP is first needed at a later one
         evaluate(np.zeros(ends[-1] + 1, np.float32))
         return evaluate
 
     def packed(self, q: Float[np.ndarray, " m"], goal: FrameGoal) -> Float[np.ndarray, " n"]:
-        """Joint positions and a goal in one array, as ``evaluate`` takes them; q comes first."""
+        """Joint positions, followed by a goal, in the one array that ``evaluate`` takes."""
         parts = (q, goal.vectors, goal.weights, goal.previous, goal.velocity_weight)
         return np.concatenate([np.ravel(np.asarray(part, np.float32)) for part in parts])
 
     def init(self, seed: int) -> SlsqpMethodState:
-        """Neutral pose, the target policy's first state; nothing here is random."""
+        """Neutral pose, and the first state of the target policy; the seed is not used."""
         return SlsqpMethodState(
             np.asarray(self.hand.neutral, np.float32),
             self.config.objective.targets.init(self.objective.layout),
         )
 
     def latched(self, state: SlsqpMethodState) -> Bool[Array, " P"] | None:
-        """(F - 1,) which fingers are latched to the thumb; None if the policy has no latches."""
+        """(F - 1,) True for fingers that are latched to the thumb; None without latches."""
         return self.config.objective.targets.latched(state.targets)
 
     def prepare(
         self, state: SlsqpMethodState, aligned: Float[Array, "21 3"], ticks: UInt32[Array, ""]
     ) -> SlsqpProblem:
-        """Targets of the frame, and where SLSQP is to begin."""
+        """Targets of the frame, and start of SLSQP."""
         del ticks
         config, layout = self.config.objective, self.objective.layout
         targets, policy_state = config.targets(state.targets, layout, layout.human(aligned))
@@ -210,8 +213,8 @@ class SlsqpMethod(HostMethod):
     def solve(
         self, state: SlsqpMethodState, problem: SlsqpProblem
     ) -> tuple[SlsqpMethodState, MethodOutput]:
-        """SLSQP, unless the start is a minimum already."""
-        evaluate, solver = self.evaluate, self.config.solver  # compiled with the first frame
+        """Minimise by SLSQP, unless the start is a minimum."""
+        evaluate, solver = self.evaluate, self.config.solver  # compiles at the first frame
         start = np.asarray(problem.start)
         velocity_weight = self.config.objective.velocity_weight
         on_host = FrameGoal(*problem.targets, np.asarray(state.q), velocity_weight)
@@ -229,17 +232,17 @@ class SlsqpMethod(HostMethod):
         q = x.astype(np.float32)
         regular = float(self.objective.regularisation(x, on_host))
         after = SlsqpMethodState(q, problem.policy)
-        if not math.isfinite(value):  # finite nowhere: the frame gets the status SOLVER_FAILED
+        if not math.isfinite(value):  # the frame gets the status SOLVER_FAILED
             q = np.full_like(q, np.nan)
         return after, MethodOutput(q, np.float32(value - regular))
 
     def _slsqp(
         self, objective: ValueAndGradient, start: Float[np.ndarray, " m"]
     ) -> tuple[Float[np.ndarray, " m"], float]:
-        """The minimum that SLSQP finds from a start, and the objective there."""
+        """Result of SLSQP from a start, and the objective there."""
         solver, limits = self.config.solver, self.hand.limits
         if isinstance(solver, SlsqpConfig):
-            found = slsqp_minimise(objective, start, limits, solver)
+            result = slsqp_minimise(objective, start, limits, solver)
         else:
-            found = scipy_slsqp_minimise(objective, start, limits, solver)
-        return found.x, found.value
+            result = scipy_slsqp_minimise(objective, start, limits, solver)
+        return result.x, result.value

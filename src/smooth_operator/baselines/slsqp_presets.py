@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Final
 
-from smooth_operator.baselines.ako_targets import AkoTargets
-from smooth_operator.baselines.scipy_slsqp import ScipySlsqpConfig
-from smooth_operator.baselines.slsqp import SlsqpConfig
+from smooth_operator.baselines.slsqp import ScipySlsqpConfig, SlsqpConfig
 from smooth_operator.baselines.slsqp_method import SlsqpMethodConfig
-from smooth_operator.baselines.tip_targets import TipTargets
+from smooth_operator.baselines.slsqp_targets import AkoTargets, TipTargets
 from smooth_operator.objective.loss import ObjectiveConfig
 from smooth_operator.objective.targets import DexPilotTargets, PlainTargets
 from smooth_operator.solvers.newton import NewtonConfig
@@ -17,10 +15,10 @@ from smooth_operator.solvers.newton import NewtonConfig
 KEYVECTOR: Final = SlsqpMethodConfig(
     objective=ObjectiveConfig(targets=PlainTargets(), pose_weight=2.5e-3, velocity_weight=0.0)
 )
-"""All keyvectors follow the human's, solved by SLSQP from the last command.
+"""All keyvectors follow the human's, by SLSQP from the last command.
 
 Smooth-L1 in units of its transition and a tolerance of 1e-6 leave no dead band: the hand moves in
-every frame that the human's does.
+every frame in which the human's moves.
 """
 
 KEYVECTOR_VECTOR: Final = replace(
@@ -29,18 +27,18 @@ KEYVECTOR_VECTOR: Final = replace(
         targets=PlainTargets(w_thumb=0.0, w_between=0.0), pose_weight=0.0, velocity_weight=4e-3
     ),
 )
-"""``vector`` in dex-retargeting's sense: wrist-to-tip vectors only, held by the last command."""
+"""``vector`` as in dex-retargeting: wrist-to-tip vectors, regularised to the last command."""
 
 KEYVECTOR_POSITION: Final = replace(
     KEYVECTOR,
     objective=ObjectiveConfig(targets=TipTargets(), pose_weight=0.0, velocity_weight=4e-3),
 )
-"""``position`` in dex-retargeting's sense: fingertips at the human's places in the palm frame."""
+"""``position`` as in dex-retargeting: fingertips at the human's positions in the palm frame."""
 
 HYBRID: Final = replace(KEYVECTOR, start="joint_angle", approach=NewtonConfig(iterations=12))
-"""mimic-one's (Nava et al. 2025): the keyvector method, begun at the joint-angle solution.
+"""The hybrid of mimic-one (Nava et al. 2025): the keyvector method from the joint-angle solution.
 
-That lies further from the minimum than the last command does, so it takes more Newton steps.
+That start lies further from the minimum than the last command, so it takes more Newton steps.
 """
 
 DEXPILOT: Final = SlsqpMethodConfig(
@@ -52,7 +50,7 @@ DEXPILOT: Final = SlsqpMethodConfig(
         velocity_weight=0.0,
     )
 )
-"""DexPilot (Handa et al. 2019) with its own numbers; no velocity term."""
+"""DexPilot (Handa et al. 2019) with its published numbers, without a velocity term."""
 
 AKO: Final = SlsqpMethodConfig(
     objective=ObjectiveConfig(
@@ -63,13 +61,13 @@ AKO: Final = SlsqpMethodConfig(
         velocity_loss="smooth_l1",
     )
 )
-"""Analyzing Key Objectives (Yu et al. 2025), but that pinch vectors do not fade with distance."""
+"""Analyzing Key Objectives (Yu et al. 2025), but pinch vectors do not fade with distance."""
 
 
 def _as_published(
     config: SlsqpMethodConfig, objective: ObjectiveConfig, tolerance: float = 1e-6
 ) -> SlsqpMethodConfig:
-    """Solved as the authors do: by SciPy's SLSQP alone, at most 20 iterations a frame."""
+    """The configuration with the authors' solver: SciPy's SLSQP, at most 20 iterations a frame."""
     return replace(
         config,
         objective=objective,
@@ -86,10 +84,10 @@ _FIVE_VECTORS: Final = ObjectiveConfig(
 )
 
 KEYVECTOR_PUBLISHED: Final = _as_published(KEYVECTOR, _FIVE_VECTORS)
-"""The baseline of the paper's authors: wrist to tips, squared error, nothing else."""
+"""The baseline of the paper's authors: wrist to tips with a squared error."""
 
 HYBRID_PUBLISHED: Final = replace(KEYVECTOR_PUBLISHED, start="published_angles")
-"""The paper's baseline: the same, begun at the authors' joint angles."""
+"""The paper's baseline: the same, from the authors' joint angles."""
 
 DEXPILOT_PUBLISHED: Final = _as_published(DEXPILOT, replace(DEXPILOT.objective, pose_centre="zero"))
 """The paper's baseline: the pose term pulls to zero angles."""
@@ -97,11 +95,11 @@ DEXPILOT_PUBLISHED: Final = _as_published(DEXPILOT, replace(DEXPILOT.objective, 
 AKO_PUBLISHED: Final = _as_published(
     AKO, replace(AKO.objective, targets=AkoTargets(switch_pinch=True)), tolerance=1e-5
 )
-"""As the paper's authors run it; pinch vectors fade with the distance from the thumb."""
+"""The paper's baseline: pinch vectors fade with the distance from the thumb."""
 
 
 def _alone(config: SlsqpMethodConfig) -> SlsqpMethodConfig:
-    """NLopt's SLSQP from the start, until its own tolerance."""
+    """The configuration with NLopt's SLSQP alone, until its own tolerance."""
     return replace(config, approach=NewtonConfig(iterations=0), solver=SlsqpConfig())
 
 

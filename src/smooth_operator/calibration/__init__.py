@@ -1,4 +1,4 @@
-"""Calibration of an operator: poses by prompt or by search, and what is measured from them."""
+"""Calibration of an operator: poses by prompt or by search, and the profile that follows."""
 
 from smooth_operator.lazy_names import public_names
 

@@ -1,8 +1,8 @@
-"""Estimates an operator's profile from poses, with a confidence for each figure."""
+"""Estimate of an operator's profile from the poses of a recording, with confidences."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -11,11 +11,11 @@ from jaxtyping import Float
 
 from smooth_operator.calibration.features import Features, measure_features
 from smooth_operator.calibration.segments import Segment, find_segments, poses
-from smooth_operator.calibration.tips import fit_tip_offsets
 from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.straight_pose import StraightPose, straight_pose
 from smooth_operator.human.alignment import MIN_CONDITION, palm_alignment
+from smooth_operator.human.anatomical_axes import PalmAxes
 from smooth_operator.human.operator import (
     DEFAULT_COMPONENTS,
     Component,
@@ -28,16 +28,16 @@ from smooth_operator.landmarks import BASES, FINGERS, TIPS
 from smooth_operator.types import HandRecording
 
 SURE: Final = 0.3
-"""A pose of less confidence is reported, but used only if there is no better one."""
+"""Confidence below which a pose is used only if there is no better one."""
 MARGIN: Final = 0.005
-"""From where pinches are held to where the latch closes [m]."""
+"""Difference between the gap of a held pinch and the distance at which the latch closes [m]."""
 PROJECT: Final = (0.010, 0.020)
-"""The latch closes at no less than the first, which SBR publishes, and no more than the second,
-where the pads' neighbours would be closed with them [m]."""
+"""Limits on the distance at which the latch closes [m]: SBR's published value, and the value from
+which it would also close the neighbouring fingers."""
 ESCAPE: Final = 1.5
-"""The latch opens at so many times the distance at which it closes."""
+"""Distance at which the latch opens over the distance at which it closes."""
 
-_FRAMES: Final = 300  # of one pinch finger, evenly over its segments, that are looked at
+_FRAMES: Final = 300  # largest number of frames per pinching finger, evenly over its segments
 
 
 @dataclass(frozen=True)
@@ -45,10 +45,10 @@ class Finding:
     """The result of one pose.
 
     Attributes:
-        pose: its name.
-        segments: where it was found.
-        confidence: of the surest segment; 0 where there is none.
-        note: what to do about it; empty where there is nothing.
+        pose: name of the pose.
+        segments: frames that show it.
+        confidence: highest confidence of the segments; 0 without any.
+        note: problem and advice; empty if there is none.
     """
 
     pose: str
@@ -59,17 +59,18 @@ class Finding:
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """What a calibration found.
+    """Result of a calibration.
 
     Attributes:
         operator: the profile.
-        findings: one for each pose that was looked for.
-        features: of the recording, frame by frame.
-        segments: all that were used or found.
-        straight: the robot's side.
-        gaps: finger -> (N, 2) thumb to tip in pinches, before and after [m], at human size.
-        rotation_deg: how far the flat hand and the robot's straight fingers are apart [degrees];
-            None without a flat hand.
+        findings: one for each pose.
+        features: features of the recording, frame by frame.
+        segments: all segments of the recording.
+        straight: the robot hand with straight fingers.
+        gaps: finger -> (N, 2) distance from thumb to tip in pinches, before and after the
+            correction of tips [m], at human size.
+        rotation_deg: angle between the flat hand's fingers and the robot's straight fingers
+            [degrees]; None without a flat hand.
     """
 
     operator: OperatorProfile
@@ -88,18 +89,18 @@ def calibrate(
     *,
     apply: tuple[Component, ...] = DEFAULT_COMPONENTS,
 ) -> Calibration:
-    """Calibrates an operator for a robot hand.
+    """Calibrate an operator for a robot hand.
 
     Args:
-        recording: the operator's hand.
-        hand: the robot's.
-        segments: where which pose is held, as prompts mark it; None to find out.
-        apply: which components the profile shall use; ``tips`` and ``pinch`` do nothing where no
-            pinch was found.
+        recording: recording of the operator's hand.
+        hand: the robot hand.
+        segments: frames in which poses are held, as prompts mark them; None to search for them.
+        apply: components that the profile uses; ``tips`` and ``pinch`` have no effect without a
+            pinch in the recording.
 
     Raises:
         ConfigError: the recording is of the other side.
-        RecordingError: hardly a frame can be used, or it is the other hand's after all.
+        RecordingError: too few frames can be used, or they show the other hand.
     """
     if recording.side != hand.spec.side:
         raise ConfigError(
@@ -163,7 +164,7 @@ _MISSING: Final = {
 def _at_human_size(
     recording: HandRecording, hand: Hand, features: Features
 ) -> tuple[Float[np.ndarray, "T 21 3"], float]:
-    """Landmarks turned into the palm frame, at the size of the human; and the palm's scale.
+    """Landmarks in the palm frame at the size of the human, and the scale of the palm.
 
     Raises:
         RecordingError: no frame has a usable palm.
@@ -180,7 +181,7 @@ def _at_human_size(
 
 
 def _used(segments: Sequence[Segment], pose: str) -> list[Segment]:
-    """The sure segments of a pose, or, where none is, the surest."""
+    """Segments of a pose with enough confidence, else those with the highest confidence."""
     mine = [s for s in segments if s.pose == pose]
     best = max((s.confidence for s in mine), default=0.0)
     return [s for s in mine if s.confidence >= min(SURE, best)]
@@ -201,7 +202,7 @@ def _pinches(
         mine = _used(segments, f"pinch_{finger}")
         frames = _rows(mine, usable)
         if len(frames):
-            # Not all of a prompted pinch is one: the operator takes a while, or opens early.
+            # in a prompted segment the operator may close late or open early
             gap = features.gaps[frames, FINGERS.index(finger) - 1]
             frames = frames[gap <= np.percentile(gap, 80)]
             chosen = np.linspace(0, len(frames) - 1, min(_FRAMES, len(frames))).astype(int)
@@ -245,20 +246,20 @@ def _fingers(
 
 
 def _project(gaps: dict[str, np.ndarray], scale: float, corrected: int) -> float | None:
-    """Where the latch closes: over what nearly all pinches are held at, once they are corrected.
+    """Distance at which the latch closes, above the corrected gaps of nearly all pinches [m].
 
     Args:
-        gaps: as ``Calibration.gaps``.
-        scale: of the palm.
-        corrected: 1 if tips are, 0 if not.
+        gaps: as in ``Calibration.gaps``.
+        scale: scale of the palm.
+        corrected: column of ``gaps``: 1 with the correction of tips, 0 without.
     """
     if not gaps:
         return None
-    # The middle one of what is left is closed; the spread about it stays.
-    left = (
+    # the correction of pinches removes the median gap, so only the spread above it remains
+    spreads = (
         np.percentile(gap[:, corrected], 90) - np.median(gap[:, corrected]) for gap in gaps.values()
     )
-    return float(np.clip(float(max(left)) * scale + MARGIN, *PROJECT))
+    return float(np.clip(float(max(spreads)) * scale + MARGIN, *PROJECT))
 
 
 def _palm_rotation(
@@ -268,7 +269,7 @@ def _palm_rotation(
     features: Features,
     segments: Sequence[Segment],
 ) -> tuple[tuple[float, float, float, float], float | None]:
-    """The least turn of the flat hand's fingers into the robot's, as w x y z and in degrees."""
+    """Smallest rotation from the flat hand's fingers to the robot's: w x y z, and in degrees."""
     usable = np.isfinite(points).all(axis=(1, 2))
     frames = _rows(_used(segments, "flat"), usable)
     if not len(frames):
@@ -280,7 +281,7 @@ def _palm_rotation(
     cosine = float(np.clip(human @ robot, -1, 1))
     axis = np.cross(human, robot)
     q = np.array([1 + cosine, *axis])
-    if np.linalg.norm(q) < 1e-6:  # opposite: no least turn
+    if np.linalg.norm(q) < 1e-6:  # opposite directions have no unique smallest rotation
         return (1.0, 0.0, 0.0, 0.0), 180.0
     q /= np.linalg.norm(q)
     return (float(q[0]), float(q[1]), float(q[2]), float(q[3])), float(
@@ -291,3 +292,67 @@ def _palm_rotation(
 def _direction(rays: np.ndarray) -> np.ndarray:
     mean = (rays / np.linalg.norm(rays, axis=-1, keepdims=True)).mean(axis=0)
     return np.asarray(mean / np.linalg.norm(mean))
+
+
+PRIOR: Final = 0.004
+"""Prior standard deviation of an offset about zero [m]."""
+DEVIATION: Final = 0.002
+"""Prior standard deviation of a long finger's offset about their common one [m]."""
+NOISE: Final = 0.002
+"""Standard deviation of the gap between the pads in one pinch, by the tracker or in truth [m]."""
+LIMIT: Final = 0.02
+"""Largest offset [m]."""
+
+_PER_SEGMENT: Final = 2.0  # number of independent frames in a pinch, whose frames are alike
+_HUBER: Final = 2.0  # transition of Huber's weights [NOISE]
+_ROUNDS: Final = 10
+
+
+def fit_tip_offsets(
+    pinches: Mapping[str, tuple[Float[np.ndarray, "N 21 3"], int]],
+    axes: PalmAxes[np.ndarray],
+) -> Float[np.ndarray, "5 2"]:
+    """Offsets of the tips with which thumb pad and finger pad meet in every pinch.
+
+    In each frame of a pinch, finger tip + offset = thumb tip + offset, each offset a constant in
+    the frame of its tip. The long fingers share an offset and differ from it by little, so that a
+    finger without a pinch gets the common one; the thumb has its own. This is a least-squares
+    problem with a prior, and with Huber's weights against outliers.
+
+    Args:
+        pinches: finger -> landmarks of its frames in the palm frame, at human size [m], and the
+            number of pinches in them.
+        axes: axes of the palm, in that frame.
+
+    Returns:
+        (5, 2) offsets along the last bone and toward the pad, thumb first [m]; zeros without any
+        pinch.
+    """
+    if not pinches:
+        return np.zeros((5, 2))
+    rows, targets, counts = [], [], []
+    for finger, (points, times) in pinches.items():
+        i = FINGERS.index(finger)
+        along, pad = tip_frames(points, [0, i], axes)
+        frames = np.stack([along, pad], axis=-1)  # (N, thumb and finger, 3, 2)
+        row = np.zeros((len(points), 3, 12))
+        row[..., 0:2] = -frames[:, 0]
+        row[..., 2:4] = frames[:, 1]  # common offset of the long fingers
+        row[..., 2 + 2 * i : 4 + 2 * i] = frames[:, 1]  # deviation of this finger
+        rows.append(row)
+        targets.append(points[:, TIPS[0]] - points[:, TIPS[i]])
+        share = min(1.0, _PER_SEGMENT * times / len(points))
+        counts.append(np.full(len(points), share))
+    matrix, target = np.concatenate(rows), np.concatenate(targets)
+    weight = np.concatenate(counts) / NOISE**2
+    prior = np.diag(np.array([PRIOR] * 4 + [DEVIATION] * 8) ** -2.0)
+    robust = np.ones(len(target))
+    x = np.zeros(12)
+    for _ in range(_ROUNDS):
+        w = weight * robust
+        normal = np.einsum("nki,n,nkj->ij", matrix, w, matrix) + prior
+        x = np.linalg.solve(normal, np.einsum("nki,n,nk->i", matrix, w, target))
+        off = np.linalg.norm(matrix @ x - target, axis=1)
+        robust = np.minimum(1.0, _HUBER * NOISE / np.maximum(off, 1e-12))
+    offsets = np.concatenate([x[None, 0:2], x[None, 2:4] + x[4:].reshape(4, 2)])
+    return np.asarray(np.clip(offsets, -LIMIT, LIMIT))

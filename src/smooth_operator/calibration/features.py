@@ -1,4 +1,4 @@
-"""Features that identify the poses of a calibration: sizes, straightness, spread, tip distances."""
+"""Features that identify the poses of a calibration: sizes, straightness, spread, tip gaps."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from smooth_operator.landmarks import BASES, TIPS
 from smooth_operator.types import HandRecording
 
 BONE_TOLERANCE: Final = 0.3
-"""A bone that is further off its median in a frame, as a share of it, was not seen rightly."""
+"""Largest relative deviation of a bone from its median length in a usable frame."""
 MIN_FRAMES: Final = 10
 
 
 @dataclass(frozen=True, eq=False)
 class Features:
-    """A recording, measured frame by frame; NaN in frames that can't be used.
+    """Features of each frame of a recording; NaN in frames that can't be used.
 
     Attributes:
-        good: (T,) which frames are used: all landmarks valid and bones of their usual length.
-        bones: (5, 3) median lengths, base to tip [m].
-        palm_width: index MCP to pinky MCP [m].
-        palm_length: wrist to middle MCP [m].
-        straightness: (T, 5) base to tip over the length of the finger, 1 if straight.
-        spread: (T,) index tip to pinky tip over the palm's width.
-        gaps: (T, 4) thumb tip to each other tip [m].
+        good: (T,) True for usable frames: all landmarks valid, bones of their usual length.
+        bones: (5, 3) median lengths of the bones, base to tip [m].
+        palm_width: distance from index MCP to pinky MCP [m].
+        palm_length: distance from wrist to middle MCP [m].
+        straightness: (T, 5) distance from base to tip over the length of the finger.
+        spread: (T,) distance from index tip to pinky tip over the palm's width.
+        gaps: (T, 4) distance from the thumb's tip to each other tip [m].
     """
 
     good: Bool[np.ndarray, " T"]
@@ -42,10 +42,10 @@ class Features:
 
 
 def measure_features(recording: HandRecording) -> Features:
-    """Measures a recording.
+    """Compute the features of a recording.
 
     Raises:
-        RecordingError: hardly a frame can be used, or it is the other hand's.
+        RecordingError: too few frames can be used, or they show the other hand.
     """
     assert recording.valid is not None  # filled in on construction
     points = recording.landmarks
@@ -64,7 +64,7 @@ def measure_features(recording: HandRecording) -> Features:
             f"calibration needs {MIN_FRAMES} at least, and better two minutes of them"
         )
     points = np.where(good[:, None, None], points, np.nan)
-    # Order is left to the reader of the recording, which knows its format.
+    # The reader of the recording has checked the order of landmarks.
     check_hand(points, recording.side, layout="mediapipe", where=recording.name)
     bones = np.median(lengths[good], axis=0)
     width = float(np.nanmedian(np.linalg.norm(points[:, 5] - points[:, 17], axis=-1)))

@@ -22,10 +22,10 @@ _EXPECTED: Final = "expected the OPERATOR.json of `smooth-operator calibrate`"
 
 
 def write_operator(path: Path, operator: OperatorProfile) -> None:
-    """Writes a profile, whole or not at all.
+    """Write a profile atomically.
 
     Raises:
-        OutputError: it can't be written.
+        OutputError: the file can't be written.
     """
     content = {"format": FORMAT, "version": VERSION, **_fields(operator)}
     content["fingers"] = {
@@ -37,11 +37,11 @@ def write_operator(path: Path, operator: OperatorProfile) -> None:
 
 
 def read_operator(path: Path) -> OperatorProfile:
-    """Reads what ``write_operator`` wrote.
+    """Read a profile that ``write_operator`` wrote.
 
     Raises:
-        ConfigError: no such file, no such content, a field that is missing, unknown or outside what
-            a hand can be, or a newer version's file.
+        ConfigError: there is no such file, it is no profile or of another version, or a field is
+            missing, unknown or outside the range of a hand.
     """
     try:
         content = read_json(Path(path), most_bytes=_MOST_BYTES)
@@ -77,7 +77,7 @@ def _profile(entries: Entries) -> OperatorProfile:
         palm_rotation=entries.numbers("palm_rotation", 4),
         project=entries.number_or_none("project"),
         escape=entries.number_or_none("escape"),
-        apply=cast("tuple[Component, ...]", tuple(entries.texts("apply"))),  # checked there
+        apply=cast("tuple[Component, ...]", tuple(entries.texts("apply"))),  # the profile checks
         source=entries.text("source", lines=True),
     )
 

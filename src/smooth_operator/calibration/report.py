@@ -1,4 +1,4 @@
-"""Report of a calibration as figures: found values, confidence, before and after."""
+"""Figures of a calibration for its report: sizes, confidences, gaps before and after."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from smooth_operator.calibration.estimate import Calibration
 from smooth_operator.types import HandRecording
 
 FEWEST: Final = 10
-"""Frames of a pinch from which it is said what a correction leaves of others."""
+"""Smallest number of pinch frames for ``closed_gaps``."""
 
 
 def report(calibration: Calibration, recording: HandRecording) -> dict[str, Any]:
-    """What ``OPERATOR.report.json`` holds, ready for JSON; lengths in millimetres say so.
+    """Content of ``OPERATOR.report.json``.
 
     Args:
-        calibration: of the recording.
-        recording: the operator's hand.
+        calibration: calibration from the recording.
+        recording: recording of the operator's hand.
     """
     operator, features = calibration.operator, calibration.features
     stamps = recording.stamps - recording.stamps[0]
@@ -74,15 +74,13 @@ def report(calibration: Calibration, recording: HandRecording) -> dict[str, Any]
 
 
 def closed_gaps(calibration: Calibration, finger: str) -> Float[np.ndarray, " N"] | None:
-    """What the profile leaves between thumb and tip in pinches that it was not fitted on.
+    """Gap between thumb and tip that the profile leaves in pinches to which it was not fitted.
 
-    The correction closes the middle pinch by what it was fitted on, so on those frames it leaves
-    nothing by construction. Here each half of a finger's pinch frames is corrected by the other
-    half's.
+    The correction removes the median gap of the frames to which it was fitted. Therefore each half
+    of a finger's pinch frames is corrected here by the median of the other half.
 
     Returns:
-        (N,) [m], at human size; None if the finger was not seen pinching, or in fewer than
-        ``FEWEST`` frames.
+        (N,) gaps [m], at human size; None for a finger with fewer than ``FEWEST`` pinch frames.
     """
     gaps, operator = calibration.gaps.get(finger), calibration.operator
     if gaps is None:

@@ -1,7 +1,6 @@
-"""Poses found in a recording: flat, spread, fist, and a pinch per finger.
+"""Poses of a calibration (flat, spread, fist, pinches): prompts for them, and a search for them.
 
-The finder and the estimator share nothing but ``Segment``: frames that prompts mark go to
-the estimator in the same way (``smooth_operator.calibration.prompts``).
+Prompts and search both give ``Segment`` to the estimator.
 """
 
 from __future__ import annotations
@@ -17,23 +16,23 @@ from smooth_operator.calibration.features import Features
 from smooth_operator.landmarks import FINGERS
 
 FLAT: Final = 0.97
-"""Straightness of all long fingers, relative to each one's straightest, of a flat hand."""
+"""Smallest straightness of the long fingers in a flat hand, relative to each finger's largest."""
 FIST: Final = 0.65
-"""And of a fist, at most."""
+"""Largest straightness of the long fingers in a fist, relative to each finger's largest."""
 PINCH_REACH: Final = 0.025
-"""Thumb-to-tip distance over which nothing is looked at for a pinch [m]; trackers put the tips of
-pads that touch up to 2 cm apart."""
+"""Largest thumb-to-tip distance in a pinch [m]; trackers place the tips of pads that touch up to
+2 cm apart."""
 PINCH_DEPTH: Final = 0.018
-"""A pinch comes nearer than this at some time [m]."""
+"""Distance that a pinch must reach [m]."""
 CORE: Final = 0.004
-"""A pinch is held while the distance is within this of its least [m]."""
+"""Distance above its minimum up to which a pinch counts as held [m]."""
 
-_BRIDGE_S: Final = 0.08  # gaps of a pose that are no end of it
+_BRIDGE_S: Final = 0.08  # longest break within a pose
 _POSE_S: Final = 0.15  # shortest pose
 _PINCH_S: Final = 0.1  # shortest pinch
-_SURE_S: Final = {"pose": 1.0, "pinch": 0.5}  # long enough to be sure
-_SPREAD_RANGE: Final = 0.2  # of the spread over flat frames: less shows one pose only
-_OTHER_NEAR: Final = 0.006  # a second tip as near as this makes a pinch doubtful [m]
+_SURE_S: Final = {"pose": 1.0, "pinch": 0.5}  # length of full confidence
+_SPREAD_RANGE: Final = 0.2  # range of the spread over flat frames that shows both flat and spread
+_OTHER_NEAR: Final = 0.006  # distance of a second tip that makes a pinch doubtful [m]
 
 
 @dataclass(frozen=True)
@@ -43,8 +42,8 @@ class Segment:
     Attributes:
         pose: ``flat``, ``spread``, ``fist`` or ``pinch_FINGER``.
         start: first frame.
-        stop: one past the last.
-        confidence: how sure it is the pose, 0 to 1.
+        stop: one past the last frame.
+        confidence: confidence in the pose, 0 to 1.
     """
 
     pose: str
@@ -54,16 +53,19 @@ class Segment:
 
 
 def poses(fingers: Sequence[str] = FINGERS) -> tuple[str, ...]:
-    """The poses of a calibration of these fingers, thumb first."""
+    """Poses of a calibration of some fingers, thumb first."""
     return ("flat", "spread", "fist", *(f"pinch_{name}" for name in fingers if name != "thumb"))
 
 
 def find_segments(features: Features, stamps: Float[np.ndarray, " T"]) -> list[Segment]:
-    """Poses in a recording, by time.
+    """Search for poses in a recording.
 
     Args:
-        features: of the recording.
-        stamps: (T,) of its frames [s].
+        features: features of the recording.
+        stamps: (T,) stamps of its frames [s].
+
+    Returns:
+        the segments, by time.
     """
     segments = [*_flat_and_spread(features, stamps), *_fists(features, stamps)]
     for i, finger in enumerate(FINGERS[1:]):
@@ -72,7 +74,7 @@ def find_segments(features: Features, stamps: Float[np.ndarray, " T"]) -> list[S
 
 
 def _relative(features: Features) -> Float[np.ndarray, "T 4"]:
-    """Straightness of the long fingers, relative to the straightest they get (noise shortens)."""
+    """Straightness of the long fingers relative to their largest, which noise puts below 1."""
     straight = features.straightness[:, 1:]
     return np.asarray(straight / np.clip(np.nanpercentile(straight, 98, axis=0), 0.9, 1.0))
 
@@ -127,7 +129,7 @@ def _segment(pose: str, start: int, stop: int, stamps: np.ndarray, quality: floa
 def _runs(
     frames: Bool[np.ndarray, " T"], stamps: np.ndarray, shortest: float
 ) -> Iterator[tuple[int, int]]:
-    """Stretches of true frames, short breaks bridged, that last long enough."""
+    """Long enough runs of true frames; short breaks are bridged."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], frames.astype(np.int8), [0]])))
     merged: list[list[int]] = []
     for start, stop in edges.reshape(-1, 2).tolist():
@@ -138,3 +140,34 @@ def _runs(
     for start, stop in merged:
         if stamps[stop - 1] - stamps[start] >= shortest:
             yield start, stop
+
+
+@dataclass(frozen=True)
+class Prompt:
+    """A pose that the operator is to hold.
+
+    Attributes:
+        pose: name of the pose, as in ``Segment``.
+        text: instruction to the operator.
+        settle: time to reach the pose, whose frames are not used [s].
+        hold: time to hold the pose, whose frames are used [s].
+    """
+
+    pose: str
+    text: str
+    settle: float = 2.0
+    hold: float = 4.0
+
+
+def prompts(fingers: Sequence[str] = FINGERS) -> tuple[Prompt, ...]:
+    """Prompts for an operator whose fingers, thumb first, drive a robot."""
+    return (
+        Prompt("flat", "hold your hand flat, fingers straight and together"),
+        Prompt("spread", "spread your fingers as far as they go"),
+        Prompt("fist", "make a fist"),
+        *(
+            Prompt(f"pinch_{name}", f"pinch: thumb pad on {name} finger pad, lightly", hold=5.0)
+            for name in fingers
+            if name != "thumb"
+        ),
+    )

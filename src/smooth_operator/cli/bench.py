@@ -16,7 +16,7 @@ from smooth_operator.errors import SmoothOperatorError, require
 from smooth_operator.formats.checks import reading_notes
 from smooth_operator.hands.collision import collision_note
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.hands.selection import parse_fingers
+from smooth_operator.hands.spec import parse_fingers
 from smooth_operator.lab.benchmark import (
     Settings,
     compare,

@@ -59,7 +59,7 @@ def demo(options: Demo) -> None:
     from smooth_operator.cli.page import hand_to_draw
     from smooth_operator.cli.sample import synthetic_operator
     from smooth_operator.cli.session import execute_shown, measure_shown, requested
-    from smooth_operator.hand_files.menagerie import drawn_on
+    from smooth_operator.hand_files.vendor_model import drawn_on
     from smooth_operator.hands.registry import default_side
     from smooth_operator.planning import configuration, plan
 

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from smooth_operator.cli.common_options import Meshes
 from smooth_operator.errors import HandModelError
-from smooth_operator.hand_files.menagerie import hand_with_meshes, has_meshes
+from smooth_operator.hand_files.vendor_model import hand_with_meshes, has_meshes
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import FINGERS, TIPS
 from smooth_operator.metrics import Trace

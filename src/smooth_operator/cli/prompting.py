@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final
 
-from smooth_operator.calibration.prompts import prompts
-from smooth_operator.calibration.segments import Segment
+from smooth_operator.calibration.segments import Segment, prompts
 from smooth_operator.cli.console import Progressing
 from smooth_operator.errors import SourceError
 from smooth_operator.hands.hand import Hand

@@ -14,7 +14,7 @@ from smooth_operator.cli.outputs import folder_for
 from smooth_operator.cli.study_new import PAPER_CONDITIONS, PAPER_OPERATORS
 from smooth_operator.cli.study_options import Power
 from smooth_operator.errors import ConfigError
-from smooth_operator.simulation.tasks.rubrics import PAPER_TASKS
+from smooth_operator.simulation.tasks.task import PAPER_TASKS
 from smooth_operator.study.analysis.results import MODES
 from smooth_operator.study.design.plan_file import read_plan
 from smooth_operator.study.design.protocol import Protocol

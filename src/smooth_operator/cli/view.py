@@ -14,7 +14,7 @@ from smooth_operator.errors import ConfigError, HandModelError, RecordingError
 
 if TYPE_CHECKING:
     from smooth_operator.hands.hand import Hand
-    from smooth_operator.hands.selection import FingerChoice
+    from smooth_operator.hands.spec import FingerChoice
     from smooth_operator.human.alignment import AlignmentConfig
     from smooth_operator.metrics import Trace
     from smooth_operator.teleop.pages import Playback
@@ -204,7 +204,7 @@ def _answered(
 
 def _fingers(options: View, config: dict[str, Any]) -> FingerChoice | None:
     """The fingers that are driven: as asked for, or as the configuration says."""
-    from smooth_operator.hands.selection import parse_fingers
+    from smooth_operator.hands.spec import parse_fingers
 
     if options.fingers is not None:
         return parse_fingers(options.fingers)

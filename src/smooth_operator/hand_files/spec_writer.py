@@ -1,4 +1,4 @@
-"""Writing spec files, in the order and layout that a person would write them."""
+"""Writer of spec files, in the order and layout of a file by hand."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from smooth_operator.hands.spec_file import FORMAT, POINTS, check_hand_name
 
 
 def write_hand_spec(spec: HandSpec, path: str | Path, *, comment: str = "") -> None:
-    """Writes a spec file that ``read_hand_spec`` reads back.
+    """Write a spec file for ``read_hand_spec``.
 
     Args:
-        spec: the hand. A model in the file's folder, or below it, is named relative to it, so that
-            the folder can be moved; any other by its whole path.
-        path: the file; it is replaced whole or not at all.
-        comment: lines to put first.
+        spec: the hand. The path of a model in the file's folder, or below, is relative, so that the
+            folder can be moved; any other is absolute.
+        path: the file; it is replaced atomically.
+        comment: lines of a comment at the top.
 
     Raises:
-        HandModelError: the hand's name can't be one, or a number is not finite.
+        HandModelError: the hand's name is not valid, or a number is not finite.
         OutputError: the file can't be written.
     """
     path = Path(path)
@@ -40,10 +40,10 @@ def write_hand_spec(spec: HandSpec, path: str | Path, *, comment: str = "") -> N
 
 @contextmanager
 def temporary_spec(hand: str | HandSpec) -> Iterator[str]:
-    """A hand as text, for another process: its name, or the path of a file with its description.
+    """Name of a hand, or path of a temporary spec file with its description, for another process.
 
     Yields:
-        The text, for ``load_hand``; the file is deleted at the end.
+        an argument for ``load_hand``; the file is deleted at the end.
     """
     if isinstance(hand, str):
         yield hand
@@ -95,7 +95,7 @@ def _lines(spec: HandSpec, folder: Path, comment: str) -> Iterator[str]:
 
 
 def _model(model: Path, folder: Path) -> str:
-    # A link is kept as it is: only what the paths say counts, not where they lead.
+    # Symbolic links are not resolved.
     whole = model.absolute()
     return (whole.relative_to(folder) if whole.is_relative_to(folder) else whole).as_posix()
 

@@ -1,15 +1,19 @@
-"""The user's folder of hands: descriptions and models are put into it and taken out of it."""
+"""Adds and removes descriptions and models of hands in the user's folder."""
 
 from __future__ import annotations
 
+import os
 import shutil
+import tempfile
 from dataclasses import replace
 from pathlib import Path
+from typing import Final
 
 from smooth_operator.atomic_files import output_error
 from smooth_operator.errors import HandModelError, UnknownNameError
-from smooth_operator.hand_files.model_files import copy_model
 from smooth_operator.hand_files.spec_writer import write_hand_spec
+from smooth_operator.hands.loading import load_model
+from smooth_operator.hands.model_assets import read_model_files
 from smooth_operator.hands.registry import HANDS, origin, shadowing
 from smooth_operator.hands.spec import HandSpec
 from smooth_operator.hands.spec_file import check_hand_name
@@ -18,19 +22,19 @@ from smooth_operator.types import Side
 
 
 def save_hand(spec: HandSpec, *, comment: str = "", copy: bool = False) -> Path:
-    """Puts a description into the user's folder, where ``load_hand`` finds it by name.
+    """Write a description into the user's folder, where ``load_hand`` finds it by name.
 
     Args:
         spec: the hand; a description of the same name and side is replaced.
-        comment: lines to put first in the file.
-        copy: put a copy of the model and its meshes there, too, so that the hand survives when the
-            model is moved; where that can't be done, the model stays where it is.
+        comment: lines of a comment at the top of the file.
+        copy: copy the model and its meshes there, too, so that the original can be moved; if that
+            is not possible, the description refers to the original.
 
     Returns:
-        The file.
+        the file.
 
     Raises:
-        HandModelError: the name can't be one, or is that of a built-in hand or a plugin's.
+        HandModelError: the name is not valid, or is that of a built-in hand or a plugin's.
         OutputError: the file can't be written.
     """
     folder = user_hands_folder()
@@ -50,23 +54,23 @@ def save_hand(spec: HandSpec, *, comment: str = "", copy: bool = False) -> Path:
 
 
 def remove_hand(name: str, side: Side | None = None) -> tuple[Path, ...]:
-    """Takes a hand out of the user's folder.
+    """Remove a hand from the user's folder.
 
     Args:
-        name: of the hand.
-        side: which of its sides; both if left out.
+        name: name of the hand.
+        side: its side; by default both.
 
     Returns:
-        what was deleted: spec files, and the folders with copies of their models. A model anywhere
-        else stays.
+        the deleted spec files, and folders with copies of their models. A model anywhere else
+        stays.
 
     Raises:
         UnknownNameError: the user's folder has no such hand.
         HandModelError: the hand is built in or a plugin's, or has no description of that side.
-        OutputError: something can't be deleted.
+        OutputError: a file can't be deleted.
     """
-    gone = removable(name, side)
-    for path in gone:
+    paths = removable(name, side)
+    for path in paths:
         try:
             if path.is_dir():
                 shutil.rmtree(path)
@@ -74,11 +78,11 @@ def remove_hand(name: str, side: Side | None = None) -> tuple[Path, ...]:
                 path.unlink()
         except OSError as error:
             raise output_error(path, error) from error
-    return gone
+    return paths
 
 
 def removable(name: str, side: Side | None = None) -> tuple[Path, ...]:
-    """What ``remove_hand`` would delete.
+    """Files and folders that ``remove_hand`` would delete.
 
     Raises:
         UnknownNameError: the user's folder has no such hand.
@@ -101,3 +105,81 @@ def removable(name: str, side: Side | None = None) -> tuple[Path, ...]:
     sides = [one for one in files if side in (None, one)]
     copies = [folder for one in sides if (folder := model_folder(name, one)).is_dir()]
     return (*(files[one] for one in sides), *copies)
+
+
+MOST_BYTES: Final = 500_000_000
+"""Largest model with its meshes that is copied; they have 0.1 to 100 MB."""
+_HIGHEST: Final = 4
+"""Number of folders above the model's own from which files are copied; files further away are not
+part of the model's package."""
+
+
+def model_files(path: Path) -> tuple[Path, ...]:
+    """The model file, the files that it includes, and its existing meshes and textures.
+
+    Args:
+        path: MJCF or URDF file.
+
+    Raises:
+        HandModelError: the file is no model.
+    """
+    files = read_model_files(path)
+    return tuple(dict.fromkeys([*files.documents, *files.assets.values()]))
+
+
+def copy_model(path: Path, folder: Path) -> Path | None:
+    """Copy a model with all its files, so that it no longer depends on the original.
+
+    The files keep their relative places. The folder is replaced as a whole, and only if the copy
+    can be loaded.
+
+    Args:
+        path: MJCF or URDF file that can be loaded.
+        folder: target folder; its content is replaced.
+
+    Returns:
+        the copy of the model file; None, with nothing changed, if the files are too large or the
+        copy is not the same model, for example because it names files by absolute paths.
+
+    Raises:
+        HandModelError: the file is no model.
+        OutputError: the copy can't be written.
+    """
+    path = path.absolute()
+    top = path.parents[min(_HIGHEST, len(path.parents) - 1)]
+    files = [file for file in model_files(path) if file.is_relative_to(top)]
+    if sum(file.stat().st_size for file in files) > MOST_BYTES:
+        return None
+    root = Path(os.path.commonpath([file.parent for file in files]))
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        trial = Path(tempfile.mkdtemp(prefix=".copying-", dir=folder.parent))
+    except OSError as error:
+        raise output_error(folder, error) from error
+    try:
+        for file in files:
+            target = trial / file.relative_to(root)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(file, target)
+        if not _same_model(path, trial / path.relative_to(root)):
+            return None
+        if folder.exists():
+            shutil.rmtree(folder)
+        trial.replace(folder)
+    except OSError as error:
+        raise output_error(folder, error) from error
+    finally:
+        shutil.rmtree(trial, ignore_errors=True)
+    return folder / path.relative_to(root)
+
+
+def _same_model(one: Path, other: Path) -> bool:
+    try:
+        ours, theirs = load_model(one), load_model(other)
+    except HandModelError:
+        return False
+    return (
+        ours.model.nq == theirs.model.nq
+        and ours.model.ngeom == theirs.model.ngeom
+        and ours.unreadable == theirs.unreadable
+    )

@@ -1,41 +1,48 @@
-"""A description carried over to another model of the same hand: the vendor's, with its meshes.
+"""Transfer of a hand's description to another model of the hand, such as the vendor's with meshes.
 
-Our compact models keep the vendor's joints and the frames of the links that these move. So a point
-on a link of ours is the same point on the vendor's link with the same joint, whatever the two call
-their bodies; and the palm is the vendor's body in whose frame the first links lie as in ours.
+The built-in compact models keep the vendor's joints and the frames of the links that these move. A
+point on a link is therefore the same point on the vendor's link with the same joint, whatever the
+names of the bodies; the palm is the vendor's body in whose frame the first links lie as in ours.
+
+Models with meshes also come from MuJoCo Menagerie, by its package: the extra ``menagerie``. The
+package downloads a hand's archive (0.3 to 1.5 MB) on the first request and keeps it in its own
+cache; its environment variable ``MENAGERIE_ROOT`` names a checkout of Menagerie to use instead.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.errors import HandModelError
+from smooth_operator.errors import HandModelError, MissingExtraError
 from smooth_operator.hands.hand import Hand, load_hand_spec
 from smooth_operator.hands.loading import load_model
 from smooth_operator.hands.spec import FingerSpec, HandSpec, Point
+from smooth_operator.hands.stand_ins import stand_in_links
+from smooth_operator.types import Side
 
-_SAME: Final = 1e-3  # landmarks this far apart are another hand's [m]
+_SAME: Final = 1e-3  # largest distance of landmarks of the same hand [m]
 _POSES: Final = 32
 
 _Frame = tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]
 
 
 def on_model(hand: Hand, path: str | Path) -> Hand:
-    """The same hand on another model of it.
+    """Load a hand on another model of it.
 
     Args:
         hand: a hand, not a mirrored one.
-        path: MJCF or URDF with the hand's joints, by their names; it may have more, such as a
+        path: MJCF or URDF file with the hand's joints, by their names; it may have more, such as a
             wrist's or an arm's.
 
     Raises:
-        HandModelError: the model can't be used, lacks joints, or is not of this hand: its landmarks
+        HandModelError: the model can't be used, lacks joints, or is of another hand: its landmarks
             lie elsewhere.
     """
     path = Path(path)
@@ -66,7 +73,7 @@ def _carried(hand: Hand, model: mujoco.MjModel, path: Path) -> HandSpec:
 
     def carry(point: Point) -> Point:
         body = hand.model.body(point.body).id
-        link = int(hand.model.body_weldid[body])  # what it is fixed to, as a tip to its last link
+        link = int(hand.model.body_weldid[body])  # a tip, say, is fixed to the last link
         joint = int(hand.model.body_jntadr[link])
         if joint >= 0 and hand.model.joint(joint).name in hand.joint_names:
             there = int(model.jnt_bodyid[model.joint(hand.model.joint(joint).name).id])
@@ -85,7 +92,7 @@ def _carried(hand: Hand, model: mujoco.MjModel, path: Path) -> HandSpec:
 
 
 def _palm(hand: Hand, model: mujoco.MjModel) -> str:
-    """The body that the first links hang from as they do from our palm."""
+    """Name of the body to which the first links have the same poses as to our palm."""
     ours = hand.model.body(hand.spec.palm).id
     held = hand.model.body_weldid[ours]
     links = []
@@ -99,7 +106,7 @@ def _palm(hand: Hand, model: mujoco.MjModel) -> str:
         frames = [(_relative(model, body, link), there) for link, there in links]
         return max(float(np.abs(R - S).max() + np.abs(p - q).max()) for (R, p), (S, q) in frames)
 
-    # of bodies that share one frame, as a mount and the palm on it may, the innermost
+    # of bodies with one frame, such as a mount and the palm on it, the innermost
     best = min(range(1, model.nbody), key=lambda body: (round(apart(body) / _SAME, 2), -body))
     if not apart(best) < _SAME or not model.body(best).name:
         raise HandModelError(
@@ -126,10 +133,122 @@ def _name(model: mujoco.MjModel, body: int, path: Path) -> str:
 
 
 def _difference(hand: Hand, other: Hand) -> float:
-    """Largest distance of landmarks over poses all through the joints' ranges [m]."""
+    """Largest distance of landmarks over poses across the joints' ranges [m]."""
     low, high = np.clip(hand.joint_limits.T, -np.pi, np.pi)
     poses = np.random.default_rng(0).uniform(low, high, (_POSES, len(low)))
     theirs = np.zeros((_POSES, len(other.joint_names)))
     theirs[:, [other.joint_names.index(name) for name in hand.joint_names]] = poses
     apart = np.asarray(hand.tree.positions(poses)) - np.asarray(other.tree.positions(theirs))
     return float(np.linalg.norm(apart, axis=-1).max())
+
+
+MENAGERIE: Final = "menagerie"
+"""Word that stands for the package's model in place of a model file."""
+
+_ENTRIES: Final[dict[tuple[str, Side], tuple[str, str]]] = {
+    ("allegro_hand", "right"): ("wonik_allegro", "right_hand"),
+    ("allegro_hand", "left"): ("wonik_allegro", "left_hand"),
+    ("leap_hand", "right"): ("leap_hand", "right_hand"),
+    ("leap_hand", "left"): ("leap_hand", "left_hand"),
+    ("shadow_dexee", "right"): ("shadow_dexee", "shadow_dexee"),
+    ("shadow_hand", "right"): ("shadow_hand", "right_hand"),
+    ("shadow_hand", "left"): ("shadow_hand", "left_hand"),
+    ("sharpa_wave", "right"): ("sharpa_wave", "right_hand"),
+    ("sharpa_wave", "left"): ("sharpa_wave", "left_hand"),
+}
+"""Hand and side of the catalogue -> robot and entry point of the package."""
+
+
+def drawn_on(hand: Hand, model: str | Path) -> Hand:
+    """Load a hand on a model with its real meshes.
+
+    Args:
+        hand: a hand, not a mirrored one.
+        model: MJCF or URDF file of that hand, or ``MENAGERIE`` for the package's.
+
+    Raises:
+        HandModelError: there is no such model, or it is of another hand.
+        MissingExtraError: the package is requested and not installed.
+    """
+    return on_model(hand, menagerie_file(hand) if str(model) == MENAGERIE else model)
+
+
+def hand_with_meshes(hand: Hand, model: str | Path | None = None) -> Hand | None:
+    """Load a hand on a model with its real meshes; without ``model``, nothing is downloaded.
+
+    Args:
+        hand: the robot hand.
+        model: MJCF or URDF file of that hand, or ``MENAGERIE``, which may be downloaded; by
+            default the hand's own model if it has meshes, else the package's local copy.
+
+    Returns:
+        the hand; None without a local model with meshes.
+
+    Raises:
+        HandModelError: there is no such model, it can't be read, or it is of another hand.
+        MissingExtraError: the package is requested and not installed.
+    """
+    if model is not None:
+        return drawn_on(hand, model)
+    if has_meshes(hand):
+        return hand
+    path = None if hand.spec.mirror else menagerie_copy(hand)
+    if path is None:
+        return None
+    there = on_model(hand, path)
+    if lost := stand_in_links(there):
+        raise HandModelError(f"{path}: the meshes of {', '.join(lost)} can't be read")
+    return there
+
+
+def has_meshes(hand: Hand) -> bool:
+    """True if the hand's own model has meshes."""
+    own = hand.bodies[hand.model.geom_bodyid]
+    return bool((hand.model.geom_type[own] == mujoco.mjtGeom.mjGEOM_MESH).any())
+
+
+def menagerie_copy(hand: Hand) -> Path | None:
+    """The package's local copy of a hand's model; None if there is none."""
+    entry = _ENTRIES.get((hand.name, hand.spec.side))
+    if entry is None or find_spec("mujoco_menagerie") is None:
+        return None
+    package = _package()
+    try:
+        robot, cache = package.get(entry[0]), package.Cache()
+        here = (cache.root / robot.name).is_dir() if cache.root else cache.is_cached(robot)
+        return Path(robot.xml(entry[1])) if here else None
+    except (package.MenagerieError, OSError):
+        return None
+
+
+def menagerie_file(hand: Hand) -> Path:
+    """The package's model of a hand, downloaded if necessary.
+
+    Raises:
+        HandModelError: the package has no model of this hand and side, or can't download it.
+        MissingExtraError: the package is not installed.
+    """
+    entry = _ENTRIES.get((hand.name, hand.spec.side))
+    if entry is None:
+        names = ", ".join(f"{name} ({side})" for name, side in _ENTRIES)
+        raise HandModelError(
+            f"Menagerie has no model of the {hand.spec.side} hand {hand.name!r}, only of {names}; "
+            "name a file of yours instead of the word menagerie"
+        )
+    package = _package()
+    robot, xml = entry
+    try:
+        return Path(package.get(robot).xml(xml))
+    except (package.MenagerieError, OSError) as error:
+        raise HandModelError(
+            f"the model {robot!r} of Menagerie can't be had: {error}. Try again with a network, "
+            "or set MENAGERIE_ROOT to a checkout of github.com/google-deepmind/mujoco_menagerie"
+        ) from error
+
+
+def _package() -> Any:
+    try:
+        import mujoco_menagerie
+    except ImportError as error:
+        raise MissingExtraError("a model of Menagerie", "menagerie") from error
+    return mujoco_menagerie

@@ -1,8 +1,8 @@
-"""The solid parts of a hand as capsules, and which pairs of them could touch.
+"""Capsules that fill a hand's collision shapes, and the pairs of them that could touch.
 
-The shapes that ``smooth_operator.hands.collision`` measures with are capsules already in the
-built-in hands; boxes, such as palms, become a row of parallel capsules inside them. A capsule is
-two points and a radius, so its distance from another is cheap, and differentiable with the points.
+Most collision shapes of the built-in hands are capsules; boxes, such as palms, become a row of
+parallel capsules inside them. A capsule is two points and a radius, so its distance from another
+is cheap, and differentiable with respect to the points.
 """
 
 from __future__ import annotations
@@ -16,36 +16,42 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from smooth_operator.geometry import AnyKind, array_namespace
-from smooth_operator.hands.collision import PALM, colliding_shapes, owners, solid_shapes
+from smooth_operator.hands.collision import (
+    PALM,
+    Capsule,
+    colliding_shapes,
+    owners,
+    shape_capsules,
+    solid_shapes,
+)
 from smooth_operator.hands.hand import Hand, tree_with
 from smooth_operator.hands.kinematics import KinematicTree
-from smooth_operator.hands.solids import Capsule, shape_capsules
 from smooth_operator.hands.stand_ins import stand_ins
 
 _POSES = 4000
 _MANY = 2000
-"""With more candidates than this, a quarter of the poses has to do."""
+"""Number of candidates above which a quarter of the poses is used."""
 _SLACK = 0.004
-"""Pairs that come no nearer than this in any of the random poses are left out [m]."""
+"""Distance [m]; pairs that come no nearer in any of the random poses are left out."""
 MOST: Final = 128
-"""Pairs that are kept; each costs time in every frame, and more of it in compiling. The built-in
-hands have 22 to 111; a vendor's model with ten boxes to a link comes to ten thousand."""
-_ROUNDING = 1e-5  # of distances [m]
+"""Largest number of pairs; each costs time in every frame, and more in compiling. The built-in
+hands have 22 to 111; a vendor's model with ten boxes to a link has ten thousand candidates."""
+_ROUNDING = 1e-5  # rounding of distances [m]
 _TINY = 1e-12  # [m^2]
-_PARALLEL = 1e-3  # squared sine of an angle that counts as none
+_PARALLEL = 1e-3  # squared sine of an angle below which segments count as parallel
 
 
 @dataclass(frozen=True, eq=False)
 class CapsulePairs:
-    """The pairs of capsules that could touch, and the kinematics of their ends.
+    """Pairs of capsules that could touch, and the kinematics of their ends.
 
     Attributes:
-        tree: the hand's landmarks, and the ends of all capsules that a pair names.
+        tree: kinematics of the hand's landmarks and of the ends of all capsules of the pairs.
         names: (2 C) keypoints of the ends in ``tree``: first and second end of each capsule.
-        ends: where each of them is: name -> (body, (3,) position in it [m]).
+        ends: position of each end: name -> (body, (3,) position in its frame [m]).
         pairs: (P, 2) indices of capsules.
         reach: (P,) sum of the two radii [m].
-        shapes: (P, 2) the model's geoms; -1 for a stand-in.
+        shapes: (P, 2) indices of the model's geoms; -1 for a stand-in.
     """
 
     tree: KinematicTree
@@ -57,24 +63,20 @@ class CapsulePairs:
 
 
 def capsule_pairs(hand: Hand) -> CapsulePairs:
-    """The pairs that count as self-collision, but for those that no pose brings together.
+    """Pairs of capsules whose contact is a self-collision and that some pose brings together.
 
-    They are the pairs of ``penetration_depths``: of two
-    fingers, or a finger and the palm, not joined, and not touching in the neutral pose. Of more
-    than ``MOST`` those are kept that are the nearest of their two links in most random poses,
-    and of any two links that meet one at least, as long as there is room. A mesh is one capsule
-    about as thick as it; where that reaches into another part in the neutral pose, though the mesh
-    does not, the pair is left out. Links whose shapes can't be read have estimated capsules
-    (``smooth_operator.hands.stand_ins``).
+    Candidates are the pairs of ``penetration_depths``: on two fingers, or on a finger and the palm,
+    not joined, and not touching in the neutral pose. Of more than ``MOST`` candidates, those stay
+    that are in most random poses the nearest pair of their two links, with at least one pair for
+    any two links that meet, up to ``MOST``. A mesh becomes one capsule of about its thickness; a
+    pair whose capsules overlap in the neutral pose is left out if its shapes do not. Links whose
+    shapes can't be read have estimated capsules (``smooth_operator.hands.stand_ins``).
 
     Args:
         hand: the robot hand.
-
-    Returns:
-        the pairs.
     """
     counts, estimated = colliding_shapes(hand), stand_ins(hand)
-    # not those of an arm, or of a second hand
+    # without those of an arm, or of a second hand
     shapes = solid_shapes(hand) if estimated.capsules else counts.any(axis=1)
     part = hand.model.body_weldid[hand.model.geom_bodyid]
     shapes &= ~np.isin(part, list(estimated.replaced))
@@ -114,7 +116,7 @@ def capsule_pairs(hand: Hand) -> CapsulePairs:
 def _may_meet(
     model: mujoco.MjModel, owner: Int[np.ndarray, " bodies"], one: Capsule, other: Capsule
 ) -> bool:
-    """Whether two capsules, one of them a stand-in, are of different parts and not joined."""
+    """True if two capsules, one of them a stand-in, are on different parts that are not joined."""
     fingers = [int(owner[capsule.body]) for capsule in (one, other)]
     if fingers[0] == fingers[1] or (PALM in fingers and (one.root or other.root)):
         return False
@@ -126,7 +128,7 @@ def _may_meet(
 def segment_parameters(
     first: tuple[AnyKind, AnyKind], second: tuple[AnyKind, AnyKind]
 ) -> tuple[AnyKind, AnyKind]:
-    """Where two line segments are nearest to each other, as shares of their lengths.
+    """Nearest points of two line segments, as shares of the segments' lengths.
 
     Source: Ericson, "Real-Time Collision Detection" (2005), 5.1.9, without branches.
 
@@ -134,7 +136,7 @@ def segment_parameters(
         first, second: (..., 3) ends of a segment; NumPy or JAX.
 
     Returns:
-        (...) shares s, t in [0, 1].
+        (...) shares s, t in [0, 1]. Parallel segments have many nearest points; these are two.
     """
     xp = array_namespace(first[0])
     along, across = first[1] - first[0], second[1] - second[0]
@@ -142,7 +144,6 @@ def segment_parameters(
     a = xp.maximum((along * along).sum(-1), _TINY)
     e = xp.maximum((across * across).sum(-1), _TINY)
     b, c, f = (along * across).sum(-1), (along * between).sum(-1), (across * between).sum(-1)
-    # of parallel segments, which are nearest in many places, some place
     s = xp.clip((b * f - c * e) / xp.maximum(a * e - b * b, _PARALLEL * a * e), 0.0, 1.0)
     t = xp.clip((b * s + f) / e, 0.0, 1.0)
     s = xp.clip((b * t - c) / a, 0.0, 1.0)
@@ -152,13 +153,14 @@ def segment_parameters(
 def segments_apart(
     first: tuple[AnyKind, AnyKind], second: tuple[AnyKind, AnyKind]
 ) -> tuple[AnyKind, AnyKind, AnyKind]:
-    """What lies between two line segments where they are nearest to each other.
+    """Vector between the nearest points of two line segments.
 
     Args:
         first, second: (..., 3) ends of a segment; NumPy or JAX.
 
     Returns:
-        (..., 3) from the second to the first, and the (...) shares of ``segment_parameters``.
+        (..., 3) vector from the second segment to the first, and the (...) shares of
+        ``segment_parameters``.
     """
     s, t = segment_parameters(first, second)
     apart = (
@@ -171,8 +173,10 @@ def segments_apart(
 
 
 def _on_palm(capsule: Capsule, hand: Hand) -> Capsule:
-    """The same, carried by the palm, if its own body is what the palm is fixed to: a forearm
-    without a wrist joint, whose shapes count, but which does not hang from the palm."""
+    """The capsule with the palm as its body if its own body does not hang from the palm.
+
+    Such a body is a forearm without a wrist joint, to which the palm is fixed.
+    """
     model = hand.model
     palm, body = model.body(hand.spec.palm).id, capsule.body
     while body not in (0, palm):
@@ -187,7 +191,7 @@ def _on_palm(capsule: Capsule, hand: Hand) -> Capsule:
 
 
 def _meeting(hand: Hand, capsules: list[Capsule], pairs: np.ndarray) -> np.ndarray:
-    """Indices of the pairs that random poses bring together, ``MOST`` at most, in order."""
+    """Indices of up to ``MOST`` pairs that random poses bring together, in order."""
     low, high = hand.limits.T
     poses = _POSES if len(pairs) <= _MANY else _POSES // 4
     q = np.random.default_rng(0).uniform(low, high, (poses, len(low)))
@@ -199,18 +203,18 @@ def _meeting(hand: Hand, capsules: list[Capsule], pairs: np.ndarray) -> np.ndarr
     middles = ends.mean(axis=2)
     radii = np.array([capsule.radius for capsule in capsules])
     parts = np.array([hand.model.body_weldid[capsule.body] for capsule in capsules], int)
-    links = np.sort(parts[pairs], axis=1)  # of each pair
-    ranked: list[tuple[int, int, int]] = []  # rank within its links, minus how often, which
+    links = np.sort(parts[pairs], axis=1)
+    ranked: list[tuple[int, int, int]] = []  # rank within its links, minus its count, pair
     for two in np.unique(links, axis=0):
         these = np.flatnonzero((links == two).all(axis=1))
         clear = _clearances(ends, middles, radii, pairs[these])
-        # what does not touch in the neutral pose, while its capsules do: they are not that shape's
+        # capsules that overlap in the neutral pose, while their shapes do not, are too thick
         clear = np.where(clear[0] < -_ROUNDING, np.inf, clear[1:])
         meet = clear.min(axis=0) < _SLACK
         first = clear.argmin(axis=1)[clear.min(axis=1) < _SLACK]
-        often = np.bincount(first, minlength=len(these))
-        order = [k for k in np.argsort(-often, kind="stable") if meet[k]]
-        ranked += [(rank, -int(often[k]), int(these[k])) for rank, k in enumerate(order)]
+        counts = np.bincount(first, minlength=len(these))
+        order = [k for k in np.argsort(-counts, kind="stable") if meet[k]]
+        ranked += [(rank, -int(counts[k]), int(these[k])) for rank, k in enumerate(order)]
     return np.array(sorted(which for *_, which in sorted(ranked)[:MOST]), int)
 
 
@@ -220,8 +224,10 @@ def _clearances(
     radii: Float[np.ndarray, " C"],
     pairs: Int[np.ndarray, "P 2"],
 ) -> Float[np.ndarray, "n P"]:
-    """What is between the capsules of each pair in each pose [m]; infinite where that is more than
-    the slack for certain, by the spheres around them."""
+    """Distance of the capsules of each pair in each pose [m].
+
+    It is infinite where already the spheres around the capsules are further apart than the slack.
+    """
     one, other = pairs.T
     halves = 0.5 * np.linalg.norm(ends[0, :, 1] - ends[0, :, 0], axis=-1)
     reach = radii[one] + radii[other]

@@ -1,7 +1,9 @@
-"""How deep the hand's own parts are inside each other, by the simple shapes of its model."""
+"""Collision shapes of a hand: self-penetration depths, and capsules that fill the shapes."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Final
 
 import mujoco
@@ -14,24 +16,24 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import FINGERS
 
 PALM: Final = -1
-"""What ``owners`` gives for the palm, and for all that is of no finger."""
+"""Value of ``owners`` for the palm and all else that belongs to no finger."""
 
 
 def penetration_depths(hand: Hand, joint_positions: ArrayLike) -> Float[np.ndarray, " T"] | None:
     """Deepest self-penetration in each frame.
 
-    Looked at are pairs of shapes on two different fingers, tips included, so that a pinch that goes
-    too deep counts; and a finger against the palm. Left out are shapes of one finger, bodies joined
-    to each other, and pairs that touch in the neutral pose already, where shapes are drawn fatter
-    than the parts they stand for. What the model itself takes out of collision stays out.
+    Pairs of shapes on two fingers count, tips included, so that a pinch that goes too deep counts,
+    and pairs of a finger and the palm. Shapes of one finger, bodies that are joined, and pairs that
+    touch in the neutral pose do not count: shapes are often larger than the real parts. Pairs that
+    the model itself excludes from collision do not count, either.
 
     Args:
         hand: the robot hand.
         joint_positions: (T, n) positions of all joints [rad].
 
     Returns:
-        (T,) depth [m], 0 where nothing overlaps and NaN where a pose is not finite; None if it
-        can't be measured: the hand has ``shapeless_links``, or no two shapes that could collide.
+        (T,) depth [m], 0 without an overlap, NaN for a pose that is not finite. None if the hand
+        has ``shapeless_links`` or no pair of shapes that counts.
 
     Raises:
         HandModelError: if the positions are not (T, n).
@@ -56,10 +58,10 @@ def penetration_depths(hand: Hand, joint_positions: ArrayLike) -> Float[np.ndarr
 
 
 def shapeless_links(hand: Hand) -> tuple[str, ...]:
-    """Names of the links whose self-collision can't be measured; empty for a whole hand.
+    """Names of the links whose self-collision can't be measured; empty for a complete hand.
 
     They are the links that lost all their shapes because mesh files can't be read, and every link
-    of a finger that has no shape at all.
+    of a finger without any shape.
     """
     model, part = hand.model, hand.model.body_weldid
     solid = {int(part[body]) for body in model.geom_bodyid[solid_shapes(hand)]}
@@ -75,11 +77,7 @@ def shapeless_links(hand: Hand) -> tuple[str, ...]:
 
 
 def collision_note(hand: Hand) -> str:
-    """Says why the self-collision of a hand can't be measured; empty where it can.
-
-    Args:
-        hand: the robot hand.
-    """
+    """Reason why the self-collision of a hand can't be measured; empty if it can."""
     links = shapeless_links(hand)
     if not links:
         return ""
@@ -91,7 +89,7 @@ def collision_note(hand: Hand) -> str:
 
 
 def colliding_shapes(hand: Hand) -> Bool[np.ndarray, "g g"]:
-    """Which pairs of the model's shapes ``penetration_depths`` looks at."""
+    """(g, g) mask of the pairs of the model's shapes that count in ``penetration_depths``."""
     counts = _counting_pairs(hand)
     if counts.any():
         neutral, depth = _overlaps(
@@ -103,28 +101,29 @@ def colliding_shapes(hand: Hand) -> Bool[np.ndarray, "g g"]:
 
 
 def neutral_overlaps(hand: Hand) -> dict[tuple[str, str], float]:
-    """What touches in the neutral pose, of the pairs that ``penetration_depths`` looks at.
+    """Overlaps in the neutral pose of bodies of different parts of the hand.
 
-    Left out are also the first two links of a finger against the palm: around a knuckle of two
-    joints, shapes overlap by design.
+    The first two links of a finger do not count against the palm: around a knuckle of two joints,
+    shapes overlap by design.
 
     Returns:
-        names of two bodies -> how deep they are inside each other [m].
+        names of two bodies -> depth of their overlap [m].
     """
     model, counts = hand.model, _counting_pairs(hand)
     pairs, depths = _overlaps(hand, mujoco.MjData(model), hand.full_configuration(hand.neutral))
     out: dict[tuple[str, str], float] = {}
     for geoms, depth in zip(pairs, depths, strict=True):
         a, b = (int(model.body_weldid[model.geom_bodyid[g]]) for g in geoms)
-        near = a in _above(model, b)[:2] or b in _above(model, a)[:2]
+        near = a in parts_above(model, b)[:2] or b in parts_above(model, a)[:2]
         if depth > 0 and counts[geoms[0], geoms[1]] and not near:
             one, other = sorted(str(model.body(model.geom_bodyid[g]).name) for g in geoms)
             out[one, other] = max(float(depth), out.get((one, other), 0.0))
     return out
 
 
-def _above(model: mujoco.MjModel, part: int) -> list[int]:
-    """The parts that a part hangs from, nearest first."""
+def parts_above(model: mujoco.MjModel, part: int) -> list[int]:
+    """Parts that a part hangs from, nearest first. A part is the first of bodies without a joint
+    between them (``body_weldid``)."""
     above: list[int] = []
     while part:
         part = int(model.body_weldid[model.body_parentid[part]])
@@ -133,7 +132,7 @@ def _above(model: mujoco.MjModel, part: int) -> list[int]:
 
 
 def _overlaps(hand: Hand, data: mujoco.MjData, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs of shapes in contact, (c, 2), and how deep each is, (c,) [m]."""
+    """(c, 2) pairs of shapes in contact, and (c,) their depths [m]."""
     model = hand.model
     data.qpos[:] = hand.qpos(pose)
     mujoco.mj_kinematics(model, data)
@@ -144,7 +143,7 @@ def _overlaps(hand: Hand, data: mujoco.MjData, pose: np.ndarray) -> tuple[np.nda
 
 
 def _counting_pairs(hand: Hand) -> Bool[np.ndarray, "g g"]:
-    """Which pairs of shapes are of different parts of the hand and not joined to each other."""
+    """(g, g) mask of the pairs of shapes on different parts of the hand that are not joined."""
     model = hand.model
     owner = owners(hand)[model.geom_bodyid]
     # bodies without a joint between them are one part
@@ -157,18 +156,17 @@ def _counting_pairs(hand: Hand) -> Bool[np.ndarray, "g g"]:
 
 
 def solid_shapes(hand: Hand) -> Bool[np.ndarray, " g"]:
-    """Which of the model's shapes are the hand's (neither an arm's nor a second hand's) and can
-    collide."""
+    """(g,) mask of the hand's colliding shapes, without those of an arm or a second hand."""
     model = hand.model
     solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     return np.asarray(solid & hand.bodies[model.geom_bodyid])
 
 
 def owners(hand: Hand) -> Int[np.ndarray, " bodies"]:
-    """Index of the finger that each body belongs to, or ``PALM``.
+    """Index of each body's finger in ``FINGERS``, or ``PALM``.
 
-    A finger is the bodies between palm and fingertip that it shares with no other finger, and what
-    hangs from them.
+    A finger consists of the bodies between palm and fingertip that it shares with no other finger,
+    and of all bodies that hang from them.
     """
     model = hand.model
     palm = model.body(hand.spec.palm).id
@@ -190,3 +188,67 @@ def owners(hand: Hand) -> Int[np.ndarray, " bodies"]:
             of[0] if len(of) == 1 else owner[model.body_parentid[body]] if not of else PALM
         )
     return owner
+
+
+@dataclass(frozen=True)
+class Capsule:
+    """All points within a radius of a line segment, fixed to a body.
+
+    Attributes:
+        geom: shape of the model that it fills; -1 for a stand-in of a link without one.
+        body: body that carries it.
+        ends: (2, 3) ends of the segment in the body's frame [m].
+        radius: radius [m].
+        root: True for a stand-in for the first bone of a finger, which is joined to the palm.
+    """
+
+    geom: int
+    body: int
+    ends: Float[np.ndarray, "2 3"]
+    radius: float
+    root: bool = False
+
+
+def shape_capsules(model: mujoco.MjModel, geom: int) -> Iterator[Capsule]:
+    """Capsules that fill a shape from within."""
+    kind, size = mujoco.mjtGeom(int(model.geom_type[geom])), np.array(model.geom_size[geom])
+    matrix = np.empty(9)
+    mujoco.mju_quat2Mat(matrix, model.geom_quat[geom])
+    rotation, centre = matrix.reshape(3, 3), np.array(model.geom_pos[geom])
+    body = int(model.geom_bodyid[geom])
+
+    def capsule(middle: np.ndarray, axis: np.ndarray, half: float, radius: float) -> Capsule:
+        ends = np.stack([middle - half * axis, middle + half * axis])
+        return Capsule(geom, body, ends @ rotation.T + centre, radius)
+
+    unit, origin = np.eye(3), np.zeros(3)
+    if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
+        yield capsule(origin, unit[2], float(size[1]), float(size[0]))
+    elif kind == mujoco.mjtGeom.mjGEOM_SPHERE:
+        yield capsule(origin, unit[2], 0.0, float(size[0]))
+    elif kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
+        yield capsule(
+            origin,
+            unit[2],
+            max(float(size[1] - size[0]), 0.0),
+            float(size.min(initial=1, where=size > 0)),
+        )
+    elif kind in (
+        mujoco.mjtGeom.mjGEOM_BOX,
+        mujoco.mjtGeom.mjGEOM_ELLIPSOID,
+        mujoco.mjtGeom.mjGEOM_MESH,
+    ):
+        half = size
+        if kind == mujoco.mjtGeom.mjGEOM_MESH:
+            centre = centre + rotation @ model.geom_aabb[geom][:3]
+            half = np.array(model.geom_aabb[geom][3:])
+        thin, wide, long = np.argsort(half)
+        radius = float(half[thin])
+        if kind != mujoco.mjtGeom.mjGEOM_BOX:  # rounder than a box: one capsule of a mean width
+            radius = float(np.sqrt(half[thin] * half[wide]))
+            yield capsule(origin, unit[long], max(float(half[long]) - radius, 0.0), radius)
+            return
+        spread = float(half[wide]) - radius
+        rows = 1 + int(np.ceil(2 * spread / radius)) if spread > 0.1 * radius else 1
+        for shift in np.linspace(-spread, spread, rows) if rows > 1 else (0.0,):
+            yield capsule(shift * unit[wide], unit[long], float(half[long]) - radius, radius)

@@ -1,9 +1,9 @@
-"""Fingertips with their first and second derivatives, for one hand at a time.
+"""Keypoints of a single pose with their first and second derivatives.
 
-The unrolled ``KinematicTree.forward_kinematics`` is made for thousands of candidates. A Newton step
-asks for one pose, with derivatives, and wants a small program: here the tree is swept level by
-level in batched 3 x 3 products, and the Jacobian and second derivatives come from the geometry of a
-hinge rather than from differentiating code. With axis a_j and arm r_fj from joint j to point f:
+The unrolled ``KinematicTree.forward_kinematics`` suits thousands of candidates. A Newton step needs
+one pose with derivatives, and a small program: this module sweeps the tree level by level in
+batched 3 x 3 products, and takes the derivatives from the geometry of hinges rather than from
+automatic differentiation. With axis a_j and arm r_fj from joint j to point f:
 
     dp_f / dq_j           = a_j x r_fj                     (a_j for a slide)
     d2p_f / (dq_i dq_j)   = a_i x (a_j x r_fj)             for hinge i above or equal to j
@@ -27,12 +27,13 @@ from smooth_operator.hands.kinematics import KinematicTree
 
 
 class PointMotion(NamedTuple):
-    """Points and how joints move them.
+    """Points and the velocities that unit joint velocities give them.
 
     Attributes:
         points: (F, 3) positions in the palm frame [m].
         hinge_axes: (J, 3) hinge axes, zero for slides.
-        origin_speeds: (J, 3) how joints move what they carry at the palm frame's origin [m/rad].
+        origin_speeds: (J, 3) velocity at the palm frame's origin of the body that each joint moves
+            [m/rad].
     """
 
     points: Float[Array, "F 3"]
@@ -40,10 +41,10 @@ class PointMotion(NamedTuple):
     origin_speeds: Float[Array, "J 3"]
 
     def along(self, points: Float[Array, "R 3"], directions: Float[Array, "R 3"]) -> Array:
-        """(R, J) how each joint moves a point that it carries, along a direction [m/rad]."""
+        """(R, J) velocity along a direction of a point that each joint carries [m/rad]."""
         wrenches = jnp.concatenate([_cross(points, directions), directions], axis=1)
         screws = jnp.concatenate([self.hinge_axes, self.origin_speeds], axis=1)
-        # a sum, and not a product: that costs a call of XLA's library
+        # a sum: a matrix product would cost a call of XLA's library
         return functools.reduce(
             operator.add, [wrenches[:, i, None] * screws[None, :, i] for i in range(6)]
         )
@@ -51,11 +52,11 @@ class PointMotion(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class PointKinematics:
-    """Some keypoints of a tree, with derivatives; joints are in the order of the tree's levels.
+    """Kinematics of some keypoints with derivatives; joints are ordered by the tree's levels.
 
     Attributes:
         tree: the kinematics.
-        names: the keypoints.
+        names: names of the keypoints.
     """
 
     tree: KinematicTree
@@ -63,7 +64,7 @@ class PointKinematics:
 
     @cached_property
     def levels(self) -> tuple[tuple[int, ...], ...]:
-        """Indices into ``tree.joints`` by depth."""
+        """Indices into ``tree.joints``, grouped by depth."""
         depth: list[int] = []
         for joint in self.tree.joints:
             depth.append(0 if joint.parent < 0 else depth[joint.parent] + 1)
@@ -74,12 +75,12 @@ class PointKinematics:
 
     @cached_property
     def order(self) -> tuple[int, ...]:
-        """Position in the vector of all joints of each of the J joints here."""
+        """(J,) index of each joint in the vector of all joints."""
         return tuple(self.tree.joints[i].source for level in self.levels for i in level)
 
     @cached_property
     def above(self) -> Bool[np.ndarray, "J J"]:
-        """[i, j]: joint i is above joint j in the tree, or is it."""
+        """(J, J) mask; [i, j]: joint i is joint j or above it in the tree."""
         flat = [i for level in self.levels for i in level]
         above = np.eye(len(flat), dtype=bool)
         for column, i in enumerate(flat):
@@ -90,7 +91,7 @@ class PointKinematics:
 
     @cached_property
     def moves(self) -> Bool[np.ndarray, "F J"]:
-        """[f, j]: joint j moves point f."""
+        """(F, J) mask; [f, j]: joint j moves point f."""
         flat = [i for level in self.levels for i in level]
         rows = np.zeros((len(self.names), len(flat)), bool)
         for f, name in enumerate(self.names):
@@ -120,7 +121,7 @@ class PointKinematics:
         frames, done = [], 0
         for level in self.levels:
             frame = frame[np.array([above.index(joints[i].parent) for i in level])]
-            # a sum, which fuses with what is around it, where a product does not
+            # a sum fuses with the operations around it, a matrix product does not
             turned = frame[:, :, :3, None] * local[done : done + len(level)][:, None]
             frame = turned.sum(axis=2) + frame[:, :, 3:] * np.eye(1, 4, 3, dtype=np.float32)
             frames.append(frame)
@@ -143,11 +144,11 @@ class PointKinematics:
         return jnp.where(jnp.asarray(self.moves[of])[:, :, None], result, 0.0)
 
     def moments(self, motion: PointMotion, gradient: Float[Array, "F 3"]) -> Float[Array, "F 12"]:
-        """What each point adds to the derivatives of sum_f gradient_f . p_f: p g^T, and g.
+        """Moments p g^T and g of each point, from which ``derivatives`` follow.
 
         Args:
-            motion: at the pose.
-            gradient: (F, 3) of a cost with respect to the points, held fixed.
+            motion: motion at the pose.
+            gradient: (F, 3) gradient of a cost with respect to the points, taken as constant.
         """
         moments = (motion.points[:, :, None] * gradient[:, None, :]).reshape(-1, 9)
         return jnp.concatenate([moments, gradient], axis=1)
@@ -158,11 +159,11 @@ class PointKinematics:
         """First and second derivatives of sum_f gradient_f . p_f with respect to the J joints.
 
         Args:
-            motion: at the pose.
+            motion: motion at the pose.
             total: (J, 12) ``moves.T @ moments``.
         """
         # With w_fj = a_j x p_f + o_j, they are sums of g . w_fj, and of g . (a_i x w_fj) for i
-        # above j. Points enter by their moments p g^T and g alone, summed over what j moves.
+        # above j. Points enter only by their moments p g^T and g, summed over the points of j.
         axes, speeds = motion.hinge_axes, motion.origin_speeds
         moment, force = total[:, :9].reshape(-1, 3, 3), total[:, 9:]
         trace = jnp.trace(moment, axis1=1, axis2=2)
@@ -175,17 +176,17 @@ class PointKinematics:
 
 
 def all_joints(hand: Hand, q: Float[Array, " m"]) -> Float[Array, " n"]:
-    """``Hand.full_configuration`` of one pose, as sums; traceable."""
+    """Traceable ``Hand.full_configuration`` of one pose, as sums."""
     return contracted(q, hand.coupling_matrix.T) + hand.coupling_offset.astype(q.dtype)
 
 
 def contracted(values: Float[Array, "*batch J"], matrix: np.ndarray) -> Float[Array, "*batch m"]:
-    """``values @ matrix`` for a constant (J, m) matrix of few entries a column, as sums.
+    """``values @ matrix`` for a constant (J, m) matrix with few entries in a column, as sums.
 
-    A product costs a call of XLA's library.
+    A matrix product would cost a call of XLA's library.
     """
     most = max(1, int((matrix != 0).sum(axis=0).max(initial=0)))
-    rows = np.argsort(matrix == 0, axis=0, kind="stable")[:most]  # those that count, then any
+    rows = np.argsort(matrix == 0, axis=0, kind="stable")[:most]  # nonzero entries first
     gains = np.take_along_axis(matrix, rows, axis=0)
     both = zip(rows, gains.astype(values.dtype), strict=True)
     total: Array = functools.reduce(operator.add, [values[..., row] * gain for row, gain in both])

@@ -17,7 +17,6 @@ from numpy.typing import ArrayLike
 from smooth_operator.errors import HandModelError, UnknownNameError
 from smooth_operator.hands.kinematics import KinematicTree, build_tree
 from smooth_operator.hands.loading import Coupling, driven_joints, load_model
-from smooth_operator.hands.membership import own_bodies, own_joints
 from smooth_operator.hands.spec import HandSpec, Point
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS, TIPS, WRIST
 
@@ -26,7 +25,7 @@ _SHAPES: Final = (
     "geom_quat", "geom_aabb", "geom_margin", "geom_contype", "geom_conaffinity", "mesh_vert",
     "exclude_signature",
 )  # fmt: skip
-"""Arrays of a model that say which of its parts can meet, and where."""
+"""Arrays of a model that determine its possible contacts."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,20 +33,19 @@ class Hand:
     """A robot hand, ready for retargeting.
 
     Attributes:
-        spec: the description it was loaded from.
-        model: the compiled MuJoCo model; it may hold more than the hand, such as an arm.
-        joint_names: (n,) all joints of the hand, which are those below the palm, in the model's
-            own order.
-        actuated: (m,) indices of the joints that are commanded, in the model's own order.
-        couplings: joints that follow another of the hand.
+        spec: description of the hand.
+        model: compiled MuJoCo model; it may hold more than the hand, such as an arm.
+        joint_names: (n,) names of all joints below the palm, in the model's order.
+        actuated: (m,) indices of the commanded joints in ``joint_names``, in the model's order.
+        couplings: joints that follow another joint of the hand.
         limits: (m, 2) limits of the actuated joints [rad], such that coupled joints keep theirs.
         neutral: (m,) neutral pose of the actuated joints [rad].
         tree: kinematics of the hand's landmarks in the palm frame.
-        coupling_matrix: (n, m) positions of all joints per position of the actuated joints: a row
-            of the identity for an actuated joint, gear ratios for a coupled one.
-        coupling_offset: (n,) positions of all joints where the actuated ones are at zero [rad].
-        unreadable: names of bodies whose shapes that collide could not be read.
-        why: what is wrong with meshes that were left out, and what to do; empty if none were.
+        coupling_matrix: (n, m) derivative of all joint positions with respect to the actuated ones:
+            a row of the identity for an actuated joint, gear ratios for a coupled one.
+        coupling_offset: (n,) positions of all joints with the actuated ones at zero [rad].
+        unreadable: names of bodies whose colliding shapes could not be read.
+        why: problem of the meshes that were left out, with advice; empty if there are none.
     """
 
     spec: HandSpec
@@ -91,11 +89,11 @@ class Hand:
 
     @cached_property
     def bodies(self) -> Bool[np.ndarray, " nbody"]:
-        """Which bodies of the model are the hand's: to draw, and to look at for collisions."""
+        """(nbody,) mask of the hand's bodies in the model, to draw and to check for collisions."""
         return own_bodies(self.model, self.model.body(self.spec.palm).id)
 
     def qpos(self, q_all: ArrayLike) -> Float[np.ndarray, "*batch nq"]:
-        """Positions for the whole model; what is not of the hand stays at its reference.
+        """Positions of the whole model; joints outside the hand stay at their reference.
 
         Args:
             q_all: (..., n) positions of all joints of the hand [rad].
@@ -111,7 +109,7 @@ class Hand:
 
     @property
     def torques(self) -> Float[np.ndarray, " m"]:
-        """(m,) most torque of the actuated joints' motors [N m]; NaN where it is not known."""
+        """(m,) torque limits of the actuated joints' motors [N m]; NaN if unknown."""
         limits = self.spec.torque
         if not isinstance(limits, Mapping):
             return np.full(len(self.actuated), np.nan if limits is None else limits)
@@ -137,11 +135,11 @@ class Hand:
 
     @cached_property
     def joint_limits(self) -> Float[np.ndarray, "n 2"]:
-        """Limits of all joints [rad], coupled ones included; infinite where there is none."""
+        """(n, 2) limits of all joints [rad], coupled ones included; infinite without a limit."""
         return self.tree.limits
 
     def full_configuration(self, q: ArrayLike) -> Float[np.ndarray, "*batch n"]:
-        """Positions of all joints from those of the actuated ones.
+        """Positions of all joints from those of the actuated joints.
 
         Args:
             q: (..., m) actuated joint positions [rad].
@@ -197,11 +195,11 @@ class Hand:
 
 
 def load_hand_spec(spec: HandSpec) -> Hand:
-    """Compile a described hand.
+    """Load the hand of a description.
 
     Raises:
-        HandModelError: if the model can't be used or the description does not fit it.
-        UnknownNameError: if the description names a body or joint that the model lacks.
+        HandModelError: the model can't be used, or the description does not match it.
+        UnknownNameError: the description names a body or joint that the model lacks.
     """
     loaded = load_model(spec.model, mirror=spec.mirror)
     model, couplings = loaded.model, loaded.couplings
@@ -244,7 +242,7 @@ def load_hand_spec(spec: HandSpec) -> Hand:
 
 
 def fingerprint(hand: Hand) -> str:
-    """A digest of all of a hand that a program holds: its figures, not its name or its file."""
+    """Digest of the numbers of a hand that a compiled program depends on, without its name."""
     tree = hand.tree
     digest = hashlib.sha256()
     parts: list[object] = [
@@ -269,7 +267,7 @@ def fingerprint(hand: Hand) -> str:
         *(j.rotation for j in tree.joints),
         *(j.translation for j in tree.joints),
         *(point.position for point in tree.keypoints.values()),
-        # two hands that move alike may be of other shapes, and keep clear of themselves otherwise
+        # hands of equal kinematics may differ in their shapes, and so in self-collision
         *(getattr(hand.model, name) for name in _SHAPES),
     ]
     digest.update(repr(parts).encode())
@@ -279,7 +277,7 @@ def fingerprint(hand: Hand) -> str:
 
 
 def tree_with(hand: Hand, points: Mapping[str, tuple[int, np.ndarray]]) -> KinematicTree:
-    """Kinematics of a hand's landmarks and of more points on its bodies.
+    """Kinematics of a hand's landmarks and of further points on its bodies.
 
     Args:
         hand: the robot hand.
@@ -291,10 +289,10 @@ def tree_with(hand: Hand, points: Mapping[str, tuple[int, np.ndarray]]) -> Kinem
 
 
 def landmark_points(model: mujoco.MjModel, spec: HandSpec) -> dict[str, tuple[int, np.ndarray]]:
-    """The landmarks that a hand's description names: name -> (body, (3,) position in it [m]).
+    """Landmarks of a hand's description: name -> (body, (3,) position in its frame [m]).
 
     Raises:
-        UnknownNameError: if the model lacks a body that one of them is on.
+        UnknownNameError: the model lacks the body of a landmark.
     """
     points = {LANDMARKS[WRIST]: spec.wrist}
     for finger in spec.fingers:
@@ -306,9 +304,9 @@ def landmark_points(model: mujoco.MjModel, spec: HandSpec) -> dict[str, tuple[in
 
 
 def _commanded(model: mujoco.MjModel, own: tuple[int, ...], tree: KinematicTree) -> set[int]:
-    """The hand's joints with an actuator; all of a hand without actuators, as URDFs are.
+    """The hand's joints with an actuator; all joints of a hand without actuators, as in URDFs.
 
-    A wheel or knob that moves no landmark and turns without end is none of them.
+    Joints that turn without limits and move no landmark, such as a knob, are left out.
     """
     moving = {own[joint.source] for joint in tree.joints}
     endless = {j for j in own if not model.jnt_limited[j]} - moving
@@ -321,7 +319,7 @@ def _coupling(
     couplings: tuple[Coupling, ...],
     held: Mapping[str, float],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Matrix and offset from actuated to all joints; what follows a held joint is held too."""
+    """Matrix and offset from actuated to all joints; a joint that follows a held one is held."""
     matrix, offset = np.zeros((len(names), len(actuated))), np.zeros(len(names))
     done = set(actuated)
     matrix[list(actuated), range(len(actuated))] = 1
@@ -382,3 +380,47 @@ def _body(model: mujoco.MjModel, name: str) -> int:
 
 def _at(model: mujoco.MjModel, point: Point) -> tuple[int, np.ndarray]:
     return _body(model, point.body), np.asarray(point.offset, float)
+
+
+def own_joints(model: mujoco.MjModel, palm: int) -> tuple[int, ...]:
+    """Hinges and slides below the palm, in the model's own order.
+
+    Args:
+        model: the compiled model.
+        palm: body of the palm; its own joints, such as a wrist's, are not the hand's.
+    """
+    own = _below(model, palm)
+    own[palm] = False
+    kinds = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+    fit = own[model.jnt_bodyid] & np.isin(model.jnt_type, kinds)
+    return tuple(int(j) for j in np.flatnonzero(fit))
+
+
+def own_bodies(model: mujoco.MjModel, palm: int) -> Bool[np.ndarray, " nbody"]:
+    """(nbody,) mask of the hand's bodies: the palm, all that hang from it, and its base.
+
+    The base consists of the bodies to which the palm is fixed without a joint, and of bodies fixed
+    to these that carry no joint; fingers of a second hand on the same base are left out.
+    """
+    below = _below(model, palm)
+    rigid = np.asarray(model.body_weldid == model.body_weldid[palm])
+    carries = np.zeros(model.nbody, bool)  # a joint, on it or further out
+    above = np.zeros(model.nbody, bool)
+    for body in range(model.nbody - 1, 0, -1):  # children come last
+        carries[body] |= bool(model.body_jntnum[body])
+        carries[model.body_parentid[body]] |= carries[body]
+    body = palm
+    while body:
+        body = int(model.body_parentid[body])
+        above[body] = True
+    own: np.ndarray = below | (rigid & (above | ~carries))
+    return own
+
+
+def _below(model: mujoco.MjModel, top: int) -> Bool[np.ndarray, " nbody"]:
+    """Mask of a body and all that hang from it."""
+    below = np.zeros(model.nbody, bool)
+    below[top] = True
+    for body in range(top + 1, model.nbody):  # parents come first
+        below[body] |= below[model.body_parentid[body]]
+    return below

@@ -1,10 +1,10 @@
 """Batched keypoint positions of a tree of joints, unrolled at trace time.
 
-A hand's tree is tiny and fixed, so nothing of it is interpreted at run time: for every keypoint the
+A hand's tree is small and constant, so it is not interpreted at run time: for every keypoint the
 chain of joints above it is written out as straight-line arithmetic over arrays whose *last* axis
 is the batch, and a vector is rotated joint by joint from the keypoint to the palm. No rotation
-matrix is ever formed. That is what lets a compiler fuse the forward kinematics of thousands of
-hands into one loop of vector instructions, on a CPU as on a GPU.
+matrix is formed. A compiler can therefore fuse the forward kinematics of thousands of hands into
+one loop of vector instructions, on a CPU as on a GPU.
 
 The constants between joints are put in the form of Denavit and Hartenberg: every joint turns about
 its own z axis, and the rotation between two joints is factored Rz(a) Rx(b) Rz(c), whose z parts are
@@ -15,7 +15,7 @@ and none where axes are parallel, as in a finger.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeAlias
 
@@ -27,12 +27,12 @@ from smooth_operator.errors import HandModelError
 from smooth_operator.geometry import AnyArray, AnyKind, array_namespace
 
 Number: TypeAlias = AnyArray | float
-"""An array over the batch, or a plain number where no joint has touched it."""
+"""An array over the batch, or a plain number if it does not depend on a joint."""
 Vector: TypeAlias = tuple[Number, Number, Number]
 """x, y, z."""
 
 _TINY = 1e-12
-_MAX_POLYNOMIAL_RANGE = 2 * np.pi  # [rad]; beyond, float32 loses digits to cancellation
+_MAX_POLYNOMIAL_RANGE = 2 * np.pi  # [rad]; above, float32 loses digits to cancellation
 
 
 @dataclass(frozen=True)
@@ -40,12 +40,12 @@ class Joint:
     """One hinge or slide of the tree, about or along its own z axis.
 
     Attributes:
-        parent: index of the joint above, or -1 for the palm.
+        parent: index of the next joint toward the palm, or -1 for the palm.
         rotation: (3, 3) constant rotation from the frame above to this joint's frame.
         translation: (3,) position of the joint in the frame above [m].
-        offset: constant added to the joint angle [rad] (0 for a slide).
+        offset: constant that is added to the joint angle [rad]; 0 for a slide.
         source: index into the vector of all joint positions.
-        slide: whether it is prismatic.
+        slide: True for a prismatic joint.
     """
 
     parent: int
@@ -69,10 +69,10 @@ class KinematicTree:
     """Keypoints of a model as a function of its joint positions.
 
     Attributes:
-        joints: the joints that move some keypoint, parents first.
+        joints: joints that move some keypoint, parents first.
         keypoints: name -> point.
         num_joints: length n of the vector of all joint positions.
-        limits: (n, 2) joint limits [rad or m]; infinite where a joint has none.
+        limits: (n, 2) joint limits [rad or m]; infinite for a joint without limits.
     """
 
     joints: tuple[Joint, ...]
@@ -89,8 +89,8 @@ class KinematicTree:
         """Positions of all keypoints in the palm frame.
 
         Args:
-            q: (..., n) joint positions of *all* joints [rad], coupled ones included. A NumPy array
-                is answered on the host in float64, without compiling anything.
+            q: (..., n) positions of *all* joints [rad], coupled ones included. A NumPy array is
+                computed on the host in float64, without compiling.
 
         Returns:
             (..., k, 3) positions [m], in the order of ``names``; differentiable in q.
@@ -112,7 +112,7 @@ class KinematicTree:
 
         Args:
             q: n arrays of one common shape, the positions of all joints [rad].
-            names: which keypoints.
+            names: names of the keypoints.
             within_limits: promise that q respects the limits; sine and cosine are then polynomials
                 over each joint's range (to 1e-6), several times cheaper than the general
                 functions.
@@ -168,14 +168,14 @@ def build_tree(
 
     Args:
         model: the compiled model.
-        palm: body whose frame keypoints are given in; joints at or above it are held at zero.
+        palm: body in whose frame positions are computed; joints at or above it are held at zero.
         keypoints: name -> (body id, (3,) position in that body's frame [m]).
-        own: the model's joints that are all joints of the hand, those between palm and keypoints
-            among them; every joint of the model if left out.
+        own: all joints of the hand in the model, including those between palm and keypoints; by
+            default every joint of the model.
 
     Raises:
-        HandModelError: for a ball or free joint between the palm and a keypoint, or a keypoint on a
-            body that does not hang from the palm.
+        HandModelError: there is a ball or free joint between the palm and a keypoint, or a keypoint
+            on a body that does not hang from the palm.
     """
     own = range(model.njnt) if own is None else own
     above_palm = set()
@@ -211,7 +211,7 @@ def build_tree(
             # MuJoCo's joint at anchor a turns p to a + R (p - a): split into before, turn, after.
             to_axis = _frame_with_z(model.jnt_axis[j])
             anchor = np.zeros(3) if slide else model.jnt_pos[j]
-            # a joint's position counts from its reference qpos0
+            # MuJoCo counts a joint's position from its reference qpos0
             zero = float(model.qpos0[model.jnt_qposadr[j]])
             joints.append(
                 Joint(
@@ -253,9 +253,9 @@ def _denavit_hartenberg(
         rotation, translation, offset = joint.rotation, joint.translation, joint.offset
         p = joint.parent
         alpha, gamma = _zxz(rotation)
-        if p >= 0 and not decided[p]:  # the first child chooses; its siblings get a fuller matrix
+        if p >= 0 and not decided[p]:  # only the first child can have its z part moved to p
             turn[p], decided[p] = alpha, True
-            out[p] = _with_offset(out[p], out[p].offset + alpha)
+            out[p] = replace(out[p], offset=out[p].offset + alpha)
         if p >= 0:
             unturn = _rz(-turn[p])
             rotation, translation = unturn @ rotation, unturn @ translation
@@ -271,12 +271,8 @@ def _denavit_hartenberg(
     return out, moved
 
 
-def _with_offset(joint: Joint, offset: float) -> Joint:
-    return Joint(joint.parent, joint.rotation, joint.translation, offset, joint.source, joint.slide)
-
-
 def _zxz(rotation: np.ndarray) -> tuple[float, float]:
-    """First and last angle of R = Rz(a) Rx(b) Rz(c); of parallel axes the last takes all."""
+    """Angles a and c of R = Rz(a) Rx(b) Rz(c); a is 0 for parallel axes."""
     if np.hypot(rotation[0, 2], rotation[1, 2]) < 1e-9:
         if rotation[2, 2] > 0:
             return 0.0, float(np.arctan2(rotation[1, 0], rotation[0, 0]))
@@ -329,7 +325,7 @@ def _bounded_sin_cos(
     return out[0], out[1]
 
 
-# Arithmetic that drops what is known to be nothing, so that it never reaches the compiler.
+# Arithmetic that drops constant zeros and ones while tracing, so that the compiler never gets them.
 
 
 def _mul(a: Number, b: Number) -> Number:

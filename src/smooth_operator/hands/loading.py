@@ -1,9 +1,8 @@
-"""From an MJCF or URDF file to a compiled MuJoCo model, with the couplings that it declares.
+"""Loader of MJCF and URDF files: a compiled MuJoCo model with the couplings that it declares.
 
-MuJoCo's own compiler reads both formats. What it leaves to us: URDF ``mimic`` (which it drops),
-names of files that it does not know (``package://``), models whose meshes are missing or far too
-large (kinematics needs none of them), inertias that no real body has, and mirroring a right hand
-into a left one.
+MuJoCo's compiler reads both formats. This module adds URDF ``mimic`` (which MuJoCo drops), names of
+files that it does not resolve (``package://``), models whose meshes are missing or far too large
+(kinematics does not need them), corrected inertias, and mirroring of a right hand into a left one.
 """
 
 from __future__ import annotations
@@ -23,15 +22,18 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.errors import HandModelError, brief
-from smooth_operator.hands.mirroring import mirror_spec
-from smooth_operator.hands.model_assets import MOST_MESH_BYTES, ModelFiles, read_model_files
-from smooth_operator.hands.model_xml import decode_xml
+from smooth_operator.hands.model_assets import (
+    MOST_MESH_BYTES,
+    ModelFiles,
+    decode_xml,
+    read_model_files,
+)
 
 NO_ROOM: Final = 0.25
-"""A coupling that can use less of its joints' ranges, see ``shared_range``, is a mistake."""
-_ROOM: Final = 0.75
-_TIMES: Final = 5.0  # a mesh over its chain: it is of another unit
-_LONGEST: Final = 0.5  # [m], and no link of a hand is as long
+"""``shared_range`` below which a coupling is a mistake in the file."""
+_ROOM: Final = 0.75  # ``shared_range`` above which the coupling of the other sign is the right one
+_TIMES: Final = 5.0  # length of a mesh over its chain above which it has another unit
+_LONGEST: Final = 0.5  # length up to which a mesh has the right unit [m]
 _TINY: Final = 1e-9
 _MUJOCO_ERRORS: Final = (ValueError, RuntimeError, MemoryError, mujoco.FatalError)
 
@@ -52,8 +54,7 @@ if mujoco.get_mju_user_warning() is None:
 class Coupling:
     """A joint that follows another: q[joint] = multiplier * q[follows] + offset.
 
-    ``turned`` says that the file has it with the other sign, which the joints' limits make
-    impossible.
+    ``turned`` is True if the file has the other sign, which the joints' limits make impossible.
     """
 
     joint: str
@@ -68,13 +69,13 @@ class LoadedModel:
     """A compiled model file.
 
     Attributes:
-        model: as MuJoCo compiled it.
-        couplings: of its joints, as the file has them but for signs that no pose within the limits
-            allows.
-        unreadable: names of bodies that lost shapes that collide, because their mesh files can't
-            be read or are far too large.
-        why: what is wrong with the meshes that were left out, and what to do; empty if none were.
-        oversize: whether meshes of another unit than the links are left out.
+        model: the compiled model.
+        couplings: couplings of its joints, as in the file, except for signs that no pose within
+            the limits allows.
+        unreadable: names of bodies that lost colliding shapes, because their mesh files can't be
+            read or are far too large.
+        why: problem of the meshes that were left out, with advice; empty if there are none.
+        oversize: True if meshes of another unit than the links were left out.
     """
 
     model: mujoco.MjModel
@@ -110,7 +111,7 @@ def load_model(path: Path, *, mirror: bool = False) -> LoadedModel:
 
 
 def _check_finite(model: mujoco.MjModel, path: Path) -> None:
-    """MuJoCo compiles a NaN in a position or an axis."""
+    """Refuses a NaN in a position or an axis, which MuJoCo compiles."""
     for kind, fields in (("body", ("pos", "quat")), ("jnt", ("pos", "axis", "range"))):
         for field in fields:
             broken = np.flatnonzero(~np.isfinite(getattr(model, f"{kind}_{field}")).all(axis=1))
@@ -122,7 +123,7 @@ def _check_finite(model: mujoco.MjModel, path: Path) -> None:
 
 
 def driven_joints(model: mujoco.MjModel) -> set[int]:
-    """Joints that an actuator moves: by itself, or as the first joint of a fixed tendon."""
+    """Joints with an actuator of their own, and the first joints of driven fixed tendons."""
     return _actuated(model) | {joints[0] for joints, _ in _driven_tendons(model)}
 
 
@@ -134,9 +135,9 @@ def _read(path: Path, files: ModelFiles, mirror: bool) -> mujoco.MjSpec:
     _name_all(spec)
     if not files.attaches:
         _name_assets(spec, files)
-    # Links on fixed joints, such as a URDF's palm and fingertips, are to keep their names.
+    # Fusing would lose the names of links on fixed joints, such as a URDF's palm and fingertips.
     spec.compiler.fusestatic = False
-    # Vendors publish inertias that break the triangle inequality, and links without any.
+    # Vendors publish inertias that break the triangle inequality, and links without inertia.
     spec.compiler.balanceinertia = True
     spec.compiler.boundmass = max(spec.compiler.boundmass, 1e-6)
     spec.compiler.boundinertia = max(spec.compiler.boundinertia, 1e-9)
@@ -146,20 +147,19 @@ def _read(path: Path, files: ModelFiles, mirror: bool) -> mujoco.MjSpec:
 
 
 def _name_assets(spec: mujoco.MjSpec, files: ModelFiles) -> None:
-    """Gives files their full names, whatever the model calls them."""
+    """Replaces the file names in the model by full paths."""
     spec.strippath = False
     for asset in (*spec.meshes, *spec.textures, *spec.hfields, *spec.skins):
         if file := files.assets.get(asset.file):
-            if not asset.name:  # MuJoCo would take the file's
+            if not asset.name:  # MuJoCo would take it from the file's name
                 asset.name = Path(asset.file).stem
             asset.file = str(file)
 
 
 def _parsed(path: Path) -> mujoco.MjSpec:
-    """MuJoCo reads UTF-8 only, whatever encoding the file declares."""
+    """The model of a file in any encoding; MuJoCo itself reads UTF-8 only."""
     data = path.read_bytes()
     text = decode_xml(data, path)
-    # without the declaration, which is not part of the text
     if data.isascii() or data.endswith(text.encode("utf-8")):
         return mujoco.MjSpec.from_file(str(path))
     spec = mujoco.MjSpec.from_string(text)
@@ -168,7 +168,7 @@ def _parsed(path: Path) -> mujoco.MjSpec:
 
 
 def _name_all(spec: mujoco.MjSpec) -> None:
-    """Names what has none, in the file's order: a description goes by names."""
+    """Names unnamed bodies and joints, in the file's order: a description needs names."""
     for kind, elements in (("body", spec.bodies), ("joint", spec.joints)):
         names = {element.name for element in elements}
         for number, element in enumerate(elements):
@@ -188,10 +188,10 @@ def _refused(what: str, path: Path, error: Exception) -> HandModelError:
 
 
 def load_spec(path: Path, *, mirror: bool = False) -> mujoco.MjSpec:
-    """The model that ``load_model`` compiles, to be edited further; it may lack its meshes.
+    """The model that ``load_model`` compiles, to be edited further, perhaps without its meshes.
 
     Args:
-        path: MJCF or URDF file that can be loaded.
+        path: MJCF or URDF file.
         mirror: as for ``load_model``.
 
     Raises:
@@ -199,7 +199,7 @@ def load_spec(path: Path, *, mirror: bool = False) -> mujoco.MjSpec:
     """
     files = read_model_files(path)
     dropped = _compiled(path, files, mirror).dropped
-    # again: compiling fills in what is then no longer derived
+    # A second time: compiling fixes values of a spec that further edits should derive.
     spec = _read(path, files, mirror)
     if dropped is not None:
         _drop_meshes(spec, dropped)
@@ -207,8 +207,15 @@ def load_spec(path: Path, *, mirror: bool = False) -> mujoco.MjSpec:
 
 
 class _Compiled(NamedTuple):
-    """A model; the meshes that it lacks, None if it is whole; bodies that lost a shape that
-    collides; why; whether meshes of another unit are among them."""
+    """A compiled model and its losses.
+
+    Attributes:
+        model: the model.
+        dropped: names of the meshes that it lacks; None if it is complete.
+        lost: names of the bodies that lost a colliding shape.
+        why: reasons for the losses.
+        oversize: True if meshes of another unit are among them.
+    """
 
     model: mujoco.MjModel
     dropped: frozenset[str] | None
@@ -218,14 +225,14 @@ class _Compiled(NamedTuple):
 
 
 def _compiled(path: Path, files: ModelFiles, mirror: bool) -> _Compiled:
-    """The model with as many of its meshes as can be used.
+    """Compiles a model with as many of its meshes as possible.
 
-    Kinematics needs no mesh, so one that can't be read is no reason to refuse a model.
+    Kinematics needs no mesh, so a mesh that can't be read is no reason to refuse a model.
     """
     spec = _read(path, files, mirror)
     names = {mesh.name: mesh.file for mesh in spec.meshes}
-    there = {"", *map(str, files.assets.values())}
-    absent = {} if files.attaches else {k: v for k, v in names.items() if v not in there}
+    present = {"", *map(str, files.assets.values())}
+    absent = {} if files.attaches else {k: v for k, v in names.items() if v not in present}
     why, dropped = [], frozenset(absent) or None
     if absent:
         why.append(
@@ -264,7 +271,7 @@ def _compiled(path: Path, files: ModelFiles, mirror: bool) -> _Compiled:
 def _without(
     spec: mujoco.MjSpec, meshes: frozenset[str] | None
 ) -> tuple[mujoco.MjModel, tuple[str, ...]]:
-    """The model without these meshes, and the bodies that lost a shape that collides."""
+    """The model without these meshes, and the bodies that lost a colliding shape."""
     lost = () if meshes is None else _drop_meshes(spec, meshes)
     return spec.compile(), lost
 
@@ -291,10 +298,10 @@ def _unreadable_meshes(
 
 
 def _drop_meshes(spec: mujoco.MjSpec, meshes: frozenset[str]) -> tuple[str, ...]:
-    """Takes meshes, and every terrain, skin and texture, out of a model.
+    """Removes some meshes, and every terrain, skin and texture, from a model.
 
     Returns:
-        names of the bodies that lost a shape that collides.
+        names of the bodies that lost a colliding shape.
     """
     lost = []
     for geom in list(spec.geoms):
@@ -312,14 +319,14 @@ def _drop_meshes(spec: mujoco.MjSpec, meshes: frozenset[str]) -> tuple[str, ...]
 
 
 def _oversize(model: mujoco.MjModel) -> tuple[frozenset[str], str]:
-    """The meshes of another unit than the links: over ``_TIMES`` as long as their whole chain.
+    """Meshes of another unit than the links: over ``_TIMES`` as long as their whole chain.
 
     Returns:
-        their names, none where none is on a moving body; and what is wrong, in words.
+        their names (none if no such mesh is on a moving body), and the problem as a text.
     """
     parents = model.body_parentid
     step = np.linalg.norm(model.body_pos, axis=1)
-    step[parents == 0] = 0.0  # where the model stands is no part of it
+    step[parents == 0] = 0.0  # the place of the model in the world is no length of the model
     up, down = np.zeros(model.nbody), np.zeros(model.nbody)
     for body in range(1, model.nbody):
         up[body] = up[parents[body]] + step[body]
@@ -373,7 +380,7 @@ def _urdf_mimics(root: ElementTree.Element, path: Path) -> tuple[Coupling, ...]:
 
 
 def _possible(model: mujoco.MjModel, coupling: Coupling) -> Coupling:
-    """The coupling, or the one with the other sign if only that leaves its joints room to move.
+    """The coupling, or that of the other sign if only that one leaves its joints room to move.
 
     Vendors mirror a hand's joints and forget a mimic's sign, or the other way round.
     """
@@ -384,7 +391,7 @@ def _possible(model: mujoco.MjModel, coupling: Coupling) -> Coupling:
     if min(ids) < 0 or not model.jnt_limited[ids].all():
         return coupling
     own, leader = np.asarray(model.jnt_range[ids], float)
-    turned = [  # the joint counted the other way round, or its leader
+    turned = [  # the sign of the joint is wrong, or that of its leader
         replace(coupling, multiplier=-coupling.multiplier, offset=offset, turned=True)
         for offset in (0.0 - coupling.offset, coupling.offset)
     ]
@@ -397,16 +404,15 @@ def _possible(model: mujoco.MjModel, coupling: Coupling) -> Coupling:
 def shared_range(
     coupling: Coupling, own: Float[np.ndarray, "2"], leader: Float[np.ndarray, "2"]
 ) -> float:
-    """How much of its range a coupled joint and its leader can use together.
+    """Overlap of the ranges of a coupled joint and of its leader, over the smaller range.
 
     Args:
-        coupling: the joint, and what it follows.
+        coupling: the coupling.
         own: (2,) limits of the joint [rad].
-        leader: (2,) limits of what it follows [rad].
+        leader: (2,) limits of its leader [rad].
 
     Returns:
-        the overlap of both ranges over the smaller of the two; negative where they do not meet, and
-        1 where one of them is a point inside the other.
+        at most 1; negative if the ranges do not meet, 1 if one is a point inside the other.
     """
     led = np.sort(coupling.multiplier * leader + coupling.offset)
     overlap = min(own[1], led[1]) - max(own[0], led[0])
@@ -417,7 +423,10 @@ def shared_range(
 
 
 def _equalities(model: mujoco.MjModel) -> tuple[Coupling, ...]:
-    """Joint equalities: q1 - q1_0 = c0 + c1 (q2 - q2_0) + ...; the unactuated joint follows."""
+    """Couplings from joint equalities, q1 - q1_0 = c0 + c1 (q2 - q2_0) + ...
+
+    The joint without an actuator follows.
+    """
     actuated = _actuated(model)
     couplings = []
     for i in range(model.neq):
@@ -433,7 +442,7 @@ def _equalities(model: mujoco.MjModel) -> tuple[Coupling, ...]:
             )
         zero1, zero2 = (float(model.qpos0[model.jnt_qposadr[j]]) for j in (first, second))
         offset = zero1 + c0 - c1 * zero2
-        if first in actuated and second not in actuated:  # turn it round: q2 = (q1 - offset) / c1
+        if first in actuated and second not in actuated:  # inverted: q2 = (q1 - offset) / c1
             couplings.append(Coupling(names[1], names[0], 1 / c1, -offset / c1))
         else:
             couplings.append(Coupling(names[0], names[1], c1, offset))
@@ -441,11 +450,11 @@ def _equalities(model: mujoco.MjModel) -> tuple[Coupling, ...]:
 
 
 def _tendons(model: mujoco.MjModel, followers: set[str]) -> tuple[Coupling, ...]:
-    """One actuator on a fixed tendon of length sum c_i q_i moves several joints: the first leads.
+    """Couplings from driven fixed tendons of length sum c_i q_i; the first joint leads.
 
-    How the joints share the tendon's travel is up to springs and friction. Where these are alike
-    the tendon's pull c_i f bends each joint by its share, q_i ~ c_i: so joints of equal c turn by
-    equal angles, and the whole range of the actuator is used within the limits of each.
+    The joints share the tendon's travel by their springs and friction. If these are equal, the
+    tendon's pull c_i f bends each joint by its share, q_i ~ c_i: joints of equal c turn by equal
+    angles.
     """
     couplings = []
     for joints, shares in _driven_tendons(model):
@@ -459,8 +468,7 @@ def _tendons(model: mujoco.MjModel, followers: set[str]) -> tuple[Coupling, ...]
 def _driven_tendons(model: mujoco.MjModel) -> list[tuple[list[int], list[float]]]:
     """Joints and coefficients of fixed tendons with an actuator, the joint nearest the palm first.
 
-    Joints with their own actuator, or on an earlier tendon, are left out: this one does not
-    lead them.
+    Skips joints that have their own actuator or that an earlier tendon drives.
     """
     joints, tendons = _actuated(model), []
     for i in range(model.nu):
@@ -469,7 +477,7 @@ def _driven_tendons(model: mujoco.MjModel) -> list[tuple[list[int], list[float]]
         tendon = int(model.actuator_trnid[i, 0])
         wraps = range(model.tendon_adr[tendon], model.tendon_adr[tendon] + model.tendon_num[tendon])
         if any(model.wrap_type[w] != mujoco.mjtWrap.mjWRAP_JOINT for w in wraps):
-            continue  # a tendon through space is no linear coupling
+            continue  # a spatial tendon is no linear coupling
         moved = sorted(
             (int(model.wrap_objid[w]), float(model.wrap_prm[w]))
             for w in wraps
@@ -488,3 +496,30 @@ def _actuated(model: mujoco.MjModel) -> set[int]:
         for i in range(model.nu)
         if model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT
     }
+
+
+def mirror_spec(spec: mujoco.MjSpec) -> None:
+    """Reflect a model across the x = 0 plane of every local frame, in place.
+
+    A reflection turns positions (x, y, z) into (-x, y, z) and rotations (w, x, y, z) into
+    (w, x, -y, -z). A hinge axis is a pseudo-vector: (x, y, z) becomes (x, -y, -z), so that the same
+    joint angle gives the mirrored pose and limits keep their sign; a slide's axis is an ordinary
+    vector.
+
+    Raises:
+        HandModelError: the model has meshes, which can't be mirrored.
+    """
+    if list(spec.meshes):
+        raise HandModelError(
+            "a model with meshes can't be mirrored; name the side that it is of (--side left or "
+            "right, or a recording of that side), or add a model of the other side"
+        )
+    for element in [*spec.bodies, *spec.geoms, *spec.sites, *spec.cameras]:
+        element.pos = element.pos * (-1, 1, 1)
+        element.quat = element.quat * (1, 1, -1, -1)
+    for element in [*spec.geoms, *spec.sites]:
+        element.fromto = element.fromto * (-1, 1, 1, -1, 1, 1)  # NaN where unused, and stays so
+    for joint in spec.joints:
+        slide = joint.type == mujoco.mjtJoint.mjJNT_SLIDE
+        joint.pos = joint.pos * (-1, 1, 1)
+        joint.axis = joint.axis * ((-1, 1, 1) if slide else (1, -1, -1))

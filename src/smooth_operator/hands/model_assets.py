@@ -1,12 +1,13 @@
-"""The files that a model file names: what it includes, its meshes and its textures.
+"""Reader of robot model files (MJCF, URDF) and of the names of their meshes and textures.
 
 ROS packages name meshes ``package://NAME/meshes/link.stl``, exporters by paths of the machine they
-ran on. Names are resolved here, once, for all that reads models; and what a small file can make
-large is counted before MuJoCo, which can't be interrupted, sees it.
+ran on. This module resolves the names, and it bounds the size to which a small file can expand
+before MuJoCo, which can't be interrupted, reads it.
 """
 
 from __future__ import annotations
 
+import codecs
 import math
 import os
 import re
@@ -18,26 +19,26 @@ from typing import Final
 from urllib.parse import unquote
 
 from smooth_operator.errors import DocumentError, HandModelError, brief
-from smooth_operator.hands.model_xml import read_model_xml
 from smooth_operator.io.documents import check_plain_file
 
 MOST_ELEMENTS: Final = 20_000
-"""XML elements of a model, copies included, where a body counts as ``BODY``: hands have 1,000 to
-4,000. So 500 bodies are the most; a humanoid with two hands has 150. MuJoCo takes 4 s for a chain
-of 1,000 bodies, and 20 s for 50,000 shapes."""
+"""Largest number of XML elements, copies included; a body counts as ``BODY``. Hands have 1,000 to
+4,000. The limit is 500 bodies; a humanoid with two hands has 150. MuJoCo takes 4 s for a chain of
+1,000 bodies, and 20 s for 50,000 shapes."""
 BODY: Final = 40
 MOST_NAMES: Final = 2_000
-"""Different files that a model names."""
+"""Largest number of different files that a model names."""
 MOST_MESH_BYTES: Final = 50_000_000
-"""A larger mesh or texture is left out. Hands' have 0.01 to 10 MB; MuJoCo reads 4 MB a second."""
+"""Largest mesh or texture; a larger one is left out. Hands' have 0.01 to 10 MB; MuJoCo reads 4 MB
+a second."""
 _MOST_ROOM: Final = 10_000
-"""What ``_ROOM`` may ask for: MuJoCo allocates it, whatever it is."""
+"""Largest value of the attributes ``_ROOM``, for which MuJoCo allocates memory without a bound."""
 _MOST_FACETS: Final = 512
-"""Resolution of a shape that MuJoCo makes; its facets are up to the square of it."""
+"""Largest resolution of a generated shape; its number of facets is up to the square of it."""
 _ROOM: Final = ("nkey", "nuserdata", "width", "height", "numeric size")
-_DEEPEST: Final = 20  # files that include or attach each other
-_TAILS: Final = 8  # last parts of a path that are looked for near the model
-_NEAR: Final = 4  # folders above the model's in which a mesh is looked for by its own name alone
+_DEEPEST: Final = 20  # depth of files that include or attach each other
+_TAILS: Final = 8  # number of last parts of a path with which a file is looked for
+_NEAR: Final = 4  # folders above the model in which a file is looked for by its bare name
 _FILES: Final = ("file", "filename", "fileright", "fileleft", "fileup", "filedown", "filefront",
                  "fileback")  # fmt: skip
 _FOLDERS: Final = ("meshdir", "texturedir", "assetdir")
@@ -46,13 +47,13 @@ _DOCUMENTS: Final = ("include", "model")
 
 @dataclass(frozen=True)
 class ModelFiles:
-    """What a model consists of.
+    """Files of a model.
 
     Attributes:
         root: root element of the model file.
-        documents: the model file, and what it includes or attaches.
-        assets: mesh, texture or terrain as the model names it -> the file, where it is there.
-        attaches: whether the model attaches others, which have folders for their own names.
+        documents: the model file, and the files that it includes or attaches.
+        assets: name of a mesh, texture or terrain in the model -> its file, if that exists.
+        attaches: True if the model attaches others, whose names count from their own folders.
     """
 
     root: ElementTree.Element
@@ -62,17 +63,17 @@ class ModelFiles:
 
 
 def read_model_files(path: Path) -> ModelFiles:
-    """Reads a model file and finds the files that it names.
+    """Read a model file and find the files that it names.
 
     Args:
         path: MJCF or URDF file.
 
     Raises:
-        HandModelError: it is no such file, it names a pipe or a device, or it asks for more than
+        HandModelError: it is no such file, it names a pipe or a device, or it expands to more than
             ``MOST_ELEMENTS`` or ``MOST_NAMES``.
     """
     reader = _Reader(Path(os.path.abspath(path)))
-    for document in reader.pending:  # grows while it is read
+    for document in reader.pending:  # grows during the loop
         reader.read(document)
     for name in reader.names:
         reader.find(name)
@@ -85,9 +86,13 @@ def read_model_files(path: Path) -> ModelFiles:
 
 @dataclass
 class _Document:
-    """A file, how much is in it, and how often it has which other one.
+    """An XML file of a model.
 
-    ``inner`` are files that it includes, and names of models that it attaches.
+    Attributes:
+        root: root element.
+        count: number of its elements, copies included.
+        inner: files that it includes or names of models that it attaches, with their numbers.
+        total: ``count`` with that of all inner files; None until it is computed.
     """
 
     root: ElementTree.Element
@@ -133,7 +138,7 @@ class _Reader:
             pending += [(child, times * copies) for child in reversed(element)]
 
     def total(self, path: Path, above: tuple[Path, ...]) -> float:
-        """How much is in a document, and in what it includes and attaches."""
+        """Number of elements of a document and of all that it includes and attaches."""
         if path in above or len(above) > _DEEPEST:
             raise HandModelError(
                 f"{path} includes itself, or files include each other more than {_DEEPEST} deep; "
@@ -157,12 +162,12 @@ class _Reader:
             )
 
     def _name(self, element: ElementTree.Element, name: str, path: Path, times: float) -> None:
-        """A file that an element names."""
+        """Adds a file that an element names."""
         if element.tag not in _DOCUMENTS:
             self.names[name] = None
             return
         for place in (self.model.parent / name, path.parent / name):
-            if self._is_plain(place, name):  # else MuJoCo says that it is missing
+            if self._is_plain(place, name):  # MuJoCo reports a missing one
                 inner = Path(os.path.normpath(place))
                 self.pending.append(inner)
                 if element.tag == "model":
@@ -172,7 +177,7 @@ class _Reader:
                 return
 
     def _check_room(self, element: ElementTree.Element) -> None:
-        """Refuses what makes MuJoCo allocate or compute without bound."""
+        """Refuses attributes that make MuJoCo allocate or compute without a bound."""
         for key, text in element.items():
             most = math.inf
             if key == "params" and element.tag == "mesh":
@@ -186,7 +191,7 @@ class _Reader:
                 )
 
     def find(self, name: str) -> None:
-        """Adds the file of that name to the assets, if it is there."""
+        """Adds the file of that name to the assets if it exists."""
         for place in _places(name, self.model, self.folders, self.listings):
             if self._is_plain(place, name):
                 if place.stat().st_size <= MOST_MESH_BYTES:
@@ -194,7 +199,7 @@ class _Reader:
                 return
 
     def _is_plain(self, place: Path, name: str) -> bool:
-        """Whether a file is there; opening a pipe or a device might never end."""
+        """True if a regular file exists; refuses a pipe or device, whose reading may never end."""
         try:
             check_plain_file(place)
         except OSError:
@@ -212,12 +217,12 @@ class _Reader:
 def _places(
     name: str, model: Path, folders: Iterable[Path], listings: dict[Path, dict[str, str]]
 ) -> Iterator[Path]:
-    """Where a file may be, likeliest first.
+    """Possible places of a file, the most likely first.
 
-    That is where MuJoCo looks for it; then the end of its path, the longest first, in the folders
-    above the model: ``package://NAME/rest`` is the folder of that name or, as it may be called
-    otherwise, what the model is in, and a path of another machine may have its end here. The same
-    again without percent escapes, and then with upper case taken for lower.
+    First the places where MuJoCo looks for it. Then the last parts of its path, the most parts
+    first, in the folders above the model: this finds ``package://NAME/rest``, whether or not the
+    package's folder has that name, and paths of another machine. The same without percent escapes,
+    and finally without regard to upper and lower case.
     """
     plain = re.sub(r"^[A-Za-z][A-Za-z0-9+.-]+:(//)?", "", name.replace("\\", "/"))
     plain = re.sub(r"^/(?=[A-Za-z]:/)", "", plain)  # file:///C:/...
@@ -237,7 +242,7 @@ def _places(
 
 
 def _spelled(folder: Path, text: str, listings: dict[Path, dict[str, str]]) -> Path | None:
-    """The entry that differs in upper and lower case only."""
+    """The existing path that differs only in upper and lower case."""
     for part in Path(text).parts:
         if folder not in listings:
             entries = os.listdir(folder) if os.access(folder, os.R_OK) and folder.is_dir() else ()
@@ -249,7 +254,7 @@ def _spelled(folder: Path, text: str, listings: dict[Path, dict[str, str]]) -> P
 
 
 def _copies(element: ElementTree.Element) -> float:
-    """How often what is in an element is there."""
+    """Number of copies that an element makes of its content."""
     if element.tag not in ("replicate", "composite", "flexcomp"):
         return 1.0
     if element.tag == "flexcomp" and element.get("file"):
@@ -262,4 +267,99 @@ def _numbers(text: str) -> list[float]:
     try:
         return [float(word) for word in text.split()]
     except ValueError:
-        return []  # MuJoCo says what is wrong with it
+        return []  # MuJoCo reports it
+
+
+_MOST_BYTES: Final = 50_000_000
+"""Size of the largest model file; they have 5 to 500 kB, since meshes are separate files."""
+_MOST_HEIGHTS: Final = 4_000_000
+"""Points of the largest terrain; MuJoCo allocates memory for them without a bound."""
+_DECLARED: Final = re.compile(rb"""^\s*<\?xml[^>]*?encoding\s*=\s*["']([A-Za-z0-9._-]{1,40})["']""")
+_DECLARATION: Final = re.compile(r"^\s*<\?xml[^>]*\?>")
+_MARKS: Final = {
+    codecs.BOM_UTF8: "utf-8-sig",
+    codecs.BOM_UTF16_LE: "utf-16",
+    codecs.BOM_UTF16_BE: "utf-16",
+}
+
+
+def is_file(path: Path) -> bool:
+    """True if the file exists; False also for a name that is not valid."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
+
+
+def read_model_xml(path: Path) -> ElementTree.Element:
+    """The root element of a model file.
+
+    Args:
+        path: MJCF or URDF file.
+
+    Raises:
+        HandModelError: there is no such file, it can't be read, or it is no MJCF or URDF.
+    """
+    if not is_file(path):
+        raise HandModelError(f"no hand model at {path}; expected an MJCF (.xml) or URDF file")
+    try:
+        size = path.stat().st_size
+        data = path.read_bytes() if size <= _MOST_BYTES else b""
+    except OSError as error:
+        raise HandModelError(f"can't read the model {path}: {error.strerror}") from error
+    if size > _MOST_BYTES:
+        raise HandModelError(
+            f"{path} has {size} bytes; expected an MJCF or URDF file of at most {_MOST_BYTES}: put "
+            "meshes and terrain into separate files"
+        )
+    try:
+        root = ElementTree.fromstring(decode_xml(data, path))
+    except (ElementTree.ParseError, RecursionError) as error:
+        raise HandModelError(
+            f"{path} is not well-formed XML ({error}); mend it there, or export the model again"
+        ) from error
+    if root.tag not in ("mujoco", "robot", "mujocoinclude"):
+        raise HandModelError(
+            f"{path} starts with <{root.tag[:40]}>; expected <mujoco> (MJCF) or <robot> (URDF)"
+        )
+    for terrain in root.iter("hfield"):
+        try:
+            count = int(terrain.get("nrow", "0")) * int(terrain.get("ncol", "0"))
+        except ValueError:
+            continue  # MuJoCo reports it
+        if abs(count) > _MOST_HEIGHTS:
+            raise HandModelError(
+                f"{path} has a terrain (hfield) of {count:.0e} points; expected {_MOST_HEIGHTS} at "
+                "most: take it out, a hand needs none"
+            )
+    return root
+
+
+def decode_xml(data: bytes, path: Path) -> str:
+    """The text of an XML file without its declaration, by the encoding that it declares.
+
+    Args:
+        data: the file's bytes.
+        path: the file's path, for messages.
+
+    Raises:
+        HandModelError: the encoding is unknown, or the bytes are not of it.
+    """
+    declared = _DECLARED.match(data)
+    encoding = declared.group(1).decode("ascii") if declared else "utf-8"
+    encoding = next((name for mark, name in _MARKS.items() if data.startswith(mark)), encoding)
+    for attempt in (encoding, "utf-8"):  # some exporters declare GB 2312 and write UTF-8
+        try:
+            text = data.decode(attempt)
+            break
+        except LookupError as error:
+            raise HandModelError(
+                f"{path} declares the encoding {encoding!r}, which is not known; save it as UTF-8"
+            ) from error
+        except ValueError:  # UnicodeDecodeError, and what some codecs raise in its place
+            continue
+    else:
+        raise HandModelError(
+            f"{path} is not text in the encoding that it declares, {encoding}; save it as UTF-8"
+        )
+    return _DECLARATION.sub("", text, count=1)

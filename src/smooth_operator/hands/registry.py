@@ -1,8 +1,8 @@
-"""The hands that can be named: the built-in ones, those of plugins, and the user's own.
+"""Registry of hands: built-in ones, those of plugins, and the user's own.
 
-A built-in hand is data: a spec file and a compact kinematic model in ``models``. Where only one
-side is published, the other is its mirror image. A plugin offers the path of such a spec file, or
-of a folder of them.
+A built-in hand is data: a spec file and a compact kinematic model in ``models``. If only one side
+is published, the other is its mirror image. A plugin gives the path of such a spec file, or of a
+folder of them.
 """
 
 from __future__ import annotations
@@ -15,9 +15,8 @@ from typing import Final
 
 from smooth_operator.errors import ConfigError, HandModelError, UnknownNameError, brief, listed
 from smooth_operator.hands.hand import Hand, load_hand_spec
-from smooth_operator.hands.model_xml import is_file
-from smooth_operator.hands.selection import FingerChoice, select_fingers
-from smooth_operator.hands.spec import HandSpec
+from smooth_operator.hands.model_assets import is_file
+from smooth_operator.hands.spec import FingerChoice, HandSpec, select_fingers
 from smooth_operator.hands.spec_file import read_hand_spec
 from smooth_operator.hands.user_folder import find_specs, user_hands_folder
 from smooth_operator.plugins import Entry, Registry, is_target
@@ -37,9 +36,9 @@ class HandEntry:
     """A hand of the registry.
 
     Attributes:
-        name: by which it is loaded.
-        files: the spec files, by side; a side without one is mirrored.
-        builtin: whether it comes with the program.
+        name: name by which it is loaded.
+        files: spec files by side; a side without one is mirrored.
+        builtin: True if it comes with the program.
     """
 
     name: str
@@ -48,17 +47,17 @@ class HandEntry:
 
     @property
     def default_side(self) -> Side:
-        """The side where none is named: the right one, or the only one that is described."""
+        """Side without another request: the right one, or the only one with a spec file."""
         return "right" if "right" in self.files else "left"
 
     @property
     def mirrored(self) -> tuple[Side, ...]:
-        """The sides that have no separate description."""
+        """Sides without a spec file."""
         sides: tuple[Side, ...] = ("right", "left")
         return tuple(side for side in sides if side not in self.files)
 
     def spec(self, side: Side) -> HandSpec:
-        """The description of one side.
+        """Description of one side.
 
         Raises:
             HandModelError: its file can't be used.
@@ -83,9 +82,9 @@ class HandEntry:
 def known_hands() -> dict[str, HandEntry]:
     """All hands by name: the built-in ones, those of plugins, the user's own.
 
-    The user's folder is read at each call. A hand of the user's that has the name of another is
-    left out here; ``load_hand`` refuses the name while it is there. A hand of a plugin that can't
-    be loaded is left out, with a note on standard error.
+    The user's folder is read at each call. A hand of the user with the name of another is left out;
+    ``load_hand`` refuses such a name. A hand of a plugin that can't be loaded is left out, with a
+    note on standard error.
     """
     entries = HANDS.loadable(_registered)
     for name, files in find_specs(user_hands_folder()).items():
@@ -105,9 +104,9 @@ def find_hand(name: str) -> HandEntry:
         name: its name, or ``package.module:attribute`` of the path of a spec file or folder.
 
     Raises:
-        UnknownNameError: there is none of that name.
-        HandModelError: a file of the user's claims the name of another hand.
-        ConfigError: it is a plugin's, and can't be loaded.
+        UnknownNameError: there is no hand of that name.
+        HandModelError: a file of the user has the name of another hand.
+        ConfigError: the plugin that offers it can't be loaded.
     """
     own = find_specs(user_hands_folder()).get(name)
     if name in HANDS:
@@ -130,17 +129,17 @@ def load_hand(
     """Load a robot hand.
 
     Args:
-        hand: name of a built-in hand, of a plugin's or of one in the user's folder, or
-            ``package.module:attribute``; the path of a spec file (a text that ends in ``.toml`` is
-            one); or a description of your own.
-        side: ``right`` or ``left``. If left out, ``default_side``. A spec file is mirrored if it is
-            of the other side; a description keeps its own.
-        fingers: to drive fewer fingers, or by other human fingers; see
+        hand: name of a hand that is built in, of a plugin or in the user's folder, or
+            ``package.module:attribute``; path of a spec file (a text that ends in ``.toml``); or a
+            description.
+        side: ``right`` or ``left``; by default ``default_side``. A spec file of the other side is
+            mirrored; a description keeps its side.
+        fingers: choice of driven fingers and of the human fingers that drive them; see
             ``select_fingers``.
 
     Raises:
-        UnknownNameError: if there is no hand of that name, or it has no such finger.
-        HandModelError: if the description or the model can't be used.
+        UnknownNameError: there is no hand of that name, or it has no such finger.
+        HandModelError: the description or the model can't be used.
     """
     if isinstance(hand, HandSpec):
         spec = hand
@@ -157,17 +156,17 @@ def load_hand(
 
 
 def default_side(hand: str | Path | HandSpec) -> Side:
-    """The side of a hand where none is named.
+    """Side of a hand that ``load_hand`` loads by default.
 
     Args:
         hand: as for ``load_hand``.
 
     Returns:
-        of a name ``right``, or the only side that it has; else the side of the description.
+        for a name ``right``, or the only side with a spec file; else the side of the description.
 
     Raises:
-        UnknownNameError: if there is no hand of that name.
-        HandModelError: if the spec file can't be used.
+        UnknownNameError: there is no hand of that name.
+        HandModelError: the spec file can't be used.
     """
     if isinstance(hand, HandSpec):
         return hand.side
@@ -193,7 +192,7 @@ def _registered(name: str) -> HandEntry:
 
 
 def _described(name: str, place: object) -> HandEntry:
-    """What a path describes, under a name of the registry or ``package.module:attribute``."""
+    """Entry of a spec file or folder that a plugin offers under a name."""
     target = HANDS.find(name).target
     if not isinstance(place, str | os.PathLike):
         raise ConfigError(
@@ -213,13 +212,13 @@ def _described(name: str, place: object) -> HandEntry:
 
 
 def origin(name: str) -> str:
-    """Whose a hand of the registry is, for messages: ``a built-in hand``."""
+    """Owner of a hand of the registry, for messages: ``a built-in hand``."""
     owner = HANDS[name].distribution
     return f"a hand of {owner}" if owner else "a built-in hand"
 
 
 def shadowing(name: str, file: Path) -> HandModelError:
-    """The error for a file of the user's that claims the name of another hand."""
+    """Error for a file of the user with the name of another hand."""
     return HandModelError(
         f"{name!r} is {origin(name)}, so {os.fspath(file)} can't describe another of that name; "
         "give your hand its own name, in the file and as the file's name"

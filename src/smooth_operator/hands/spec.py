@@ -1,17 +1,18 @@
-"""Description of a robot hand: palm, fingers, landmarks, neutral pose."""
+"""Description of a robot hand (palm, fingers, landmarks, neutral pose), and choice of fingers."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TypeAlias
 
-from smooth_operator.errors import HandModelError
+from smooth_operator.errors import HandModelError, UnknownNameError
 from smooth_operator.landmarks import FINGERS
 from smooth_operator.types import Side
 
-_MOST_TORQUE = 100.0  # [N m]; URDFs hold 1000 where nothing is known
+_MOST_TORQUE = 100.0  # [N m]; URDFs have 1000 for an unknown torque
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ class FingerSpec:
     Attributes:
         name: the human finger, one of ``FINGERS``.
         points: the robot's counterparts of that finger's four human landmarks, base to tip; None
-            where the robot has none. The base and the tip are needed.
+            for a missing one. The base and the tip are needed.
     """
 
     name: str
@@ -69,13 +70,12 @@ class FingerSpec:
 
 @dataclass(frozen=True)
 class JointMap:
-    """How one joint follows human joint angles: position = offset + sum of gain x angle.
+    """Map from human joint angles to one joint: position = offset + sum of gain x angle.
 
     Attributes:
         joint: name of an actuated joint.
-        offset: its position where all angles are zero, a straight finger [rad].
-        gains: angle name, one of ``JOINT_ANGLES`` -> gain
-            with sign.
+        offset: position with all angles at zero, a straight finger [rad].
+        gains: name of an angle, one of ``JOINT_ANGLES`` -> gain with sign.
     """
 
     joint: str
@@ -92,11 +92,11 @@ class JointMap:
 
 @dataclass(frozen=True)
 class HandSpec:
-    """A robot hand for retargeting: a model file and how to read it as a hand.
+    """Description of a robot hand for retargeting: a model file, and the hand's parts in it.
 
     Attributes:
         name: catalogue name.
-        side: which hand it is, after mirroring.
+        side: side of the hand, after mirroring.
         model: path of an MJCF or URDF file.
         palm: body whose frame is the palm frame.
         wrist: counterpart of the human wrist, fixed to the palm.
@@ -104,13 +104,13 @@ class HandSpec:
         align: three or more landmarks that fix the alignment of human hand to palm: names of
             fingers, for their bases, or ``wrist``. The paper's authors use thumb, index and pinky;
             a hand of two fingers needs the wrist.
-        neutral: joint name -> neutral position [rad]; 0 (or the nearest limit) for those not named.
-        mirror: whether the file holds the other side and is to be mirrored on loading.
-        joint_map: how joints follow human joint angles, for methods that go by them. Joints without
-            a row are measured on the hand, which needs all four points of their finger.
-        torque: most torque of the motors [N m], as their maker states it: one number for all
-            joints, or joint name -> torque; None, and joints not named, where it is not known.
-        source: where the figures come from, in words.
+        neutral: joint name -> neutral position [rad]; 0 (or the nearest limit) for other joints.
+        mirror: True if the file holds the other side and is to be mirrored on loading.
+        joint_map: maps from human joint angles to joints, for methods that use them. Other joints
+            get a map by measuring the hand, which needs all four points of their finger.
+        torque: torque limit of the motors [N m] by their maker: one number for all joints, or
+            joint name -> torque; unknown for other joints, and with None for all.
+        source: source of the figures, as a text.
     """
 
     name: str
@@ -128,7 +128,7 @@ class HandSpec:
 
     @property
     def mirrored(self) -> HandSpec:
-        """The other hand, as this one's mirror image: equal joint positions, mirrored poses."""
+        """The mirror image of the hand: equal joint positions give mirrored poses."""
         return replace(
             self, side="left" if self.side == "right" else "right", mirror=not self.mirror
         )
@@ -168,3 +168,83 @@ class HandSpec:
             raise HandModelError(
                 f"hand {self.name!r}: joint_map has more than one row for {twice}; give one a joint"
             )
+
+
+FingerChoice: TypeAlias = Mapping[str, str] | Sequence[str]
+"""Robot finger -> human finger that drives it; or names of fingers that drive themselves."""
+
+
+def parse_fingers(text: str) -> dict[str, str]:
+    """Parse a choice of fingers: in ``thumb,index,pinky=ring`` the human ring drives the pinky.
+
+    Raises:
+        HandModelError: a part of it is empty, or a finger is named twice.
+    """
+    choice: dict[str, str] = {}
+    for part in text.split(","):
+        robot, sign, human = (word.strip() for word in part.partition("="))
+        if not robot or (sign and not human):
+            raise HandModelError(
+                f"{text!r} is no choice of fingers; expected robot fingers with commas between, "
+                "each with '=' and a human finger if another drives it: thumb,index,pinky=ring"
+            )
+        if robot in choice:
+            raise HandModelError(f"{text!r} names the finger {robot!r} twice")
+        choice[robot] = human or robot
+    return choice
+
+
+def select_fingers(spec: HandSpec, fingers: FingerChoice) -> HandSpec:
+    """Description of the same hand with some of its fingers; other joints stay at neutral.
+
+    The alignment keeps its landmarks if all of them remain. Else it uses the thumb and the first
+    and last of the other fingers, or, with two fingers, these and the wrist.
+
+    Args:
+        spec: the hand.
+        fingers: the fingers; the thumb must be among them, driven by the human thumb.
+
+    Raises:
+        UnknownNameError: the hand, or a human, has no such finger.
+        HandModelError: fewer than two fingers, no thumb, or one human finger for two.
+    """
+    choice = dict(fingers) if isinstance(fingers, Mapping) else {name: name for name in fingers}
+    own = {finger.name: finger for finger in spec.fingers}
+    for robot, human in choice.items():
+        if robot not in own:
+            raise UnknownNameError("finger", robot, own)
+        if human not in FINGERS:
+            raise UnknownNameError("human finger", human, FINGERS)
+    if choice.get("thumb") != "thumb":
+        raise HandModelError(
+            f"hand {spec.name!r}: the thumb must be among the fingers, driven by the human thumb, "
+            f"not {choice}"
+        )
+    chosen = sorted(
+        (replace(own[robot], name=human) for robot, human in choice.items()),
+        key=lambda finger: FINGERS.index(finger.name),
+    )
+    names = [finger.name for finger in chosen]
+    if all(name == "wrist" or name in choice for name in spec.align):
+        align = tuple(choice.get(name, name) for name in spec.align)
+    elif len(names) > 2:
+        align = (names[0], names[1], names[-1])
+    else:
+        align = ("wrist", *names)
+    return replace(
+        spec,
+        fingers=tuple(chosen),
+        align=align,
+        joint_map=tuple(row for old in spec.joint_map for row in _renamed(old, choice)),
+    )
+
+
+def _renamed(row: JointMap, choice: Mapping[str, str]) -> list[JointMap]:
+    """The map with the angles of the new driver; empty if its finger is left out."""
+    gains: dict[str, float] = {}
+    for angle, gain in row.gains.items():
+        finger, _, rest = angle.partition("_")
+        if finger not in choice:
+            return []
+        gains[f"{choice[finger]}_{rest}"] = gain
+    return [replace(row, gains=gains)]

@@ -1,11 +1,11 @@
-"""Spec files: a robot hand's description as a small TOML file that a person can read and mend.
+"""Spec files: descriptions of robot hands as small TOML files.
 
 ::
 
     format = 1
     name = "pincer"
     side = "right"
-    source = "measured in our lab"      # optional: where the figures come from, in words
+    source = "measured in our lab"      # optional: source of the figures, as a text
     model = "pincer.xml"                # MJCF or URDF, relative to this file
     mirror = false                      # optional: the model is the other hand's
     palm = "palm"                       # body whose frame is the palm frame
@@ -25,16 +25,15 @@
     [neutral]                           # optional: joint -> position [rad]
     i1 = 0.3
 
-    [torque]                            # optional: joint -> most torque of its motor [N m];
+    [torque]                            # optional: joint -> torque limit of its motor [N m];
     i1 = 0.7                            # or, before the tables: torque = 0.7, for all joints
 
-    [joint_map.i1]                      # optional: how a joint follows human joint angles
+    [joint_map.i1]                      # optional: map from human joint angles to a joint
     offset = 0.0
     gains = { index_mcp = 1.0 }
 
 Offsets are in the body's frame [m]. The points of a finger are the counterparts of its human
-landmarks; the first and the tip are needed. For the meaning of each entry see
-``HandSpec``.
+landmarks; the first and the tip are needed. ``HandSpec`` explains each entry.
 """
 
 from __future__ import annotations
@@ -51,7 +50,7 @@ from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS
 from smooth_operator.types import Side
 
 FORMAT: Final = 1
-"""Version of the format that this program reads and writes."""
+"""Version of the file format."""
 
 POINTS: Final[dict[str, tuple[str, ...]]] = {
     finger: tuple(name.split("_")[1] for name in LANDMARKS[base : base + 4])
@@ -61,18 +60,18 @@ POINTS: Final[dict[str, tuple[str, ...]]] = {
 dip, tip."""
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
-_MOST_BYTES = 1_000_000  # a spec file has 2 kB: what is larger is something else
+_MOST_BYTES = 1_000_000  # a spec file has 2 kB
 
 
 def read_hand_spec(path: str | Path) -> HandSpec:
-    """Reads a spec file.
+    """Read a spec file.
 
     Args:
         path: the file; a relative ``model`` in it counts from its folder.
 
     Raises:
-        HandModelError: there is no such file, it is no TOML, or what it says is no hand; the
-            message names the entry and what is expected there.
+        HandModelError: there is no such file, it is no TOML, or it does not describe a hand; the
+            message names the entry and the expected value.
     """
     path = Path(path)
     entries = read_entries(path, "spec file", HandModelError, most_bytes=_MOST_BYTES)
@@ -81,10 +80,10 @@ def read_hand_spec(path: str | Path) -> HandSpec:
 
 
 def check_hand_name(name: str) -> str:
-    """The name, if it can be one.
+    """The name, if it is a valid name of a hand.
 
     Raises:
-        HandModelError: it holds other characters than letters, digits, ``_`` and ``-``.
+        HandModelError: it has other characters than letters, digits, ``_`` and ``-``.
     """
     if not _NAME.fullmatch(name):
         raise HandModelError(

@@ -1,8 +1,8 @@
 """Capsules along a hand's bones, for links whose collision shapes can't be read.
 
-Vendors' URDFs are often passed on without their mesh files. The kinematics needs none, but the
-self-collision term does. A stand-in is a capsule along the bone of such a link, with a radius that
-is estimated from the hand's own lengths; a palm becomes parallel capsules from heel to knuckles.
+Vendors' URDFs are often passed on without their mesh files. The kinematics does not need them, but
+the self-collision term does. A stand-in is a capsule along the bone of such a link, with a radius
+that is estimated from the hand's lengths; a palm becomes parallel capsules from heel to knuckles.
 """
 
 from __future__ import annotations
@@ -16,38 +16,36 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.hands.collision import solid_shapes
+from smooth_operator.hands.collision import Capsule, shape_capsules, solid_shapes
 from smooth_operator.hands.hand import Hand, landmark_points
-from smooth_operator.hands.solids import Capsule, shape_capsules
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS, WRIST
 
 LENGTH_SHARE: Final = 0.095
-"""Radius of a finger over its length, base to tip. Of the built-in hands the middle one is 0.094;
-they have 0.073 to 0.144."""
+"""Radius of a finger over its length, base to tip. The built-in hands have 0.073 to 0.144, with a
+median of 0.094."""
 SPACING_SHARE: Final = 0.42
-"""Radius of a finger over the distance of neighbouring knuckles, at most. The built-in hands have
+"""Largest radius of a finger over the distance of neighbouring knuckles. The built-in hands have
 0.26 to 0.44."""
-_THUMB: Final = 1.1  # thumbs are thicker
+_THUMB: Final = 1.1  # radius of a thumb over a finger's
 _PALM: Final = 1.3  # half the thickness of a palm over a finger's radius
-_TIP: Final = 0.9  # a tip landmark lies about this share of a radius beyond the capsule's end
-_SHORTEST: Final = 0.003  # bones shorter than this carry no capsule [m]
+_TIP: Final = 0.9  # distance of a tip landmark from the end of the capsule's axis, over the radius
+_SHORTEST: Final = 0.003  # length of the shortest bone that gets a capsule [m]
 Piece: TypeAlias = tuple[int, np.ndarray, np.ndarray]
 """A stretch of a bone: the body that carries it, and its two ends in the world [m]."""
 
-_SAMPLES: Final = 33  # of a bone
-_LEAST: Final = 0.12  # of a bone that is bare
+_SAMPLES: Final = 33  # points on a bone
+_LEAST: Final = 0.12  # smallest share of a bone that counts as bare
 _TINY: Final = 1e-12  # [m^2]
-_OVERLAP: Final = 1.5  # distance of a palm's parallel capsules over their radius, at most
+_OVERLAP: Final = 1.5  # largest distance of a palm's parallel capsules over their radius
 
 
 @dataclass(frozen=True)
 class StandIns:
-    """What stands in for a hand's shapes.
+    """Estimated shapes of a hand.
 
     Attributes:
-        capsules: the estimated ones; ``geom`` is -1.
-        replaced: indices of the parts whose own shapes are not to be used. A part is what has no
-            joint inside: bodies that are fixed to each other, named by the first.
+        capsules: the estimated capsules; their ``geom`` is -1.
+        replaced: parts (see ``parts_above``) whose own shapes are not to be used.
     """
 
     capsules: tuple[Capsule, ...] = ()
@@ -55,13 +53,13 @@ class StandIns:
 
 
 def stand_in_links(hand: Hand) -> tuple[str, ...]:
-    """Names of the links that get a stand-in, in the model's order; empty for most hands."""
+    """Names of the links with a stand-in, in the model's order; empty for most hands."""
     bodies = sorted({capsule.body for capsule in stand_ins(hand).capsules})
     return tuple(str(hand.model.body(body).name) for body in bodies)
 
 
 def stand_in_note(hand: Hand) -> str:
-    """One sentence for a person about a hand's stand-ins; empty if it has none."""
+    """Message about a hand's stand-ins; empty if it has none."""
     links = stand_in_links(hand)
     if not links:
         return ""
@@ -76,14 +74,11 @@ def stand_in_note(hand: Hand) -> str:
 def stand_ins(hand: Hand) -> StandIns:
     """Capsules for the links of a hand that lack shapes.
 
-    Those are the links that lost shapes because mesh files can't be read, where their other shapes
-    leave the bone bare. Where half of the fingers or more have such a link, all finger links get a
-    stand-in in place of what shapes they have: estimates of one kind measure better than a mix
-    (docs/how-to/hands.md). A hand without any shape that collides gets them for the palm and all
-    links from it to a fingertip.
-
-    Args:
-        hand: the robot hand.
+    These are the links that lost shapes because mesh files can't be read and whose other shapes
+    leave the bone bare. If at least half of the fingers have such a link, stand-ins replace the
+    shapes of all finger links: estimates of one kind measure better than a mix
+    (docs/how-to/hands.md). A hand without any colliding shape gets stand-ins for the palm and for
+    all links from it to a fingertip.
     """
     lacking = _lacking(hand)
     if not lacking:
@@ -130,7 +125,7 @@ def _palm_part(hand: Hand) -> int:
 
 
 def _lacking(hand: Hand) -> set[int]:
-    """Parts that lost shapes; all parts of a hand without any shape that collides."""
+    """Parts that lost shapes; all parts of a hand without any colliding shape."""
     model = hand.model
     part = np.asarray(model.body_weldid)
     if solid_shapes(hand).any():
@@ -139,7 +134,7 @@ def _lacking(hand: Hand) -> set[int]:
 
 
 def _covers(hand: Hand, replaced: frozenset[int]) -> dict[int, list[Capsule]]:
-    """Part -> the shapes that it has and keeps, as capsules."""
+    """Part -> its own shapes that stay in use, as capsules."""
     out: dict[int, list[Capsule]] = defaultdict(list)
     for geom in np.flatnonzero(solid_shapes(hand)):
         part = int(hand.model.body_weldid[hand.model.geom_bodyid[geom]])
@@ -151,7 +146,7 @@ def _covers(hand: Hand, replaced: frozenset[int]) -> dict[int, list[Capsule]]:
 def _uncovered(
     data: mujoco.MjData, segment: Float[np.ndarray, "2 3"], covers: list[Capsule]
 ) -> Float[np.ndarray, "2 3"] | None:
-    """The stretch of a segment that is in none of some capsules; None if that is hardly any."""
+    """Stretch of a segment outside all capsules; None if its share is below ``_LEAST``."""
     share = np.linspace(0, 1, _SAMPLES)
     points = segment[0] + share[:, None] * (segment[1] - segment[0])
     bare = np.ones(_SAMPLES, bool)
@@ -170,10 +165,10 @@ def _uncovered(
 
 
 def _bones(hand: Hand, data: mujoco.MjData) -> dict[str, list[list[Piece]]]:
-    """Finger -> its bones, base to tip, each in the pieces that different bodies carry.
+    """Finger -> its bones, base to tip, each in one piece for each body that carries a part of it.
 
-    Bones run between landmarks, since these are on the finger's middle line, which joint origins
-    need not be. Where a finger has no landmark between base and tip, joint origins serve.
+    Bones run between landmarks, which lie on the finger's middle line; joint origins need not. A
+    finger without landmarks between base and tip uses joint origins.
     """
     placed = landmark_points(hand.model, hand.spec)
     out = {}
@@ -193,7 +188,7 @@ def _bones(hand: Hand, data: mujoco.MjData) -> dict[str, list[list[Piece]]]:
 def _pieces(
     hand: Hand, data: mujoco.MjData, before: tuple[int, np.ndarray], after: tuple[int, np.ndarray]
 ) -> list[Piece]:
-    """A bone between two landmarks, cut where a joint between them turns a part of it.
+    """Pieces of a bone between two landmarks, cut at the joints between them.
 
     A landmark lies on the axis of the joint that moves its own body, so the bone before it ends
     with the link above that joint.
@@ -224,14 +219,14 @@ def _pieces(
 
 
 def _joint_origins(hand: Hand, data: mujoco.MjData, tip: int) -> list[tuple[int, np.ndarray]]:
-    """The joints between palm and tip but for the first, palm first: body and origin."""
+    """Body and origin of the joints from palm to tip, without the first."""
     model, palm = hand.model, hand.model.body(hand.spec.palm).id
-    found, body = [], tip
+    origins, body = [], tip
     while body not in (palm, 0):
         if model.body_jntnum[body]:
-            found.append((int(body), np.array(data.xanchor[model.body_jntadr[body]])))
+            origins.append((int(body), np.array(data.xanchor[model.body_jntadr[body]])))
         body = int(model.body_parentid[body])
-    return found[::-1][1:]
+    return origins[::-1][1:]
 
 
 def _finger_radius(hand: Hand, bones: dict[str, list[list[Piece]]]) -> float:
@@ -269,7 +264,7 @@ def _palm_segments(
     if length < 2 * radius:
         return []
     unit = back / length
-    # rounded ends: not into the fingers' first links, and no further than the wrist
+    # The rounded ends must not reach into the fingers' first links or beyond the wrist.
     return [
         np.stack([row + unit * radius, row + unit * max(length - radius, radius)]) for row in rows
     ]

@@ -1,4 +1,4 @@
-"""The pose of a robot hand with straight fingers, and their lengths."""
+"""Pose of a robot hand with straight fingers, and the fingers' lengths."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS, TIPS
 
 _STEPS: Final = 33
 _ROUNDS: Final = 3
-_GAIN: Final = 1e-6  # [m]; less is no reason to leave the neutral position
+_GAIN: Final = 1e-6  # smallest gain in reach that moves a joint off neutral [m]
 
 
 class StraightPose(NamedTuple):
@@ -20,8 +20,8 @@ class StraightPose(NamedTuple):
 
     Attributes:
         q: (m,) the pose [rad].
-        reach: (F,) base to tip [m].
-        rays: (F, 3) from base to tip, palm frame [m].
+        reach: (F,) distances from base to tip [m].
+        rays: (F, 3) vectors from base to tip, palm frame [m].
     """
 
     q: Float[np.ndarray, " m"]
@@ -32,8 +32,8 @@ class StraightPose(NamedTuple):
 def straight_pose(hand: Hand) -> StraightPose:
     """The pose in which all fingers reach furthest from their bases, nearest to neutral.
 
-    Joint by joint over its range, some times over: each moves few fingers, and what does not reach
-    further (a spread) stays where it is.
+    A coordinate search over the joints' ranges, repeated ``_ROUNDS`` times. A joint that does not
+    extend the reach, such as a spread, stays at neutral.
     """
     names = hand.tree.names
     fingers = [FINGERS.index(name) for name in hand.fingers]

@@ -1,4 +1,4 @@
-"""The user's own hands: spec files ``NAME.right.toml`` and ``NAME.left.toml`` in one folder."""
+"""Folder of the user's hands, with spec files ``NAME.right.toml`` and ``NAME.left.toml``."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from typing import Final
 from smooth_operator.types import Side
 
 SWITCH: Final = "SMOOTH_OPERATOR_HANDS"
-"""Environment variable: another folder for the user's hands."""
+"""Environment variable that names another folder for the user's hands."""
 
 
 def user_hands_folder() -> Path:
-    """Where the user's spec files are; it need not exist.
+    """Folder of the user's spec files; it need not exist.
 
     ``SWITCH``, or ``hands`` in this program's folder among the user's settings:
     ``~/.config/smooth-operator`` (or under ``XDG_CONFIG_HOME``) on Linux, ``~/Library/Application
@@ -39,12 +39,12 @@ def spec_name(name: str, side: Side) -> str:
 
 
 def model_folder(name: str, side: Side) -> Path:
-    """Where the copy of a hand's model is, which ``hands add`` makes."""
+    """Folder of the copy of a hand's model that ``hands add`` makes."""
     return user_hands_folder() / "models" / f"{name}.{side}"
 
 
 def find_specs(folder: Path) -> dict[str, dict[Side, Path]]:
-    """The spec files of a folder, by name and side; empty where there is no such folder."""
+    """Spec files of a folder by name and side; empty if there is no such folder."""
     specs: dict[str, dict[Side, Path]] = {}
     sides: tuple[Side, ...] = ("right", "left")
     try:

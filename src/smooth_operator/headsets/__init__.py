@@ -1,5 +1,5 @@
-"""Apps that run on headsets: their messages of hands, and the recordings that they make.
+"""Decoders of the messages and recordings of hands from apps on headsets.
 
-Bytes or text in, hand frames out: nothing here opens a socket. The wrist is converted to the
-project's axes and its z-up world here, and left-handed frames become right-handed ones.
+They turn bytes or text into hand frames; nothing here opens a socket. Wrists are converted to the
+project's axes and its z-up world, and left-handed frames to right-handed ones.
 """

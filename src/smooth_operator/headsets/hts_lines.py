@@ -1,4 +1,4 @@
-"""Lines of the Quest app Hand Tracking Streamer (HTS), and the hand frames that they make up.
+"""Lines of the Quest app Hand Tracking Streamer (HTS), and the hand frames from them.
 
 The app sends two lines of text for each hand, and one for the head::
 
@@ -7,9 +7,9 @@ The app sends two lines of text for each hand, and one for the head::
     Head pose:, 0.0101, 1.5012, -0.0203, 0.010, 0.020, 0.030, 0.999
 
 A wrist or head is x y z [m] and a quaternion x y z w in Unity's world (left-handed, y up, z
-forward); landmarks are 21 x 3 [m] in the wrist's own axes, in the project's order, 0 0 0 where a
-joint is missing. With the app's debug option on, ``| f = 17 | t = 5312345678`` stands before the
-colon: the number of the frame, and when it was sent, by the headset's clock [ns].
+forward); landmarks are 21 x 3 [m] in the wrist's axes, in the project's order, 0 0 0 for a missing
+joint. With the app's debug option, ``| f = 17 | t = 5312345678`` stands before the colon: number of
+the frame, and time of sending by the headset's clock [ns].
 
 Source: ``CONNECTIONS.md`` and ``HandLandmarkStreamer.cs`` of wengmister/hand-tracking-streamer, and
 the parser of wengmister/hand-tracking-sdk 1.1.0.
@@ -33,7 +33,7 @@ from smooth_operator.types import HandFrame, Side, as_side
 WORLD: Final = "hts"
 """Name of the world frame: the headset's floor-level origin."""
 MAX_LINE: Final = 4096
-"""Longest line that is read [bytes]; one of the app has 600."""
+"""Longest accepted line [bytes]; one of the app has 600."""
 
 Kind: TypeAlias = Literal["wrist", "landmarks", "pose"]
 
@@ -47,19 +47,19 @@ _META: Final = re.compile(r"([a-z_]+)\s*=\s*(\d{1,20})\s*", re.IGNORECASE | re.A
 _COUNT: Final[dict[Kind, int]] = {"wrist": 7, "landmarks": 3 * NUM_LANDMARKS, "pose": 7}
 _NUMBER: Final = re.compile(r"[+-]?(\d+([.,]\d*)?([eE][+-]?\d+)?|NaN|Infinity|∞)", re.ASCII)
 _WXYZ: Final = [0, 1, 2, 6, 3, 4, 5]
-_TOGETHER_S: Final = 0.05  # between the two lines of one hand
+_TOGETHER_S: Final = 0.05  # longest time between the two lines of one hand
 
 
 @dataclass(frozen=True, eq=False)
 class HtsLine:
-    """One line.
+    """A parsed line.
 
     Attributes:
-        kind: what it holds.
-        side: the hand; None for the head.
-        values: (7,) or (63,) as they were sent.
-        number: of the headset's frame, where it says.
-        stamp: when it was sent, by the headset's clock [s], where it says.
+        kind: kind of its values.
+        side: side of the hand; None for the head.
+        values: (7,) or (63,) values as sent.
+        number: number of the headset's frame; None without the debug option.
+        stamp: time of sending by the headset's clock [s]; None without the debug option.
     """
 
     kind: Kind
@@ -70,9 +70,9 @@ class HtsLine:
 
 
 def begins_line(data: bytes | bytearray) -> bool:
-    """Whether bytes, however few, can be the begin of a line of the app.
+    """True if some bytes can be the beginning of a line of the app.
 
-    ``HEAD`` is an HTTP request, too, so the kind of the line counts as well.
+    ``HEAD`` also begins an HTTP request, so the kind of the line is checked, too.
     """
     words = " ".join(data.decode("ascii", "replace").lower().split(None, 2)[:2])
     return any(each.startswith(words) or words.startswith(each) for each in _BEGINNINGS)
@@ -82,7 +82,7 @@ def parse_line(data: bytes | str) -> HtsLine:
     """Read a line.
 
     Raises:
-        RecordingError: it is none of the app's, or cut off.
+        RecordingError: the line is not one of the app's, or cut off.
     """
     if len(data) > MAX_LINE:
         raise RecordingError(f"a line of {len(data)} bytes is too long; at most {MAX_LINE}")
@@ -125,25 +125,25 @@ def _number(word: str) -> float:
 
 
 class HtsHands:
-    """Puts the lines of a wrist and of its landmarks together.
+    """Joins the lines of a wrist and of its landmarks to frames.
 
-    A frame is complete with its landmarks, which follow the wrist. The wrist belongs to them if it
-    has their number, or, without numbers, came at most 50 ms before; it counts for one frame.
+    The line of the landmarks follows that of the wrist and completes the frame. A wrist belongs to
+    landmarks of the same number, or, without numbers, within 50 ms; it is used for one frame.
     """
 
     def __init__(self) -> None:
         self._wrists: dict[Side, tuple[HtsLine, float]] = {}
 
     def add(self, line: HtsLine, received: float) -> HandFrame | None:
-        """Take a line.
+        """Add a line.
 
         Args:
-            line: the next one.
-            received: when it came [s].
+            line: the next line.
+            received: time of receipt [s].
 
         Returns:
-            the hand, after its landmarks; its stamp is None where the line has none. Without a
-            wrist that belongs to it, its pose is NaN.
+            the hand after the line of its landmarks, else None. Its stamp is None if the line has
+            none; its pose is NaN without a wrist.
 
         Raises:
             RecordingError: landmarks in another unit than metres.
@@ -173,20 +173,20 @@ def hts_frame(
     """A hand in the project's conventions.
 
     Args:
-        points: landmarks as the app sends them, in Unity's wrist axes [m].
-        wrist: x y z [m] and quaternion x y z w in Unity's world; None where it was lost.
-        side: which hand.
-        stamp: [s], or None.
+        points: landmarks from the app, in Unity's wrist axes [m].
+        wrist: x y z [m] and quaternion x y z w in Unity's world; None if lost.
+        side: side of the hand.
+        stamp: stamp of the frame [s], or None.
 
     Returns:
-        the hand, its landmarks in the wrist's axes.
+        the hand with landmarks in the wrist's axes.
 
     Raises:
         RecordingError: landmarks in another unit than metres.
     """
     landmarks = points @ WRIST_AXES["unity"].T
     valid = np.isfinite(landmarks).all(axis=1)
-    valid[1:] &= landmarks[1:].any(axis=1)  # 0 0 0 is a joint that the headset does not have
+    valid[1:] &= landmarks[1:].any(axis=1)  # 0 0 0 is a missing joint
     valid[0] &= bool(valid[1:].any())
     check_palm(landmarks, valid, "the landmarks")
     wrist_pose = np.full(7, np.nan) if wrist is None else wrist[_WXYZ]

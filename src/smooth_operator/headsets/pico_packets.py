@@ -47,9 +47,9 @@ from smooth_operator.types import HandFrame, Side
 
 PORT: Final = 63_901
 WORLD: Final = "pico"
-"""Name of the world frame: where the headset was when the app started."""
+"""Name of the world frame: the pose of the headset at the start of the app."""
 MOST_BYTES: Final = 60_000
-"""Longest body that is read; all that the app can track together is half of it."""
+"""Longest accepted body; everything that the app can track has half of it."""
 
 Axes: TypeAlias = Literal["openxr", "unity"]
 """Axes of the joints."""
@@ -70,10 +70,10 @@ _WXYZ: Final = [0, 1, 2, 6, 3, 4, 5]
 
 
 def split_packets(buffer: bytearray) -> list[bytes]:
-    """Takes whole packets from the front of a buffer, which keeps the rest.
+    """Remove complete packets from the front of a buffer, which keeps the rest.
 
-    What begins no packet is given as it is, all of it, so that it is counted where packets are
-    read: TCP loses nothing, so it is another protocol.
+    Data that do not begin with a packet are returned as one piece, so that ``read_packet`` refuses
+    them: TCP loses nothing, so they are of another protocol.
     """
     packets = []
     while buffer:
@@ -88,12 +88,12 @@ def split_packets(buffer: bytearray) -> list[bytes]:
 
 
 def begins_packet(data: bytes | bytearray) -> bool:
-    """Whether bytes, one at the least, can be the begin of a packet."""
+    """True if some bytes, at least one, can be the beginning of a packet."""
     return _size(data) is not None
 
 
 def _size(buffer: bytes | bytearray) -> int | None:
-    """Bytes of the first packet; 0 if that is not known yet; None if there is none."""
+    """Size of the first packet [bytes]; 0 if not known yet; None if there is no packet."""
     if buffer[0] != HEAD:
         return None
     if len(buffer) < _HEADER.size:
@@ -107,11 +107,11 @@ def _size(buffer: bytes | bytearray) -> int | None:
 
 @dataclass(frozen=True, eq=False)
 class PicoHands:
-    """The hands of a packet, none for one that is no tracking.
+    """Hands of a packet; without any for a packet of another function.
 
     Attributes:
-        frames: those that the headset sees, left first; their stamps are ``stamp``.
-        stamp: by the headset's clock, Unix time [s]; None without one.
+        frames: visible hands, left first, with the stamp ``stamp``.
+        stamp: Unix time by the headset's clock [s]; None if it is missing.
     """
 
     frames: tuple[HandFrame, ...] = ()
@@ -122,7 +122,7 @@ def read_packet(data: bytes, axes: Axes = "openxr") -> PicoHands:
     """Read a packet.
 
     Raises:
-        RecordingError: it is none, or its hands can't be read.
+        RecordingError: the data are no packet, or its hands can't be read.
     """
     size = _size(data) if data else None
     if size is None or size != len(data):

@@ -1,13 +1,13 @@
-"""Recordings that headset apps make, as recordings of a hand or of both: ``READERS`` has them.
+"""Readers of the recordings of headset apps; ``READERS`` has their names.
 
 - Tracking Streamer (Vision Pro) saves ``tracking.jsonl``, a JSON object a line: ``timestamp`` [s],
   ``leftHand`` and ``rightHand`` with the wrist in ARKit's world and 24 joints in the wrist's axes,
   each 16 numbers, column by column.
-- Hand Tracking Streamer's lines, as they came (``nc -lu 9000 > hands.hts``); their stamps are there
-  with the app's debug option, else they need a rate.
+- Hand Tracking Streamer's lines as received (``nc -lu 9000 > hands.hts``); they have stamps with
+  the app's debug option, else they need a rate.
 - The JSON lines that the example ``log_to_jsonl.py`` of ``hand-tracking-sdk`` writes.
 
-Frames in which the app had nothing new of the hand are left out.
+Frames without a new measurement of the hand are left out.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from jaxtyping import Float
 from smooth_operator.errors import DocumentError, RecordingError, brief
 from smooth_operator.formats.bounds import Allowance, TooLargeError
 from smooth_operator.formats.checks import stamps_from_rate
-from smooth_operator.headsets.avp_hands import JOINTS, avp_frame
+from smooth_operator.headsets.avp import JOINTS, avp_frame
 from smooth_operator.headsets.hts_lines import HtsHands, HtsLine, hts_frame, parse_line
 from smooth_operator.headsets.repeats import Repeats
 from smooth_operator.io import documents
 from smooth_operator.types import HandFrame, HandRecording, Side, as_side
 
 MOST_LINE: Final = 65_536
-"""Longest line of JSON that is read [bytes]; one of both hands has 8,000."""
+"""Longest accepted line of JSON [bytes]; one with both hands has 8,000."""
 
 _SIDES: Final[tuple[tuple[str, Side], ...]] = (("leftHand", "left"), ("rightHand", "right"))
 _THUMB: Final = ("Knuckle", "IntermediateBase", "IntermediateTip", "Tip")
@@ -44,20 +44,20 @@ _NAMES: Final = (
     ),
 )
 _FRAME_BYTES: Final = 4096
-"""What a frame takes in memory, with its arrays."""
+"""Memory of a frame with its arrays [bytes]."""
 _LABEL: Final = re.compile(rb"(?=(?:Right|Left) (?:wrist|landmarks)|Head pose)")
-_NUMBER: Final = {int, float}  # and no truth value, which is an int, too
+_NUMBER: Final = {int, float}  # excludes bool, a subclass of int
 _WRIST: Final = ("x", "y", "z", "qx", "qy", "qz", "qw")
 
 
 class _Collected:
-    """Frames of both hands in a file, and what could not be read."""
+    """Frames of both hands in a file, and a count of damaged lines."""
 
     def __init__(self, path: Path, side: Side | None, wrist: bool = False) -> None:
         self._path, self._side = path, side
         self._frames: dict[Side, list[HandFrame]] = {"left": [], "right": []}
         self._moments: dict[Side, list[int]] = {"left": [], "right": []}
-        self._together: set[Side] = set()  # hands of the moment that is read
+        self._together: set[Side] = set()  # hands of the current moment
         self._moment = 0
         self._repeats, self._repeated = Repeats(wrist), 0
         self._allowance = Allowance.of(path, path.stat().st_size)
@@ -67,7 +67,7 @@ class _Collected:
     def add(self, frame: HandFrame | None) -> None:
         if frame is None or self._side not in (None, frame.side):
             return
-        if frame.side in self._together:  # the next of this hand is of the next moment
+        if frame.side in self._together:  # a second frame of this hand begins the next moment
             self._together.clear()
             self._moment += 1
         self._together.add(frame.side)
@@ -81,10 +81,10 @@ class _Collected:
             self._allowance.take(frame.side, len(frames) * _FRAME_BYTES)
 
     def damaged(self, error: Exception) -> None:
-        """Count a line.
+        """Count a damaged line.
 
         Raises:
-            RecordingError: it is not the line, but the file that takes too much memory.
+            RecordingError: the error is about the memory for the whole file.
         """
         if isinstance(error, TooLargeError):
             raise error
@@ -92,10 +92,10 @@ class _Collected:
         self._reason = str(error)
 
     def recording(self, rate: float | None, form: str) -> HandRecording:
-        """The hand that was asked for, or the only one.
+        """Recording of the requested hand, or of the only one.
 
         Raises:
-            RecordingError: there is none, or there are both and none was asked for.
+            RecordingError: there is none, or there are both without a request.
         """
         sides = self._seen()
         if len(sides) > 1:
@@ -109,12 +109,12 @@ class _Collected:
         return self._made(sides[0], stamps_from_rate(len(frames), rate, str(self._path)), form)
 
     def recordings(self, rate: float | None, form: str) -> dict[Side, HandRecording]:
-        """The hands that are there, each with its own frames, by one clock.
+        """Recordings of the hands in the file, each with its own frames, by one clock.
 
-        Without stamps, hands that came between two of the same side are of one moment.
+        Without stamps, hands between two frames of the same side belong to one moment.
 
         Raises:
-            RecordingError: there is none, or there are neither stamps nor a rate.
+            RecordingError: there is no hand, or there are neither stamps nor a rate.
         """
         sides = self._seen()
         if all(frame.stamp is not None for side in sides for frame in self._frames[side]):
@@ -125,7 +125,7 @@ class _Collected:
         return {side: self._made(side, stamps[side], form) for side in sides}
 
     def _seen(self) -> list[Side]:
-        """The hands that are there.
+        """Sides of the hands in the file.
 
         Raises:
             RecordingError: there is none.
@@ -220,7 +220,7 @@ def _hts(path: Path, side: Side | None) -> _Collected:
     frames, hands = _Collected(path, side), HtsHands()
     with path.open("rb") as stream:
         for whole in stream:
-            # What netcat writes of datagrams has no line break between them.
+            # netcat writes no line breaks between datagrams
             for line in filter(bytes.strip, _LABEL.split(whole)):
                 try:
                     frames.add(hands.add(parse_line(line), 0.0))
@@ -234,7 +234,7 @@ def read_hts_json(
 ) -> HandRecording:
     """A hand of the JSON lines of ``hand-tracking-sdk``; arguments as ``read_recording``.
 
-    Stamps are the headset's where it says, else the times of receipt.
+    Stamps are those of the headset if it sends them, else the times of receipt.
 
     Raises:
         RecordingError: there is no such hand in it, or there are both and ``side`` is None.
@@ -266,7 +266,7 @@ _COLLECTORS: Final[Mapping[str, Callable[[Path, Side | None], _Collected]]] = {
 
 
 def read_both_hands(path: Path, rate: float | None, form: str) -> dict[Side, HandRecording]:
-    """The hands of a recording, each with its own frames, by one clock.
+    """Recordings of the hands in a file, each with its own frames, by one clock.
 
     Args:
         path: the file.

@@ -1,4 +1,4 @@
-"""Hands that an app sends again because its tracker has nothing new."""
+"""Filter for hands that an app sends repeatedly without a new measurement."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from smooth_operator.types import HandFrame, Side
 
 
 class Repeats:
-    """Keeps what is new of hands that are sent at an app's own rate.
+    """Passes only new measurements of hands.
 
-    Some apps send what they know also where the headset has lost the hand. Of a hand that is seen,
-    no two measurements are the same to the last bit.
+    Some apps send the last values also while the headset has lost the hand. Two measurements of a
+    visible hand are never equal to the last bit.
 
     Args:
-        wrist: whether a wrist that stands still to the last bit while the fingers move is lost; not
-            for an app that rounds it.
+        wrist: True to take a wrist that is equal to the last bit, while the fingers move, for lost;
+            False for an app that rounds it.
     """
 
     def __init__(self, wrist: bool = False) -> None:
@@ -25,7 +25,7 @@ class Repeats:
         self._last: dict[Side, HandFrame] = {}
 
     def new(self, frame: HandFrame) -> HandFrame | None:
-        """The frame, its wrist not valid where that is lost; None if it is the last one again."""
+        """The frame, with an invalid wrist if that is lost; None if the frame is a repetition."""
         last = self._last.get(frame.side)
         self._last[frame.side] = frame
         if last is None or not _same(frame.T_world_wrist, last.T_world_wrist):

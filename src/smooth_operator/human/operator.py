@@ -32,7 +32,7 @@ DEFAULT_COMPONENTS: Final[tuple[Component, ...]] = ("scale", "pinch")
 """Those that did good on recordings that they were not fitted on: docs/how-to/calibrate.md."""
 
 THUMB_FLEXES_TOWARDS: Final = (0.5, -1.0)
-"""(distal, radial): where a thumb flexes to, as in ``smooth_operator.baselines.joint_angles``."""
+"""(distal, radial): where a thumb flexes to, as in ``smooth_operator.baselines.joint_angle``."""
 
 _NEAR, _FAR = 0.010, 0.045  # thumb to tip [m]: a pinch is kept whole under, and is none over
 _TINY = 1e-9

@@ -1,6 +1,6 @@
 """Parallel tasks in processes of this machine or on a Ray cluster.
 
-This package knows nothing of hands: a task is a value that can be pickled.
+The package is independent of hands: a task is any value that can be pickled.
 """
 
 from smooth_operator.parallel.pool import PersistentPool as PersistentPool

@@ -33,12 +33,12 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 LOCAL: Final = "local"
-"""The cluster that is started for one run, on this machine."""
+"""Name of a cluster on this machine that is started for one run."""
 
 _CONNECTION_S: Final = 10.0
 _AUTH_MODE: Final = "RAY_AUTH_MODE"
 _QUEUED: Final = 2
-"""Tasks that wait at a worker, the one that it works on included."""
+"""Tasks at a worker, including the running one."""
 
 
 def run_on_cluster(
@@ -55,12 +55,12 @@ def run_on_cluster(
 
     Args:
         function, tasks, cluster, workers, retries: as in ``run_tasks``.
-        least_workers: size of the pool at the start; it grows to ``workers`` as work waits and the
-            cluster has room; None for a pool of one size.
-        gpus: accelerators for each worker, which may be a fraction.
+        least_workers: size of the pool at the start; it grows up to ``workers`` while tasks wait
+            and the cluster has room. None for a constant size.
+        gpus: number of accelerators for each worker, perhaps a fraction.
 
     Raises:
-        ConfigError: a number of workers is not a possible one.
+        ConfigError: a number of workers is not valid.
         MissingExtraError: Ray or Ray Data is not installed.
         WorkerError: the cluster can't be reached, or gave up.
     """
@@ -125,24 +125,24 @@ def _results(
 
 
 class Starts:
-    """Counts how often each task was started; Ray itself tries again for ever."""
+    """Counts the starts of each task; Ray itself retries without a limit."""
 
     def __init__(self) -> None:
         self._counts: Counter[int] = Counter()
 
     def count(self, index: int) -> int:
-        """Starts of a task, this one included."""
+        """Number of starts of a task, including this one."""
         self._counts[index] += 1
         return self._counts[index]
 
 
 class Worker:
-    """A worker of the cluster, as ``map_batches`` calls it: pickled tasks in, answers out.
+    """A worker of the cluster for ``map_batches``: pickled tasks in, pickled answers out.
 
     Args:
-        function: works on a task.
+        function: function of a task.
         starts: actor of ``Starts``.
-        retries: how often a task is tried again whose worker died.
+        retries: number of retries of a task whose worker died.
     """
 
     def __init__(self, function: Callable[[Any], Any], starts: Any, retries: int) -> None:
@@ -175,7 +175,7 @@ class Worker:
 
 @contextlib.contextmanager
 def _data_context(ray: Any) -> Iterator[None]:
-    """Ray Data without bars and notes of its own."""
+    """Disables the progress bars and notes of Ray Data inside the block."""
     context, logger = ray.data.DataContext.get_current(), logging.getLogger("ray.data")
     before = context.enable_progress_bars, context.print_on_execution_start
     level = logger.level
@@ -190,23 +190,23 @@ def _data_context(ray: Any) -> Iterator[None]:
 
 @contextlib.contextmanager
 def connected(ray: Any, cluster: str, workers: int | None) -> Iterator[None]:
-    """A connection to a cluster while the block lasts; that of the program that embeds us stays.
+    """Connects to a cluster inside the block; an existing connection is used and stays open.
 
     Args:
-        ray: the module.
+        ray: the module ``ray``.
         cluster: as in ``run_tasks``.
-        workers: CPUs of a cluster that is started for this; None for all cores.
+        workers: CPUs of a local cluster that is started; None for all cores.
 
     Raises:
         WorkerError: the cluster can't be reached.
     """
-    if ray.is_initialized():  # by the program that embeds us: its connection, not ours to end
+    if ray.is_initialized():  # by the embedding program, which also closes it
         yield
         return
     options: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.ERROR}
     if cluster == LOCAL:
         options |= {"num_cpus": workers, "include_dashboard": False}
-        # What this process can import, workers on the same machine can.
+        # workers on this machine can import the same modules
         options["runtime_env"] = {
             "env_vars": {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
         }
@@ -215,10 +215,10 @@ def connected(ray: Any, cluster: str, workers: int | None) -> Iterator[None]:
             try:
                 _check_address(cluster)
                 with warnings.catch_warnings():
-                    # JAX's, of its threads; what Ray forks becomes another program immediately.
+                    # JAX warns of its threads, but Ray's forks become other programs immediately.
                     warnings.filterwarnings("ignore", r"os\.fork\(\) was called", RuntimeWarning)
                     _connect(ray, cluster, options)
-            except Exception as error:  # ConnectionError, RuntimeError, ...: as Ray likes
+            except Exception as error:  # Ray raises ConnectionError, RuntimeError and others
                 raise WorkerError(
                     f"can't reach the Ray cluster {cluster!r} ({describe(error)}); expected "
                     "'auto', the address of a running one ('ray start --head' prints it), or "
@@ -231,10 +231,10 @@ def connected(ray: Any, cluster: str, workers: int | None) -> Iterator[None]:
 
 
 def _connect(ray: Any, cluster: str, options: dict[str, Any]) -> None:
-    """``ray.init``; a local cluster that started too slowly is started a second time.
+    """Calls ``ray.init``, a second time if a local cluster started too slowly.
 
-    Ray gives its own processes 30 seconds, which a busy machine may exceed once, while their files
-    are read for the first time.
+    Ray gives its processes 30 seconds, which a busy machine may exceed while it reads their files
+    for the first time.
     """
     try:
         ray.init(address=cluster, **options)
@@ -247,9 +247,8 @@ def _connect(ray: Any, cluster: str, options: dict[str, Any]) -> None:
 
 @contextlib.contextmanager
 def _state_restored() -> Iterator[None]:
-    """Restores what Ray replaces in this process and does not give back.
-
-    That is SIGTERM, ``print``, the last word on errors, and the mode of authentication.
+    """Restores what Ray replaces in this process: SIGTERM's handler, ``print``,
+    ``sys.excepthook``, and the mode of authentication.
     """
     shown, hook, handler = builtins.print, sys.excepthook, signal.getsignal(signal.SIGTERM)
     mode = os.environ.get(_AUTH_MODE)
@@ -265,11 +264,11 @@ def _state_restored() -> Iterator[None]:
 
 
 def _check_address(cluster: str) -> None:
-    """Tries to connect to an address; Ray itself goes on trying for minutes.
+    """Tries to connect to an address, for which Ray itself would take minutes.
 
     Raises:
         OSError: nothing listens there.
-        ValueError: it has no port.
+        ValueError: the address has no port.
     """
     if cluster in (LOCAL, "auto"):
         return

@@ -1,7 +1,7 @@
-"""One function over many tasks: in this process, in processes of this machine, or on Ray.
+"""Runs a function over many tasks: in this process, in processes of this machine, or on Ray.
 
-Each worker is an executor of ``concurrent.futures`` with one process: when a process dies, the
-executor that breaks says whose task it was, and no other task is touched.
+Each worker is an executor of ``concurrent.futures`` with one process: when a process dies, its
+executor breaks, which identifies the task, and no other task is affected.
 """
 
 from __future__ import annotations
@@ -48,12 +48,12 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 _GRACE_S: Final = 5.0
-"""Time that a worker has to clean up before it is killed; compiling can't be interrupted [s]."""
+"""Time for a worker to clean up before it is killed [s]; compiling can't be interrupted."""
 
-_AGAIN_S: Final = 1.0
+_REPEAT_S: Final = 1.0
 _START_S: Final = 60.0
 _MESSAGE: Final = 2048
-"""Largest result that is sent through a pipe [bytes]; a pipe takes 4,096 as one."""
+"""Largest result that is sent through a pipe [bytes]; a pipe writes 4,096 atomically."""
 
 _TAIL: Final = 4096
 """Bytes of a dead worker's standard error that are read."""
@@ -67,28 +67,28 @@ def run_tasks(
     cluster: str | None = None,
     retries: int = 2,
 ) -> Generator[TaskResult[R]]:
-    """Calls a function with each task, several in parallel; results come as they finish.
+    """Call a function with each task, several in parallel.
 
-    Tasks are started in their order. An exception of the function is the result of its task and is
-    not tried again; a worker that dies (killed, out of memory), also while it sends a result, is
-    replaced and its task tried again. Nothing that goes wrong with one task touches another. Each
-    worker computes on one thread, which for small programs is faster than several. Where the caller
-    stops, by an exception, Ctrl-C or closing the iterator, the workers are stopped too.
+    Tasks are started in their order. An exception of the function is the result of its task,
+    without a retry. A worker that dies (killed, out of memory), also while it sends a result, is
+    replaced, and its task is retried. A failure of one task does not affect another. Each worker
+    computes on one thread, which is faster for small programs. When the caller stops, by an
+    exception, Ctrl-C or closing the iterator, the workers are stopped.
 
     Args:
-        function: importable by its module and name. Workers import it, so a script that calls this
-            needs the usual ``if __name__ == "__main__":``.
-        tasks: values that can be pickled; they, and what the function returns, travel between
-            processes, so large data is better named by a path.
-        workers: how many in parallel; None for as many as there are usable cores, or on a running
-            cluster CPUs. 0 without a cluster is none: the tasks run in this process, in turn.
+        function: a function that is importable by its module and name. Workers import it, so a
+            script that calls this needs ``if __name__ == "__main__":``.
+        tasks: values that can be pickled. They and the results are sent between processes, so
+            large data should be passed as a path.
+        workers: number of workers; None for all usable cores, or all CPUs of a running cluster.
+            With 0, and without a cluster, the tasks run in this process.
         cluster: None for processes on this machine; ``"auto"`` or the address of a running Ray
             cluster; ``"local"`` for a Ray started for this run. Nodes need this package, and the
             folders that tasks name.
-        retries: how often a task is tried again whose worker died.
+        retries: number of retries of a task whose worker died.
 
     Returns:
-        An iterator of one ``TaskResult`` per task, in the order in which they finish.
+        an iterator of one ``TaskResult`` per task, in the order in which they finish.
 
     Raises:
         ConfigError: a number is negative, or the function can't be sent to another process.
@@ -114,12 +114,12 @@ def run_groups(
     cluster: str | None = None,
     retries: int = 2,
 ) -> Generator[tuple[T, TaskResult[R]]]:
-    """Results of groups of work; a group at which workers die is split, each part tried alone.
+    """Run groups of work; a group whose workers die is split, and its parts run one by one.
 
     Args:
         function: as in ``run_tasks``.
-        groups: tasks that may hold several parts.
-        split: parts of a group, each a group of its own.
+        groups: tasks that may consist of several parts.
+        split: returns the parts of a group, each a group of its own.
         workers, cluster, retries: as in ``run_tasks``.
 
     Yields:
@@ -148,16 +148,15 @@ def usable_cores() -> int:
 
 
 class PersistentPool(Generic[T, R]):
-    """Processes that keep what they have compiled from one list of tasks to the next.
+    """Processes that keep their compiled programs from one list of tasks to the next.
 
-    For a search, whose next tasks depend on the results of the last. What ``run_tasks`` says of
-    failures and retries holds here too. Use it as a context manager: at its end the workers end.
+    It serves a search, whose next tasks depend on previous results. Failures and retries are as in
+    ``run_tasks``. Use it as a context manager: the workers end with the block.
 
     Args:
-        function: importable by its module and name.
-        workers: how many; None for as many as there are usable cores, 0 for none: tasks then run in
-            this process.
-        retries: how often a task is tried again whose worker died.
+        function: a function that is importable by its module and name.
+        workers: number of workers; None for all usable cores. With 0, tasks run in this process.
+        retries: number of retries of a task whose worker died.
 
     Raises:
         ConfigError: a number is negative, or the function can't be sent to another process.
@@ -184,7 +183,7 @@ class PersistentPool(Generic[T, R]):
                 ) from error
 
     def run(self, tasks: Sequence[T]) -> Generator[TaskResult[R]]:
-        """One result per task, in the order in which they finish; to be read to the end."""
+        """Yield one result per task, in the order in which they finish."""
         if not self._workers:
             for index, task in enumerate(tasks):
                 yield TaskResult(index, *timed(self._function, task), 1)
@@ -206,7 +205,7 @@ class PersistentPool(Generic[T, R]):
                     attempts[index] += 1
                     future, worker = self._submit(raw)
                     running[future] = index, worker, time.perf_counter()
-                yield from finished  # the workers have their next tasks meanwhile
+                yield from finished  # after the workers got their next tasks
                 finished.clear()
                 for future in wait(running, return_when=FIRST_COMPLETED).done:
                     index, worker, since = running.pop(future)
@@ -227,7 +226,7 @@ class PersistentPool(Generic[T, R]):
                 self.close()
 
     def _submit(self, raw: bytes) -> tuple[Future[bytes | str], _Worker]:
-        """Gives a pickled task to an idle worker, or to one that starts."""
+        """Submit a pickled task to an idle worker, or to a new one."""
         while True:
             if self._idle:
                 worker = self._idle.pop()
@@ -239,14 +238,14 @@ class PersistentPool(Generic[T, R]):
                     self._all.append(worker)
             try:
                 return worker.submit(raw), worker
-            except BrokenProcessPool:  # it died while it had no task
+            except BrokenProcessPool:  # it died while idle
                 self._bury(worker)
 
     def _bury(self, worker: _Worker) -> bool:
-        """Clears up after a death; False if the worker had not come to its first task.
+        """Clean up after the death of a worker; False if it died before its first task.
 
         Raises:
-            WorkerError: workers die at their start again and again.
+            WorkerError: workers repeatedly die at their start.
         """
         _end([worker])
         self._all.remove(worker)
@@ -261,7 +260,7 @@ class PersistentPool(Generic[T, R]):
         return False
 
     def _start_problem(self) -> str:
-        """Why workers die at their start, by what one more of them writes to standard error."""
+        """Reason why workers die at their start, from the standard error of another one."""
         with tempfile.TemporaryFile() as errors:
             before = os.dup(2)
             os.dup2(errors.fileno(), 2)
@@ -276,7 +275,7 @@ class PersistentPool(Generic[T, R]):
             errors.seek(max(0, errors.seek(0, os.SEEK_END) - _TAIL))
             text = errors.read().decode(errors="replace")
         print(text, end="", file=sys.stderr)
-        if "bootstrapping phase" in text:  # multiprocessing's own words
+        if "bootstrapping phase" in text:  # message of multiprocessing
             return (
                 "a script that starts workers needs 'if __name__ == \"__main__\":' around what it "
                 "does"
@@ -285,7 +284,7 @@ class PersistentPool(Generic[T, R]):
         return last[-300:] or "each worker needs memory for its own libraries: use fewer workers"
 
     def close(self) -> None:
-        """Ends the workers; those at a task may clean up first."""
+        """End the workers; those at a task can clean up first."""
         _end(self._all)
         self._all.clear()
         self._idle.clear()
@@ -326,12 +325,12 @@ def _answer(future: Future[bytes | str]) -> tuple[Any, str | None, float]:
 
 
 class _Context(SpawnContext):
-    """Starts a process by spawning, since fork is unsafe with JAX's threads, and remembers it."""
+    """A spawning context that stores its process; fork is unsafe with JAX's threads."""
 
     process: SpawnProcess
 
     def Process(self, *args: Any, **options: Any) -> SpawnProcess:  # type: ignore[override]
-        """A process that an executor is about to start."""
+        """Create the process of an executor."""
         self.process = SpawnProcess(*args, **options)
         return self.process
 
@@ -340,12 +339,12 @@ class _Worker:
     """An executor with one process.
 
     Args:
-        function: pickled.
+        function: the pickled function.
         slot: number of the worker.
-        folder: for large results.
+        folder: folder for large results.
 
     Attributes:
-        ready: done when the worker has the function.
+        ready: done once the worker has the function.
         process: the process.
     """
 
@@ -357,16 +356,16 @@ class _Worker:
         self._task: Future[bytes | str] | None = None
 
     def submit(self, raw: bytes) -> Future[bytes | str]:
-        """Gives a pickled task to the worker."""
+        """Submit a pickled task to the worker."""
         self._task = self._executor.submit(_work, raw)
         return self._task
 
     def started(self) -> bool:
-        """True if the worker came as far as its first task."""
+        """True if the worker was ready for its first task."""
         return self.ready.done() and self.ready.exception() is None
 
     def exit(self) -> str:
-        """The end of the process, for a message."""
+        """Exit status or signal of the process, for a message."""
         code = self.process.exitcode
         if code is not None and code < 0:
             with contextlib.suppress(ValueError):
@@ -374,7 +373,7 @@ class _Worker:
         return f"exit status {code}"
 
     def end(self) -> None:
-        """Ends the process; a task may clean up first."""
+        """End the process; a task can clean up first."""
         killer = threading.Timer(_GRACE_S, self.process.kill)
         killer.start()
         if not (self.started() if self._task is None else self._task.done()):
@@ -385,7 +384,7 @@ class _Worker:
 
 
 def _end(workers: Sequence[_Worker]) -> None:
-    # While the interpreter ends, no thread starts; concurrent.futures has ended the workers then.
+    # At the exit of the interpreter no thread can start; concurrent.futures then ends the workers.
     with (
         contextlib.suppress(RuntimeError),
         ThreadPoolExecutor(max(1, len(workers))) as threads,
@@ -395,8 +394,7 @@ def _end(workers: Sequence[_Worker]) -> None:
 
 @contextlib.contextmanager
 def _no_interrupt() -> Iterator[None]:
-    """A terminal's signals wait for the end of the block; a child that starts in it never gets
-    them."""
+    """Blocks a terminal's signals inside the block, and in a child that starts in it."""
     if not hasattr(signal, "pthread_sigmask") or threading.current_thread() is not (
         threading.main_thread()
     ):
@@ -413,7 +411,7 @@ def _no_interrupt() -> Iterator[None]:
 
 
 class _Stopped(BaseException):
-    """The parent ends this task; not an Exception, so that no function swallows it."""
+    """The parent ends this task; a BaseException, so that the function does not catch it."""
 
 
 _function: Callable[[Any], Any]
@@ -422,7 +420,7 @@ _busy = False
 
 
 def _begin(function: bytes, slot: int, folder: str) -> None:
-    """Prepares a worker: signals, one thread, the function."""
+    """Set up a worker: signals, one thread, the function."""
     global _function, _folder
     _folder = folder
     leave_to_parent()
@@ -437,10 +435,10 @@ def _begin(function: bytes, slot: int, folder: str) -> None:
 
 
 def _work(raw: bytes) -> bytes | str:
-    """Pickled value, error and seconds of a pickled task, or a file that holds them.
+    """Pickled value, error and seconds of a pickled task, or the path of a file with them.
 
-    An executor waits for ever for the rest of a message whose sender is killed, so that messages
-    must be small: those are written whole or not at all.
+    An executor would wait endlessly for the rest of a message whose sender is killed. Messages are
+    therefore small, and so written atomically.
     """
     global _busy
     try:
@@ -460,8 +458,8 @@ def _work(raw: bytes) -> bytes | str:
 def _stop(_signal: int, _frame: FrameType | None) -> None:
     if _busy:  # without a task the executor ends the process
         if hasattr(signal, "setitimer"):
-            # Once more in a while: raised in a callback of the garbage collector, it would be lost.
-            signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)
+            # Repeat it, since an exception in a callback of the garbage collector is lost.
+            signal.setitimer(signal.ITIMER_REAL, _REPEAT_S)
         raise _Stopped
 
 
@@ -471,7 +469,7 @@ def _unraisable(lost: sys.UnraisableHookArgs) -> None:
 
 
 def _die_with_parent() -> None:
-    # A parent that was killed closes nothing; a worker must not go on writing during a second run.
+    # A killed parent closes nothing, and its workers must not write during a second run.
     parent = parent_process()
     if parent is not None:
         connection.wait([parent.sentinel])

@@ -15,7 +15,7 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 DIED: Final = "WorkerDied"
-"""Begin of the error of a task whose workers died."""
+"""Beginning of the error of a task whose workers died."""
 
 
 @dataclass(frozen=True)
@@ -23,12 +23,11 @@ class TaskResult(Generic[R]):
     """The result of one task.
 
     Attributes:
-        index: its position among the tasks.
-        value: what the function returned; None if it failed.
-        error: why it failed, one line for a person with the type of the exception; None if it
-            did not.
-        seconds: time of the last attempt, without waiting for its turn [s].
-        attempts: number of starts; more than 1 if a worker died meanwhile.
+        index: position of the task.
+        value: value of the function; None after a failure.
+        error: type and text of the exception in one line; None without a failure.
+        seconds: time of the last attempt, without waiting [s].
+        attempts: number of starts; more than 1 if a worker died.
     """
 
     index: int
@@ -39,9 +38,9 @@ class TaskResult(Generic[R]):
 
 
 def timed(function: Callable[[T], R], task: T) -> tuple[R | None, str | None, float]:
-    """Value, error and seconds of one call; an exception of the function is a result too.
+    """Value, error and seconds of one call; an exception of the function becomes the error.
 
-    ``SystemExit`` counts as one: a library that leaves the program must not take a worker with it.
+    ``SystemExit``, too: a library that exits must not end a worker.
     """
     started = time.perf_counter()
     value: R | None = None
@@ -63,7 +62,7 @@ def packed_answer(function: Callable[[Any], Any], raw: bytes) -> bytes:
 
 
 def pack(value: Any, error: str | None, seconds: float = 0.0) -> bytes:
-    """Pickles the answer to a task."""
+    """Pickle the answer to a task."""
     return bytes(ForkingPickler.dumps((value, error, seconds)))
 
 
@@ -85,25 +84,26 @@ def death(attempts: int, how: str) -> str:
 
 @contextmanager
 def one_thread(slot: int) -> Iterator[Callable[[], None]]:
-    """Libraries that start their threads in this block start one.
+    """Limits libraries that start their threads inside the block to one thread.
 
-    Small programs are faster so: preset realtime takes 0.6 ms a frame on one of XLA's threads and
-    0.8 ms on two. And as many workers as cores do not fight over the cores.
+    Small programs are faster with one: preset realtime takes 0.6 ms a frame on one of XLA's threads
+    and 0.8 ms on two. Also, as many workers as cores then do not compete for the cores.
 
-    XLA and BLAS size their pools once, by the cores that the process may use at that moment; so it
-    may use one, and all of them again afterwards, since a worker that is tied to one core waits
-    where another process needs that core. XLA's own switch (``xla_cpu_multi_thread_eigen``) is not
-    touched: it changes the compiled program, and with it the last bits of the results.
+    XLA and BLAS size their pools once, by the cores that the process may use at that time. The
+    process may therefore use one core in the block, and all of them afterwards, since a worker on a
+    single core waits while another process uses that core. XLA's switch
+    (``xla_cpu_multi_thread_eigen``) is not set: it changes the compiled program, and with it the
+    last bits of the results.
 
-    Where a process can't choose its cores (macOS, Windows) nothing is limited; the results are
-    the same.
+    On systems without a choice of cores (macOS, Windows) nothing is limited; the results are the
+    same.
 
     Args:
         slot: number of the worker; neighbours start on different cores.
 
     Yields:
-        a function to call when all libraries are imported: XLA, where it is there, then starts its
-        threads immediately and not at its first use.
+        a function to call after all libraries are imported, with which XLA, if it is imported,
+        starts its threads immediately rather than at its first use.
     """
     # Several processes share an accelerator; by default the first would take all its memory.
     os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
@@ -121,10 +121,10 @@ def one_thread(slot: int) -> Iterator[Callable[[], None]]:
 
 
 def _start_threads() -> None:
-    # Not imported: who does not compute with JAX must not wait for it.
+    # Not imported here, since workers without JAX must not wait for it.
     jax: Any = sys.modules.get("jax")
     if jax is not None:
         with suppress(AttributeError):  # a JAX that has no such option
-            # On the thread that calls: the other one would wait for it, and be woken for nothing.
+            # Compute on the calling thread, which would only wait for another one.
             jax.config.update("jax_cpu_enable_async_dispatch", False)
         jax.devices()

@@ -1,7 +1,7 @@
-"""Results of long computations, kept in a folder and found again while they are still valid.
+"""Store of the results of long computations in a folder, reused while they are valid.
 
-Knows nothing of hands: a result has a key, which is any JSON, and the digest of the code that
-computed it.
+The package is independent of hands: a result has a key, which is any JSON, and the digest of the
+code that computed it.
 """
 
 from smooth_operator.result_cache.cache import ArrayCache as ArrayCache

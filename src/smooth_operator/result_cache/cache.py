@@ -1,4 +1,4 @@
-"""Results on disk, found again by their key and the digest of the code that computed them."""
+"""Results on disk, identified by a key and the digest of the code that computed them."""
 
 from __future__ import annotations
 
@@ -21,47 +21,46 @@ from smooth_operator.parallel import TaskResult
 T = TypeVar("T")
 
 Note: TypeAlias = Callable[[str], None]
-"""Called with a sentence for a person: which results could not be used, and why."""
+"""Function that shows a message: results that could not be used, and the reason."""
 
 MOST_BYTES: Final = 100_000_000
-"""Largest JSON file that is read."""
+"""Largest accepted JSON file."""
 
 
 def key_digest(key: object) -> str:
-    """SHA-256 of anything that has a JSON form, in hexadecimal."""
+    """SHA-256 of a value with a JSON form, in hexadecimal."""
     return hashlib.sha256(to_json(key).encode()).hexdigest()
 
 
 def content_name(prefix: str, key: object) -> str:
-    """Name of a result that only its key identifies."""
+    """Name of a result that is identified by its key alone."""
     return f"{prefix}-{key_digest(key)[:20]}"
 
 
 def outdated(count: int, place: Path) -> str:
-    """A sentence about results of other code."""
+    """Message about results of other code."""
     results = "1 result" if count == 1 else f"{count} results"
     return f"{results} in {place} came from another version of the code: computed again"
 
 
 def no_note(text: str) -> None:
-    """For a caller that shows no notes."""
+    """A ``Note`` that shows nothing."""
 
 
 class ResultCache:
-    """Results as JSON files in a folder.
+    """Store of results as JSON files in a folder.
 
-    A result is found if its key and the digest of the code are those that it was kept with. A
-    file that is damaged, or from other code, counts as missing, and the next result of that name
-    replaces it. Files are replaced as a whole, so that several processes may share a folder: the
-    last one to keep a result of a name wins.
+    A stored result is valid for its key and its digest of the code. A file that is damaged, or from
+    other code, counts as missing, and the next result of that name replaces it. Files are replaced
+    atomically, so several processes may share a folder: the last result of a name wins.
 
     Args:
-        folder: made when needed.
-        note: called with what could not be used.
-        other_code: use results of other code too; ``found_by_other_code`` names them.
+        folder: the folder; created if necessary.
+        note: shows messages about results that could not be used.
+        other_code: True to use also results of other code; ``found_by_other_code`` has their names.
 
     Raises:
-        OutputError: the folder can't be made.
+        OutputError: the folder can't be created.
     """
 
     suffix: ClassVar[str] = ".json"
@@ -84,11 +83,11 @@ class ResultCache:
 
         Args:
             name: name of its file, without the suffix.
-            key: all that it depends on, but for code; anything with a JSON form.
+            key: all that the result depends on besides code; any value with a JSON form.
             code: digest of the code that computes it.
 
         Returns:
-            The value, or None if there is none that is whole, of this key and of this code.
+            the value; None if there is no undamaged one of this key and this code.
         """
         path = self.path(name)
         try:
@@ -110,16 +109,16 @@ class ResultCache:
         return value
 
     def keep(self, name: str, key: object, code: str, value: Any) -> None:
-        """Writes a result; it is on the disk when this returns.
+        """Write a result, with a flush to the disk.
 
         Args:
             name: name of its file, without the suffix.
             key: as in ``find``.
             code: as in ``find``.
-            value: a value that this kind of cache holds.
+            value: a value of this kind of store.
 
         Raises:
-            OutputError: it can't be written.
+            OutputError: the file can't be written.
             ConfigError: key or value have no JSON form.
         """
         self.found_by_other_code.discard(name)
@@ -141,7 +140,7 @@ class ResultCache:
 
 
 class ArrayCache(ResultCache):
-    """Results as ``.npz`` files: each a mapping from names to arrays."""
+    """Store of results as ``.npz`` files; each result is a mapping from names to arrays."""
 
     suffix: ClassVar[str] = ".npz"
 
@@ -163,15 +162,15 @@ class ArrayCache(ResultCache):
 
 
 class ResultLog:
-    """Results as lines of a file; one process writes at a time.
+    """Store of results as lines of a file, for one writing process at a time.
 
-    A line has the fields of the result, and ``key`` and ``code`` as a ``ResultCache`` has. Lines of
-    other keys or other code stay and are not used. Half a line, which a killed process leaves, is
-    cut off.
+    A line has the fields of the result, and ``key`` and ``code`` as in a ``ResultCache``. Lines of
+    other keys or other code stay and are not used. An incomplete line of a killed process is
+    removed.
 
     Args:
-        path: the file; made with the first result.
-        note: called with what could not be used.
+        path: the file; created with the first result.
+        note: shows messages about lines that could not be used.
 
     Raises:
         OutputError: the file can't be read.
@@ -198,8 +197,8 @@ class ResultLog:
         """A stored result; None if there is none of this key and this code.
 
         Args:
-            name: not used; results of a ``ResultCache`` have one.
-            key: all that it depends on, but for code; anything with a JSON form.
+            name: not used; for the interface of ``ResultCache``.
+            key: all that the result depends on besides code; any value with a JSON form.
             code: digest of the code that computes it.
         """
         digest = key_digest(key)
@@ -208,10 +207,10 @@ class ResultLog:
         return value
 
     def keep(self, name: str, key: object, code: str, value: Mapping[str, Any]) -> None:
-        """Appends a result; it is on the disk when this returns.
+        """Append a result, with a flush to the disk.
 
         Raises:
-            OutputError: it can't be written.
+            OutputError: the file can't be written.
         """
         record = {"key": key_digest(key), "code": code}
         try:
@@ -242,24 +241,24 @@ class ResultLog:
 
 
 Execute: TypeAlias = Callable[[Sequence[T]], Iterable[TaskResult[Any]]]
-"""Computes tasks in any order; ``run_tasks`` with a function, or ``PersistentPool.run``."""
+"""Function that computes tasks in any order, such as ``PersistentPool.run``."""
 
 
 Cache: TypeAlias = "ResultCache | ResultLog"
-"""Results on disk."""
+"""A store of results."""
 
 
 @dataclass(frozen=True, eq=False)
 class Job(Generic[T]):
-    """A computation whose result may be on disk already.
+    """A computation whose result may be in a store.
 
     Attributes:
-        name: name of its file; unique among the results of a cache.
-        key: all that the result depends on, but for code; anything with a JSON form.
+        name: name of its file, unique in the store.
+        key: all that the result depends on besides code; any value with a JSON form.
         code: digest of the code that computes it.
-        task: value that ``execute`` works on.
+        task: argument of the computation.
         label: name for a person.
-        effort: about how long it takes; only the proportions matter.
+        effort: relative duration.
     """
 
     name: str
@@ -276,10 +275,10 @@ class JobResult(Generic[T]):
 
     Attributes:
         job: the job.
-        value: its result; None if it failed.
-        error: why it failed; None if it did not.
-        seconds: how long it took now [s]; 0 if the result was there.
-        fresh: computed now.
+        value: its result; None after a failure.
+        error: reason of the failure; None without one.
+        seconds: time of the computation [s]; 0 for a stored result.
+        fresh: True for a result that was computed now.
     """
 
     job: Job[T]
@@ -290,7 +289,7 @@ class JobResult(Generic[T]):
 
 
 def find_results(jobs: Sequence[Job[T]], cache: Cache) -> tuple[list[JobResult[T]], list[Job[T]]]:
-    """The results that are there, and the jobs that have none."""
+    """Stored results of jobs, and the jobs without one."""
     finished, missing = [], []
     for job in jobs:
         value = cache.find(job.name, job.key, job.code)
@@ -303,7 +302,7 @@ def find_results(jobs: Sequence[Job[T]], cache: Cache) -> tuple[list[JobResult[T
 
 
 def longest_first(jobs: Iterable[Job[T]]) -> list[Job[T]]:
-    """Jobs in an order in which no worker begins a long one while the others have nothing left."""
+    """Jobs by falling effort, so that no worker begins a long one when the others are done."""
     return sorted(jobs, key=lambda job: -job.effort)
 
 
@@ -317,13 +316,13 @@ def compute_results(
     execute: Execute[T],
     value: Callable[[Job[T], TaskResult[Any]], Any] = _value,
 ) -> Iterator[JobResult[T]]:
-    """Computes jobs, and keeps each result as soon as it is there.
+    """Compute jobs, and store each result as soon as it is there.
 
     Args:
-        jobs: computations, in the order in which they are begun.
+        jobs: computations in the order of their starts.
         cache: store of the results.
         execute: computes their tasks.
-        value: makes the value to store from the result of a task; None stores nothing.
+        value: converts the result of a task to the value to store; None stores nothing.
 
     Raises:
         OutputError: a result can't be written.
@@ -341,7 +340,7 @@ def compute_results(
     finally:
         close = getattr(results, "close", None)
         if close is not None:
-            close()  # ends the workers now, and not when the generator is collected
+            close()  # end the workers now rather than at garbage collection
 
 
 def run_jobs(
@@ -350,7 +349,7 @@ def run_jobs(
     execute: Execute[T],
     value: Callable[[Job[T], TaskResult[Any]], Any] = _value,
 ) -> Iterator[JobResult[T]]:
-    """Results of jobs: those that are there first, then the others as they are computed and kept.
+    """Results of jobs: the stored ones first, then the others as they are computed and stored.
 
     Args:
         jobs: computations.

@@ -15,18 +15,17 @@ HOME: Final = Path(__file__).resolve().parents[1]
 
 @cache
 def code_digest(*names: str, home: Path = HOME) -> str:
-    """SHA-256 of some files and folders of this package, the data files in them included.
+    """SHA-256 of names and contents of some files and folders of this package.
 
     Args:
-        names: paths relative to ``home``; a folder stands for all files below it.
+        names: paths relative to ``home``; a folder stands for all files below it, data included.
         home: folder of the package.
 
     Returns:
-        The digest, hexadecimal; it covers names and contents of the files.
+        the digest, hexadecimal.
 
     Raises:
-        FileNotFoundError: a path does not exist. A digest without it would not notice a change of
-            code that has moved.
+        FileNotFoundError: a path does not exist; perhaps the code has moved.
     """
     total = hashlib.sha256()
     for name in names:
@@ -45,15 +44,15 @@ def code_digest(*names: str, home: Path = HOME) -> str:
 def imported_modules(
     *start: str, leave_out: tuple[str, ...] = (), home: Path = HOME
 ) -> tuple[str, ...]:
-    """Files of the modules that some modules import from this package, directly or not.
+    """Files of the modules of this package that some modules import, directly or indirectly.
 
     Args:
-        start: files relative to ``home``; they are part of the answer.
-        leave_out: files that are neither part of the answer nor followed.
+        start: files relative to ``home``; they are included.
+        leave_out: files that are neither included nor followed.
         home: folder of the package.
 
     Returns:
-        Paths relative to ``home``, sorted, for ``code_digest``.
+        sorted paths relative to ``home``, for ``code_digest``.
 
     Raises:
         FileNotFoundError: a file of ``start`` or ``leave_out`` does not exist.
@@ -76,7 +75,7 @@ def imported_modules(
 
 @cache
 def _imports(path: Path, home: Path) -> tuple[Path, ...]:
-    """Modules of this package that one imports, in functions too."""
+    """Modules of this package that a module imports, also in functions."""
     names: list[str] = []
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.ImportFrom) and node.module:

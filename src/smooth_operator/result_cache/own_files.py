@@ -1,10 +1,10 @@
-"""Folders and files that no other user can have written, for what is executed or kept secret.
+"""Checks that no other user can write a folder or file, for programs and secrets.
 
-The rule is the one that OpenSSH has for its keys: the file and its folder belong to this user, each
-folder above to this user or root, and others can write none of them; above, a folder such as
-``/tmp`` is allowed, where the sticky bit keeps others from renaming what is not theirs. Extended
-access lists are not looked at. Windows has neither owner nor mode here: a folder in the user's
-profile is guarded by its access list, and only the kind and the size of a file are checked.
+The rule is that of OpenSSH for its keys: the file and its folder belong to this user, each folder
+above to this user or root, and others can't write them. A folder above may be like ``/tmp``, whose
+sticky bit prevents others from renaming foreign files. Extended access lists are not checked. On
+Windows, access lists protect a folder in the user's profile, and only the kind and size of a file
+are checked.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ _OTHERS: Final = stat.S_IRWXG | stat.S_IRWXO
 
 
 def make_private(folder: Path) -> None:
-    """Makes a folder and those above it that are missing, for this user alone.
+    """Create a folder, and missing ones above it, for this user alone.
 
     Raises:
-        OSError: it can't be made.
+        OSError: the folder can't be created.
     """
     if not folder.is_dir():
         make_private(folder.parent)
@@ -32,13 +32,13 @@ def make_private(folder: Path) -> None:
 
 
 def folder_problem(folder: Path) -> str:
-    """Who else can change what is in a folder, and what to do; empty if no other user can.
+    """Reason why another user can change a folder's content, with advice; empty if none can.
 
-    Looked at from the root down: once a folder is known to be closed, no other user can exchange
-    what the next look is at. Links in the path are followed first.
+    The check goes from the root down: below a folder that no other user can change, none can
+    exchange the next one. Links in the path are resolved first.
 
     Raises:
-        OSError: the folder, or one above it, can't be looked at.
+        OSError: the folder, or one above it, can't be read.
     """
     if not hasattr(os, "geteuid"):
         return ""
@@ -59,12 +59,12 @@ def folder_problem(folder: Path) -> str:
 
 
 def file_problem(status: os.stat_result, most_bytes: int, secret: bool = False) -> str:
-    """Why a file is not used; empty if it is this user's own, plain, and not too long.
+    """Reason not to use a file; empty if it is a plain file of this user and not too long.
 
     Args:
-        status: status of the file that was opened (``os.fstat``), or of one in a closed folder.
-        most_bytes: how long it may be.
-        secret: others may not read it, either.
+        status: status of the open file (``os.fstat``), or of a file in a protected folder.
+        most_bytes: largest size.
+        secret: True if others must not be able to read it, either.
     """
     if not stat.S_ISREG(status.st_mode):
         return "it is not a plain file"
@@ -79,15 +79,15 @@ def file_problem(status: os.stat_result, most_bytes: int, secret: bool = False) 
 
 
 def read_own_file(path: Path, most_bytes: int, secret: bool = False) -> bytes:
-    """The content of a file of this user; links are not followed, and a pipe is not waited for.
+    """Read a file of this user, without following links and without waiting for a pipe.
 
     Args:
-        path: the file's path.
+        path: the file.
         most_bytes, secret: see ``file_problem``.
 
     Raises:
         OSError: there is no such file, it is a link, or it can't be read.
-        DocumentError: see ``file_problem``.
+        DocumentError: ``file_problem`` gives a reason.
     """
     flags = (getattr(os, name, 0) for name in ("O_NOFOLLOW", "O_NONBLOCK", "O_BINARY"))
     handle = os.open(path, os.O_RDONLY | sum(flags))

@@ -1,4 +1,4 @@
-"""The folder for what can be made or fetched again."""
+"""Folder of this program in the user's cache."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from pathlib import Path
 from typing import Final
 
 SWITCH: Final = "SMOOTH_OPERATOR_CACHE"
-"""Environment variable: another folder; or ``off``, where something need not be kept at all."""
+"""Environment variable that names another folder, or ``off`` for no cache."""
 
 OFF: Final = ("off", "0", "no", "false", "none")
-"""Values of ``SWITCH`` that name no folder."""
+"""Values of ``SWITCH`` for no cache."""
 
 
 def user_cache() -> Path:
-    """This program's folder among the user's caches; it need not exist.
+    """Folder of this program in the user's cache; it need not exist.
 
     ``SWITCH``, or ``~/.cache/smooth-operator`` (or under ``XDG_CACHE_HOME``) on Linux,
     ``~/Library/Caches/smooth-operator`` on macOS, ``%LOCALAPPDATA%\\smooth-operator`` on Windows.

@@ -1,4 +1,4 @@
-"""A hand's own directions, at right angles to each other."""
+"""Orthogonal directions of a hand: distal, radial, palmar."""
 
 from __future__ import annotations
 

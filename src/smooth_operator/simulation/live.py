@@ -1,4 +1,4 @@
-"""What trials and pages need of a running simulation of hands."""
+"""Interface of a running simulation of hands, as trials and pages use it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Watcher = Callable[[SceneState, Float[np.ndarray, " n"]], None]
 
 
 class SimulatedHand(Protocol):
-    """Where a simulated hand is."""
+    """State of a simulated hand."""
 
     @property
     def positions(self) -> Float[np.ndarray, " n"]:
@@ -27,12 +27,12 @@ class SimulatedHand(Protocol):
 
     @property
     def time(self) -> float:
-        """For which moment, by the loop's clock [s]."""
+        """Time of the state, by the clock of the loop [s]."""
         ...
 
 
 class LiveSimulation(Protocol):
-    """A running simulation of hands and what they work on, such as the sink ``mujoco``."""
+    """A running simulation of hands and their objects, such as the sink ``mujoco``."""
 
     @property
     def task_now(self) -> str:
@@ -45,11 +45,11 @@ class LiveSimulation(Protocol):
         ...
 
     def state(self, side: Side) -> SimulatedHand | None:
-        """Where a hand is now; safe from any thread. None while there is no such hand."""
+        """Current state of a hand, None without such a hand. Safe from any thread."""
         ...
 
     def scene_state(self, side: Side) -> SceneState | None:
-        """Where the object is now; safe from any thread. None without a task or such a hand."""
+        """Current state of the object, None without a task or such a hand. Safe from any thread."""
         ...
 
     def arm_base(self, side: Side) -> Matrix | None:
@@ -74,17 +74,17 @@ class LiveSimulation(Protocol):
         ...
 
     def watch(self, side: Side, watcher: Watcher | None) -> None:
-        """Call ``watcher`` after each step of the physics; None ends it."""
+        """Call ``watcher`` after each step of the physics; None ends the calls."""
         ...
 
     def reset_object(self, side: Side) -> int:
-        """Put the object back; the number of the world from then on."""
+        """Put the object back to its start. Returns the number of the world from then on."""
         ...
 
     def freeze(self, side: Side, frozen: bool) -> None:
-        """Have a hand and its scene stand still, their clock included, or go on."""
+        """Stop the physics and the clock of a hand and its scene, or let them go on."""
         ...
 
     def put_away(self, side: Side) -> None:
-        """Go on without the object, until it is put back."""
+        """Take the object out until it is put back."""
         ...

@@ -1,4 +1,4 @@
-"""One robot hand under physics: commands in, joint positions out, as fast as one likes."""
+"""A robot hand under MuJoCo physics: joint commands in, joint positions out."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from smooth_operator.simulation.arms.carried import CarriedHand
 from smooth_operator.simulation.physics_model import build_physics
 
 _RUNAWAY = 500.0
-"""No finger turns this fast [rad/s]: the physics has come apart."""
+"""Joint velocity above which the simulation counts as diverged [rad/s]."""
 
 
 class HandPhysics:
@@ -22,16 +22,16 @@ class HandPhysics:
 
     Args:
         hand: the robot hand.
-        timestep: of the physics [s].
-        bandwidth: of the servos [Hz]; higher follows faster and pushes harder.
+        timestep: time step of the physics [s].
+        bandwidth: bandwidth of the servos [Hz]. A higher one follows faster and pushes harder.
         gravity: pull along -z of the model's world.
-        furnish: what is around the hand, see ``build_physics``.
-        carried: the arm that ``furnish`` has put the hand on; None for a fixture.
+        furnish: adds the surroundings of the hand, see ``build_physics``.
+        carried: the arm on which ``furnish`` puts the hand; None for a fixture.
 
     Attributes:
         time: simulated time [s].
-        carried: the arm that carries the hand, on its place; None on a fixture.
-        resets: how often the physics came apart, and was set back to the command.
+        carried: the arm that carries the hand; None on a fixture.
+        resets: number of times that the simulation diverged and was reset to the command.
     """
 
     def __init__(
@@ -75,7 +75,7 @@ class HandPhysics:
         return self._data
 
     def restart(self) -> None:
-        """Begin again: time 0, at rest in the neutral pose."""
+        """Reset to time 0, at rest in the neutral pose."""
         self.time = self._due = 0.0
         self.resets = 0
         self._target = self.hand.neutral.copy()
@@ -84,35 +84,36 @@ class HandPhysics:
 
     @property
     def positions(self) -> Float[np.ndarray, " n"]:
-        """(n,) where the joints are [rad], in the order of ``hand.joint_names``."""
+        """(n,) positions of the joints [rad], in the order of ``hand.joint_names``."""
         return np.array(self._data.qpos[self._built.qpos])
 
     @property
     def arm_positions(self) -> Float[np.ndarray, " a"] | None:
-        """(a,) where the joints of the arm are [rad]; None without an arm."""
+        """(a,) positions of the joints of the arm [rad]; None without an arm."""
         return None if self._arm is None else np.array(self._data.qpos[self._arm.qpos])
 
     @property
     def velocities(self) -> Float[np.ndarray, " n"]:
-        """(n,) how fast they turn [rad/s]."""
+        """(n,) velocities of the joints [rad/s]."""
         return np.array(self._data.qvel[self._built.dofs])
 
     @property
     def timestep(self) -> float:
-        """Of the physics [s]."""
+        """Time step of the physics [s]."""
         return float(self._built.model.opt.timestep)
 
     @property
     def contacts(self) -> int:
-        """How many pairs of shapes touch."""
+        """Number of contacts."""
         return int(self._data.ncon)
 
     def command(self, positions: Float[np.ndarray, " n"]) -> None:
         """Set the servos' targets.
 
         Args:
-            positions: (n,) positions of all joints [rad]; coupled ones follow by themselves. What
-                is not finite stays as it is, and the rest is kept within the limits.
+            positions: (n,) positions of all joints [rad]. Coupled joints follow their leaders. A
+                value that is not finite leaves its target unchanged; others are clipped to the
+                limits.
         """
         targets = np.asarray(positions, float)[self._actuated]
         targets = np.clip(targets, self.hand.limits[:, 0], self.hand.limits[:, 1])
@@ -120,10 +121,10 @@ class HandPhysics:
         self._data.ctrl[self._built.controls] = self._target
 
     def command_arm(self, positions: Float[np.ndarray, " a"]) -> None:
-        """Set the targets of the arm's servos; nothing happens without an arm.
+        """Set the targets of the arm's servos; does nothing without an arm.
 
         Args:
-            positions: (a,) of its joints [rad]; what is not finite stays as it is.
+            positions: (a,) targets [rad]. A value that is not finite leaves its target unchanged.
         """
         if self._arm is not None:
             finite = np.isfinite(positions)
@@ -131,22 +132,22 @@ class HandPhysics:
             self._data.ctrl[self._arm.controls] = self._arm_target
 
     def hold(self) -> None:
-        """Stay where the hand is now, and the arm."""
+        """Make the current positions of hand and arm their targets."""
         self.command(self.positions)
         arm = self.arm_positions
         if arm is not None:
             self.command_arm(arm)
 
     def advance(self, seconds: float) -> bool:
-        """Let time pass, in whole steps; what is left over counts next time.
+        """Simulate whole time steps; the remainder is added to the next call.
 
         Args:
-            seconds: how much [s].
+            seconds: simulated time to add [s].
 
         Returns:
-            whether all went well; False if the physics came apart and was set back.
+            False if the simulation diverged and was reset, else True.
         """
-        step = float(self._built.model.opt.timestep)
+        step = self.timestep
         self._due += seconds
         count = int(self._due / step + 1e-9)
         if count <= 0:
@@ -154,7 +155,7 @@ class HandPhysics:
         self._due -= count * step
         self.time += count * step
         self._step(count)
-        # A number that is not finite fails the comparison too.
+        # A NaN fails the comparison, too.
         if np.abs(self._data.qvel).max() < _RUNAWAY and np.isfinite(self._data.qpos).all():
             return True
         self.resets += 1
@@ -165,7 +166,7 @@ class HandPhysics:
         mujoco.mj_step(self._built.model, self._data, count)
 
     def _place(self, target: Float[np.ndarray, " m"]) -> None:
-        """Put the hand at rest into a pose."""
+        """Set the hand to a pose, at rest."""
         mujoco.mj_resetData(self._built.model, self._data)
         self._data.qpos[self._built.qpos] = self.hand.full_configuration(target)
         self._data.ctrl[self._built.controls] = target

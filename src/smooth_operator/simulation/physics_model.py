@@ -1,10 +1,9 @@
-"""A robot hand's model made fit for physics: servos on its joints, couplings, contacts, a fixture.
+"""MuJoCo model of a robot hand for physics: servos, couplings, contacts, a fixture.
 
-Models of hands are made for kinematics or for one vendor's simulator: most lack actuators, their
-rotors or sensible damping, and where they have them, no two agree. So all hands are given the same
-servo here: its stiffness follows from the inertia that it moves and a bandwidth, its damping is
-critical, and its torque is limited to what the maker states (``HandSpec.torque``), so that a finger
-that is blocked pushes as hard as the real one.
+Models of hands are made for kinematics or for one vendor's simulator: most lack actuators, rotors
+or sensible damping. Every hand therefore gets the same servo here. Its stiffness follows from the
+inertia that it moves and a bandwidth, its damping is critical, and its torque is limited to the
+maker's figure (``HandSpec.torque``), so that a blocked finger pushes as hard as the real one.
 """
 
 from __future__ import annotations
@@ -18,29 +17,30 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from smooth_operator.errors import HandModelError
+from smooth_operator.hands.collision import parts_above
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.loading import load_spec
-from smooth_operator.simulation.arms.arm_model import add_servo
+from smooth_operator.simulation.arms.arm import add_servo, inertia_matrix
 
 ARMATURE: Final = 5e-4
 """Inertia of a finger motor's rotor behind its gears, at least [kg m^2]."""
 
 FURNISHED: Final = "hand/"
-"""Before the names of all that is the hand's, in a model with more than a hand in it."""
+"""Prefix of the hand's names in a model that holds more than a hand."""
 
 TORQUE: Final = 0.6
-"""Most torque of a finger's motor in a scene [N m] where its maker's figure is not known: about
-10 N at a fingertip 6 cm away."""
+"""Torque limit of a finger's motor in a scene [N m] without a figure of its maker: about 10 N at a
+fingertip 6 cm away."""
 
 _ACCELERATION: Final = 2000.0
-"""What a servo's torque can do to its inertia [rad/s^2], where nothing lies in the hand and the
-maker's figure is not known; the loop's own limit is below it."""
+"""Acceleration that the torque limit allows [rad/s^2] for an empty hand without a figure of its
+maker; above the acceleration limit of the live loop."""
 
 _STOP_S: Final = 0.005
-"""Time constant of the joints' end stops [s]; MuJoCo's own give way by degrees."""
+"""Time constant of the joints' end stops [s]; MuJoCo's default yields by degrees of angle."""
 
 _TOUCHING: Final = 1e-4
-"""Shapes that are this near each other at rest are drawn fatter than the parts they are [m]."""
+"""Distance at rest below which two shapes never collide [m]: shapes are larger than real parts."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,8 +50,8 @@ class PhysicsModel:
     Attributes:
         model: the model.
         qpos: (n,) address of each joint of the hand among the model's positions.
-        dofs: (n,) the same among its velocities.
-        controls: (m,) its servos among the controls.
+        dofs: (n,) address of each joint among its velocities.
+        controls: (m,) address of each servo among its controls.
     """
 
     model: mujoco.MjModel
@@ -68,18 +68,18 @@ def build_physics(
     gravity: bool = False,
     furnish: Callable[[mujoco.MjSpec], mujoco.MjSpec] | None = None,
 ) -> PhysicsModel:
-    """Make a hand's model fit for physics.
+    """Build a hand's model for physics.
 
-    The palm stands on a fixture: joints that are not the hand's, as an arm's, are taken out. Bodies
-    next to each other do not collide, nor those whose shapes overlap at rest.
+    The palm stands on a fixture; joints that are not the hand's, such as an arm's, are removed.
+    Neighbouring bodies do not collide, nor bodies whose shapes overlap at rest.
 
     Args:
         hand: the robot hand.
-        timestep: of the physics [s].
-        bandwidth: of the servos [Hz].
+        timestep: time step of the physics [s].
+        bandwidth: bandwidth of the servos [Hz].
         gravity: pull along -z of the model's world.
-        furnish: takes the hand on its servos and gives a world with the hand in it, under names
-            that begin with ``FURNISHED``, and with what else there is.
+        furnish: puts the hand's model with its servos into a world, under names that begin with
+            ``FURNISHED``, and returns that world.
 
     Raises:
         HandModelError: MuJoCo can't compile the result.
@@ -91,7 +91,7 @@ def build_physics(
         raise HandModelError(f"hand {hand.name!r} can't be simulated: {error}") from error
     inertia = _inertia(hand, model)
     pairs = _never_collide(hand, model)
-    spec = _bare(hand, timestep, gravity)  # afresh: compiling fills in what is then fixed
+    spec = _bare(hand, timestep, gravity)  # a new one: compiling fixes values in a spec
     for first, second in pairs:
         exclude = spec.add_exclude()
         exclude.bodyname1, exclude.bodyname2 = first, second
@@ -116,7 +116,7 @@ def build_physics(
 
 
 def _bare(hand: Hand, timestep: float, gravity: bool) -> mujoco.MjSpec:
-    """The hand on its fixture, without actuators, with the couplings that were found in it."""
+    """The hand on its fixture, without actuators, with its couplings as equalities."""
     spec = load_spec(hand.spec.model, mirror=hand.spec.mirror)
     own = set(hand.joint_names)
     joint_equality = mujoco.mjtEq.mjEQ_JOINT
@@ -145,32 +145,27 @@ def _bare(hand: Hand, timestep: float, gravity: bool) -> mujoco.MjSpec:
     option.timestep = timestep
     option.gravity = (0.0, 0.0, -9.81 if gravity else 0.0)
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)  # we see to that, and say so
+    option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)  # ``HandPhysics`` resets
     return spec
 
 
 def _inertia(hand: Hand, model: mujoco.MjModel) -> Float[np.ndarray, " m"]:
-    """What each servo has to move, followers included, in the neutral pose [kg m^2]."""
+    """(m,) inertia at each servo in the neutral pose, coupled joints included [kg m^2]."""
     data = mujoco.MjData(model)
     addresses = [int(model.joint(name).qposadr[0]) for name in hand.joint_names]
     dofs = [int(model.joint(name).dofadr[0]) for name in hand.joint_names]
     data.qpos[addresses] = hand.full_configuration(hand.neutral)
     mujoco.mj_forward(model, data)
-    full = np.zeros((model.nv, model.nv))
-    try:
-        mujoco.mj_fullM(model, data, full)
-    except TypeError:  # up to MuJoCo 3.3 it takes the packed matrix, and the result comes first
-        mujoco.mj_fullM(model, full, data.qM)
     matrix = hand.coupling_matrix
-    reduced = matrix.T @ full[np.ix_(dofs, dofs)] @ matrix
+    reduced = matrix.T @ inertia_matrix(model, data)[np.ix_(dofs, dofs)] @ matrix
     return np.asarray(np.diag(reduced))
 
 
 def _never_collide(hand: Hand, model: mujoco.MjModel) -> list[tuple[str, str]]:
-    """Bodies that are joined, directly or over one small link, or overlap in the neutral pose.
+    """Pairs of bodies that are joined, directly or over one link, or overlap in the neutral pose.
 
-    MuJoCo leaves out a body and its parent, but not where the parent is fixed to the world, as the
-    palm on its fixture is.
+    MuJoCo itself excludes a body and its parent, except where the parent is fixed to the world, as
+    the palm on its fixture is.
     """
     data = mujoco.MjData(model)
     data.qpos[[int(model.joint(name).qposadr[0]) for name in hand.joint_names]] = (
@@ -181,7 +176,7 @@ def _never_collide(hand: Hand, model: mujoco.MjModel) -> list[tuple[str, str]]:
     shaped = [b for b in range(model.nbody) if model.body_geomnum[b]]
     pairs: set[tuple[int, int]] = set()
     for one in shaped:
-        parts = _above(model, int(weld[one]))
+        parts = parts_above(model, int(weld[one]))[:2]
         pairs |= {
             (min(one, other), max(one, other))
             for other in shaped
@@ -192,12 +187,3 @@ def _never_collide(hand: Hand, model: mujoco.MjModel) -> list[tuple[str, str]]:
             one, other = sorted(int(model.geom_bodyid[g]) for g in contact.geom)
             pairs.add((one, other))
     return [(model.body(a).name, model.body(b).name) for a, b in sorted(pairs) if a]
-
-
-def _above(model: mujoco.MjModel, part: int) -> list[int]:
-    """The two parts that a part hangs from."""
-    above: list[int] = []
-    while part and len(above) < 2:
-        part = int(model.body_weldid[model.body_parentid[part]])
-        above.append(part)
-    return above

@@ -45,10 +45,10 @@ def open_renderer(
     """A renderer of a model; the caller closes it.
 
     Args:
-        model: whose off-screen buffer is made as large as the picture.
-        width: of the picture [px].
-        height: of the picture [px].
-        most_shapes: how many shapes a picture may have.
+        model: the model; its off-screen buffer is enlarged to the size of the picture.
+        width: width of the picture [px].
+        height: height of the picture [px].
+        most_shapes: largest number of shapes in a picture.
 
     Raises:
         ConfigError: this machine can't draw with OpenGL.

@@ -1,14 +1,20 @@
-"""What the synthetic operator does: gestures in a new random order each round, without end."""
+"""Gestures of the synthetic operator, as minimum-jerk moves and wandering in joint space.
+
+A minimum-jerk move (T. Flash and N. Hogan, "The Coordination of Arm Movements", Journal of
+Neuroscience 5(7), 1985) starts and ends without velocity and acceleration, so successive moves are
+twice continuously differentiable, and stay between their two postures. Wandering adds slow sines
+under an envelope of the same shape, so it joins as smoothly.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
-from smooth_operator.synthetic.motion import Segment, Trajectory, draw_wander, least_duration
 from smooth_operator.synthetic.poses import (
     CURLED,
     FIST,
@@ -23,21 +29,21 @@ from smooth_operator.synthetic.poses import (
 )
 
 GESTURES: Final = ("open_close", *PINCHES, "spread", "gait", "wander")
-"""Names of the gestures, in the order in which they are made by default (about 20 s)."""
+"""Names of the gestures in their default order (about 20 s)."""
 
 _ALL = (np.zeros(16), np.ones(16))
-_LOOSE = np.deg2rad(2.0)  # a posture is never taken twice in quite the same way
-_REACH = np.deg2rad([12, 10, 14, 16, *(5, 30, 38) * 4])  # of wandering, per joint
+_LOOSE = np.deg2rad(2.0)  # standard deviation of a posture between repetitions
+_REACH = np.deg2rad([12, 10, 14, 16, *(5, 30, 38) * 4])  # excursion of each joint in wandering
 
 
 class Programme:
-    """An endless sequence of gestures as a function of time, the same for the same arguments.
+    """An endless sequence of gestures as a function of time, determined by its arguments.
 
     Args:
-        seed: draws the person (for the pinches), the timing, the amplitudes and the wandering.
-        gestures: which, in which order; repeated for ever with new draws.
-        speed: 1 is the natural tempo; 2 is twice as fast where ``max_jerk`` lets it.
-        max_jerk: bound on every free joint angle's jerk [rad/s^3]; moves take longer to keep it.
+        seed: seed of the person (for the pinches), the timing, the amplitudes and the wandering.
+        gestures: names of the gestures in order; repeated without end, with new draws.
+        speed: 1 is a natural tempo; 2 is twice as fast as far as ``max_jerk`` allows.
+        max_jerk: bound on the jerk of every free joint angle [rad/s^3]; moves are slowed to it.
     """
 
     def __init__(self, seed: int, gestures: tuple[str, ...], speed: float, max_jerk: float) -> None:
@@ -50,9 +56,9 @@ class Programme:
         self._now: Trajectory | None = None
 
     def at(self, times: Float[np.ndarray, " T"]) -> tuple[Float[np.ndarray, "T 16"], list[str]]:
-        """Free joint angles [rad] and the gesture's name at increasing times >= 0 [s].
+        """Free joint angles [rad] and name of the gesture at increasing times >= 0 [s].
 
-        Each call must ask for times after those of the call before.
+        The times of each call must be later than those of the previous call.
         """
         while self._now is None or self._now.end <= times[-1]:
             self._now = self._extended(float(times[0]))
@@ -62,7 +68,7 @@ class Programme:
 
     def _extended(self, needed_from: float) -> Trajectory:
         old, origin = [], 0.0
-        if self._now is not None:  # keep what the coming frames can still see
+        if self._now is not None:  # segments that the coming frames still need
             first = int(np.searchsorted(self._now.starts[1:-1], needed_from, side="right"))
             old, origin = self._now.segments[first:], float(self._now.starts[first])
         return Trajectory([*old, *(next(self._segments) for _ in range(16))], origin)
@@ -96,10 +102,10 @@ class Programme:
     def _hold(self, label: str, seconds: float) -> Segment:
         return Segment(label, self._time(seconds), self._posture, self._posture, *_ALL)
 
-    # Each gesture sets off from the posture that the one before left and ends open.
+    # Each gesture starts at the last posture of the previous one and ends with an open hand.
 
     def _open_close(self, label: str) -> Iterator[Segment]:
-        depth = self._rng.uniform(0.94, 1.0)  # how tightly this fist is made
+        depth = self._rng.uniform(0.94, 1.0)  # 1 is a tight fist
         fist = self._loosely(FLAT + depth * (FIST - FLAT), _LOOSE / 2.0)
         fist[:4] = FIST[:4] + np.clip(fist[:4] - FIST[:4], -_LOOSE, _LOOSE)
         curled = fist.copy()
@@ -119,7 +125,7 @@ class Programme:
         exact = pinch_postures(self._seed)[finger]
         pinch = self._loosely(exact)
         moving = [*range(4), *range(4 + 3 * finger, 7 + 3 * finger)]
-        pinch[moving] = exact[moving]  # what makes the tips meet
+        pinch[moving] = exact[moving]  # without noise, so that the tips meet
         yield self._move(label, pinch, 0.9)
         yield self._hold(label, 0.4)
         yield self._move(label, self._loosely(0.5 * (FLAT + RELAXED)), 0.7)
@@ -159,3 +165,155 @@ _MAKERS: dict[str, Callable[[Programme, str], Iterator[Segment]]] = {
     "gait": Programme._gait,
     "wander": Programme._wander,
 }
+
+
+# Largest derivatives of a minimum-jerk move over distance 1 in time 1.
+_PEAK_JERK = 60.0
+_PEAK_ACCELERATION = 10.0 / np.sqrt(3.0)
+_PEAK_VELOCITY = 1.875
+
+
+@dataclass(frozen=True, eq=False)
+class Wander:
+    """Sines about a posture: ``sum_m amplitude * sin(2 pi frequency t + phase)`` per joint.
+
+    Attributes:
+        amplitude: (16, M) amplitudes [rad].
+        frequency: (16, M) frequencies [Hz].
+        phase: (16, M) phases [rad].
+        ramp: time in which the envelope rises at the start and falls at the end [s].
+    """
+
+    amplitude: Float[np.ndarray, "16 M"]
+    frequency: Float[np.ndarray, "16 M"]
+    phase: Float[np.ndarray, "16 M"]
+    ramp: float
+
+
+@dataclass(frozen=True, eq=False)
+class Segment:
+    """A move between two postures, or a hold (equal postures), with optional wandering.
+
+    Attributes:
+        label: name of its gesture.
+        duration: duration [s].
+        start: (16,) first posture [rad].
+        end: (16,) last posture [rad].
+        begins: (16,) start of each joint's motion as a share of the duration.
+        ends: (16,) end of each joint's motion as a share of the duration.
+        wander: motion that is added to the postures.
+    """
+
+    label: str
+    duration: float
+    start: Posture
+    end: Posture
+    begins: Float[np.ndarray, "16"]
+    ends: Float[np.ndarray, "16"]
+    wander: Wander | None = None
+
+
+def least_duration(
+    start: Posture,
+    end: Posture,
+    begins: Float[np.ndarray, "16"],
+    ends: Float[np.ndarray, "16"],
+    max_jerk: float,
+) -> float:
+    """Shortest duration [s] of a move in which no joint's jerk exceeds ``max_jerk`` [rad/s^3]."""
+    alone = np.cbrt(_PEAK_JERK * np.abs(end - start) / max_jerk)
+    return float((alone / (ends - begins)).max())
+
+
+def draw_wander(
+    rng: np.random.Generator, centre: Posture, reach: Posture, speed: float, max_jerk: float
+) -> Wander:
+    """Draw random motion about a posture within the joint ranges and the jerk bound.
+
+    The four PIPs and MCPs share part of their motion, as fingers of a hand do.
+
+    Args:
+        rng: random number generator.
+        centre: (16,) posture [rad].
+        reach: (16,) largest excursion of each joint [rad].
+        speed: 1 is a natural tempo, 0.15 to 0.75 Hz.
+        max_jerk: bound on the jerk of each joint [rad/s^3]; amplitudes are reduced to keep it.
+    """
+    terms, ramp = 3, 0.8 / speed
+    share = rng.dirichlet(np.full(terms, 2.0), 16)
+    frequency = speed * rng.uniform(0.15, 0.75, (16, terms))
+    phase = rng.uniform(0.0, 2.0 * np.pi, (16, terms))
+    for first in (5, 6):  # the first term is common to all MCPs, and to all PIPs
+        together = slice(first, 16, 3)
+        frequency[together, 0] = frequency[first, 0]
+        phase[together, 0] = phase[first, 0]
+    room = np.minimum(np.minimum(centre - FREE_LOWER, FREE_UPPER - centre), reach)
+    amplitude = share * room[:, None]
+
+    # (envelope * sines)''' by Leibniz' rule, with the largest value of each factor
+    omega = 2.0 * np.pi * frequency
+    sines = [(amplitude * omega**k).sum(-1) for k in range(4)]
+    jerk = (
+        _PEAK_JERK / ramp**3 * sines[0]
+        + 3.0 * _PEAK_ACCELERATION / ramp**2 * sines[1]
+        + 3.0 * _PEAK_VELOCITY / ramp * sines[2]
+        + sines[3]
+    )
+    amplitude *= np.minimum(1.0, max_jerk / np.maximum(jerk, 1e-12))[:, None]
+    return Wander(amplitude, frequency, phase, ramp)
+
+
+class Trajectory:
+    """Successive segments as a function of time.
+
+    Args:
+        segments: segments in order; each starts at the last posture of the previous one.
+        origin: start of the first segment [s].
+    """
+
+    def __init__(self, segments: list[Segment], origin: float = 0.0) -> None:
+        self.segments = segments
+        self.starts = origin + np.cumsum([0.0, *(s.duration for s in segments)])
+        self._duration = np.array([s.duration for s in segments])
+        self._start = np.array([s.start for s in segments])
+        self._change = np.array([s.end - s.start for s in segments])
+        self._begins = np.array([s.begins for s in segments])
+        self._span = np.array([s.ends - s.begins for s in segments])
+
+    @property
+    def end(self) -> float:
+        """Time at which the last segment ends [s]."""
+        return float(self.starts[-1])
+
+    def at(
+        self, times: Float[np.ndarray, " T"]
+    ) -> tuple[Float[np.ndarray, "T 16"], Int[np.ndarray, " T"]]:
+        """Free joint angles [rad] and index of the active segment at each time [s]."""
+        which = np.searchsorted(self.starts[1:-1], times, side="right")
+        share = (times - self.starts[which]) / self._duration[which]
+        progress = (share[:, None] - self._begins[which]) / self._span[which]
+        angles = self._start[which] + self._change[which] * minimum_jerk(progress)
+        for k in np.unique(which):
+            wander = self.segments[k].wander
+            if wander is not None:
+                rows = which == k
+                since = times[rows] - self.starts[k]
+                angles[rows] += _wandering(wander, since, self._duration[k])
+        return angles, which
+
+
+def minimum_jerk(progress: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
+    """Position from 0 to 1 of a minimum-jerk move; constant before 0 and after 1."""
+    s = np.clip(progress, 0.0, 1.0)
+    position: np.ndarray = s**3 * (10.0 + s * (6.0 * s - 15.0))
+    return position
+
+
+def _wandering(
+    wander: Wander, since: Float[np.ndarray, " T"], duration: float
+) -> Float[np.ndarray, "T 16"]:
+    nearest_end = np.minimum(since, duration - since)
+    envelope = minimum_jerk(nearest_end / wander.ramp)
+    angle = 2.0 * np.pi * wander.frequency * since[:, None, None] + wander.phase
+    excursion: np.ndarray = envelope[:, None] * (wander.amplitude * np.sin(angle)).sum(-1)
+    return excursion

@@ -1,4 +1,4 @@
-"""The synthetic operator's hand: bone lengths, layout and joint ranges from the literature.
+"""Anatomy of the synthetic hand: bone lengths, layout and joint ranges from the literature.
 
 Lengths [mm], means of 66 adults by radiography: A. Buryanov and V. Kotiuk, "Proportions of Hand
 Segments", International Journal of Morphology 28(3), 2010, pp. 755-758; metacarpals, phalanges and
@@ -15,9 +15,9 @@ from W. P. Cooney et al., "The Kinesiology of the Thumb Trapeziometacarpal Joint
 and Joint Surgery 63-A, 1981. DIP = 2/3 PIP: H. Rijpkema and M. Girard, "Computer Animation of
 Knowledge-Based Human Grasping", SIGGRAPH 1991.
 
-No table gives the layout of the carpus, the fan of the metacarpals, the transverse arch or the
-thumb's neutral direction in one frame; those figures are ours, held against recordings of real
-hands (the palm's shape) and against pictures.
+No table gives the layout of the carpus, the fan of the metacarpals, the transverse arch and the
+thumb's neutral direction in one frame; those figures are ours, compared with recordings of real
+hands (the palm's shape) and with pictures.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _FINGERS_MM = (
 _CAPITATE = 0.54 / 1.57  # Youm 1978, Nattrass 1994: capitate over third metacarpal
 
 # Ours: (palmar, radial, distal) of the joints at the carpus [mm], at the size of the table above.
-# The middle one's distal figure is set by the capitate's length instead.
+# The distal figure of the middle finger follows from the capitate's length.
 _CARPUS_MM = ((2.0, 14.5, 18.5), (0.0, 2.0, np.nan), (0.5, -8.5, 20.5), (2.0, -18.0, 18.0))
 _THUMB_CMC_MM = (14.5, 19.5, 17.0)
 # Ours, degrees, index .. pinky: fan of the metacarpals (radial +), their palmar tilt (the
@@ -52,7 +52,7 @@ _METACARPAL_TILT = (3.0, 0.0, 2.0, 5.0)
 _FINGER_FAN = (3.0, 0.0, -4.0, -9.0)
 _FINGER_ROLL = (-3.0, 1.0, 4.0, 9.0)
 
-_LENGTH_SPREAD = 0.02  # standard deviation of one bone about the proportions above
+_LENGTH_SPREAD = 0.02  # relative standard deviation of a bone's length
 _LENGTH_LIMIT = 0.05
 
 
@@ -61,7 +61,7 @@ class Joint:
     """A joint angle of the human hand with its active range.
 
     Attributes:
-        name: such as ``index_pip``.
+        name: name, such as ``index_pip``.
         lower: least angle [rad].
         upper: greatest angle [rad].
     """
@@ -101,7 +101,7 @@ NUM_JOINTS = len(JOINTS)
 DIP_PER_PIP = 2.0 / 3.0
 _DIPS = (7, 11, 15, 19)
 FREE = tuple(i for i in range(NUM_JOINTS) if i not in _DIPS)
-"""Indices of the 16 joints that move on their own; a DIP follows its PIP."""
+"""Indices of the 16 independent joints; a DIP follows its PIP."""
 LOWER: Float[np.ndarray, "20"] = np.array([joint.lower for joint in JOINTS])
 UPPER: Float[np.ndarray, "20"] = np.array([joint.upper for joint in JOINTS])
 
@@ -119,8 +119,8 @@ class HandAnatomy:
     """Lengths and layout of one right hand; positions are (palmar, radial, distal) from the wrist.
 
     Attributes:
-        hand_length: wrist to middle fingertip along the straight finger [m].
-        metacarpal_bases: (4, 3) of index .. pinky [m].
+        hand_length: distance from wrist to middle fingertip along the straight finger [m].
+        metacarpal_bases: (4, 3) bases of the metacarpals of index .. pinky [m].
         knuckles: (4, 3) MCP joints of index .. pinky [m].
         phalanges: (4, 3) proximal, middle and distal lengths of index .. pinky [m].
         thumb_base: (3,) trapeziometacarpal joint [m].
@@ -140,11 +140,11 @@ class HandAnatomy:
 
 
 def draw_anatomy(hand_length: float, seed: int) -> HandAnatomy:
-    """One person's hand: the published proportions, each bone off by a few percent.
+    """Draw the hand of a person: the published proportions, varied by a few percent per bone.
 
     Args:
-        hand_length: wrist to middle fingertip [m].
-        seed: which person; the proportions don't depend on ``hand_length``.
+        hand_length: distance from wrist to middle fingertip [m].
+        seed: seed of the person; the proportions don't depend on ``hand_length``.
 
     Returns:
         The anatomy, exactly proportional to ``hand_length``.

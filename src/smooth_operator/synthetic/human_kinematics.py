@@ -1,4 +1,4 @@
-"""Forward kinematics of the human hand model, and its mirror image, as a glove reports them.
+"""Forward kinematics of the synthetic hand, in the form in which a glove reports a hand.
 
 The wrist is the origin; x is palmar, y towards the thumb of a right hand, z distal. A joint's own
 frame has x along its bone and z dorsal, so flexion turns about its y. A fingertip has the
@@ -17,10 +17,10 @@ from smooth_operator.synthetic.hand_anatomy import LOWER, UPPER, HandAnatomy
 # Orientation of the hand itself (x distal, z dorsal) in the frame of the landmarks.
 _HAND = np.array([np.sqrt(0.5), 0.0, -np.sqrt(0.5), 0.0])
 
-# The thumb's metacarpal at zero angles, ours (see anatomy): its bone points 18 deg radial and
-# 24 deg palmar of distal, its nail 60 deg round from dorsal towards radial.
+# The thumb's metacarpal at zero angles, ours (see ``hand_anatomy``): its bone points 18 deg radial
+# and 24 deg palmar of distal, its nail 60 deg from dorsal towards radial.
 _THUMB_RADIAL, _THUMB_PALMAR, _THUMB_ROLL = np.deg2rad([18.0, 24.0, 60.0])
-# Cooney 1981: 17 deg of pronation go with the motion from extended and adducted to opposed.
+# Cooney 1981: 17 deg of pronation accompany the motion from extended and adducted to opposed.
 _THUMB_PRONATION = np.deg2rad(17.0)
 
 
@@ -29,7 +29,7 @@ class HandPoses:
     """Poses of one hand over a batch of T.
 
     Attributes:
-        landmarks: (T, 21, 3) [m].
+        landmarks: (T, 21, 3) landmarks [m].
         metacarpals: (T, 4, 3) bases of the metacarpals of index .. pinky [m].
         orientations: (T, 21, 4) quaternions wxyz.
     """
@@ -43,8 +43,8 @@ def pose_hand(anatomy: HandAnatomy, angles: Float[np.ndarray, "T 20"]) -> HandPo
     """Pose a right hand.
 
     Args:
-        anatomy: whose hand.
-        angles: (T, 20) joint angles [rad], ordered as ``anatomy.JOINTS``.
+        anatomy: anatomy of the hand.
+        angles: (T, 20) joint angles [rad], in the order of ``JOINTS``.
 
     Returns:
         The poses, wrist at the origin.
@@ -86,7 +86,7 @@ def pose_hand(anatomy: HandAnatomy, angles: Float[np.ndarray, "T 20"]) -> HandPo
 
 
 def mirror(poses: HandPoses) -> HandPoses:
-    """The same poses of the other hand: y changes sign; a joint frame keeps bone x and dorsal z."""
+    """Mirrored poses, of the other hand: y changes sign; joint frames keep bone x and dorsal z."""
     points, quaternions = np.array([1.0, -1.0, 1.0]), np.array([1.0, -1.0, 1.0, -1.0])
     return HandPoses(
         poses.landmarks * points, poses.metacarpals * points, poses.orientations * quaternions
@@ -98,12 +98,12 @@ def move(
     translation: Float[np.ndarray, "T 3"],
     rotation_vector: Float[np.ndarray, "T 3"],
 ) -> HandPoses:
-    """Carry whole hands through the world.
+    """Move whole hands in the world.
 
     Args:
         poses: hands with the wrist at the origin.
-        translation: (T, 3) of the wrist [m].
-        rotation_vector: (T, 3) axis times angle [rad], about the wrist.
+        translation: (T, 3) translation of the wrist [m].
+        rotation_vector: (T, 3) rotation about the wrist, axis times angle [rad].
     """
     angle = np.linalg.norm(rotation_vector, axis=-1, keepdims=True)
     # sinc keeps the limit at no rotation: sin(a/2)/a = sinc(a/2pi)/2
@@ -171,6 +171,6 @@ def _bone(q: np.ndarray) -> np.ndarray:
 
 
 def dorsal(q: Float[np.ndarray, "*batch 4"]) -> Float[np.ndarray, "*batch 3"]:
-    """The z axis of a joint frame: the side of the nail; the pad is on the other."""
+    """The z axis of a joint frame, which points to the nail's side, away from the pad."""
     w, x, y, z = np.moveaxis(q, -1, 0)
     return np.stack([2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)], -1)

@@ -1,4 +1,4 @@
-"""The synthetic operator: a seeded human hand in motion, where there is no tracker."""
+"""The synthetic operator: a seeded human hand in motion, in place of a person and a tracker."""
 
 from __future__ import annotations
 
@@ -13,43 +13,46 @@ from smooth_operator.poses import WRIST_AXES, axes, to_ours
 from smooth_operator.synthetic.gestures import GESTURES, Programme
 from smooth_operator.synthetic.hand_anatomy import JOINTS, HandAnatomy, couple, draw_anatomy
 from smooth_operator.synthetic.human_kinematics import mirror, move, pose_hand
-from smooth_operator.synthetic.settings import check_range, check_seed
-from smooth_operator.synthetic.tracker import TrackerModel, TrackerStream
-from smooth_operator.synthetic.wrist import WristMotion
+from smooth_operator.synthetic.tracker import (
+    TrackerModel,
+    TrackerStream,
+    WristMotion,
+    check_range,
+    check_seed,
+)
 from smooth_operator.types import HandFrame, HandRecording, Side, as_side
 
 _WORLD_AXES = axes("z", "y", "-x")  # the flat hand lies palm down, and points forward
-_BLOCK = 256  # ticks made at a time, by record() and frames() alike, so that they agree to the bit
+_BLOCK = 256  # ticks per block in record() and frames(), so that both give the same bits
 
 
 @dataclass(frozen=True)
 class SyntheticOperator:
-    """A person in front of a tracker, made of published anatomy and a seed.
+    """A person in front of a tracker, from published anatomy and a seed.
 
-    The frames have all that a MANUS glove's have: 21 landmarks with the wrist at the origin, the
+    The frames have the content of a MANUS glove's: 21 landmarks with the wrist at the origin, the
     four metacarpal bases and an orientation per landmark. The right hand's axes are x palmar,
-    y towards the thumb, z distal; the left hand is its mirror image in y. Joint angles and the
-    active gesture are known for every frame, see ``record``.
+    y towards the thumb, z distal; the left hand is its mirror image in y. A recording also has
+    the true joint angles and gesture of every frame, see ``record``.
 
     Attributes:
-        seed: the person (bone lengths a few percent about the published ones) and what they do
-            (timing, amplitude, random motion).
-        side: which hand; the left mirrors the right exactly.
-        hand_length: wrist to tip of the straight middle finger [m], 0.12 to 0.25. Adults are about
-            0.16 to 0.21.
-        rate_hz: frames per second.
-        gestures: what is done, in order, from ``GESTURES``; repeated with new draws for as long
-            as asked.
-        speed: 1 is a natural tempo, fingertips up to about 0.5 m/s; 2 doubles it where
-            ``max_jerk`` lets it.
-        max_jerk: bound on the jerk of every joint angle but the DIPs, which stay under 2/3 of it
-            [rad/s^3].
+        seed: seed of the person (bone lengths vary by a few percent) and of the motion (timing,
+            amplitude, random motion).
+        side: side of the hand; the left mirrors the right exactly.
+        hand_length: distance from wrist to tip of the straight middle finger [m], 0.12 to 0.25.
+            Adults have about 0.16 to 0.21.
+        rate_hz: frame rate [Hz].
+        gestures: gestures in order, from ``GESTURES``; repeated with new draws.
+        speed: 1 is a natural tempo, with fingertips up to about 0.5 m/s; 2 doubles it as far as
+            ``max_jerk`` allows.
+        max_jerk: bound on the jerk of every joint angle except the DIPs, which stay below 2/3 of
+            it [rad/s^3].
         tracker: imperfections of the tracker; none by default.
         wrist: motion of the whole hand; none by default.
 
     Raises:
-        ConfigError: if a setting is outside its range.
-        UnknownNameError: if there is no gesture of a name.
+        ConfigError: a setting is outside its range.
+        UnknownNameError: there is no gesture of a name.
     """
 
     seed: int = 0
@@ -65,7 +68,7 @@ class SyntheticOperator:
     def __post_init__(self) -> None:
         object.__setattr__(self, "side", as_side(self.side))
         gestures: Sequence[str] = self.gestures
-        # One name alone is one gesture, not a gesture per letter.
+        # a text is one gesture, not a gesture per letter
         names = (gestures,) if isinstance(gestures, str) else tuple(gestures)
         object.__setattr__(self, "gestures", names)
         check_seed("seed", self.seed)
@@ -85,13 +88,13 @@ class SyntheticOperator:
         return draw_anatomy(self.hand_length, int(self.seed))
 
     def record(self, duration: float = 20.0) -> HandRecording:
-        """Record for a while, starting at time 0 with a flat hand.
+        """Make a recording that starts at time 0 with a flat hand.
 
         A longer recording starts with the frames of a shorter one.
 
         Args:
-            duration: [s]; ``round(duration * rate_hz)`` ticks of the tracker; lost frames
-                are left out.
+            duration: length of the recording [s]: ``round(duration * rate_hz)`` ticks of the
+                tracker; lost frames are left out.
 
         Returns:
             The recording. Its ``meta`` holds, per frame, ``gesture`` (T names) and
@@ -99,7 +102,7 @@ class SyntheticOperator:
             ``seed``, ``hand_length`` [m] and ``rate_hz``.
 
         Raises:
-            ConfigError: if the duration doesn't hold one frame, or isn't finite.
+            ConfigError: the duration is shorter than one frame, or not finite.
         """
         blocks = list(self._blocks(self._ticks(duration)))
 
@@ -127,10 +130,10 @@ class SyntheticOperator:
         )
 
     def frames(self, duration: float | None = None) -> Iterator[HandFrame]:
-        """Frames one by one, the same as ``record`` gives; the pace is the caller's.
+        """The frames of ``record`` one by one, without waiting between them.
 
         Args:
-            duration: [s]; None goes on for ever.
+            duration: length of the sequence [s]; None for an endless one.
 
         Raises:
             ConfigError: as ``record``.
@@ -148,7 +151,7 @@ class SyntheticOperator:
         return ticks
 
     def _blocks(self, ticks: int | None) -> Iterator[HandRecording]:
-        """Stretches of the recording, of ``ticks`` ticks together or without an end."""
+        """Parts of the recording, up to ``ticks`` ticks or without an end."""
         anatomy = self.anatomy
         programme = Programme(int(self.seed), self.gestures, self.speed, self.max_jerk)
         stream = TrackerStream(self.tracker, self.rate_hz)

@@ -1,7 +1,7 @@
-"""Postures of the human hand, and pinches whose fingertips really meet.
+"""Postures of the human hand, and pinches whose fingertips meet.
 
-A posture is 16 free joint angles (see ``FREE``): the thumb's
-CMC flexion, CMC abduction, MCP and IP, then MCP abduction, MCP and PIP of index .. pinky.
+A posture is 16 free joint angles (see ``FREE``): the thumb's CMC flexion, CMC abduction, MCP and
+IP, then MCP abduction, MCP and PIP of index .. pinky.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ CURLED = _posture((-8, 12, 10, 12), (-4, 74, 92), (0, 78, 96), (2, 80, 96), (4, 
 FIST = _posture((-14, 13, 40, 63), (-4, 78, 96), (0, 82, 98), (2, 84, 98), (4, 84, 96))
 """The thumb closed over the curled fingers."""
 
-# What a hand tends to look like in each pinch, from which the solution strays as little as it can:
-# the thumb, then the pinching finger.
+# Natural posture in each pinch, from which the solution deviates as little as possible: the thumb,
+# then the pinching finger.
 _PINCH_THUMB = np.deg2rad([[4, 18, 18, 22], [14, 22, 20, 24], [23, 25, 24, 28], [30, 28, 30, 34]])
 _PINCH_FINGER = np.deg2rad([[4, 46, 50], [2, 50, 50], [2, 52, 50], [6, 50, 48]])
 _PINCH_SPREAD = np.deg2rad([10.0, 10.0, 14.0, 16.0, 5.0, 14.0, 14.0])
@@ -61,11 +61,11 @@ def pinch_postures(seed: int) -> Float[np.ndarray, "4 16"]:
 
     Inverse kinematics of the person's own hand within the joint ranges: the finger's tip lies on
     the thumb's pad, 0.8 % of the hand length (1.5 mm) from the thumb's tip, the pads face each
-    other, and the joints stay near a natural pinch. The other fingers are relaxed, half following
-    their neighbour. Angles don't depend on the hand's length, so it isn't asked for.
+    other, and the joints stay near a natural pinch. The other fingers are relaxed, and neighbours
+    follow in part. The angles don't depend on the hand's length.
 
     Args:
-        seed: which person, as for ``draw_anatomy``.
+        seed: seed of the person, as for ``draw_anatomy``.
 
     Returns:
         (4, 16) read-only postures [rad].
@@ -100,7 +100,7 @@ def pinch_postures(seed: int) -> Float[np.ndarray, "4 16"]:
 
 
 def _around(finger: int) -> Posture:
-    """Where the other fingers are while one pinches: less flexed, neighbours pulled along."""
+    """Posture of the other fingers while one pinches: its neighbours are more flexed."""
     posture = RELAXED.copy()
     for other in range(4):
         follow = 1.0 if abs(other - finger) == 1 else 0.7
@@ -115,10 +115,10 @@ def _least_squares(
     upper: Float[np.ndarray, "P K"],
     steps: int = 40,
 ) -> Float[np.ndarray, "P K"]:
-    """Levenberg-Marquardt within bounds, for several problems together.
+    """Levenberg-Marquardt within bounds, for P problems in parallel.
 
-    scipy's ``least_squares`` does the same for one problem, but importing it takes longer than
-    all the rest of the synthetic operator's work together.
+    SciPy's ``least_squares`` does the same for one problem, but its import takes longer than all
+    other work of the synthetic operator.
     """
     n = x.shape[-1]
     nudge = 1e-6
@@ -129,7 +129,7 @@ def _least_squares(
         r = values[0]
         jacobian = np.moveaxis((values[1:] - r) / nudge, 0, -1)
         gradient = np.einsum("pri,pr->pi", jacobian, r)
-        # A joint at its limit that wants beyond it takes no part in the step.
+        # a joint at its limit with a step beyond the limit is held
         free = ~(((x <= lower) & (gradient > 0)) | ((x >= upper) & (gradient < 0)))
         jacobian = jacobian * free[:, None]
         hessian = np.einsum("pri,prj->pij", jacobian, jacobian)

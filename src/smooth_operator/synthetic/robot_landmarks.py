@@ -1,4 +1,4 @@
-"""A robot's own landmarks as those of a human hand."""
+"""Landmarks of a robot hand in the layout of a human hand."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from smooth_operator.synthetic.human_kinematics import mirror, pose_hand
 
 
 def human_landmarks(hand: Hand, q: Float[np.ndarray, "T m"]) -> Float[np.ndarray, "T 21 3"]:
-    """The robot's own landmarks as those of a human hand in the palm frame.
+    """Landmarks of a robot hand in the layout of a human hand, in the palm frame.
 
-    A point that a robot finger lacks is put on the line between its neighbours, and a finger that
-    the robot lacks is the built-in operator's, flat and aligned to the robot's palm: methods look
-    at neither, unless the hand's own description makes a joint follow them.
+    A point that a robot finger lacks is put on the line between its neighbours. A finger that the
+    robot lacks is that of a flat synthetic hand, aligned to the robot's palm. Methods use neither,
+    unless the hand's description makes a joint follow them.
 
     Args:
         hand: the robot hand.
         q: (T, m) positions of the actuated joints [rad].
 
     Returns:
-        (T, 21, 3) [m], all finite.
+        (T, 21, 3) landmarks [m], all finite.
     """
     flat = pose_hand(draw_anatomy(0.19, 0), np.zeros((1, NUM_JOINTS)))
     flat = flat if hand.spec.side == "right" else mirror(flat)

@@ -1,15 +1,17 @@
-"""Model of a tracker: noise, uneven clock, lost frames and landmarks."""
+"""Tracker of the synthetic operator (noise, jitter, losses), and motion of the hand's wrist."""
 
 from __future__ import annotations
 
 import math
+import operator
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
 
+from smooth_operator.errors import ConfigError
 from smooth_operator.landmarks import NUM_LANDMARKS
-from smooth_operator.synthetic.settings import check_range, check_seed
+from smooth_operator.poses import from_rotation_vectors
 
 _POINTS = NUM_LANDMARKS + 4  # the metacarpal bases are measured too
 
@@ -25,17 +27,17 @@ class TrackerModel:
     Attributes:
         noise: standard deviation of each coordinate of each landmark and metacarpal base [m].
         noise_time: correlation time of that noise [s]; 0 is white noise.
-        rate_jitter: standard deviation of a frame's time about its even place, over the period,
-            before it is cut off at 0.45 so that stamps stay strictly increasing. The hand is seen
-            at the time of the stamp.
+        rate_jitter: standard deviation of a frame's time about its even place, over the period. It
+            is cut off at 0.45 so that stamps stay strictly increasing. A frame shows the hand at
+            the time of its stamp.
         frame_loss: share of frames that never arrive.
         frame_loss_burst: mean length of such a gap [s].
         landmark_loss: share of (frame, landmark) pairs that are NaN and flagged invalid.
         landmark_loss_burst: mean length of a landmark's absence [s].
-        seed: of all of the above.
+        seed: seed of all these.
 
     Raises:
-        ConfigError: if a figure is outside its range.
+        ConfigError: a value is outside its range.
     """
 
     noise: float = 0.0
@@ -60,13 +62,13 @@ class TrackerModel:
 
 @dataclass(frozen=True, eq=False)
 class Ticks:
-    """A stretch of n even ticks of the tracker's clock, and what happens at each.
+    """Imperfections at n successive ticks of the tracker's clock.
 
     Attributes:
         stamps: (n,) strictly increasing times [s].
-        arrives: (n,) False where the frame is lost.
-        noise: (n, 25, 3) to add to the 21 landmarks and the 4 metacarpal bases [m], or None.
-        lost: (n, 21) True where the landmark is lost.
+        arrives: (n,) False for a lost frame.
+        noise: (n, 25, 3) noise of the 21 landmarks and the 4 metacarpal bases [m], or None.
+        lost: (n, 21) True for a lost landmark.
     """
 
     stamps: Float[np.ndarray, " n"]
@@ -76,18 +78,18 @@ class Ticks:
 
 
 class TrackerStream:
-    """The endless sequence of ticks of one tracker.
+    """The endless sequence of ticks of a tracker.
 
     Args:
-        model: its imperfections.
-        rate_hz: its frame rate [Hz].
+        model: imperfections of the tracker.
+        rate_hz: frame rate [Hz].
     """
 
     def __init__(self, model: TrackerModel, rate_hz: float) -> None:
         self._model = model
         self._period = 1.0 / rate_hz
         self._tick = 0
-        # One source each, so that switching one imperfection on doesn't change another.
+        # a generator for each imperfection, so that one does not change the draws of another
         self._clock, self._noise, frame, landmark = (
             np.random.default_rng([int(model.seed), 0x7C, k]) for k in range(4)
         )
@@ -126,13 +128,13 @@ class TrackerStream:
 
 
 class _Bursts:
-    """Independent two-state chains: present or lost. All start present."""
+    """Independent two-state Markov chains, present or lost; all start present."""
 
     def __init__(
         self, rng: np.random.Generator, share: float, mean_ticks: float, width: int
     ) -> None:
         self._rng = rng
-        # A burst lasts a tick at least, and long enough that the gaps between bursts do too.
+        # bursts, and the gaps between them, last at least one tick
         length = max(mean_ticks, 1.0, share / (1.0 - share))
         self._recover = 1.0 / length
         self._lose = share / (1.0 - share) / length
@@ -147,3 +149,79 @@ class _Bursts:
                 lost[k] = self._lost
                 self._lost = np.where(self._lost, draws[k] >= self._recover, draws[k] < self._lose)
         return lost
+
+
+def check_range(name: str, value: float, least: float, most: float, unit: str = "") -> None:
+    """Refuse a number outside ``least`` to ``most``, or NaN.
+
+    Raises:
+        ConfigError: the number is refused; names the setting, its range and the number.
+    """
+    if not least <= value <= most:
+        unit = f" {unit}" if unit else ""
+        bounds = (
+            f"{least:g} to {most:g}" if math.isfinite(most) else f"finite and from {least:g} on"
+        )
+        raise ConfigError(f"{name} must be {bounds}{unit}, not {value!r}")
+    if not math.isfinite(value):
+        raise ConfigError(f"{name} must be finite, not {value!r}")
+
+
+def check_seed(name: str, value: int) -> None:
+    """Refuse a seed that isn't a whole number from 0 on.
+
+    Raises:
+        ConfigError: the seed is refused; names the setting and the value.
+    """
+    try:
+        good = operator.index(value) >= 0
+    except TypeError:
+        good = False
+    if not good:
+        raise ConfigError(f"{name} must be a whole number from 0 on, not {value!r}")
+
+
+_TERMS = 4
+
+
+@dataclass(frozen=True)
+class WristMotion:
+    """Slow random motion of the wrist; off by default, as a glove reports the hand alone.
+
+    Attributes:
+        translation: standard deviation of each coordinate of the wrist [m].
+        rotation: standard deviation of each coordinate of the rotation vector [rad].
+        seed: seed of the motion.
+
+    Raises:
+        ConfigError: a value is outside its range.
+    """
+
+    translation: float = 0.0
+    rotation: float = 0.0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        check_range("wrist translation", self.translation, 0.0, 1.0, "m")
+        check_range("wrist rotation", self.rotation, 0.0, 1.5, "rad")
+        check_seed("wrist seed", self.seed)
+
+    def __bool__(self) -> bool:
+        return bool(self.translation or self.rotation)
+
+    def at(
+        self, times: Float[np.ndarray, " T"]
+    ) -> tuple[Float[np.ndarray, "T 3"], Float[np.ndarray, "T 3"]]:
+        """Translation [m] and rotation vector [rad] of the wrist at each time [s]."""
+        rng = np.random.default_rng([int(self.seed), 0x3A])
+        frequency = rng.uniform(0.05, 0.4, (6, _TERMS))
+        phase = rng.uniform(0.0, 2.0 * np.pi, (6, _TERMS))
+        # Each sine has a mean square of 1/2.
+        sines = np.sin(2.0 * np.pi * frequency * times[:, None, None] + phase).sum(-1)
+        sines *= np.sqrt(2.0 / _TERMS)
+        return self.translation * sines[:, :3], self.rotation * sines[:, 3:]
+
+    def pose_at(self, time: float) -> Float[np.ndarray, "7"]:
+        """Pose of the wrist at one time [s]: x y z [m], quaternion w x y z."""
+        place, turn = self.at(np.array([time]))
+        return np.concatenate([place[0], from_rotation_vectors(turn[0])])

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
 
 from smooth_operator.compilation.start import dispatch_here
 from smooth_operator.errors import ConfigError, require
-from smooth_operator.hand_files.menagerie import drawn_on
 from smooth_operator.hand_files.spec_writer import temporary_spec
+from smooth_operator.hand_files.vendor_model import drawn_on
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import default_side, hand_names
 from smooth_operator.hands.spec import HandSpec

@@ -1,4 +1,4 @@
-"""Names and addresses by which a headset may reach this machine."""
+"""Host names and addresses of this machine, for pages and certificates."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ import socket
 from typing import Final
 
 LOCAL: Final = ("localhost", "127.0.0.1", "::1")
-"""This machine to itself."""
+"""Names of this machine for itself."""
 
-# Reserved for documentation (RFC 5737, RFC 3849): connecting a UDP socket sends nothing, but has
-# the system choose the interface that leads out.
+# Reserved for documentation (RFC 5737, RFC 3849). Connecting a UDP socket sends nothing, but the
+# system chooses the interface of the default route.
 _ELSEWHERE: Final = ((socket.AF_INET, "192.0.2.1"), (socket.AF_INET6, "2001:db8::1"))
 
 
 def is_local(host: str) -> bool:
-    """Whether only this machine reaches what listens on ``host``."""
+    """True if only this machine can reach a server that listens on ``host``."""
     if host == "localhost":
         return True
     with contextlib.suppress(ValueError):
@@ -25,11 +25,11 @@ def is_local(host: str) -> bool:
 
 
 def lan_addresses(host: str = "0.0.0.0") -> tuple[str, ...]:
-    """Addresses of this machine on its networks, the one that leads out first; empty if none.
+    """Addresses of this machine on its networks, that of the default route first.
 
     Args:
-        host: ``0.0.0.0`` for those of IPv4, ``::`` for both kinds. IPv6 only where it was asked
-            for: such addresses may change every day, and the certificate with them.
+        host: ``0.0.0.0`` for IPv4, ``::`` for IPv4 and IPv6. An IPv6 address may change every day,
+            and the certificate with it, so they need the request.
     """
     families = _ELSEWHERE if host == "::" else _ELSEWHERE[:1]
     addresses: list[str] = []
@@ -44,7 +44,7 @@ def lan_addresses(host: str = "0.0.0.0") -> tuple[str, ...]:
 
 
 def names_of(host: str) -> tuple[str, ...]:
-    """The names in the certificate of a server that listens on ``host``."""
+    """Names in the certificate of a server that listens on ``host``."""
     if is_local(host):
         return LOCAL
     if host not in ("0.0.0.0", "::"):
@@ -55,7 +55,7 @@ def names_of(host: str) -> tuple[str, ...]:
 
 
 def page_addresses(host: str, port: int, scheme: str = "https") -> tuple[str, ...]:
-    """Addresses of the page, the one to type first."""
+    """Addresses of the page, the best one first."""
     if is_local(host):
         names: tuple[str, ...] = ("localhost",)
     elif host in ("0.0.0.0", "::"):

@@ -1,32 +1,34 @@
-"""Token authentication of a page's server: which requests are answered.
+"""Checks of requests to a page's server: form, origin, host, token.
 
-A server that only this machine reaches asks for no token. That leaves one way in, other pages that
-the same browser has open, which may connect to a local WebSocket; the ``Origin`` and ``Host`` of
-the request keep them out. Where other machines reach the server, a page's address holds a token;
-the answer is a cookie and the address without the token.
+A server that only this machine can reach needs no token. Other pages in the same browser could
+connect to its WebSocket; the checks of ``Origin`` and ``Host`` refuse them. If other machines can
+reach the server, a page's address has a token; the response sets a cookie and redirects to the
+address without the token.
 """
 
 from __future__ import annotations
 
 import hmac
 import http
+import ipaddress
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from http.cookies import CookieError, SimpleCookie
-from typing import Any
+from itertools import chain
+from typing import Any, Final
 from urllib.parse import parse_qs, urlsplit
 
-from smooth_operator.web.origin import names_this_machine, same_origin
+from smooth_operator.web.addresses import LOCAL
 
 
 @dataclass(frozen=True)
 class TokenAuth:
-    """Looks at every request of a server of websockets, of a page and of its WebSocket.
+    """Checks every request to a server, of a page and of its WebSocket.
 
     Attributes:
-        tokens: role -> token; None where only this machine can connect.
-        paths: role -> all paths that its token opens; a role that is absent opens every path.
-        shown_by: who shows the address with the token, for the message of a refusal.
+        tokens: role -> token; None if only this machine can connect.
+        paths: role -> paths that its token opens; a role without an entry opens every path.
+        shown_by: place that shows the address with the token, for the message of a refusal.
     """
 
     tokens: Mapping[str, str] | None = field(repr=False)
@@ -62,7 +64,7 @@ class TokenAuth:
             if not same_secret(value, token):
                 continue
             if request.headers.get("Upgrade", "").lower() == "websocket":
-                return None  # a program, which has no cookies
+                return None  # a program without cookies
             return _welcome(connection, url.path, f"{_cookie_name(role, port)}={token}")
         return connection.respond(
             http.HTTPStatus.UNAUTHORIZED,
@@ -71,7 +73,7 @@ class TokenAuth:
 
 
 def same_secret(secret: str, expected: str) -> bool:
-    """Whether two are equal, in a time that does not depend on where they differ."""
+    """True if two secrets are equal, in a time that does not depend on the difference."""
     return hmac.compare_digest(secret.encode(), expected.encode())
 
 
@@ -85,7 +87,7 @@ def cookie(request: Any, name: str) -> str:
 
 
 def _welcome(connection: Any, path: str, value: str) -> Any:
-    """A redirect to the same page with a cookie, so that the token stays in no history."""
+    """A redirect to the same page with a cookie, so that no history keeps the token."""
     response = connection.respond(http.HTTPStatus.SEE_OTHER, "")
     response.headers["Location"] = "/" + path.lstrip("/\\")  # "//name" would be another server
     response.headers["Set-Cookie"] = f"{value}; Path=/; HttpOnly; SameSite=Lax"
@@ -96,3 +98,60 @@ def _welcome(connection: Any, path: str, value: str) -> Any:
 
 def _cookie_name(role: str, port: Any) -> str:
     return f"smooth-operator-{role}-{port}"  # browsers share cookies between ports
+
+
+_ONCE: Final = ("Origin", "Cookie", "Upgrade", "Accept-Encoding")
+"""Headers, besides ``Host``, that must not come twice, since servers here read them."""
+
+
+def well_formed(request: Any) -> bool:
+    """True if a request has one host, no repeated header that is read, and a valid path.
+
+    Browsers and programs send such requests; others would raise an exception later.
+    """
+    values = [request.headers.get_all(name) for name in ("Host", *_ONCE)]
+    try:
+        urlsplit(request.path)
+    except ValueError:
+        return False
+    texts = [request.path, *chain.from_iterable(values)]
+    return len(values[0]) == 1 and max(map(len, values)) == 1 and all(map(str.isascii, texts))
+
+
+def same_origin(request: Any) -> bool:
+    """True if no page of another origin sent the request.
+
+    Programs send no origin; a browser sends that of the page that connects.
+    """
+    origins, hosts = (request.headers.get_all(name) for name in ("Origin", "Host"))
+    if len(hosts) != 1 or len(origins) > 1:
+        return False
+    try:
+        return not origins or urlsplit(origins[0]).netloc.lower() == hosts[0].lower()
+    except ValueError:  # such as http://[
+        return False
+
+
+def names_this_machine(request: Any) -> bool:
+    """True if the request's host is a loopback address or ``localhost``.
+
+    Another name that an attacker points at this machine would have their own page's origin.
+    """
+    name = _name_of("".join(request.headers.get_all("Host")))
+    return (name or "") in LOCAL or is_loopback(name)
+
+
+def is_loopback(host: str | None) -> bool:
+    """True for a numeric loopback address."""
+    try:
+        return ipaddress.ip_address(host or "").is_loopback
+    except ValueError:
+        return False
+
+
+def _name_of(host: str) -> str | None:
+    """Name in a ``Host`` header, without the port."""
+    try:
+        return urlsplit(f"//{host}").hostname
+    except ValueError:
+        return None

@@ -1,4 +1,4 @@
-"""Opening a page in the local browser, without its token in the list of processes."""
+"""Opens a page in the local browser, without its token in the list of processes."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ import webbrowser
 from pathlib import Path
 from typing import Final
 
-_KEPT_S: Final = 60.0
-"""How long a browser may take to read the file that leads to a page [s]."""
+_FILE_S: Final = 60.0
+"""Time for which the file that redirects the browser exists [s]."""
 
 
 def open_page(url: str) -> None:
-    """Opens a page in the browser, where there is a desktop to open it on.
+    """Open a page in the browser, if there is a desktop.
 
-    Any user of this machine sees with which arguments a browser is started. So an address that
-    holds a token is handed over in a file that its owner alone may read, and that leads there.
+    Any user of this machine can see the arguments of a browser's process. An address with a token
+    is therefore passed in a file that only its owner can read, and that redirects to the page.
 
     Args:
-        url: of the page.
+        url: address of the page.
     """
     if not has_desktop():
         return
@@ -36,13 +36,13 @@ def open_page(url: str) -> None:
 
 
 def leading_to(url: str) -> Path:
-    """A file that leads a browser to a page; readable by its owner alone, and gone after a minute.
+    """Write a file that redirects to a page; only its owner can read it, for a minute.
 
     Args:
-        url: of the page.
+        url: address of the page.
 
     Raises:
-        OSError: it can't be written.
+        OSError: the file can't be written.
     """
     handle, name = tempfile.mkstemp(prefix="smooth-operator-", suffix=".html")  # mode 0600
     file = Path(name)
@@ -60,14 +60,14 @@ def leading_to(url: str) -> Path:
             file.unlink(missing_ok=True)
 
     atexit.register(remove)
-    timer = threading.Timer(_KEPT_S, remove)
+    timer = threading.Timer(_FILE_S, remove)
     timer.daemon = True
     timer.start()
     return file
 
 
 def has_desktop() -> bool:
-    """Whether a browser would open a window."""
+    """True if a browser would open a window."""
     # without a display, webbrowser starts a text browser that takes over the terminal
     if sys.platform in ("win32", "darwin"):
         return True

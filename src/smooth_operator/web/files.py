@@ -1,4 +1,4 @@
-"""The files of a page that ship in a package, and how they are answered with."""
+"""Files of a page in a package, and responses with security headers."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from importlib import resources
 from typing import TYPE_CHECKING, Final
 
-from smooth_operator.web.origin import well_formed
+from smooth_operator.web.auth import well_formed
 
 if TYPE_CHECKING:
     from websockets.asyncio.server import ServerConnection
@@ -26,15 +26,15 @@ _HEADERS: Final = {
     "X-Frame-Options": "DENY",
 }
 _BARE: Final = "default-src 'none'; frame-ancestors 'none'"
-"""Policy of an answer that is no page: it loads nothing, and no page frames it."""
+"""Policy of a response that is no page: it loads nothing, and no page frames it."""
 
 
 def page_files(package: str, folder: str = "page") -> dict[str, tuple[bytes, str]]:
     """Path -> (content, type) of all files of a page.
 
     Args:
-        package: dotted name of the package that ships them.
-        folder: in the package.
+        package: dotted name of the package.
+        folder: folder in the package.
     """
     return {
         f"/{file.name}": (file.read_bytes(), _TYPES[f".{file.name.rsplit('.')[-1]}"])
@@ -51,13 +51,13 @@ def answer_with(
     links: str = "wss:",
     more: Mapping[str, str] | None = None,
 ) -> Response:
-    """A file, under a policy that lets the page load nothing from elsewhere.
+    """Response with a file, under a policy that lets the page load nothing from other servers.
 
     Args:
-        connection: that asked.
-        body: of the answer.
-        kind: its type.
-        links: schemes of WebSockets, since older Safaris don't count them as ``'self'``.
+        connection: connection of the request.
+        body: content.
+        kind: content type.
+        links: schemes of WebSockets, which older Safaris don't count as ``'self'``.
         more: further headers.
     """
     response = connection.respond(http.HTTPStatus.OK, "")
@@ -76,14 +76,14 @@ def answer_with(
 def shielded(
     answer: Callable[[ServerConnection, Request], Response | None], policy: str = _BARE
 ) -> Callable[[ServerConnection, Request], Response | None]:
-    """A server's answers to well-formed requests, with headers that keep pages from framing them.
+    """Wrap a server's request handler: refuses malformed requests, adds headers against framing.
 
-    In a frame, a page of another origin could lay its own picture over ours and have the operator
-    click our buttons.
+    In a frame, a page of another origin could cover our page with its own picture, so that the
+    operator clicks our buttons.
 
     Args:
-        answer: to a request; None where a WebSocket opens.
-        policy: Content-Security-Policy of answers that have none.
+        answer: response to a request; None to open a WebSocket.
+        policy: Content-Security-Policy of responses without one.
     """
 
     def shield(connection: ServerConnection, request: Request) -> Response | None:

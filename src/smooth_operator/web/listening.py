@@ -1,8 +1,9 @@
-"""Listening socket of a server."""
+"""Listening socket of a server with limits, and options of servers of websockets."""
 
 from __future__ import annotations
 
 import contextlib
+import logging
 import socket
 import threading
 from collections import Counter
@@ -11,18 +12,18 @@ from functools import partial
 from typing import Any, Final
 
 _REFUSED_IN_A_ROW: Final = 100
-"""Connections that one call of accept may refuse, so that a flood leaves time for the others."""
+"""Connections that one call of accept may refuse, so that a flood leaves time for other work."""
 
 
 def listen(host: str, port: int) -> socket.socket:
-    """A socket that listens.
+    """Open a listening socket.
 
     Args:
         host: an address of this machine; ``0.0.0.0`` or ``::`` for all.
-        port: 0 for any free one.
+        port: port; 0 for any free one.
 
     Raises:
-        OSError: the address is not one of this machine's, or the port is taken.
+        OSError: the address is not one of this machine's, or the port is in use.
     """
     family, _, _, _, address = socket.getaddrinfo(
         host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
@@ -35,18 +36,17 @@ def listen(host: str, port: int) -> socket.socket:
 
 
 class LimitedListener(socket.socket):
-    """A listening socket that accepts so many connections and no more.
+    """A listening socket that limits the number of open connections.
 
-    Those beyond the limits are closed before anything is read or allocated for them, TLS included.
-    What counts is what is open at a time; it makes no difference what a connection is used for.
-    A connection waits until the server calls ``served``; of those of one address that wait, the
-    oldest makes room for the newest, so that connections left half-open don't lock an address out.
+    Connections above the limits are closed before anything is read or allocated for them, also for
+    TLS. A connection waits until the server calls ``served``. Among the waiting connections of one
+    address, the oldest is closed for the newest, so that half-open ones don't lock out an address.
 
     Args:
-        listening: a socket that listens; it is taken over.
-        most: connections at a time.
-        most_of_one: the same from one address, so that it can't take the place of all others.
-        most_waiting: of these, how many may wait.
+        listening: a listening socket; it is taken over.
+        most: largest number of open connections.
+        most_of_one: largest number from one address.
+        most_waiting: largest number of waiting connections from one address.
     """
 
     def __init__(
@@ -63,7 +63,7 @@ class LimitedListener(socket.socket):
         self._change = threading.Lock()
 
     def accept(self) -> tuple[socket.socket, Any]:
-        """The next connection for which there is room.
+        """The next connection within the limits.
 
         Raises:
             BlockingIOError: there is none now.
@@ -83,7 +83,7 @@ class LimitedListener(socket.socket):
         raise BlockingIOError
 
     def served(self, address: Any) -> None:
-        """A whole request has come on the connection from an address (host, port, ...)."""
+        """End the waiting of the connection from an address (host, port, ...): its request came."""
         with self._change:
             self._waiting.pop(address, None)
 
@@ -91,7 +91,7 @@ class LimitedListener(socket.socket):
         with self._change:
             waiting = [each for each in self._waiting if each[0] == address[0]]
             if len(waiting) >= self._most_waiting:
-                with contextlib.suppress(OSError):  # the server, which owns it, sees its end
+                with contextlib.suppress(OSError):  # the server closes it at its end of file
                     self._waiting.pop(waiting[0]).shutdown(socket.SHUT_RDWR)
             self._waiting[address] = connection
 
@@ -118,3 +118,40 @@ class _Counted(socket.socket):
         closed, self._when_closed = self._when_closed, None
         if closed is not None:
             closed()
+
+
+def quiet_options(name: str) -> dict[str, Any]:
+    """Options of ``websockets.asyncio.server.serve`` with which bad requests print nothing.
+
+    Errors of a client (no HTTP, a request that ends early, a message on which the handler fails) go
+    to a logger, with a traceback. The library's own logger has no handler, so that Python would
+    print them in the operator's terminal.
+
+    Args:
+        name: name of the logger, to which a program may add a handler.
+    """
+    from websockets.asyncio.server import ServerConnection
+
+    class Connection(ServerConnection):
+        """A connection that joins its pending writes to one.
+
+        A client may be gone when its thousands of pings are answered, and asyncio prints a line for
+        each write to a lost connection, from the fifth on.
+        """
+
+        def send_data(self) -> None:
+            data = self.protocol.data_to_send()
+            if answers := b"".join(data):
+                self.transport.write(answers)
+            if b"" not in data:  # marks the end
+                return
+            if self.transport.can_write_eof():
+                with contextlib.suppress(OSError, RuntimeError):
+                    self.transport.write_eof()
+            else:  # TLS
+                self.transport.close()
+
+    logger = logging.getLogger(name)
+    if not any(isinstance(each, logging.NullHandler) for each in logger.handlers):
+        logger.addHandler(logging.NullHandler())
+    return {"logger": logger, "create_connection": Connection, "server_header": None}

@@ -17,10 +17,9 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from smooth_operator.errors import HandModelError
-from smooth_operator.hands.collision import solid_shapes
+from smooth_operator.hands.collision import Capsule, shape_capsules, solid_shapes
 from smooth_operator.hands.differential import PointKinematics
 from smooth_operator.hands.hand import Hand, landmark_points, tree_with
-from smooth_operator.hands.solids import Capsule, shape_capsules
 from smooth_operator.hands.stand_ins import stand_ins
 
 SPACING_M: Final = 0.002

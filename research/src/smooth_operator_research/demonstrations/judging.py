@@ -20,10 +20,16 @@ from smooth_operator.landmarks import FINGERS, NUM_LANDMARKS, TIPS
 from smooth_operator.methods.smooth import SmoothConfig
 from smooth_operator.simulation.scenes import ScenePhysics, scene_for
 from smooth_operator.simulation.scenes.card import CardScene
-from smooth_operator.simulation.tasks.card_scorer import OVER, CardScorer, pinches
-from smooth_operator.simulation.tasks.cube_scorer import GOAL, TOLERANCE, CubeScorer
-from smooth_operator.simulation.tasks.scorer import HOLD_S
-from smooth_operator.simulation.tasks.screwdriver_scorer import ScrewdriverScorer
+from smooth_operator.simulation.tasks.scorers import (
+    GOAL,
+    HOLD_S,
+    OVER,
+    TOLERANCE,
+    CardScorer,
+    CubeScorer,
+    ScrewdriverScorer,
+    pinches,
+)
 from smooth_operator.simulation.tasks.task_registry import task_named
 from smooth_operator.synthetic.tracker import TrackerStream
 from smooth_operator.types import as_side

@@ -16,11 +16,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, UInt32
 
-from smooth_operator.baselines.scipy_slsqp import ScipySlsqpConfig, scipy_slsqp_minimise
 from smooth_operator.baselines.slsqp import (
+    ScipySlsqpConfig,
     SlsqpConfig,
     SlsqpResult,
     ValueAndGradient,
+    scipy_slsqp_minimise,
     slsqp_minimise,
 )
 from smooth_operator.geometry import AnyKind, array_namespace

@@ -244,7 +244,7 @@ class ExperimentFolder:
 def experiment_code() -> str:
     """Digest of the code and the models that a cell depends on."""
     return research_digest(
-        "hands", "objective", "solvers", "baselines/slsqp.py", "baselines/scipy_slsqp.py",
+        "hands", "objective", "solvers", "baselines/slsqp.py",
         "paper/compared_solvers.py", "paper/solver_grid.py", "paper/rmsprop.py", "paper/runs.py",
     )  # fmt: skip
 

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import align_recording
 from smooth_operator.simulation.scenes import Scene, ScenePart, ScenePhysics, scene_for
-from smooth_operator.simulation.tasks.scorer import rotation
+from smooth_operator.simulation.tasks.scorers import rotation
 from smooth_operator.simulation.tasks.task_registry import TASKS
 from smooth_operator.simulation.tasks.trial import Outcome
 from smooth_operator.types import HandRecording, Side
@@ -169,7 +169,7 @@ def _own_score(name: str, hand_name: str, side: Side, number: int, seed: int) ->
         seconds=task.seconds,
     ):
         outcome = moment.run.outcome
-        score = moment.run.standing.score if outcome is None else outcome.score
+        score = moment.run.assessment.score if outcome is None else outcome.score
     return score
 
 

@@ -22,7 +22,7 @@ from smooth_operator.landmarks import FINGERS
 from smooth_operator.simulation.scenes.physics import ScenePhysics
 from smooth_operator.simulation.scenes.scene import Scene
 from smooth_operator.simulation.scenes.state import SceneState
-from smooth_operator.simulation.tasks.scorer import Scorer
+from smooth_operator.simulation.tasks.scorers import Scorer
 from smooth_operator.simulation.tasks.task_registry import SimulatedTask
 from smooth_operator_research.virtual_operator.familiarisation import InternalModel
 from smooth_operator_research.virtual_operator.hand_model import (

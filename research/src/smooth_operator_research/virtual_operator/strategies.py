@@ -21,13 +21,13 @@ from smooth_operator.simulation.scenes.card import CARD, CardScene
 from smooth_operator.simulation.scenes.cube import EDGE, CubeScene
 from smooth_operator.simulation.scenes.screwdriver import HANDLE, ScrewdriverScene
 from smooth_operator.simulation.scenes.state import SceneState
-from smooth_operator.simulation.tasks.card_scorer import CardScorer
-from smooth_operator.simulation.tasks.cube_scorer import GOAL
-from smooth_operator.simulation.tasks.scorer import rotation
-from smooth_operator.simulation.tasks.screwdriver_scorer import (
+from smooth_operator.simulation.tasks.scorers import (
     CLOSE,
     DOWN,
+    GOAL,
+    CardScorer,
     ScrewdriverScorer,
+    rotation,
 )
 from smooth_operator_research.virtual_operator.hand_model import GripReach
 
@@ -176,7 +176,7 @@ def moved(aims: Aims, by: Float[np.ndarray, "3"]) -> Aims:
 
 def again(obs: Observation, reset: bool = False) -> Generator[Step, Observation, Observation]:
     """Open the hand after an attempt, and ask for a reset if the object can't be worked on."""
-    reset = reset or bool(obs.scorer.standing.stuck)
+    reset = reset or bool(obs.scorer.assessment.stuck)
     return (yield Step(lambda share, s: {}, longest_s=0.5, attempt=True, reset=reset))
 
 
@@ -341,7 +341,7 @@ def cube_strategy(scene: CubeScene, reach: GripReach, obs: Observation) -> Strat
         m = np.array([np.cos(at), np.sin(at), 0.0])
         back = {THUMB: centre - out * m, finger: centre + out * m}
         obs = yield Step(still(back), via=True)
-        if obs.scorer.standing.stuck:
+        if obs.scorer.assessment.stuck:
             obs = yield from again(obs)
             sign, above = 0.0, True
             continue

@@ -12,8 +12,7 @@ import numpy as np
 
 from smooth_operator.errors import HandModelError
 from smooth_operator.hands.loading import load_model
-from smooth_operator.hands.model_assets import read_model_files
-from smooth_operator.hands.model_xml import read_model_xml
+from smooth_operator.hands.model_assets import read_model_files, read_model_xml
 from smooth_operator.lab.discovery.shapes import geom_points, urdf_mesh_points
 from smooth_operator.lab.discovery.skeleton import Skeleton
 

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
-from smooth_operator.baselines.geort_model import finger_joints, human_tips
+from smooth_operator.baselines.geort import finger_joints, human_tips
 from smooth_operator.errors import RecordingError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import AlignmentConfig, align_recording

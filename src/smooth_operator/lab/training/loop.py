@@ -13,7 +13,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from smooth_operator.baselines.geort_model import (
+from smooth_operator.baselines.geort import (
     HIDDEN,
     GeortModel,
     Weights,

@@ -14,7 +14,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from smooth_operator.baselines.geort_model import Weights, finger_joints, forward
+from smooth_operator.baselines.geort import Weights, finger_joints, forward
 from smooth_operator.hands.hand import Hand
 from smooth_operator.lab.training.settings import BEND, GeortTraining
 

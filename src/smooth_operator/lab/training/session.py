@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from smooth_operator.atomic_files import atomic_write
-from smooth_operator.baselines.geort_model import GeortModel, write_geort_model
+from smooth_operator.baselines.geort import GeortModel, write_geort_model
 from smooth_operator.errors import OutputError
 from smooth_operator.formats.environment import environment
 from smooth_operator.formats.jsonable import to_json

@@ -1,4 +1,4 @@
-"""A hand that an arm carries: where the arm stands, and how both are built into a world."""
+"""A hand on an arm: place of the arm, MuJoCo models of both, kinematics of the wrist."""
 
 from __future__ import annotations
 
@@ -11,25 +11,26 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy.typing import ArrayLike
 
-from smooth_operator.simulation.arms.arm import ArmSpec
-from smooth_operator.simulation.arms.arm_model import (
+from smooth_operator.simulation.arms.arm import (
     ARM_PREFIX,
     FLANGE,
+    ArmSpec,
     add_servo,
     arm_spec,
     attach_to_flange,
+    inertia_matrix,
 )
 from smooth_operator.simulation.arms.hand_mount import HandMount
 from smooth_operator.simulation.arms.rigid import Matrix, Pose, pose_of, rigid
 
 BANDWIDTH: Final = 20
-"""Of the servos of a simulated arm [Hz]; as those of the hand, so that what a hand presses on moves
-its arm by no more than 2 mm."""
+"""Bandwidth of the servos of a simulated arm [Hz]. With that of the hand's servos, the reaction to
+a pressing finger moves the arm by at most 2 mm."""
 
 
 @dataclass(frozen=True, eq=False)
 class CarriedHand:
-    """An arm on its place, with a hand.
+    """An arm at its place in the room, with a hand.
 
     Attributes:
         arm: the arm.
@@ -43,17 +44,17 @@ class CarriedHand:
     home: Float[np.ndarray, " n"]
     base: Matrix
 
-    def standing(self, base: ArrayLike) -> CarriedHand:
-        """The same with the base at another place (3,) [m], facing along x."""
+    def at_base(self, base: ArrayLike) -> CarriedHand:
+        """A copy with the base at another place (3,) [m], facing along x."""
         return replace(self, base=rigid(np.eye(3), base))
 
     def attach(self, world: mujoco.MjSpec, hand: mujoco.MjSpec, prefix: str) -> None:
         """Put the arm into a world, with servos, and the hand on its flange.
 
         Args:
-            world: it is changed.
+            world: the world; it is changed.
             hand: the hand's model, which must not be used afterwards.
-            prefix: goes before the names of all that is the hand's.
+            prefix: prefix of the hand's names.
         """
         pose = pose_of(self.base)
         frame = world.worldbody.add_frame(pos=pose[:3], quat=pose[3:])
@@ -63,7 +64,7 @@ class CarriedHand:
             add_servo(world, ARM_PREFIX + link.joint, float(inertia), link.torque, BANDWIDTH)
 
     def addresses(self, model: mujoco.MjModel) -> ArmAddresses:
-        """Where the arm is in a compiled world."""
+        """Addresses of the arm's joints and servos in a compiled world."""
         names = [ARM_PREFIX + name for name in self.arm.joint_names]
         return ArmAddresses(
             np.array([int(model.joint(name).qposadr[0]) for name in names]),
@@ -73,7 +74,7 @@ class CarriedHand:
 
     @cached_property
     def _inertia(self) -> Float[np.ndarray, " n"]:
-        """What each servo moves at home, the hand as a point included [kg m^2]."""
+        """(n,) inertia at each servo at home, with the hand as a point mass [kg m^2]."""
         spec, hand = arm_spec(self.arm), self.mount
         mass = max(float(hand.hand.model.body_mass.sum()), 0.1)
         payload = spec.body(FLANGE).add_body(name="payload", pos=hand.flange_to_wrist[:3, 3])
@@ -82,22 +83,17 @@ class CarriedHand:
         data = mujoco.MjData(model)
         data.qpos[:] = self.home
         mujoco.mj_forward(model, data)
-        full = np.zeros((model.nv, model.nv))
-        try:
-            mujoco.mj_fullM(model, data, full)
-        except TypeError:  # up to MuJoCo 3.3 it takes the packed matrix, and the result comes first
-            mujoco.mj_fullM(model, full, data.qM)
-        return np.asarray(np.diag(full)).copy()
+        return np.diag(inertia_matrix(model, data)).copy()
 
 
 @dataclass(frozen=True, eq=False)
 class ArmAddresses:
-    """Where an arm is in a compiled world.
+    """Addresses of an arm in a compiled world.
 
     Attributes:
-        qpos: (n,) of its joints among the positions.
-        dofs: (n,) among the velocities.
-        controls: (n,) of its servos among the controls.
+        qpos: (n,) addresses of its joints among the positions.
+        dofs: (n,) addresses of its joints among the velocities.
+        controls: (n,) addresses of its servos among the controls.
     """
 
     qpos: Int[np.ndarray, " n"]
@@ -106,7 +102,7 @@ class ArmAddresses:
 
 
 class WristKinematics:
-    """Poses of palm and wrist of a carried hand from the arm's joints. Not thread-safe.
+    """Forward kinematics from an arm's joints to palm and wrist of its hand. Not thread-safe.
 
     Args:
         carried: the arm with its hand.
@@ -119,11 +115,11 @@ class WristKinematics:
         self._flange = self._model.body(FLANGE).id
 
     def wrist(self, positions: Float[np.ndarray, " n"]) -> Pose:
-        """The hand's wrist in the arm's base frame; positions (n,) of the arm's joints [rad]."""
+        """Pose of the hand's wrist in the arm's base frame at (n,) joint positions [rad]."""
         return pose_of(self._flange_at(positions) @ self._carried.mount.flange_to_wrist)
 
     def palm(self, positions: Float[np.ndarray, " n"]) -> Pose:
-        """The hand's palm frame in the room; positions (n,) of the arm's joints [rad]."""
+        """Pose of the hand's palm frame in the room at (n,) joint positions [rad]."""
         mount = self._carried.mount
         to_palm = mount.flange_to_model @ mount.model_to_palm
         return pose_of(self._carried.base @ self._flange_at(positions) @ to_palm)

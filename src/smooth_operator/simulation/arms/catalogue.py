@@ -1,8 +1,8 @@
-"""The arms: figures of their makers' data sheets, with capsules around the links.
+"""Catalogue of arms: figures of the makers' data sheets, with capsules around the links.
 
-Frames and angles are those of the makers' controllers, so a command fits the real arm as it is.
-Capsules are our own, from the makers' dimensioned drawings; those of the Panda are of the figures
-that Franka publishes for its self-collision model.
+Frames and angles are those of the makers' controllers, so a command suits the real arm unchanged.
+The capsules are our own, from the makers' dimensioned drawings; those of the Panda follow the
+figures that Franka publishes for its self-collision model.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from smooth_operator.errors import UnknownNameError
 from smooth_operator.simulation.arms.arm import ArmSpec, Capsule, Link
 
 _HALF: Final = pi / 2
-_DOWN: Final = pi / 3  # of the fingers at home: far from the wrists' singular poses
+_DOWN: Final = pi / 3  # tilt of the fingers at home, far from the wrists' singular poses
 
 
 def _degrees(low: float, high: float) -> tuple[float, float]:
@@ -156,7 +156,7 @@ def arm_named(name: str) -> ArmSpec:
     """An arm by its name.
 
     Raises:
-        UnknownNameError: there is none of that name.
+        UnknownNameError: there is no arm of that name.
     """
     if name not in ARMS:
         raise UnknownNameError("arm", name, ARMS)

@@ -9,8 +9,8 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
+from smooth_operator.hands.collision import shape_capsules
 from smooth_operator.hands.hand import Hand
-from smooth_operator.hands.solids import shape_capsules
 from smooth_operator.simulation.arms.rigid import Matrix, inverse, rigid
 from smooth_operator.simulation.hand_directions import hand_directions
 
@@ -25,7 +25,7 @@ class HandMount:
     Attributes:
         hand: the robot hand.
         adapter: thickness of the plate between flange and hand [m].
-        roll: of the hand about the flange's z [rad]; 0 has the back of the hand along its x.
+        roll: turn of the hand about the flange's z [rad]; at 0 its back points along x.
     """
 
     hand: Hand
@@ -51,7 +51,7 @@ class HandMount:
 
     @cached_property
     def length(self) -> float:
-        """From the hand's rear end to its wrist, along the fingers [m]."""
+        """Distance from the hand's rear end to its wrist, along the fingers [m]."""
         model, data = self.hand.model, mujoco.MjData(self.hand.model)
         data.qpos[:] = self.hand.qpos(self.hand.full_configuration(self.hand.neutral))
         mujoco.mj_kinematics(model, data)
@@ -79,19 +79,15 @@ class HandMount:
         """The world of the hand's own model in the flange's frame."""
         return np.asarray(self.flange_to_wrist @ inverse(self.model_to_palm @ self.palm_to_wrist))
 
-    def capsules(self) -> HandCapsules:
-        """The hand's shapes as capsules, to be posed with its fingers."""
-        return HandCapsules(self)
-
 
 class HandCapsules:
-    """Capsules around a hand's parts; where they are on the flange as the fingers move.
+    """Capsules around a hand's parts, posed in the flange's frame as the fingers move.
 
     Args:
         mount: the hand on its flange.
 
     Attributes:
-        radii: (c,) [m].
+        radii: (c,) radii [m].
         halves: (c,) half lengths of the segments [m].
         fingers: (c,) whether a joint of the hand moves it.
     """
@@ -133,7 +129,7 @@ class HandCapsules:
         """Middles [m] and axes (unit vectors) of the capsules in the flange's frame.
 
         Args:
-            positions: (n,) of all joints of the hand [rad].
+            positions: (n,) positions of all joints of the hand [rad].
         """
         self._data.qpos[:] = self._hand.qpos(positions)
         mujoco.mj_kinematics(self._model, self._data)

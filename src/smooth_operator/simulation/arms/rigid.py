@@ -1,7 +1,7 @@
-"""Rigid transforms as 4 x 4 matrices, one at a time, for the loop.
+"""Single rigid transforms as 4 x 4 matrices, for the live loop.
 
-``smooth_operator.poses`` does the same for arrays of poses; MuJoCo's functions take a tenth of its
-time for one.
+``smooth_operator.poses`` does the same for arrays of poses; for a single pose MuJoCo's functions
+take a tenth of its time.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ Pose = Float[np.ndarray, "7"]
 
 
 def matrix_of(pose: ArrayLike) -> Matrix:
-    """Position [m] and quaternion (w x y z, of any length but 0) as a matrix."""
+    """Matrix of a position [m] and a quaternion (w x y z, of any length but 0)."""
     values = np.asarray(pose, float)
     turn, quaternion = np.zeros(9), values[3:] / np.linalg.norm(values[3:])
     mujoco.mju_quat2Mat(turn, quaternion)
@@ -26,14 +26,14 @@ def matrix_of(pose: ArrayLike) -> Matrix:
 
 
 def pose_of(matrix: Matrix) -> Pose:
-    """A matrix as position [m] and unit quaternion, w first and not negative."""
+    """Position [m] and unit quaternion (w first, not negative) of a matrix."""
     quaternion = np.zeros(4)
     mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(matrix[:3, :3]).ravel())
     return np.concatenate([matrix[:3, 3], quaternion if quaternion[0] >= 0 else -quaternion])
 
 
 def rigid(rotation: ArrayLike, position: ArrayLike) -> Matrix:
-    """A matrix from a rotation (3, 3) and a position (3,) [m]."""
+    """Matrix of a rotation (3, 3) and a position (3,) [m]."""
     out = np.eye(4)
     out[:3, :3], out[:3, 3] = rotation, position
     return out

@@ -1,4 +1,4 @@
-"""What the hand in physics works on: the scenes of the study's tasks, around any hand."""
+"""Scenes of the study's tasks, around any hand."""
 
 from smooth_operator.simulation.scenes.physics import ScenePhysics
 from smooth_operator.simulation.scenes.scene import Scene

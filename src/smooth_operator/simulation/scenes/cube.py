@@ -1,4 +1,4 @@
-"""Vertical cube rotation: a cube on a pedestal under the hand, to be turned by a right angle."""
+"""Scene of the cube rotation: a cube on a pedestal below the hand, to be turned by 90 degrees."""
 
 from __future__ import annotations
 
@@ -9,21 +9,20 @@ import mujoco
 import numpy as np
 
 from smooth_operator.hands.hand import Hand
-from smooth_operator.simulation.scenes.mount import mount
-from smooth_operator.simulation.scenes.reach import opposition, reachable
+from smooth_operator.simulation.scenes.mount import mount, opposition, reachable
 from smooth_operator.simulation.scenes.scene import PLATFORM, Scene, add_shape
 
 EDGE: Final = 0.040
-"""Of the cube [m]."""
+"""Edge length of the cube [m]."""
 
 MASS: Final = 0.045
-"""Of a printed cube with that edge, two thirds full [kg]."""
+"""Mass of the cube, printed with an infill of two thirds [kg]."""
 
-_TOP: Final = 0.18  # of the pedestal [m]
-_PEDESTAL: Final = 0.055  # half its side [m]
-_SLIDES: Final = (0.2, 0.001)
-_GRIPS: Final = (0.9, 0.002)
-_TAG: Final = 0.0005  # how far a coloured face stands out [m]
+_TOP: Final = 0.18  # height of the pedestal's top [m]
+_PEDESTAL: Final = 0.055  # half of the pedestal's side [m]
+_PEDESTAL_FRICTION: Final = (0.2, 0.001)
+_CUBE_FRICTION: Final = (0.9, 0.002)
+_TAG: Final = 0.0005  # thickness of a coloured face [m]
 
 _FACES: Final = (
     ((1, 0, 0), (0.84, 0.37, 0.0, 1.0)), ((-1, 0, 0), (0.0, 0.45, 0.7, 1.0)),
@@ -49,7 +48,7 @@ class CubeScene(Scene):
         x, y, _ = self.start[0]
         add_shape(
             world.worldbody, PLATFORM, mujoco.mjtGeom.mjGEOM_BOX,
-            (_PEDESTAL, _PEDESTAL, self.top / 2), mass=0.0, friction=_SLIDES,
+            (_PEDESTAL, _PEDESTAL, self.top / 2), mass=0.0, friction=_PEDESTAL_FRICTION,
             at=(x, y, self.top / 2), color=(0.62, 0.5, 0.38, 1.0), priority=2,
         )  # fmt: skip
 
@@ -58,7 +57,7 @@ class CubeScene(Scene):
         half = EDGE / 2
         add_shape(
             body, "cube", mujoco.mjtGeom.mjGEOM_BOX, (half, half, half), mass=MASS,
-            friction=_GRIPS, color=(0.9, 0.9, 0.9, 1.0),
+            friction=_CUBE_FRICTION, color=(0.9, 0.9, 0.9, 1.0),
         )  # fmt: skip
         for normal, color in _FACES:
             n = np.array(normal, float)
@@ -69,15 +68,15 @@ class CubeScene(Scene):
 
 
 def cube_scene(hand: Hand) -> CubeScene:
-    """A cube midway between thumb and fingers, its upper half within the fingertips' reach.
+    """Scene with the cube midway between thumb and fingers, its upper half in reach of the tips.
 
     Raises:
-        HandModelError: thumb and index finger never are a cube's width apart.
+        HandModelError: thumb and index finger are in no pose a cube's width apart.
     """
     middle = np.concatenate([opposition(hand, name, EDGE) for name in hand.fingers[1:3]])
     deepest = float(np.quantile(reachable(hand)[:, 1:3, 2], 0.97))  # palmar
     distal, radial = (float(value) for value in np.median(middle[:, :2], axis=0))
-    depth = deepest - 0.25 * EDGE  # of the cube's centre below the wrist
+    depth = deepest - 0.25 * EDGE  # cube's centre below the wrist
     at = mount(hand, up=(0, 0, -1), forward=(1, 0, 0), wrist=(0.0, 0.0, _TOP + EDGE / 2 + depth))
     centre = at.world((distal, radial, depth))
     reach = np.array([_PEDESTAL + EDGE, _PEDESTAL + EDGE, EDGE])

@@ -1,4 +1,4 @@
-"""How a hand stands in a scene: its own directions against the world's."""
+"""Pose of a hand on its fixture in a scene, and where its fingertips can reach."""
 
 from __future__ import annotations
 
@@ -9,21 +9,22 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
+from smooth_operator.errors import HandModelError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.simulation.hand_directions import hand_directions
 
 
 @dataclass(frozen=True, eq=False)
 class Mount:
-    """A hand on its fixture.
+    """Pose of a hand on its fixture.
 
-    Points of a scene are found in the hand's own directions, from the wrist: distal along the
-    fingers, radial to the thumb's side, palmar out of the palm. The world's z points up.
+    A scene places its parts in directions of the hand, from the wrist: distal along the fingers,
+    radial to the thumb's side, palmar out of the palm. The world's z points up.
 
     Attributes:
         directions: (3, 3) columns: distal, radial and palmar in the world.
-        wrist: (3,) the hand's wrist in the world [m].
-        frame: position (3,) [m] and quaternion (4,) of the model's own world in this one.
+        wrist: (3,) position of the hand's wrist in the world [m].
+        frame: position (3,) [m] and quaternion (4,) of the world of the hand's model in this world.
         palm: position (3,) [m] and rotation (3, 3) of the palm frame in the world.
     """
 
@@ -33,17 +34,17 @@ class Mount:
     palm: tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]]
 
     def world(self, point: ArrayLike) -> Float[np.ndarray, "3"]:
-        """(3,) distal, radial and palmar from the wrist [m], in the world."""
+        """(3,) world position [m] of a point: distal, radial and palmar from the wrist [m]."""
         return np.asarray(self.wrist + self.directions @ np.asarray(point, float))
 
     def in_palm(
         self, position: Float[np.ndarray, "3"], quaternion: Float[np.ndarray, "4"]
     ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "4"]]:
-        """A pose of the world in the palm frame, where the pages draw hands.
+        """Pose in the palm frame, in which the pages draw hands, of a pose in the world.
 
         Args:
-            position: (3,) in the world [m].
-            quaternion: (4,) w x y z, to the world.
+            position: (3,) position in the world [m].
+            quaternion: (4,) rotation to the world, w x y z.
         """
         at, turn = self.palm
         back, out = np.zeros(4), np.zeros(4)
@@ -53,13 +54,13 @@ class Mount:
 
 
 def mount(hand: Hand, *, up: ArrayLike, forward: ArrayLike, wrist: ArrayLike = (0, 0, 0)) -> Mount:
-    """Fix a hand in the world.
+    """Place a hand in the world.
 
     Args:
         hand: the robot hand.
-        up: (3,) distal, radial, palmar: which of the hand's directions is the world's z.
-        forward: (3,) the same for the world's x; what of it is along ``up`` is left out.
-        wrist: (3,) where the wrist is in the world [m].
+        up: (3,) direction of the hand (distal, radial, palmar) that is the world's z.
+        forward: (3,) direction of the hand that is the world's x; its part along ``up`` is ignored.
+        wrist: (3,) position of the wrist in the world [m].
     """
     axes = hand_directions(hand)
     z = np.asarray(up, float) @ axes
@@ -70,7 +71,7 @@ def mount(hand: Hand, *, up: ArrayLike, forward: ArrayLike, wrist: ArrayLike = (
     turn = np.stack([x, np.cross(z, x), z])  # palm frame to world
     at = np.asarray(wrist, float)
     palm = at - turn @ hand.wrist
-    # The palm in the model's own world: a forearm, say, may stand between the two.
+    # A model may have a forearm between its world and the palm.
     data = mujoco.MjData(hand.model)
     data.qpos[:] = hand.qpos(hand.full_configuration(hand.neutral))
     mujoco.mj_kinematics(hand.model, data)
@@ -80,3 +81,38 @@ def mount(hand: Hand, *, up: ArrayLike, forward: ArrayLike, wrist: ArrayLike = (
     mujoco.mju_mat2Quat(quaternion, rotation.ravel())
     frame = (palm - rotation @ data.xpos[body], quaternion)
     return Mount(turn @ axes.T, at, frame, (palm, turn))
+
+
+_POSES = 20_000
+
+
+def reachable(hand: Hand) -> Float[np.ndarray, "s f 3"]:
+    """(s, f, 3) fingertips in random poses: distal, radial and palmar from the wrist [m].
+
+    The random poses are the same in every call, so that a hand's scene is always the same.
+    """
+    low, high = hand.limits.T
+    poses = np.random.default_rng(0).uniform(low, high, (_POSES, len(low)))
+    tips = hand.tips(hand.full_configuration(poses)) - hand.wrist
+    return np.asarray(tips @ hand_directions(hand).T)
+
+
+def opposition(
+    hand: Hand, finger: str, gap: float, *, tolerance: float = 0.006
+) -> Float[np.ndarray, "k 3"]:
+    """(k, 3) midpoints between the tips of thumb and finger in poses where they are ``gap`` apart.
+
+    All lengths in metres.
+
+    Raises:
+        HandModelError: fewer than 20 of the random poses have that gap.
+    """
+    tips = reachable(hand)
+    thumb, other = tips[:, 0], tips[:, hand.fingers.index(finger)]
+    near = np.abs(np.linalg.norm(other - thumb, axis=1) - gap) < tolerance
+    if near.sum() < 20:
+        raise HandModelError(
+            f"hand {hand.name!r}: thumb and {finger} can't take hold of something "
+            f"{1e3 * gap:.0f} mm thick; choose another task or hand"
+        )
+    return np.asarray((thumb + other)[near] / 2)

@@ -1,8 +1,8 @@
-"""Fingertip pads that give way as silicone does: contact parameters from a stiffness in N/mm.
+"""Contact parameters of soft fingertip pads, from the stiffness of silicone.
 
-MuJoCo scales a contact's stiffness by the mass that it moves. So the parameters of an object
-follow from its mass, such that pads press into it equally far at equal force, whatever it weighs.
-The force at a contact that is ``r`` deep is, at rest,
+MuJoCo scales a contact's stiffness by the mass that it moves. The parameters of an object follow
+from its mass, so that a given force presses a pad equally far into an object of any mass. The
+force at a contact of depth ``r`` is, at rest,
 
     F = d(r)^2 r / ((1 - d(r)) d_max^2 tau^2 A)
 
@@ -30,21 +30,21 @@ laws (Xydas and Kao 1999, doi:10.1177/02783649922066673). A human fingertip is s
 exponentially (Pawluk and Howe 1999, doi:10.1115/1.2835100)."""
 
 PRESSED_DEPTH: Final = 0.001
-"""[m]"""
+"""Depth at which ``PRESSED_STIFFNESS`` holds [m]."""
 
 TIME_CONSTANT: Final = 0.01
-"""Of the pads' damping, which is critical or above [s]; five steps of 2 ms."""
+"""Time constant of the pads' damping, which is critical or above [s]; five steps of 2 ms."""
 
-_SOFTEST: Final = 0.05  # impedance, for an object much heavier than a finger
-_HARDEST: Final = 0.9995  # for one of less than a gram
+_SOFTEST: Final = 0.05  # lowest impedance: an object much heavier than a finger
+_HARDEST: Final = 0.9995  # highest impedance: an object below 1 g
 
 
 def soften_pads(model: mujoco.MjModel, body: int, fingertips: list[int]) -> None:
-    """Give an object's shapes the parameters with which a pad presses into them.
+    """Set the contact parameters of an object's shapes to those of soft pads.
 
     Args:
-        model: the scene; its shapes are changed.
-        body: the object's.
+        model: the scene; it is changed.
+        body: body of the object.
         fingertips: bodies of the fingertips.
     """
     tips = float(np.median(model.body_invweight0[fingertips, 0]))
@@ -56,10 +56,10 @@ def soften_pads(model: mujoco.MjModel, body: int, fingertips: list[int]) -> None
 
 
 def pad_impedance(inverse_mass: float) -> tuple[float, float]:
-    """Impedance where a pad begins to touch and where it is ``PRESSED_DEPTH`` deep.
+    """Impedance at first touch and at ``PRESSED_DEPTH``.
 
     Args:
-        inverse_mass: of the object and of the fingertip, added [1/kg].
+        inverse_mass: sum of the inverse masses of object and fingertip [1/kg].
     """
     scale = TIME_CONSTANT**2 * inverse_mass
     high = float(np.clip(1.0 - 1.0 / (PRESSED_STIFFNESS * scale), _SOFTEST, _HARDEST))
@@ -67,15 +67,3 @@ def pad_impedance(inverse_mass: float) -> tuple[float, float]:
     touch = TOUCH_STIFFNESS * scale * high**2
     low = (np.sqrt(touch * touch + 4.0 * touch) - touch) / 2.0
     return float(np.clip(low, _SOFTEST, high)), high
-
-
-def pad_force(depth: float, inverse_mass: float) -> float:
-    """With how much force a pad presses where it is so deep, at rest [N].
-
-    Args:
-        depth: of the contact [m].
-        inverse_mass: of the object and of the fingertip, added [1/kg].
-    """
-    low, high = pad_impedance(inverse_mass)
-    d = low + (high - low) * min(depth / PRESSED_DEPTH, 1.0)
-    return d * d * depth / ((1.0 - d) * high**2 * TIME_CONSTANT**2 * inverse_mass)

@@ -1,4 +1,4 @@
-"""A hand under physics with something to do: the object of a task, its fixture, its reset."""
+"""A hand under physics in a scene: the task's object, its fixture and its reset."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from smooth_operator.simulation.arms.carried import CarriedHand, WristKinematics
 from smooth_operator.simulation.physics import HandPhysics
 from smooth_operator.simulation.physics_model import FURNISHED
 from smooth_operator.simulation.scenes.pads import soften_pads
-from smooth_operator.simulation.scenes.scene import OBJECT, Scene
+from smooth_operator.simulation.scenes.scene import OBJECT, Scene, empty_world
 from smooth_operator.simulation.scenes.state import ScenePart, SceneState
 from smooth_operator.simulation.scenes.touching import Touching
 
 _CLEAR: Final = 0.001
-"""The hand is out of the object's place when it is this far from it [m]."""
+"""Distance from which on the hand counts as out of the object's place [m]."""
 
 _GRIP_N: Final = 0.3
-"""A finger that presses this hard holds [N]."""
+"""Force from which on a finger counts as holding [N]."""
 
 _GRIP_S: Final = 0.25
-"""Thumb and two fingers hold for so long before the fixture lets go [s]."""
+"""Time for which thumb and two fingers must hold before the fixture releases the object [s]."""
 
 _KINDS: Final = {
     int(mujoco.mjtGeom.mjGEOM_BOX): ("box", 3),
@@ -33,29 +33,30 @@ _KINDS: Final = {
 
 
 def in_front(carried: CarriedHand, scene: Scene) -> CarriedHand:
-    """The arm on the table, so that its hand starts above the place of the task's own fixture."""
+    """The arm on the table, placed so that its hand starts where the fixture would hold it."""
     wrist = WristKinematics(carried).wrist(carried.home)
     place = scene.mount.wrist - wrist[:3]
-    return carried.standing((place[0] - carried.arm.back, place[1], 0.0))
+    return carried.at_base((place[0] - carried.arm.back, place[1], 0.0))
 
 
 class ScenePhysics(HandPhysics):
-    """A hand and an object.
+    """Physics of a hand and the object of a task.
 
     The object starts as a ghost: it stays at its start and touches nothing until the hand is out
-    of its place, as an experimenter would wait with it. Where the scene has a fixture, that holds
-    the object until thumb and two fingers do.
+    of its place, as an experimenter would wait before placing it. In a scene with a fixture, the
+    fixture holds the object until thumb and two fingers do.
 
     Args:
         hand: the robot hand.
-        scene: what is around it.
-        timestep: of the physics [s].
-        bandwidth: of the servos [Hz].
+        scene: the scene around the hand.
+        timestep: time step of the physics [s].
+        bandwidth: bandwidth of the servos [Hz].
         carried: an arm that carries the hand and stands in front of the task; None for a fixture.
 
     Attributes:
-        scene: what is around the hand.
-        starts: how often the object was put to its start, physics that came apart included.
+        scene: the scene around the hand.
+        starts: number of times that the object was put to its start, including those after the
+            simulation diverged.
     """
 
     def __init__(
@@ -89,7 +90,7 @@ class ScenePhysics(HandPhysics):
         self.reset_object()
 
     def restart(self) -> None:
-        """Begin again: time 0, the hand at rest in the neutral pose, the object at its start."""
+        """Reset to time 0, the hand at rest in the neutral pose, the object at its start."""
         super().restart()
         self.starts = 0
         self.reset_object()
@@ -101,7 +102,7 @@ class ScenePhysics(HandPhysics):
         self._begin()
 
     def put_away(self) -> None:
-        """Go on without the object, until it is put back: nothing touches it."""
+        """Take the object out until it is put back: nothing touches it."""
         self._away = True
         self._begin()
 
@@ -115,7 +116,7 @@ class ScenePhysics(HandPhysics):
         self._try_to_place()
 
     def observe(self) -> SceneState:
-        """Where the object is, and what touches it."""
+        """State of the object and of its contacts."""
         force, touch, palm, rest = self._touching.read(self._data)
         speed = self._data.qvel[self._moves : self._moves + 6]
         turn = self._data.xmat[self._body].reshape(3, 3)
@@ -184,7 +185,7 @@ class ScenePhysics(HandPhysics):
             self._data.eq_active[self.model.equality(OBJECT).id] = 0
 
     def _solid(self, solid: bool) -> None:
-        """Have the object's shapes touch things, or not."""
+        """Switch the collisions of the object's shapes on or off."""
         for geom in self._touching.things:
             self.model.geom_contype[geom] = self.model.geom_conaffinity[geom] = (
                 0xFFFF if solid else 0
@@ -197,3 +198,27 @@ class ScenePhysics(HandPhysics):
                 self.put_away()
             else:
                 self.reset_object()
+
+
+class ArmPhysics(HandPhysics):
+    """Physics of a hand on an arm that stands on an empty table (the floor of its world).
+
+    Gravity acts on objects only: the weight of arm and hand is compensated.
+
+    Args:
+        hand: the robot hand.
+        carried: the arm at its place.
+        timestep: time step of the physics [s].
+        bandwidth: bandwidth of the hand's servos [Hz].
+    """
+
+    def __init__(
+        self, hand: Hand, carried: CarriedHand, timestep: float = 0.002, bandwidth: float = 20.0
+    ) -> None:
+        def furnish(spec: mujoco.MjSpec) -> mujoco.MjSpec:
+            spec.option.gravity = (0.0, 0.0, -9.81)
+            world = empty_world(spec)
+            carried.attach(world, spec, FURNISHED)
+            return world
+
+        super().__init__(hand, timestep, bandwidth, furnish=furnish, carried=carried)

@@ -1,4 +1,4 @@
-"""A scene: a hand on its fixture, an object, and what the object lies on."""
+"""Base class of scenes: a hand on its fixture, an object, a platform for the object."""
 
 from __future__ import annotations
 
@@ -16,28 +16,28 @@ from smooth_operator.simulation.physics_model import FURNISHED
 from smooth_operator.simulation.scenes.mount import Mount
 
 OBJECT: Final = "object"
-"""Name of the body that the task is about."""
+"""Name of the object's body."""
 
 PLATFORM: Final = "platform"
-"""Begins the names of the shapes that it may lie on."""
+"""Prefix of the names of the platform's shapes."""
 
-_ALL: Final = 0xFFFF  # touches every shape that touches anything
-_STIFF: Final = 0.004  # time constant of contacts [s]; MuJoCo's default lets a card sink in
+_ALL: Final = 0xFFFF  # collision mask: collides with every shape that collides
+_STIFF: Final = 0.004  # time constant of contacts [s]; in MuJoCo's default a card sinks in
 _WIDTH, _HEIGHT = 1280, 960  # largest picture
 
 
 @dataclass(frozen=True, eq=False)
 class Scene(ABC):
-    """A hand and its object, ready to be built; the world's z points up, the floor is at 0.
+    """Description of a hand and its object; the world's z points up, the floor is at 0.
 
     Attributes:
-        mount: how the hand stands.
-        start: position (3,) [m] and quaternion (4,) of the object where a trial starts.
-        lower: (3,) of the workspace [m]; an object that leaves it is dropped.
-        upper: (3,) likewise.
-        fixture: whether something holds the object until the hand does.
-        view: azimuth and elevation of a camera that sees a right hand at it [degrees], as MuJoCo
-            counts them; of a left hand the azimuth is the opposite.
+        mount: pose of the hand.
+        start: position (3,) [m] and quaternion (4,) of the object at the start of a trial.
+        lower: (3,) lower corner of the workspace [m]; an object that leaves it is dropped.
+        upper: (3,) upper corner of the workspace [m].
+        fixture: True if a fixture holds the object until the hand does.
+        view: azimuth and elevation of a camera that sees a right hand at work [degrees], in
+            MuJoCo's convention; for a left hand the azimuth is negated.
     """
 
     view: ClassVar[tuple[float, float]]
@@ -50,18 +50,18 @@ class Scene(ABC):
 
     @abstractmethod
     def add_platform(self, world: mujoco.MjSpec) -> None:
-        """Put in what the object lies on."""
+        """Add the support of the object to the world."""
 
     @abstractmethod
     def add_object(self, body: mujoco.MjsBody) -> None:
-        """Give the object its shapes."""
+        """Add the shapes of the object to its body."""
 
     def furnish(self, hand: mujoco.MjSpec, carried: CarriedHand | None = None) -> mujoco.MjSpec:
-        """The world with the hand in it; see ``physics_model``.
+        """Build the world with the hand in it, see ``build_physics``.
 
         Args:
             hand: the hand's model.
-            carried: the arm that carries it, on its place in the scene; None for a fixture.
+            carried: the arm that carries the hand, at its place in the scene; None for a fixture.
         """
         hand.option.gravity = (0.0, 0.0, -9.81)
         world = empty_world(hand)
@@ -99,20 +99,20 @@ def add_shape(
     turn: Sequence[float] = (1.0, 0.0, 0.0, 0.0),
     priority: int = 1,
 ) -> None:
-    """Add a shape that touches everything.
+    """Add a shape that collides with everything.
 
     Args:
-        body: that it belongs to.
-        name: of the shape.
-        kind: of MuJoCo's shapes.
-        size: half lengths [m], or radius and half length.
-        mass: [kg].
-        friction: coefficient of sliding, and of turning on the spot [m], which is how a soft
-            fingertip resists it.
+        body: the body that gets the shape.
+        name: name of the shape.
+        kind: MuJoCo's type of shape.
+        size: half lengths [m], or radius and half length [m].
+        mass: mass [kg].
+        friction: coefficient of sliding friction, and of torsional friction [m], as of a soft
+            fingertip.
         color: red, green, blue, opacity.
-        at: its centre in the body's frame [m].
-        turn: its quaternion there.
-        priority: of two shapes that touch, the one with the higher says how.
+        at: centre in the body's frame [m].
+        turn: quaternion in the body's frame.
+        priority: in a contact, the shape with the higher priority sets the parameters.
     """
     body.add_geom(
         name=name, type=kind, size=[*size, *[0.0] * (3 - len(size))], pos=at, quat=turn, mass=mass,
@@ -122,13 +122,13 @@ def add_shape(
 
 
 def empty_world(hand: mujoco.MjSpec) -> mujoco.MjSpec:
-    """A floor, a light and the hand's own settings of the physics."""
+    """World with a floor and a light, and with the physics settings of the hand's model."""
     world = mujoco.MjSpec()
     for name in ("timestep", "integrator", "disableflags"):
         setattr(world.option, name, getattr(hand.option, name))
     world.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     world.option.impratio = 10.0
-    world.option.noslip_iterations = 4  # soft friction lets what is held creep out of the fingers
+    world.option.noslip_iterations = 4  # else soft friction lets an object creep out of the fingers
     for name in ("fusestatic", "balanceinertia", "boundmass", "boundinertia"):
         setattr(world.compiler, name, getattr(hand.compiler, name))
     world.visual.global_.offwidth, world.visual.global_.offheight = _WIDTH, _HEIGHT

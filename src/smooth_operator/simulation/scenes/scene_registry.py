@@ -1,4 +1,4 @@
-"""The scenes, by the task's name."""
+"""Registry of the scenes, by the task's name."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SCENES: Final[dict[str, Callable[[Hand], Scene]]] = {
     "cube": cube_scene,
     "screwdriver": screwdriver_scene,
 }
-"""Task -> the scene for a hand."""
+"""Name of the task -> function that builds the scene for a hand."""
 
 
 def scene_for(task: str, hand: Hand) -> Scene:

@@ -1,4 +1,4 @@
-"""Screwdriver pivot: held level by the fingers, to be let down until its blade points downwards."""
+"""Scene of the screwdriver pivot: held level, to be let down until its blade points downwards."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ import mujoco
 import numpy as np
 
 from smooth_operator.hands.hand import Hand
-from smooth_operator.simulation.scenes.mount import mount
-from smooth_operator.simulation.scenes.reach import opposition
+from smooth_operator.simulation.scenes.mount import mount, opposition
 from smooth_operator.simulation.scenes.scene import Scene, add_shape
 
 HANDLE: Final = (0.010, 0.085)
@@ -20,33 +19,33 @@ SHAFT: Final = (0.003, 0.090)
 """Radius and length of the shaft [m]."""
 
 MASSES: Final = (0.035, 0.020)
-"""Of the handle and of the steel shaft [kg]."""
+"""Masses of the handle and of the steel shaft [kg]."""
 
 GRIP: Final = 0.052
-"""From the handle's end to where thumb and index finger take it [m]."""
+"""Distance from the handle's end to the grip of thumb and index finger [m]."""
 
-_HIGH: Final = 0.40  # of the wrist [m]
-_GRIPS: Final = (0.9, 0.002)
+_WRIST_HEIGHT: Final = 0.40  # [m]
+_HANDLE_FRICTION: Final = (0.9, 0.002)
 
 
 @dataclass(frozen=True, eq=False)
 class ScrewdriverScene(Scene):
     """The fingers point down; the handle lies level between thumb and fingers.
 
-    The object's frame: z from the handle's end to the blade's tip, the origin where it is gripped.
+    The object's frame has z from the handle's end to the blade's tip and its origin at the grip.
     """
 
     view: ClassVar = (200.0, -5.0)
 
     def add_platform(self, world: mujoco.MjSpec) -> None:
-        """Nothing: it is in the hand, or on the floor."""
+        """Adds nothing: the screwdriver is in the hand or on the floor."""
 
     def add_object(self, body: mujoco.MjsBody) -> None:
-        """Handle and shaft; heavier on the blade's side of the grip."""
+        """Add handle and shaft; the blade's side of the grip is the heavier one."""
         radius, length = HANDLE
         add_shape(
             body, "handle", mujoco.mjtGeom.mjGEOM_CAPSULE, (radius, length / 2 - radius),
-            mass=MASSES[0], friction=_GRIPS, color=(0.9, 0.45, 0.1, 1.0),
+            mass=MASSES[0], friction=_HANDLE_FRICTION, color=(0.9, 0.45, 0.1, 1.0),
             at=(0, 0, length / 2 - GRIP),
         )  # fmt: skip
         add_shape(
@@ -57,12 +56,12 @@ class ScrewdriverScene(Scene):
 
 
 def screwdriver_scene(hand: Hand) -> ScrewdriverScene:
-    """The screwdriver between thumb and fingers, along their row, the blade on the thumb's side.
+    """Scene with the screwdriver between thumb and fingers, along their row, blade at the thumb.
 
     Raises:
-        HandModelError: thumb and index finger never are a handle's thickness apart.
+        HandModelError: thumb and index finger are in no pose a handle's thickness apart.
     """
-    at = mount(hand, up=(-1, 0, 0), forward=(0, 0, 1), wrist=(0.0, 0.0, _HIGH))
+    at = mount(hand, up=(-1, 0, 0), forward=(0, 0, 1), wrist=(0.0, 0.0, _WRIST_HEIGHT))
     between = np.median(opposition(hand, hand.fingers[1], 2 * HANDLE[0]), axis=0)
     centre = at.world(between)
     radial = at.directions[:, 1]

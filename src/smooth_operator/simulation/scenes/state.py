@@ -1,4 +1,4 @@
-"""What a scene shows of itself: where the object is, and what touches it."""
+"""State of a scene (pose and contacts of the object), and its shapes to draw."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from jaxtyping import Float
 
 @dataclass(frozen=True, eq=False)
 class SceneState:
-    """A scene at one moment; the world's z points up.
+    """State of a scene at one moment; the world's z points up.
 
     Attributes:
         time: simulated time [s].
-        position: (3,) of the object's centre in the world [m].
-        quaternion: (4,) w x y z, from the object's frame to the world.
-        velocity: (3,) of the object's centre [m/s].
+        position: (3,) position of the object's centre in the world [m].
+        quaternion: (4,) rotation from the object's frame to the world, w x y z.
+        velocity: (3,) velocity of the object's centre [m/s].
         spin: (3,) angular velocity of the object in the world [rad/s].
-        force: (f,) with which each finger presses on the object [N], thumb first.
-        touch: (f, 3) where it does so, in the object's frame [m]; NaN where it does not.
-        palm: with which the rest of the hand presses on it [N].
-        support: with which the platform or the floor presses on it [N].
+        force: (f,) normal force of each finger on the object [N], thumb first.
+        touch: (f, 3) point of contact of each finger in the object's frame [m]; NaN without one.
+        palm: normal force of the rest of the hand on the object [N].
+        support: normal force of the platform or the floor on the object [N].
         placed: False while the object waits, untouchable, for the hand to leave its place.
-        fixed: the fixture still holds the object.
-        starts: how often the object was put to its start.
-        away: there is no object now, as in free movement; where it would start is ``position``.
+        fixed: True while the fixture holds the object.
+        starts: number of times that the object was put to its start.
+        away: True while there is no object, as in free movement; ``position`` is then its start.
     """
 
     time: float
@@ -48,13 +48,13 @@ class ScenePart:
     """One shape of a scene, to draw.
 
     Attributes:
-        name: of the shape.
+        name: name of the shape.
         kind: ``box``, ``capsule`` or ``cylinder``.
-        size: half lengths [m] of a box; radius and half length along its z of the others.
+        size: half lengths of a box; radius and half length along z of the others [m].
         color: (4,) red, green, blue and opacity, 0 to 1.
-        position: (3,) in the object's frame if it moves with it, else in the world [m].
-        quaternion: (4,) w x y z, likewise.
-        moves: whether it is a part of the object.
+        position: (3,) position in the object's frame if ``moves``, else in the world [m].
+        quaternion: (4,) rotation to that frame, w x y z.
+        moves: True for a part of the object.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""Which part of the hand presses where on an object, and how hard."""
+"""Contacts of a scene's object, sorted by the part of the hand that presses on it."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ _PALM, _REST, _OBJECT = -1, -2, -3
 
 
 class Touching:
-    """Sorts the contacts of a furnished model.
+    """Reads forces and points of contact from a scene's model.
 
     Args:
-        hand: the hand in it.
-        model: the model.
+        hand: the hand in the scene.
+        model: the compiled scene.
     """
 
     def __init__(self, hand: Hand, model: mujoco.MjModel) -> None:
@@ -37,9 +37,14 @@ class Touching:
     def read(
         self, data: mujoco.MjData
     ) -> tuple[Float[np.ndarray, " f"], Float[np.ndarray, "f 3"], float, float]:
-        """Force of each finger [N], where (f, 3) in the object's frame [m], palm's, the rest's."""
+        """Forces on the object: fingers, their contact points, palm, everything else.
+
+        Returns:
+            (f,) normal force of each finger [N]; (f, 3) its point of contact in the object's frame
+            [m], NaN without one; force of the palm [N]; force of all else [N].
+        """
         force, palm, rest = np.zeros(self._fingers), 0.0, 0.0
-        where = np.zeros((self._fingers, 3))
+        points = np.zeros((self._fingers, 3))
         wrench = np.zeros(6)
         for index in range(data.ncon):
             contact = data.contact[index]
@@ -51,26 +56,26 @@ class Touching:
             normal = float(wrench[0])
             if other >= 0:
                 force[other] += normal
-                where[other] += normal * contact.pos
+                points[other] += normal * contact.pos
             elif other == _PALM:
                 palm += normal
             else:
                 rest += normal
         with np.errstate(invalid="ignore"):
-            where = np.where(force[:, None] > 0, where / force[:, None], np.nan)
+            points = np.where(force[:, None] > 0, points / force[:, None], np.nan)
         turn = data.xmat[self._body].reshape(3, 3)
-        return force, (where - data.xpos[self._body]) @ turn, palm, rest
+        return force, (points - data.xpos[self._body]) @ turn, palm, rest
 
 
 def finger_geoms(hand: Hand, model: mujoco.MjModel) -> list[list[int]]:
-    """Shapes of each finger that can touch something, thumb first."""
+    """Colliding shapes of each finger, thumb first."""
     owner = _owners(hand, model)
     solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     return [np.flatnonzero((owner == n) & solid).tolist() for n in range(len(hand.fingers))]
 
 
 def _owners(hand: Hand, model: mujoco.MjModel) -> Int[np.ndarray, " g"]:
-    """(g,) finger of each shape, or one of the constants above."""
+    """(g,) number of the finger of each shape, or ``_PALM``, ``_REST`` or ``_OBJECT``."""
     palm = model.body(FURNISHED + hand.spec.palm).id
     finger_of: dict[int, int] = {}
     for number, finger in enumerate(hand.spec.fingers):

@@ -1,6 +1,6 @@
-"""The study's three tasks in simulation: rubric, score, trial, record."""
+"""The study's three tasks in simulation: rubrics, scorers, trials, records."""
 
-from smooth_operator.simulation.tasks.scorer import Scorer, Standing
+from smooth_operator.simulation.tasks.scorers import Assessment, Scorer
 from smooth_operator.simulation.tasks.task_registry import TASKS, SimulatedTask, task_named
 from smooth_operator.simulation.tasks.task_session import TaskSession
 from smooth_operator.simulation.tasks.trial import Outcome, Phase, TaskRun, rescore
@@ -8,11 +8,11 @@ from smooth_operator.simulation.tasks.trial_record import TrialRecord, read_tria
 
 __all__ = [
     "TASKS",
+    "Assessment",
     "Outcome",
     "Phase",
     "Scorer",
     "SimulatedTask",
-    "Standing",
     "TaskRun",
     "TaskSession",
     "TrialRecord",

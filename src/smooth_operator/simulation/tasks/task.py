@@ -1,15 +1,56 @@
-"""A task of a study and its rubric: what an operator does, and how a trial of it is scored."""
+"""Task of a study with its rubric, and the paper's three tasks.
+
+Source of the rubrics: the paper's supplement, task success rubric, in our words.
+"""
 
 from __future__ import annotations
 
+import math
+import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
 from smooth_operator.errors import StudyError, UnknownNameError
-from smooth_operator.simulation.tasks.checks import check_name, distinct, seconds, whole
 
 _MOST_TRIALS: Final = 1000
 _SCORES: Final = (0.0, 0.5, 1.0)
+
+
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
+
+
+def check_name(name: str, what: str) -> str:
+    """A name that is valid in a table, a file name and an address.
+
+    Raises:
+        StudyError: it has other characters, or is too long.
+    """
+    if not _NAME.fullmatch(name) or len(name) > 64:
+        raise StudyError(
+            f"{what} {name!r}: use up to 64 letters, digits and '_', '.', '-', and a letter or "
+            "digit first"
+        )
+    return name
+
+
+def distinct(names: Sequence[str], what: str) -> None:
+    """Raises StudyError if a name comes twice."""
+    for name in names:
+        if names.count(name) > 1:
+            raise StudyError(f"{what} need different names; {name!r} comes twice")
+
+
+def whole(value: int, least: int, most: int, what: str) -> None:
+    """Raises StudyError unless the value is a whole number in a range."""
+    if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
+        raise StudyError(f"{what} must be a whole number from {least} to {most}, not {value!r}")
+
+
+def seconds(value: float, what: str, least: float = 0.0) -> None:
+    """Raises StudyError unless the value is a time of up to a day [s]."""
+    if not math.isfinite(value) or not least <= value <= 86_400:
+        raise StudyError(f"{what} must be {least:g} to 86400 s, not {value}")
 
 
 @dataclass(frozen=True)
@@ -17,9 +58,9 @@ class RubricLine:
     """One way for a trial to end.
 
     Attributes:
-        name: in the data.
+        name: name of the line in the data.
         score: 0 failed, 0.5 marginal, 1 done.
-        text: what must have been seen.
+        text: condition of the line, as the experimenter reads it.
     """
 
     name: str
@@ -34,12 +75,11 @@ class RubricLine:
             )
 
     def possible(self, resets: int, cap: float) -> bool:
-        """Whether a trial can end by it.
+        """True if a trial can end with this line.
 
         Args:
-            resets: how often the object was put back; a line whose name ends in ``after-reset``
-                needs one.
-            cap: the best score after that.
+            resets: number of resets; a line whose name ends in ``after-reset`` needs one.
+            cap: highest score after a reset.
         """
         return self.score <= cap if resets else not self.name.endswith("after-reset")
 
@@ -49,21 +89,21 @@ GENERAL_RUBRIC: Final = (
     RubricLine("marginal", 0.5, "done, after a reset or with an undesired state on the way"),
     RubricLine("failed", 0.0, "the object was dropped, or the operator gave up"),
 )
-"""For a task that has none of its own."""
+"""Rubric of a task without one of its own."""
 
 
 @dataclass(frozen=True)
 class Task:
-    """What is to be done with the hand.
+    """A task that an operator does with the robot hand.
 
     Attributes:
-        name: short, in data and results.
-        trials: in each block.
-        operators: how many are to do it; None for all of the study.
-        title: for people.
-        instruction: read to the operator.
-        time_limit_s: after which a trial counts as not done [s]; None for no limit.
-        rubric: how a trial is scored; a line for failure and one for success at least.
+        name: short name in data and results.
+        trials: number of trials in each block.
+        operators: number of operators who do it; None for all of the study.
+        title: title for people.
+        instruction: text that is read to the operator.
+        time_limit_s: time after which a trial counts as not done [s]; None for no limit.
+        rubric: lines by which a trial is scored, at least one for failure and one for success.
     """
 
     name: str
@@ -90,12 +130,67 @@ class Task:
             )
 
     def line(self, name: str) -> RubricLine:
-        """A line of the rubric.
+        """A line of the rubric by its name.
 
         Raises:
-            UnknownNameError: there is none of that name.
+            UnknownNameError: there is no line of that name.
         """
         lines = {line.name: line for line in self.rubric}
         if name not in lines:
             raise UnknownNameError(f"line in the rubric of task {self.name!r}:", name, lines)
         return lines[name]
+
+
+_DROPPED: Final = RubricLine("dropped", 0.0, "the object left the hand's workspace")
+_GAVE_UP: Final = RubricLine("not-done", 0.0, "the operator gave up, or the time was over")
+_RESET: Final = RubricLine("done-after-reset", 0.5, "done, after the one reset that is allowed")
+
+CARD_PICKUP: Final = Task(
+    "A",
+    title="Card pickup",
+    instruction="Slide the flat card over the edge of the platform and pinch it.",
+    trials=10,
+    operators=12,
+    rubric=(
+        RubricLine("done", 1.0, "slid over the edge and held in a pinch, without a reset"),
+        _RESET,
+        RubricLine(
+            "out-of-reach", 0.5, "out of reach or flicked across the top; pinched after a reset"
+        ),
+        RubricLine("no-edge", 0.5, "pinched and lifted without having gone over the edge"),
+        _DROPPED,
+        _GAVE_UP,
+    ),
+)
+
+CUBE_ROTATION: Final = Task(
+    "B",
+    title="Vertical cube rotation",
+    instruction="Turn the cube by 90 degrees about the vertical axis.",
+    trials=10,
+    operators=8,
+    rubric=(
+        RubricLine("done", 1.0, "turned by 90 degrees about the vertical, without a reset"),
+        RubricLine("misaligned", 0.5, "turned, after a reset for faces badly misaligned"),
+        RubricLine("flipped", 0.5, "turned, but the cube flipped onto another face on the way"),
+        _DROPPED,
+        _GAVE_UP,
+    ),
+)
+
+SCREWDRIVER_PIVOT: Final = Task(
+    "C",
+    title="Screwdriver pivot",
+    instruction="Hold the screwdriver in four fingers, loosen the grip until it points down.",
+    trials=20,
+    operators=6,
+    rubric=(
+        RubricLine("done", 1.0, "points straight down, still held, without a reset"),
+        RubricLine("nearly", 0.5, "nearly down, at a limit where no finer adjustment is possible"),
+        _RESET,
+        _DROPPED,
+        _GAVE_UP,
+    ),
+)
+
+PAPER_TASKS: Final = (CARD_PICKUP, CUBE_ROTATION, SCREWDRIVER_PIVOT)

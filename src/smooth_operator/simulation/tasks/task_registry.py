@@ -1,4 +1,4 @@
-"""The study's tasks as they are done in simulation: rubric, time limit, scorer."""
+"""Registry of the study's tasks in simulation: rubric, time limit, scorer."""
 
 from __future__ import annotations
 
@@ -7,12 +7,18 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 from smooth_operator.errors import UnknownNameError
-from smooth_operator.simulation.tasks.card_scorer import CardScorer
-from smooth_operator.simulation.tasks.cube_scorer import CubeScorer
-from smooth_operator.simulation.tasks.rubrics import CARD_PICKUP, CUBE_ROTATION, SCREWDRIVER_PIVOT
-from smooth_operator.simulation.tasks.scorer import Scorer
-from smooth_operator.simulation.tasks.screwdriver_scorer import ScrewdriverScorer
-from smooth_operator.simulation.tasks.task import Task
+from smooth_operator.simulation.tasks.scorers import (
+    CardScorer,
+    CubeScorer,
+    Scorer,
+    ScrewdriverScorer,
+)
+from smooth_operator.simulation.tasks.task import (
+    CARD_PICKUP,
+    CUBE_ROTATION,
+    SCREWDRIVER_PIVOT,
+    Task,
+)
 
 
 @dataclass(frozen=True)
@@ -20,12 +26,12 @@ class SimulatedTask:
     """A task that physics can score.
 
     Attributes:
-        name: as in ``SCENES``.
-        task: of the protocol, with its rubric.
-        seconds: the time limit of a trial [s].
-        scorer: from the scene of a trial to its scorer.
-        after_reset: line of the rubric for what was done after the reset.
-        after_stuck: the same, where only the reset had helped.
+        name: name of its scene in ``SCENES``.
+        task: the task of the protocol, with its rubric.
+        seconds: time limit of a trial [s].
+        scorer: makes the scorer of a trial from its scene.
+        after_reset: line of the rubric for success after the reset.
+        after_stuck: line of the rubric for success after a reset that was the only way on.
     """
 
     name: str

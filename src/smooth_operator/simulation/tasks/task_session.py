@@ -1,4 +1,4 @@
-"""Trials of a task in the running simulation: controlled by the experimenter, each recorded."""
+"""Trials of a task on one hand of a running simulation, each of them recorded."""
 
 from __future__ import annotations
 
@@ -20,34 +20,34 @@ from smooth_operator.simulation.tasks.trial import Outcome, Phase, TaskRun
 from smooth_operator.simulation.tasks.trial_record import TrialRecord, write_trial
 from smooth_operator.types import Side
 
-_EVERY_S: Final = 0.01
-"""Between two looks at the scene [s], by its own clock."""
+_PERIOD_S: Final = 0.01
+"""Time between two recorded states of the scene [s], by its own clock."""
 
 CLEAR_S: Final = 0.5
-"""So long the object has to stand at its start untouched before a trial begins that waits for the
-hand to be clear [s]."""
+"""Time for which the object must be at its start untouched before a trial with ``when_clear``
+begins [s]."""
 
 WAITING: Final = "waiting"
 """Phase of a trial that begins when the hand is clear of the object."""
 
 
 class TaskSession:
-    """One trial after the other on one hand of a simulation. Safe from any thread.
+    """Successive trials on one hand of a simulation. Safe from any thread.
 
-    The simulation must be open, with this task. Between trials the object is wherever it is;
+    The simulation must be open and have the task. Between trials the object stays where it is;
     ``go`` puts it back and starts the clock.
 
     Attributes:
-        task: what is done.
-        outcomes: of the trials so far, in order.
-        failed: why a record could not be written; empty while all could.
+        task: the task.
+        outcomes: results of the trials so far, in order.
+        failed: reason why a record could not be written; empty if all were.
 
     Args:
         simulation: the sink ``mujoco:task=...``.
-        side: which of its hands.
-        folder: where the trials' records go; None keeps none.
-        done: called with each outcome, from the thread of the physics; it must not take long.
-        begun: called likewise when a trial begins that waited for the hand to be clear.
+        side: side of the hand.
+        folder: folder of the trials' records; None writes none.
+        done: called with each outcome, from the thread of the physics; it must return quickly.
+        begun: called from the same thread when a trial with ``when_clear`` begins.
     """
 
     def __init__(
@@ -62,7 +62,7 @@ class TaskSession:
         self.outcomes: list[Outcome] = []
         self._simulation, self._side, self._done, self._begun = simulation, side, done, begun
         self._folder = None if folder is None else Path(folder)
-        self._lock = threading.RLock()  # who is called with an outcome may look at the trial
+        self._lock = threading.RLock()  # ``done`` may read the trial from within a call
         self._run = TaskRun(self.task, simulation.scene_of(side))
         self._record = self._fresh()
         self._last = float("-inf")
@@ -74,25 +74,25 @@ class TaskSession:
         self._waiting = self._paused = False
         self._pauses = 0
         self._clear_since: float | None = None
-        self._written: Path | None = None  # of the last trial that ended
+        self._written: Path | None = None  # record of the last trial that ended
         self._disk = threading.Lock()
         self.failed = ""
         simulation.watch(side, self.observe)
 
     @property
     def run(self) -> TaskRun:
-        """The trial at hand."""
+        """The current trial."""
         with self._lock:
             return self._run
 
     @property
     def number(self) -> int:
-        """Of the trial at hand, from 1; 0 before the first."""
+        """Number of the current trial, counted from 1; 0 before the first."""
         return self._trials
 
     @property
     def seconds(self) -> float:
-        """Since 'go' [s]; how long it took, once it is done; 0 before."""
+        """Time since 'go' [s]; the length of a trial that is done; 0 before 'go'."""
         with self._lock:
             if self._run.outcome is not None:
                 return self._run.outcome.seconds
@@ -100,13 +100,13 @@ class TaskSession:
 
     @property
     def active(self) -> bool:
-        """Whether a trial runs, or waits for the hand to be clear."""
+        """True while a trial runs or waits for the hand to be clear."""
         with self._lock:
             return self._waiting or self._run.phase is Phase.RUNNING
 
     @property
     def paused(self) -> bool:
-        """Whether the scene stands still."""
+        """True while the scene is stopped."""
         with self._lock:
             return self._paused
 
@@ -114,13 +114,13 @@ class TaskSession:
         """Start a trial, with the object at its start.
 
         Args:
-            when_clear: the clock begins once the object has stood at its start, untouched, for
-                ``CLEAR_S``; what is touched before is put back.
-            limit_s: after which it ends [s]; None for the task's own limit.
-            about: what is to stand in the record: operator, condition, number.
+            when_clear: start the clock once the object was at its start, untouched, for
+                ``CLEAR_S``; an object that is touched before is put back.
+            limit_s: time limit [s]; None for the task's own.
+            about: further entries of the record: operator, condition, number.
 
         Raises:
-            StudyError: one is running.
+            StudyError: a trial is running.
         """
         with self._lock:
             if self.active:
@@ -144,7 +144,7 @@ class TaskSession:
         self._record.events.append((self._now, "go"))
 
     def reset(self) -> None:
-        """Put the object back to its start, once a trial; the score is then 0.5 at most.
+        """Put the object back to its start, at most once in a trial; the score is then up to 0.5.
 
         Raises:
             StudyError: no trial runs, or it had its reset.
@@ -155,10 +155,10 @@ class TaskSession:
             self._record.events.append((self._now, "reset"))
 
     def pause(self, paused: bool) -> None:
-        """Have the scene of the trial at hand stand still, its clock included, or go on.
+        """Stop the scene of the current trial and its clock, or let them go on.
 
         Raises:
-            StudyError: no trial is on that could be paused.
+            StudyError: no trial is active that could be paused.
         """
         with self._lock:
             if paused == self._paused:
@@ -174,7 +174,7 @@ class TaskSession:
             self._paused = frozen
 
     def finish(self) -> None:
-        """The operator can do no more.
+        """End the trial for an operator who can do no more.
 
         Raises:
             StudyError: no trial runs.
@@ -185,7 +185,7 @@ class TaskSession:
             self._end()
 
     def cancel(self) -> None:
-        """Forget the trial at hand: nothing is counted or written; nothing happens if none runs."""
+        """Discard the current trial without counting or writing it; does nothing if none runs."""
         with self._lock:
             self._freeze(False)
             if self.active:
@@ -193,16 +193,16 @@ class TaskSession:
                 self._run = TaskRun(self.task, self._run.scene)
 
     def mark(self, word: str, about: Mapping[str, Any]) -> bool:
-        """Mark the record of the last trial, which has ended but does not count.
+        """Mark the record of the last trial, which has ended, as one that does not count.
 
-        Its file gets the word before its name, and ``"marked": word`` among its entries.
+        The word is put before the name of its file, and ``"marked": word`` among its entries.
 
         Args:
             word: ``undone`` or ``void``.
-            about: entries that it has to have; another trial's record stays as it is.
+            about: entries that the record must have; a record without them stays as it is.
 
         Returns:
-            Whether it was this trial.
+            True if the record was marked.
         """
         with self._lock:
             record, path = self._record, self._written
@@ -215,22 +215,20 @@ class TaskSession:
         return True
 
     def report(self) -> dict[str, Any]:
-        """How the trial stands, as JSON has it.
+        """State of the current trial, ready for JSON.
 
         Returns:
-            ``task``, ``side``; ``number`` of the trial, from 1; ``phase`` ready, running or done;
-            ``elapsed_s`` since 'go', by the scene's clock; ``score``, ``line`` of the rubric, its
-            ``text``, and the ``reason`` for it, which only for a finished trial are
-            final; ``time_s`` and ``ended`` of such a one, None before; ``resets``; ``placed``:
-            whether the object is at its start, and no longer waits for the hand to leave its
-            place; ``limit_s`` of the trial; ``about``, as it was begun with; ``paused``, whether
-            the scene stands still, and ``pauses``, how often it did. Phase ``waiting`` is that of
-            a trial that begins when the hand is clear.
+            ``task``; ``side``; ``number`` of the trial, from 1; ``phase``: waiting (for the hand to
+            be clear), ready, running or done; ``elapsed_s`` since 'go', by the scene's clock;
+            ``score``, ``line`` of the rubric, its ``text`` and the ``reason``, final only for a
+            trial that is done; its ``time_s`` and ``ended``, None before; ``resets``; ``placed``,
+            False while the object waits for the hand to leave its place; ``limit_s``; ``about``,
+            the entries from ``go``; ``paused``; ``pauses``, the number of pauses.
         """
         with self._lock:
             run, outcome = self._run, self._run.outcome
-            standing = run.standing
-            line = standing.line if outcome is None else outcome.line
+            assessment = run.assessment
+            line = assessment.line if outcome is None else outcome.line
             placed = self._state is None or self._state.placed
             return {
                 "task": self.task.name,
@@ -238,10 +236,10 @@ class TaskSession:
                 "number": self._trials,
                 "phase": WAITING if self._waiting else run.phase.value,
                 "elapsed_s": self.seconds,
-                "score": standing.score if outcome is None else outcome.score,
+                "score": assessment.score if outcome is None else outcome.score,
                 "line": line,
                 "text": next((r.text for r in self.task.task.rubric if r.name == line), ""),
-                "reason": standing.reason if outcome is None else outcome.reason,
+                "reason": assessment.reason if outcome is None else outcome.reason,
                 "time_s": None if outcome is None else outcome.seconds,
                 "ended": None if outcome is None else outcome.ended,
                 "resets": run.resets,
@@ -253,20 +251,20 @@ class TaskSession:
             }
 
     def close(self) -> None:
-        """Look no more; a trial that runs is not counted. The simulation may be closed already."""
+        """Stop following the simulation, which may be closed. A running trial is not counted."""
         with contextlib.suppress(SinkError):
             self._freeze(False)
             self._simulation.watch(self._side, None)
 
     def observe(self, state: SceneState, positions: Float[np.ndarray, " n"]) -> None:
-        """What the simulation shows; it calls this itself.
+        """Follow a state of the simulation, which calls this after each step.
 
         Args:
-            state: the scene.
-            positions: (n,) where the hand's joints are [rad].
+            state: state of the scene.
+            positions: (n,) joint positions of the hand [rad].
         """
         with self._lock:
-            if state.time - self._last < _EVERY_S - 1e-6:
+            if state.time - self._last < _PERIOD_S - 1e-6:
                 return
             self._last = self._now = state.time
             self._state = state
@@ -274,7 +272,7 @@ class TaskSession:
                 self._wait(state)
                 return
             if self._run.phase is not Phase.RUNNING or state.starts < self._since:
-                return  # or the object is not back at its start yet
+                return  # no trial runs, or the object is not back at its start yet
             if state.starts > self._since:
                 self._record.about["physics_came_apart"] = True
             self._record.add(state, positions)
@@ -283,7 +281,7 @@ class TaskSession:
                 self._end()
 
     def _wait(self, state: SceneState) -> None:
-        """Begin the trial if the hand is clear; put back what it has touched meanwhile."""
+        """Begin the trial once the hand is clear; put back an object that the hand touches."""
         if state.starts < self._since:
             return
         if not state.placed:
@@ -308,7 +306,7 @@ class TaskSession:
         if self._folder is not None:
             record, path = self._record, self._folder / self._name()
             self._written = path
-            # Not here: the physics would stand still while the disk is waited for.
+            # In a thread: the physics must not wait for the disk.
             threading.Thread(target=self._write, args=(path, record), name="trial").start()
         if self._done is not None:
             self._done(outcome)

@@ -1,7 +1,6 @@
-"""One trial: from 'go' until the object is where it should be, or lost, or time is up.
+"""A trial of a task as an immutable value: from 'go' to success, a lost object or the time limit.
 
-A value that is replaced, never changed, and knows no clock but that of the scene it is shown: a
-trial that was recorded scores again the same.
+Its only clock is that of the scene's states, so a recorded trial scores the same again.
 """
 
 from __future__ import annotations
@@ -14,15 +13,15 @@ from typing import Final, Self
 from smooth_operator.errors import StudyError
 from smooth_operator.simulation.scenes.scene import Scene
 from smooth_operator.simulation.scenes.state import SceneState
-from smooth_operator.simulation.tasks.scorer import NOT_DONE, Scorer, Standing
+from smooth_operator.simulation.tasks.scorers import NOT_DONE, Assessment, Scorer
 from smooth_operator.simulation.tasks.task_registry import SimulatedTask
 
 RESET_CAP: Final = 0.5
-"""Most that a trial with a reset is worth."""
+"""Highest score of a trial with a reset."""
 
 
 class Phase(enum.Enum):
-    """Where a trial is."""
+    """Phase of a trial."""
 
     READY = "ready"
     RUNNING = "running"
@@ -31,15 +30,15 @@ class Phase(enum.Enum):
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a trial came to.
+    """Result of a trial.
 
     Attributes:
         score: 0, 0.5 or 1.
-        line: of the task's rubric, by which.
-        seconds: from 'go' to the end [s].
-        ended: ``success``, ``drop``, ``timeout`` or ``finished`` (the operator's word).
-        reason: in a few words.
-        resets: how often the object was put back.
+        line: line of the task's rubric that gave the score.
+        seconds: time from 'go' to the end [s].
+        ended: ``success``, ``drop``, ``timeout`` or ``finished`` (by the operator).
+        reason: the reason in a few words.
+        resets: number of resets of the object.
     """
 
     score: float
@@ -55,14 +54,14 @@ class TaskRun:
     """A trial of a task.
 
     Attributes:
-        task: which.
-        scene: where.
+        task: the task.
+        scene: the scene.
         phase: ready, running or done.
         started: time of its start [s]; NaN before.
-        resets: how often the object was put back; once is allowed.
-        was_stuck: only the reset had helped.
-        scorer: what has happened since 'go', or since the reset.
-        outcome: what it came to; None until it is done.
+        resets: number of resets of the object; one is allowed.
+        was_stuck: True if only the reset could help.
+        scorer: scorer since 'go', or since the reset.
+        outcome: result; None until it is done.
     """
 
     task: SimulatedTask
@@ -75,21 +74,21 @@ class TaskRun:
     outcome: Outcome | None = None
 
     @property
-    def standing(self) -> Standing:
-        """How it stands; the score is what it would be if it ended now."""
+    def assessment(self) -> Assessment:
+        """Score of the trial if it ended now, with the cap for a reset."""
         if self.scorer is None:
-            return Standing(0.0, NOT_DONE, "ready")
-        now = self.scorer.standing
+            return Assessment(0.0, NOT_DONE, "ready")
+        now = self.scorer.assessment
         if not self.resets or now.score <= RESET_CAP:
             return now
         after = self.task.after_stuck if self.was_stuck else self.task.after_reset
         return replace(now, score=RESET_CAP, line=after)
 
     def go(self, time: float) -> Self:
-        """Start; the object is at its start.
+        """The trial after its start, which needs the object at its own start.
 
         Raises:
-            StudyError: it has started already.
+            StudyError: the trial has started already.
         """
         if self.phase is not Phase.READY:
             raise StudyError(f"the trial is {self.phase.value}; make a new one")
@@ -97,10 +96,10 @@ class TaskRun:
         return replace(self, phase=Phase.RUNNING, started=time, scorer=scorer)
 
     def reset(self) -> Self:
-        """The object is put back to its start, once; the clock goes on.
+        """The trial after the one reset of its object; the clock goes on.
 
         Raises:
-            StudyError: it does not run, or the reset is used up.
+            StudyError: the trial does not run, or had its reset.
         """
         if self.phase is not Phase.RUNNING:
             raise StudyError(f"the trial is {self.phase.value}; only one that runs has a reset")
@@ -109,38 +108,43 @@ class TaskRun:
         return replace(
             self,
             resets=1,
-            was_stuck=self.standing.stuck,
+            was_stuck=self.assessment.stuck,
             scorer=self.task.scorer(self.scene),
         )
 
     def observe(self, state: SceneState) -> Self:
-        """What happened; ends the trial when it is complete, lost or out of time."""
+        """The trial after a state of the scene; done when complete, lost or out of time."""
         if self.phase is not Phase.RUNNING or self.scorer is None:
             return self
         # While the object waits for the hand to leave its place nothing can happen to it.
         run = replace(self, scorer=self.scorer.observe(state)) if state.placed else self
-        standing = run.standing
-        if standing.complete:
-            return run._done(state.time, "success", standing)
-        if standing.dropped:
-            return run._done(state.time, "drop", standing)
+        assessment = run.assessment
+        if assessment.complete:
+            return run._done(state.time, "success", assessment)
+        if assessment.dropped:
+            return run._done(state.time, "drop", assessment)
         if state.time - self.started >= self.task.seconds:
-            return run._done(state.time, "timeout", standing)
+            return run._done(state.time, "timeout", assessment)
         return run
 
     def finish(self, time: float) -> Self:
-        """The operator can do no more.
+        """The trial after the operator ended it.
 
         Raises:
-            StudyError: it does not run.
+            StudyError: the trial does not run.
         """
         if self.phase is not Phase.RUNNING:
             raise StudyError(f"the trial is {self.phase.value}; it can't be finished")
-        return self._done(time, "finished", self.standing)
+        return self._done(time, "finished", self.assessment)
 
-    def _done(self, time: float, ended: str, standing: Standing) -> Self:
+    def _done(self, time: float, ended: str, assessment: Assessment) -> Self:
         outcome = Outcome(
-            standing.score, standing.line, time - self.started, ended, standing.reason, self.resets
+            assessment.score,
+            assessment.line,
+            time - self.started,
+            ended,
+            assessment.reason,
+            self.resets,
         )
         return replace(self, phase=Phase.DONE, outcome=outcome)
 
@@ -151,26 +155,26 @@ def rescore(
     states: Iterable[SceneState],
     events: Iterable[tuple[float, str]],
 ) -> TaskRun:
-    """A trial again, from its record.
+    """Score a recorded trial again.
 
     Args:
-        task: which.
-        scene: where.
-        states: what the scene showed, in order.
-        events: (time, ``go``, ``reset`` or ``finish``) in order; each comes after the state of its
-            time, if there is one.
+        task: the task.
+        scene: the scene.
+        states: recorded states of the scene, in order.
+        events: (time, ``go``, ``reset`` or ``finish``) in order. An event applies after the state
+            of the same time.
     """
     run, pending = TaskRun(task, scene), list(events)
     for state in states:
         while pending and pending[0][0] < state.time:
-            run = _told(run, *pending.pop(0))
+            run = _after_event(run, *pending.pop(0))
         run = run.observe(state)
     for time, word in pending:
-        run = _told(run, time, word)
+        run = _after_event(run, time, word)
     return run
 
 
-def _told(run: TaskRun, time: float, word: str) -> TaskRun:
+def _after_event(run: TaskRun, time: float, word: str) -> TaskRun:
     if word == "go":
         return run.go(time)
     if word == "reset":

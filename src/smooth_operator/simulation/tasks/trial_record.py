@@ -1,7 +1,6 @@
-"""A trial in simulation on disk: states of the scene, commands, outcome.
+"""Record of a trial in simulation: states of the scene, joint positions, events, outcome.
 
-One ``.npz`` for each trial, which opens without unpickling and scores again the same
-(``rescore``).
+Each trial is one ``.npz``, which opens without unpickling and scores the same again (``rescore``).
 """
 
 from __future__ import annotations
@@ -38,22 +37,22 @@ _STATE: Final[dict[str, tuple[tuple[int | None, ...], str, Callable[[Any], Any]]
     "fixed": ((), "b", bool),
     "starts": ((), "iu", int),
 }
-"""Field of a state -> its shape (None: as many as there are fingers), kinds of its array, type."""
+"""Field of a state -> its shape (None: number of fingers), kinds of its array, conversion."""
 
 
 @dataclass(eq=False)
 class TrialRecord:
-    """A trial, as it goes on.
+    """A trial and its record up to now.
 
     Attributes:
-        task: its name.
-        hand: the robot hand's name.
-        side: its side.
-        joint_names: (n,) of ``positions``.
-        states: what the scene showed, in order.
-        positions: (n,) where the hand's joints were at each of them [rad].
+        task: name of the task.
+        hand: name of the robot hand.
+        side: side of the hand.
+        joint_names: (n,) names of the joints in ``positions``.
+        states: states of the scene, in order.
+        positions: (n,) joint positions of the hand at each state [rad].
         events: (time, ``go``, ``reset`` or ``finish``), by the scene's clock [s].
-        outcome: what it came to.
+        outcome: result of the trial.
         about: further entries: operator, condition, number.
     """
 
@@ -68,7 +67,7 @@ class TrialRecord:
     about: dict[str, Any] = field(default_factory=dict)
 
     def add(self, state: SceneState, positions: Float[np.ndarray, " n"]) -> None:
-        """One more moment."""
+        """Append a state of the scene and the joint positions."""
         self.states.append(state)
         self.positions.append(positions)
 

@@ -1,4 +1,4 @@
-"""Trials of a task in a running simulation, on all hands that it has; the task can change."""
+"""Trials of a task on all hands of a running simulation, with changes of the task."""
 
 from __future__ import annotations
 
@@ -19,12 +19,13 @@ class TrialRunner:
     """Trials on each hand of a simulation, and the scenes around them. Safe from any thread.
 
     Args:
-        simulation: an open sink; with a task or without.
-        sides: the hands that are driven.
-        folder: where the trials' records go; None keeps none.
-        about: what is to stand in every record; asked when a trial begins.
-        on_outcome: called with each outcome, from the thread of the physics; it must not take long.
-        note: called with what happens to a trial, without its score, for a record of the hand.
+        simulation: an open sink, with or without a task.
+        sides: sides of the driven hands.
+        folder: folder of the trials' records; None writes none.
+        about: returns further entries of a record; called when a trial begins.
+        on_outcome: called with each outcome, from the thread of the physics; it must return
+            quickly.
+        note: called with each event of a trial, without its score, for a recording of the hand.
     """
 
     def __init__(
@@ -41,18 +42,18 @@ class TrialRunner:
         self._sessions: dict[Side, TaskSession] = {}
         self._past: dict[Side, list[Outcome]] = {side: [] for side in sides}
         self._lock = threading.RLock()
-        self._changing = threading.Lock()  # a scene takes long to build; trials go on meanwhile
+        self._changing = threading.Lock()  # apart from ``_lock``: a scene takes long to build
         self._attend()
 
     @property
     def task(self) -> SimulatedTask | None:
-        """What is done now; None for nothing."""
+        """The current task; None without one."""
         name = self._simulation.task_now
         return None if name == "none" else task_named(name)
 
     @property
     def outcomes(self) -> dict[Side, list[Outcome]]:
-        """Of all trials so far, in order."""
+        """Results of all trials so far, in order."""
         with self._lock:
             return {
                 side: [*past, *(self._sessions[side].outcomes if side in self._sessions else ())]
@@ -61,28 +62,28 @@ class TrialRunner:
 
     @property
     def failures(self) -> list[str]:
-        """Why records could not be written."""
+        """Reasons why records could not be written."""
         return [session.failed for session in self._sessions.values() if session.failed]
 
     @property
     def object_there(self) -> bool:
-        """Whether there is an object to touch: not in free movement."""
+        """True if a scene has its object; False in free movement."""
         states = [self._simulation.scene_state(side) for side in self._sides]
         return any(state is not None and not state.away for state in states)
 
     def change(self, task: str | None, with_object: bool = True) -> SimulatedTask | None:
-        """Load another scene, or none; a trial that runs is forgotten.
+        """Load the scene of a task, or none, and discard a trial that runs.
 
-        The scene that is there already is kept, and its object put back to its start.
+        If the scene is the current one, it is kept and its object put back to its start.
 
         Args:
-            task: its name here or in the paper (A, B, C); None for the hand alone.
+            task: name of the task here or in the paper (A, B, C); None for the hand alone.
             with_object: False leaves the object out until a trial begins or it is put back, as
                 for free movement.
 
         Raises:
             UnknownNameError: there is no such task.
-            HandModelError: a hand can't do it; then nothing changes.
+            HandModelError: a hand can't do the task; nothing changes.
             SinkError: the simulation is closed.
         """
         chosen = None if task is None else task_named(task)
@@ -107,12 +108,12 @@ class TrialRunner:
         """Start a trial on every hand.
 
         Args:
-            when_clear: each clock begins when the hand is clear of its object; see TaskSession.
-            limit_s: after which they end [s]; None for the task's own limit.
+            when_clear: start each clock when the hand is clear of its object; see TaskSession.
+            limit_s: time limit [s]; None for the task's own.
             about: further entries of the records.
 
         Raises:
-            StudyError: one runs, or there is no task.
+            StudyError: a trial runs, or there is no task.
         """
         with self._lock:
             sessions = self._all()
@@ -124,7 +125,7 @@ class TrialRunner:
                 self._say(side, "waits for the hand to be clear" if when_clear else "begins")
 
     def reset(self) -> None:
-        """The one reset of trials that run; where none does, the objects are just put back.
+        """Use the one reset of the trials that run; if none runs, only put the objects back.
 
         Raises:
             StudyError: a trial has had its reset, or there is no task.
@@ -138,7 +139,7 @@ class TrialRunner:
                 self.put_back()
 
     def put_back(self) -> None:
-        """Have the objects at their start, whatever runs.
+        """Put the objects back to their start, whether or not a trial runs.
 
         Raises:
             SinkError: the simulation is closed.
@@ -153,7 +154,7 @@ class TrialRunner:
                 self._simulation.put_away(side)
 
     def finish(self) -> None:
-        """The operator can do no more.
+        """End the running trials for an operator who can do no more.
 
         Raises:
             StudyError: no trial runs.
@@ -166,10 +167,10 @@ class TrialRunner:
                 session.finish()
 
     def pause(self, paused: bool = True) -> None:
-        """Have the scenes of trials that run stand still, their clocks included, or go on.
+        """Stop the scenes of running trials and their clocks, or let them go on.
 
         Raises:
-            StudyError: there is none to pause, or no task.
+            StudyError: there is no trial to pause, or no task.
         """
         with self._lock:
             sessions = self._all()
@@ -181,12 +182,11 @@ class TrialRunner:
                     self._say(side, "is paused" if paused else "goes on")
 
     def cancel(self, mark: str | None = None, **about: Any) -> None:
-        """Forget the trials that run.
+        """Discard the trials that run.
 
         Args:
-            mark: ``undone`` or ``void``: the records of trials that have just ended get this word,
-                since they don't count.
-            about: entries that these records have to have.
+            mark: ``undone`` or ``void``: mark of trials that have just ended and do not count.
+            about: entries that the records of these must have.
         """
         with self._lock:
             for side, session in self._sessions.items():
@@ -197,7 +197,7 @@ class TrialRunner:
                     self._say(side, f"is {mark}")
 
     def report(self, side: Side | None = None) -> dict[str, Any]:
-        """How the trial of a hand stands, the first one's if none is named; see TaskSession.
+        """State of the trial of a hand, by default the first one's; see ``TaskSession.report``.
 
         Raises:
             StudyError: there is no such hand, or no task.
@@ -211,7 +211,7 @@ class TrialRunner:
             return self._sessions[side].report()
 
     def end(self) -> None:
-        """Look no more; the simulation may be closed already."""
+        """Stop following the simulation, which may be closed."""
         with self._lock:
             for session in self._sessions.values():
                 session.close()
@@ -222,7 +222,7 @@ class TrialRunner:
         return list(self._sessions.values())
 
     def _attend(self) -> None:
-        """Watch the scenes that are there."""
+        """Open a session for each hand of the current scene."""
         if self._simulation.task_now != "none":
             for side in self._sides:
                 self._sessions[side] = TaskSession(

@@ -28,7 +28,7 @@ from smooth_operator.study.console.access import HOME, LINK, ConsoleAuth, qr_cod
 from smooth_operator.study.console.commands import Command, Role, command_of
 from smooth_operator.study.console.session_service import SessionService, StoreFailedError
 from smooth_operator.web.files import answer_with, page_files, shielded
-from smooth_operator.web.quiet import quiet_options
+from smooth_operator.web.listening import quiet_options
 
 if TYPE_CHECKING:
     from websockets.asyncio.server import ServerConnection

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any, Final, Literal, TypeAlias, get_args
 
 from smooth_operator.errors import StudyError
-from smooth_operator.simulation.tasks.checks import check_name, distinct, whole
+from smooth_operator.simulation.tasks.task import check_name, distinct, whole
 
 When: TypeAlias = Literal["before", "after"]
 Kind: TypeAlias = Literal["text", "number", "choice", "scale", "consent", "ranking"]

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 from typing import Final, Literal, TypeAlias, get_args
 
 from smooth_operator.errors import StudyError, UnknownNameError
-from smooth_operator.simulation.tasks.checks import check_name, distinct, seconds, whole
 from smooth_operator.simulation.tasks.task import RubricLine as RubricLine
 from smooth_operator.simulation.tasks.task import Task as Task
+from smooth_operator.simulation.tasks.task import check_name, distinct, seconds, whole
 from smooth_operator.study.design.forms import Form
 
 OUTCOMES: Final = ("success", "time", "tlx")

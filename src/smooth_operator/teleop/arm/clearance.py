@@ -10,8 +10,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float, Int
 
-from smooth_operator.simulation.arms.arm import ArmSpec
-from smooth_operator.simulation.arms.arm_model import BASE, FLANGE
+from smooth_operator.simulation.arms.arm import BASE, FLANGE, ArmSpec
 from smooth_operator.simulation.arms.hand_mount import HandCapsules
 
 _POSES: Final = 400

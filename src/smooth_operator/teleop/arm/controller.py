@@ -13,10 +13,9 @@ from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
-from smooth_operator.simulation.arms.arm import ArmSpec
-from smooth_operator.simulation.arms.arm_model import FLANGE, arm_spec
+from smooth_operator.simulation.arms.arm import FLANGE, ArmSpec, arm_spec
 from smooth_operator.simulation.arms.carried import CarriedHand
-from smooth_operator.simulation.arms.hand_mount import HandMount
+from smooth_operator.simulation.arms.hand_mount import HandCapsules, HandMount
 from smooth_operator.simulation.arms.rigid import Matrix, angle_between, matrix_of, pose_of, rigid
 from smooth_operator.teleop.arm.clearance import Clearance, ClearanceConfig
 from smooth_operator.teleop.arm.settings import ArmSettings, place_arms
@@ -130,7 +129,7 @@ class ArmController:
         nominal = np.array(arm.nominal)
         self._configuration = mink.Configuration(self.model, nominal)
         self._site = self.model.site(_WRIST).id
-        self._capsules = mount.capsules()
+        self._capsules = HandCapsules(mount)
         self._clearance = Clearance(
             arm, self.model, self._capsules, nominal, table, wall, self.config.clearance
         )

@@ -13,10 +13,9 @@ from jaxtyping import Bool, Float, Int, UInt8
 from trimesh.graph import smooth_shade
 
 from smooth_operator import landmarks
-from smooth_operator.hand_files.menagerie import has_meshes
-from smooth_operator.hands.collision import solid_shapes
+from smooth_operator.hand_files.vendor_model import has_meshes
+from smooth_operator.hands.collision import Capsule, shape_capsules, solid_shapes
 from smooth_operator.hands.hand import Hand
-from smooth_operator.hands.solids import Capsule, shape_capsules
 from smooth_operator.hands.stand_ins import stand_ins
 from smooth_operator.human.palm_axes import human_palm_axes
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS

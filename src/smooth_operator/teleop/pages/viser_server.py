@@ -28,7 +28,7 @@ from smooth_operator.web.addresses import is_local, lan_addresses
 from smooth_operator.web.auth import TokenAuth
 from smooth_operator.web.browser import open_page
 from smooth_operator.web.files import shielded
-from smooth_operator.web.quiet import quiet_options
+from smooth_operator.web.listening import quiet_options
 
 _TOKENS: Final[WeakKeyDictionary[viser.ViserServer, str | None]] = WeakKeyDictionary()
 

@@ -8,8 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from smooth_operator.calibration.prompts import Prompt
-from smooth_operator.calibration.segments import Segment
+from smooth_operator.calibration.segments import Prompt, Segment
 from smooth_operator.errors import RecordingError
 from smooth_operator.teleop.sources.live import Arrival
 from smooth_operator.types import HandRecording, Side

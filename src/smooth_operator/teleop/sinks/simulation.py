@@ -19,7 +19,7 @@ from smooth_operator.simulation.arms.rigid import Matrix
 from smooth_operator.simulation.live import Watcher
 from smooth_operator.simulation.physics import HandPhysics
 from smooth_operator.simulation.scenes import Scene, ScenePart, ScenePhysics, SceneState, scene_for
-from smooth_operator.simulation.scenes.arm_physics import ArmPhysics
+from smooth_operator.simulation.scenes.physics import ArmPhysics
 from smooth_operator.teleop.sinks.sink import Sink
 from smooth_operator.teleop.sinks.tick import HandState, Tick
 from smooth_operator.types import Side

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Final, Literal, TypeAlias
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.headsets import avp_messages, hts_lines, pico_packets
+from smooth_operator.headsets import avp, hts_lines, pico_packets
 from smooth_operator.headsets.repeats import Repeats
 from smooth_operator.teleop.sources.inboxes import (
     GrpcInbox,
@@ -204,7 +204,7 @@ class AvpSource(StreamSource):
     """
 
     address: str
-    port: int = avp_messages.PORT
+    port: int = avp.PORT
     side: Hands = "both"
 
     def __post_init__(self) -> None:
@@ -222,7 +222,7 @@ class AvpSource(StreamSource):
     def connect(self) -> Inbox:
         """Begins to connect; the headset need not be there yet."""
         host = f"[{self.address}]" if ":" in self.address else self.address
-        method, longest = avp_messages.METHOD, avp_messages.MOST_BYTES
+        method, longest = avp.METHOD, avp.MOST_BYTES
         return GrpcInbox("the source 'avp'", "avp", f"{host}:{self.port}", method, longest)
 
     def reader(self) -> Reader:
@@ -233,7 +233,7 @@ class AvpSource(StreamSource):
             data, connection = message
             return [
                 Reading(replace(frame, stamp=received), session=connection.decode())
-                for frame in map(repeats.new, avp_messages.read_hands(data))
+                for frame in map(repeats.new, avp.read_hands(data))
                 if frame is not None
             ]
 

@@ -11,7 +11,7 @@ from typing import Literal
 from smooth_operator.errors import ConfigError
 from smooth_operator.formats.readers import read_recording
 from smooth_operator.io.anatomy import layout_order
-from smooth_operator.synthetic.settings import check_range
+from smooth_operator.synthetic.tracker import check_range
 from smooth_operator.teleop.sources.live import Running, SourceHealth, ThreadedSource, on_time
 from smooth_operator.types import HandFrame, HandRecording
 

@@ -11,9 +11,7 @@ import numpy as np
 
 from smooth_operator.synthetic.gestures import GESTURES
 from smooth_operator.synthetic.operator import SyntheticOperator
-from smooth_operator.synthetic.settings import check_range
-from smooth_operator.synthetic.tracker import TrackerModel
-from smooth_operator.synthetic.wrist import WristMotion
+from smooth_operator.synthetic.tracker import TrackerModel, WristMotion, check_range
 from smooth_operator.teleop.sources.live import Running, SourceHealth, ThreadedSource, on_time
 from smooth_operator.teleop.sources.stream import Hands, sides_of
 from smooth_operator.types import HandFrame, Side

@@ -19,8 +19,7 @@ from smooth_operator.io.documents import read_json
 from smooth_operator.lab.datasets.clip import SIDES, Clip
 from smooth_operator.lab.datasets.registry import ClipRef, ReadingOptions
 from smooth_operator.synthetic.operator import SyntheticOperator
-from smooth_operator.synthetic.settings import check_range, check_seed
-from smooth_operator.synthetic.wrist import WristMotion
+from smooth_operator.synthetic.tracker import WristMotion, check_range, check_seed
 from smooth_operator.types import HandRecording, Side, as_side
 
 SUFFIX: Final = ".synthetic.json"

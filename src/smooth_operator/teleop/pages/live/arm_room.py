@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from smooth_operator import poses
 from smooth_operator.hands.hand import Hand
-from smooth_operator.simulation.arms.arm_model import arm_spec
+from smooth_operator.simulation.arms.arm import arm_spec
 from smooth_operator.simulation.arms.carried import CarriedHand, WristKinematics
 from smooth_operator.simulation.arms.rigid import inverse, matrix_of, pose_of, rigid
 from smooth_operator.teleop.arm.settings import ArmSettings, place_arms

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 import viser
 
 from smooth_operator.errors import SmoothOperatorError
-from smooth_operator.hand_files.menagerie import hand_with_meshes
+from smooth_operator.hand_files.vendor_model import hand_with_meshes
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.teleop.arm.settings import ArmSettings

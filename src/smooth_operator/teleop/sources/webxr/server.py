@@ -24,11 +24,10 @@ from smooth_operator.landmarks import FINGER_COLORS
 from smooth_operator.result_cache.own_files import make_private, read_own_file
 from smooth_operator.result_cache.user_cache import OFF, SWITCH, user_cache
 from smooth_operator.teleop.sources.webxr.link import MAX_BYTES, Link
+from smooth_operator.web.auth import same_origin
 from smooth_operator.web.files import answer_with, page_files, shielded
-from smooth_operator.web.listening import LimitedListener
+from smooth_operator.web.listening import LimitedListener, quiet_options
 from smooth_operator.web.listening import listen as web_listen
-from smooth_operator.web.origin import same_origin
-from smooth_operator.web.quiet import quiet_options
 
 if TYPE_CHECKING:
     from cryptography import x509

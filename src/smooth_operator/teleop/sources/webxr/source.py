@@ -9,7 +9,7 @@ import ssl
 from dataclasses import dataclass, field
 
 from smooth_operator.errors import MissingExtraError
-from smooth_operator.synthetic.settings import check_range
+from smooth_operator.synthetic.tracker import check_range
 from smooth_operator.teleop.sources.live import Running, SourceHealth, ThreadedSource
 from smooth_operator.teleop.sources.webxr.link import Link, LinkState, Pairing, check_code
 from smooth_operator.teleop.sources.webxr.server import (

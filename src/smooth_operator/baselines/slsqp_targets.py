@@ -1,7 +1,7 @@
-"""Targets of "Analyzing Key Objectives" (AKO, Xin et al. 2025), weighted by pinch distance.
+"""Targets of the method ``ako`` and of the preset ``keyvector:position``.
 
-The nearer a finger is to the thumb, the less the wrist vectors count, with a sigmoid in between
-instead of DexPilot's latch: no state, no jump.
+AKO is "Analyzing Key Objectives" (Xin et al. 2025). The nearer a finger is to the thumb, the less
+its wrist vectors count, by a sigmoid instead of DexPilot's latch: without state and jumps.
 """
 
 from __future__ import annotations
@@ -21,9 +21,7 @@ from smooth_operator.objective.targets import StatelessTargets, Targets
 
 @dataclass(frozen=True)
 class PinchLayout(VectorLayout):
-    """Wrist to each tip (F), thumb tip to each other tip (F - 1), last joint to tip (F).
-
-    14 vectors for five fingers.
+    """Vectors wrist to tip (F), thumb tip to other tip (F - 1), and last joint to tip (F).
 
     Attributes:
         fingers: human finger names, thumb first.
@@ -50,16 +48,16 @@ class AkoTargets(StatelessTargets[PinchLayout]):
         w_thumb_wrist: weight of wrist to thumb tip, before switching.
         w_wrist: weight of wrist to each other tip, before switching.
         w_pinch: weight of thumb tip to each other tip.
-        w_distal: weight of last joint to tip, which holds the direction of the pad.
-        switch_distance: thumb-to-tip distance at which a switched vector counts half [m]. All wrist
-            vectors are switched by the finger that is nearest to the thumb.
+        w_distal: weight of last joint to tip, which determines the direction of the pad.
+        switch_distance: thumb-to-tip distance at which a switched vector has half its weight [m].
+            The finger nearest to the thumb switches all wrist vectors.
         switch_scale: steepness of the switch [1/m].
-        contact: distance under which a pinch is meant to close [m].
-        release: distance from which the pinch vector is the human's own [m]; the target length
-            rises from 0 at ``contact`` in between.
-        switch_pinch: whether each pinch vector fades away from the thumb, as the wrist vectors fade
-            near it, as published. Without it pinches close further and directions are nearer to
-            the human's: docs/reference/methods.md.
+        contact: distance below which the target of a pinch is closed [m].
+        release: distance from which on the pinch vector is the human's own [m]; in between, the
+            target length rises from 0 at ``contact``.
+        switch_pinch: True fades each pinch vector with the distance from the thumb, as published.
+            With False, pinches close further and directions are nearer to the human's:
+            docs/reference/methods.md.
     """
 
     w_thumb_wrist: float = 10.0
@@ -106,3 +104,40 @@ class AkoTargets(StatelessTargets[PinchLayout]):
             ]
         )
         return Targets(human.at[pinch].set(scaled), weights), state
+
+
+@dataclass(frozen=True)
+class TipLayout(VectorLayout):
+    """Vectors from the origin of the palm frame to each fingertip.
+
+    Attributes:
+        fingers: human finger names, thumb first.
+    """
+
+    fingers: tuple[str, ...]
+
+    @cached_property
+    def vectors(self) -> tuple[tuple[int | None, int], ...]:
+        """(F,) (origin, tip)."""
+        return tuple((None, tip) for tip in tips_of(self.fingers))
+
+
+@dataclass(frozen=True)
+class TipTargets(StatelessTargets[TipLayout]):
+    """Targets at the human's fingertip positions in the palm frame.
+
+    Attributes:
+        beta: scale of the human positions.
+    """
+
+    beta: float = 1.0
+
+    def layout(self, fingers: tuple[str, ...]) -> TipLayout:
+        """Vectors from the palm's origin to each tip."""
+        return TipLayout(fingers)
+
+    def __call__(
+        self, state: tuple[()], layout: TipLayout, human: Float[Array, "K 3"]
+    ) -> tuple[Targets, tuple[()]]:
+        """Targets of one frame."""
+        return Targets(human * self.beta, jnp.ones(len(human), human.dtype)), state

@@ -1,4 +1,9 @@
-"""Messages of the Vision Pro app Tracking Streamer: ``HandUpdate`` in Protocol Buffers.
+"""Messages and hands of the Vision Pro app Tracking Streamer (``avp_stream``).
+
+A hand is 25 joints, or 27 with two of the forearm, in WebXR's order: 4 x 4 transforms from the
+joint to the hand's anchor, which is the wrist; and the anchor's transform to the world, in ARKit's
+axes (right-handed, y up). The app sends the identity for a joint that it has never seen, and the
+last transform for one that it has lost.
 
 The gRPC service ``handtracking.HandTrackingService`` has one method, ``StreamHandUpdates``: a
 ``HandUpdate`` as request, which may be empty, and a stream of ``HandUpdate``::
@@ -8,8 +13,10 @@ The gRPC service ``handtracking.HandTrackingService`` has one method, ``StreamHa
     Skeleton     1 jointMatrices: Matrix4x4, repeated
     Matrix4x4    1 m00: float   2 m01 ... 16 m33, row by row
 
-A field that is zero is left out. Unknown fields are skipped. Source: ``handtracking.proto`` of
-Improbable-AI/VisionProTeleop.
+A field that is zero is left out. Unknown fields are skipped.
+
+Source: ``AppModel.swift``, ``RecordingManager.swift`` and ``handtracking.proto`` of
+Improbable-AI/VisionProTeleop; the axes of the wrist from its issue 12.
 """
 
 from __future__ import annotations
@@ -19,15 +26,85 @@ from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
+from jaxtyping import Float
 
 from smooth_operator.errors import RecordingError
-from smooth_operator.headsets.avp_hands import avp_frame
+from smooth_operator.formats.checks import check_palm
+from smooth_operator.landmarks import NODE_LAYOUTS
+from smooth_operator.poses import WORLD_AXES, WRIST_AXES, from_matrices, is_rigid, to_ours
 from smooth_operator.types import HandFrame, Side
+
+WORLD: Final = "avp"
+"""Name of the world frame: the place where the app was started, on the floor."""
+JOINTS: Final = 25
+"""Number of joints in use, the first of those in a message."""
+
+_LANDMARKS: Final = np.array(NODE_LAYOUTS[27][0])
+_METACARPALS: Final = np.array(NODE_LAYOUTS[27][1])
+_WRISTS: Final = {side: WRIST_AXES[f"arkit_{side}"] for side in ("right", "left")}
+
+
+def avp_frame(
+    joints: Float[np.ndarray, "n 4 4"],
+    wrist: Float[np.ndarray, "4 4"],
+    side: Side,
+    stamp: float | None,
+) -> HandFrame | None:
+    """A hand in the project's conventions.
+
+    Args:
+        joints: transforms from joint to wrist [m]; NaN where missing.
+        wrist: transform from wrist to world.
+        side: side of the hand.
+        stamp: stamp of the frame [s], or None.
+
+    Returns:
+        the hand with landmarks in the wrist's axes; None if the headset has never seen it.
+
+    Raises:
+        RecordingError: fewer than 25 joints, or another unit than metres.
+    """
+    if len(joints) < JOINTS:
+        raise RecordingError(f"a hand must have 25 or 27 joints, not {len(joints)}")
+    axes = _WRISTS[side]
+    poses = to_ours(_poses(joints[:JOINTS]), axes, axes)
+    tracked: np.ndarray = np.any(
+        poses[:, :3], axis=1
+    )  # NaN counts as something, and is invalid anyway
+    tracked[0] = True
+    if not tracked[1:].any():
+        return None
+    poses[~tracked] = np.nan
+    landmarks = poses[_LANDMARKS, :3]
+    valid = np.isfinite(landmarks).all(axis=1)
+    check_palm(landmarks, valid, "the joints")
+    anchor = _poses(wrist[None])[0]
+    if not anchor[:3].any():
+        anchor[:] = np.nan
+    return HandFrame(
+        landmarks,
+        stamp,
+        side,
+        valid=valid,
+        metacarpals=poses[_METACARPALS, :3],
+        orientations=poses[_LANDMARKS, 3:],
+        T_world_wrist=to_ours(anchor, WORLD_AXES["openxr"], axes),
+        world=WORLD,
+    )
+
+
+def _poses(matrices: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n 7"]:
+    """Poses of matrices; NaN for a matrix that is no rigid transform."""
+    good = is_rigid(matrices)
+    poses = np.full((len(matrices), 7), np.nan)
+    poses[good] = from_matrices(matrices[good])
+    return poses
+
 
 METHOD: Final = "/handtracking.HandTrackingService/StreamHandUpdates"
 PORT: Final = 12_345
 MOST_BYTES: Final = 65_536
-"""Longest message that is read; one of the app has 4,000."""
+"""Longest accepted message; one of the app has 4,000 bytes."""
 
 _SIDES: Final[tuple[tuple[int, Side], ...]] = ((1, "left"), (2, "right"))
 _MOST_JOINTS: Final = 64
@@ -39,14 +116,14 @@ _RIGID_TAGS: Final = bytes((field << 3) | _FIXED32 for field in range(1, 13)) + 
 
 
 def read_hands(data: bytes, stamp: float | None = None) -> tuple[HandFrame, ...]:
-    """The hands of a message that the headset has seen, left first.
+    """Hands of a message that the headset has seen, left first.
 
     Args:
         data: an encoded ``HandUpdate``.
-        stamp: of the frames [s]; a message has none.
+        stamp: stamp of the frames [s], which a message lacks.
 
     Raises:
-        RecordingError: it is damaged, or a hand has too few joints.
+        RecordingError: the message is damaged, or a hand has too few joints.
     """
     if len(data) > MOST_BYTES:
         raise RecordingError(f"a message of {len(data)} bytes is too long; at most {MOST_BYTES}")
@@ -85,7 +162,7 @@ def _fields(data: bytes) -> Iterator[tuple[int, int, bytes]]:
     """(number, wire type, content) of each field; the content of a varint is empty.
 
     Raises:
-        RecordingError: it is cut off, or no encoded message.
+        RecordingError: the data are cut off, or no encoded message.
     """
     at = 0
     while at < len(data):
