@@ -28,6 +28,7 @@ from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.methods.presets import PRESETS, live_presets
 from smooth_operator.planning import make_request
 from smooth_operator.synthetic import SyntheticOperator
+from smooth_operator.teleop import PageSettings, teleoperate
 from smooth_operator.teleop.pages.hand_view import PALM, SIMULATED, css
 from smooth_operator.teleop.pages.live import live_texts
 from smooth_operator.teleop.pages.live.drawing import LiveDrawing, Pace
@@ -256,6 +257,21 @@ class LateHand(Sink):
         q = past[-1].command.positions.copy()
         q[0] = np.nan
         return HandState(side, "late", past[-1].time + 0.08, past[-1].command.names, q)
+
+    def close(self) -> None: ...
+
+
+@dataclass(frozen=True)
+class HandNames(Sink):
+    """Notes the hands that it is opened for."""
+
+    names: list[str]
+    label = "names"
+
+    def open(self, hands: Any, config: Any) -> None:
+        self.names.append(hands["right"].name)
+
+    def send(self, tick: Tick) -> None: ...
 
     def close(self) -> None: ...
 
@@ -928,6 +944,55 @@ def test_opened_and_closed_again_and_again_nothing_is_left(
     eventually(lambda: process_figures(pid)[0] - seen[1][0] <= 4)
     eventually(lambda: threading.active_count() <= threads)
     assert stage.mode().moves
+
+
+def test_another_hand_while_it_runs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """The page stays at its address, the sinks get the next hand; what does not fit is refused."""
+    monkeypatch.chdir(tmp_path)
+    sessions: list[LiveSession] = []
+    serve = LivePage.serve
+
+    def noted(page: LivePage, session: LiveSession) -> str:
+        sessions.append(session)
+        return serve(page, session)
+
+    monkeypatch.setattr(LivePage, "serve", noted)
+    hands: list[str] = []
+    sink = HandNames(hands)
+    lines: list[str] = []
+    reporter: Any = SimpleNamespace(
+        note=lambda text, matters=False: lines.append(text),
+        waiting=lambda text: contextlib.nullcontext(),
+    )
+    ended: list[dict[str, Any]] = []
+    thread = threading.Thread(
+        target=lambda: ended.append(
+            teleoperate(
+                "synthetic", [sink], method="joint_angle", reporter=reporter,
+                page=PageSettings(port=0, open_browser=False),
+            )
+        )
+    )  # fmt: skip
+    thread.start()
+    try:
+        eventually(lambda: sessions and sessions[0].look(text=False, settings=0)["hands"])
+        assert lines[0].startswith("page: http://127.0.0.1:")  # before anything else
+        first = sessions[0]
+        assert "leap_hand" in first.look(text=True, settings=0)["controls"]["hands"]
+        first.do("hand", "no_such_hand")
+        controls = first.look(text=True, settings=0)["controls"]
+        assert "can't go on with the hand 'no_such_hand'" in controls["message"]
+        assert len(sessions) == 1
+        first.do("hand", "leap_hand")
+        eventually(lambda: len(sessions) == 2)
+        eventually(lambda: sessions[1].look(text=False, settings=0)["hands"])
+        assert hands == ["mimic_p050", "leap_hand"]
+        assert sum(line.startswith("page: ") for line in lines) == 1
+        assert sessions[1].switcher.used.method == "joint_angle"
+    finally:
+        sessions[-1].loop.controls.quit()
+        thread.join(60)
+    assert len(ended) == 1
 
 
 def test_a_page_that_dies_harms_nothing(stage: Stage, capfd: Any) -> None:

@@ -86,8 +86,8 @@ def stand_ins(hand: Hand) -> StandIns:
     model, data = hand.model, mujoco.MjData(hand.model)
     data.qpos[:] = hand.qpos(hand.full_configuration(hand.neutral))
     mujoco.mj_kinematics(model, data)
-    bones = _bones(hand, data)
-    radius = _finger_radius(hand, bones)
+    bones = finger_bones(hand, data)
+    radius = finger_radius(hand, bones)
     part = model.body_weldid
     links = {
         finger: {int(part[body]) for bone in own for body, _, _ in bone}
@@ -164,8 +164,10 @@ def _uncovered(
     return stretch
 
 
-def _bones(hand: Hand, data: mujoco.MjData) -> dict[str, list[list[Piece]]]:
+def finger_bones(hand: Hand, data: mujoco.MjData) -> dict[str, list[list[Piece]]]:
     """Finger -> its bones, base to tip, each in one piece for each body that carries a part of it.
+
+    In the world, in the pose of ``data`` [m]; ``data`` needs its kinematics.
 
     Bones run between landmarks, which lie on the finger's middle line; joint origins need not. A
     finger without landmarks between base and tip uses joint origins.
@@ -229,7 +231,7 @@ def _joint_origins(hand: Hand, data: mujoco.MjData, tip: int) -> list[tuple[int,
     return origins[::-1][1:]
 
 
-def _finger_radius(hand: Hand, bones: dict[str, list[list[Piece]]]) -> float:
+def finger_radius(hand: Hand, bones: dict[str, list[list[Piece]]]) -> float:
     """Radius of the long fingers [m]."""
     long = [own for finger, own in bones.items() if finger != "thumb"]
     lengths = [

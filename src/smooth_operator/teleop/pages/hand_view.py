@@ -16,7 +16,7 @@ from smooth_operator import landmarks
 from smooth_operator.hand_files.vendor_model import has_meshes
 from smooth_operator.hands.collision import Capsule, shape_capsules, solid_shapes
 from smooth_operator.hands.hand import Hand
-from smooth_operator.hands.stand_ins import stand_ins
+from smooth_operator.hands.stand_ins import finger_bones, finger_radius, stand_ins
 from smooth_operator.human.palm_axes import human_palm_axes
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS
 
@@ -121,16 +121,16 @@ class HandView:
 def simple_meshes(hand: Hand) -> dict[int, trimesh.Trimesh]:
     """The surfaces of a hand's simple shapes, by body, each in its body's frame [m].
 
-    A model without meshes is drawn as it is. Of one with meshes, as a user's own, or with links
-    that lack shapes, the capsules are drawn that self-collision is judged by; each mesh is about
-    one capsule.
+    A model without meshes gets tapered fingers on a rounded palm, by the measures of its
+    kinematics. Of one with meshes, as a user's own, or with links that lack shapes, the capsules
+    are drawn that self-collision is judged by; each mesh is about one capsule.
 
     Args:
         hand: the robot hand.
     """
     estimated = stand_ins(hand)
     if not has_meshes(hand) and not estimated.capsules:
-        return body_meshes(hand.model, hand.bodies)
+        return _tapered(hand) or body_meshes(hand.model, hand.bodies)
     part = hand.model.body_weldid[hand.model.geom_bodyid]
     shapes = solid_shapes(hand) & ~np.isin(part, list(estimated.replaced))
     capsules = [
@@ -146,6 +146,56 @@ def simple_meshes(hand: Hand) -> dict[int, trimesh.Trimesh]:
         whole: Any = trimesh.util.concatenate(pieces)  # of meshes, it returns a mesh
         merged[body] = whole
     return merged or body_meshes(hand.model, hand.bodies)
+
+
+_SLIM: Final = 0.85  # radius of a fingertip over that of its last link
+_BEYOND: Final = 0.9  # a tip landmark lies about this share of a radius beyond the last sphere
+_RADII: Final = (0.6, 1.5)  # of a link, over the one that the finger's length tells
+_PALM_RADIUS: Final = 1.2  # of the palm's edge, over a finger's
+_HEEL: Final = 0.55  # width of the palm at the wrist, over that at the knuckles
+
+
+def _tapered(hand: Hand) -> dict[int, trimesh.Trimesh]:
+    """Tapered links along the bones of the fingers, and the hull of a palm; by body."""
+    model, data = hand.model, mujoco.MjData(hand.model)
+    data.qpos[:] = hand.qpos(hand.full_configuration(hand.neutral))
+    mujoco.mj_kinematics(model, data)
+    bones = finger_bones(hand, data)
+    usual, palm = finger_radius(hand, bones), int(model.body(hand.spec.palm).id)
+    own: dict[int, float] = {}
+    for geom in np.flatnonzero(solid_shapes(hand)):
+        for capsule in shape_capsules(model, int(geom)):
+            own[capsule.body] = max(own.get(capsule.body, 0.0), capsule.radius)
+    balls: dict[int, list[list[tuple[np.ndarray, float]]]] = {}
+    for finger in bones.values():
+        pieces = [piece for bone in finger for piece in bone]
+        radii = [np.clip(own.get(body, usual), *(usual * r for r in _RADII)) for body, *_ in pieces]
+        for number, (body, start, end) in enumerate(pieces):
+            before, here = radii[max(number - 1, 0)], radii[number]
+            after = radii[number + 1] if number + 1 < len(radii) else _SLIM * here
+            thin = float(min(here, after))
+            if number + 1 == len(pieces) and (length := float(np.linalg.norm(end - start))) > 0:
+                end = end - (end - start) * min(_BEYOND * thin / length, 1.0)
+            ends = [(start, float(min(before, here))), (end, thin)]
+            balls.setdefault(body, []).append(ends)
+    first = [finger[0][0][1] for finger in bones.values()]
+    wrist = data.xpos[palm] + data.xmat[palm].reshape(3, 3) @ hand.wrist
+    knuckles = np.array(first[1:])
+    heel = _HEEL * (knuckles - knuckles.mean(axis=0)) + wrist
+    balls.setdefault(palm, []).append([(point, _PALM_RADIUS * usual) for point in (*first, *heel)])
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=1.0).vertices
+    meshes: dict[int, trimesh.Trimesh] = {}
+    for body, hulls in balls.items():
+        turn, at = data.xmat[body].reshape(3, 3), data.xpos[body]
+        parts = [
+            trimesh.convex.convex_hull(
+                np.concatenate([(point + radius * ball - at) @ turn for point, radius in hull])
+            )
+            for hull in hulls
+        ]
+        whole: Any = trimesh.util.concatenate(parts)  # of meshes, it returns a mesh
+        meshes[body] = whole
+    return meshes
 
 
 def _surface(capsule: Capsule) -> trimesh.Trimesh:
