@@ -435,6 +435,15 @@ def test_lines_and_bodies_can_be_sent_one_after_the_other() -> None:
         np.testing.assert_array_equal(view._robot.command.data.qpos, before)
         scene.draw_bodies(hands)
         np.testing.assert_allclose(view._robot.command.data.qpos, hand.qpos(bent))
+        marks = view._targets
+        assert not np.any(marks._balls.batched_scales)  # a method without places
+        places = hand.tips(bent) + [0.0, 0.01, 0.0]
+        scene.draw_lines({"right": hands["right"] | {"targets": places.ravel().tolist()}})
+        np.testing.assert_allclose(marks._balls.batched_positions, places, atol=1e-6)
+        assert np.all(marks._balls.batched_scales)
+        np.testing.assert_allclose(marks._lines.points[:, 1], places, atol=1e-6)
+        scene.set_keyvectors(False)
+        assert not marks._balls.visible
     finally:
         close_server(server)
 

@@ -5,8 +5,9 @@
         [--hands mimic_p050,shadow_hand,leap_hand]
         [--files README.md docs/reference/benchmarks.md]
 
-Measures the first hand, with latency, for the table, and all hands for the pictures; writes ``DOCS/img/hands-in-poses-HAND.webp``, and puts the table into each of the files between the
-lines ``<!-- headline -->`` and ``<!-- /headline -->``.
+Measures the first hand, with latency, for the table, and all hands for the pictures; writes
+``DOCS/img/hands-in-poses-HAND.webp``, and puts the table into each of the files between the lines
+``<!-- headline -->`` and ``<!-- /headline -->``.
 """
 
 from __future__ import annotations
