@@ -270,6 +270,11 @@ def test_the_report_holds_all_that_was_asked_for(done: Bench) -> None:
                 "cpu_cores", "Measured alone", "thumb-to-tip")  # fmt: skip
     for words in expected:
         assert words in text, words
+    assert len(re.findall(r'<img src="data:image/webp;base64,\w', done.page)) == 1
+    assert (done.folder / "plots" / "sheet-mimic_p050-right.webp").is_file()
+    summary = (done.folder / "summary.md").read_text(encoding="utf-8")
+    assert "| `sbr:tiny` | " in summary
+    assert "--methods sbr:tiny,picky" in summary
     clips = re.findall(r'<script type="application/json">(.*?)</script>', done.page, re.DOTALL)
     (clip,) = [json.loads(clip) for clip in clips]
     assert [pane["method"] for pane in clip["panes"]] == ["sbr:tiny"]
@@ -288,6 +293,22 @@ def test_no_report_and_quiet(recordings: Path, tmp_path: Path) -> None:
     assert stdout == ""
     assert "six fingers" in stderr
     assert {path.name for path in out.iterdir()} == {"config.json", "results.json", "cells"}
+
+
+def test_the_sheet_alone(recordings: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    good = recordings / "a<i>&'$x^.npz"
+    arguments = ("bench", good, "--methods", "sbr:tiny", "--output", out, "--workers", 0, "--sheet")
+    status, stdout, stderr = captured(arguments)
+    assert status == 0, stderr
+    files = {path.name for path in out.iterdir()}
+    assert files == {"config.json", "results.json", "cells", "sheet-mimic_p050-right.png"}
+    picture = (out / "sheet-mimic_p050-right.png").read_bytes()
+    assert picture.startswith(b"\x89PNG")
+    assert "results.json and sheet-mimic_p050-right.png" in stderr
+    assert "extension" in stdout
+    (row,) = read_results(out)
+    assert row["source"]["tracker"] == "other"
 
 
 # -- going on -------------------------------------------------------------------------------------
@@ -380,7 +401,7 @@ def test_ctrl_c_keeps_what_is_finished(
     assert status == 0, stderr
     assert len(begun) == 3  # the one it was at
     assert [row["source"]["frames"] for row in read_results(out)] == [[0, 12], [12, 24]]
-    assert "mean over 2 recordings" in stdout
+    assert "mean over 1 recording in 2 parts" in stdout
     assert all(row["latency"] is None for row in read_results(out))
 
 
@@ -595,6 +616,17 @@ def test_requests_and_their_settings(tmp_path: Path) -> None:
     assert parse_request("synthetic", rate=60).rate is None  # it needs no rate of its own
     odd = save(tmp_path / "me@home.npz")
     assert parse_request(str(odd)).path == odd
+    requests = (f"{odd}@Camera", str(odd), f"{odd}@:9", "synthetic")
+    trackers = [source.tracker for source in load_sources(map(parse_request, requests))]
+    assert trackers == ["camera", "other", "synthetic"]  # the same frames are one source
+
+
+def test_a_format_tells_its_tracker() -> None:
+    (source,) = load_sources([parse_request("synthetic")])
+    glove = replace(source.recording, meta={"format": "manus"})  # type: ignore[type-var]
+    assert replace(source, request=parse_request("x.npz"), recording=glove).tracker == "glove"
+    named = parse_request("x.npz@headset")
+    assert replace(source, request=named, recording=glove).tracker == "headset"
 
 
 def test_sources_have_names_that_tell_them_apart(tmp_path: Path) -> None:

@@ -148,13 +148,13 @@ def test_the_mean_is_over_parts_then_recordings_then_trackers() -> None:
     values = {one.method: one.values["finger_extension_error"] for one in lines}
     assert values == pytest.approx({"a:p": (0.15 + 0.9) / 2, "b:p": (0.4 + 0.1) / 2})
     assert list(by_tracker(rows)) == ["glove", "headset"]
-    assert sample_text(rows) == "3 recordings: 2 glove, 1 headset"
+    assert sample_text(rows) == "3 recordings in 5 parts: 2 glove, 1 headset"
     assert best(lines, METRIC["finger_extension_error"]) == {1}
     assert uses.verdict(lines).startswith("b:p has the best mean rank")
     assert "for looks b:p (extension error 0.25" in uses.verdict(lines)
     text = summary_text(rows, Settings(output=Path("out"), recordings=("/x/g1.npz@:5",)))
     assert "| `b:p` | **0.25** |" in text
-    assert "n = 3 recordings: 2 glove, 1 headset" in text
+    assert "n = 3 recordings in 5 parts: 2 glove, 1 headset" in text
     assert "smooth-operator bench g1.npz@:5 --methods all --hands mimic_p050" in text
 
 

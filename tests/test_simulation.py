@@ -449,6 +449,28 @@ def test_all_that_moves_is_sent_as_one_kind_of_change(
     simulation.change_task("none")
 
 
+def test_the_places_of_the_fingertips_are_marked() -> None:
+    """A method with places shows them, each with a line from the robot's tip; others show none."""
+    hand = load_hand("mimic_p050")
+    server = open_server("127.0.0.1", 0)
+    try:
+        scene = LiveScene(server, {"right": hand}, simulated=False)
+        marks = scene._sides["right"].targets
+        bent = hand.full_configuration(hand.limits[:, 1])
+        state: dict[str, Any] = {"positions": bent, "human": None, "latched": None}
+        scene.draw({"right": state})
+        assert not np.any(marks._balls.batched_scales)
+        places = hand.tips(bent) + [0.0, 0.01, 0.0]
+        scene.draw({"right": state | {"targets": places.ravel().tolist()}})
+        np.testing.assert_allclose(marks._balls.batched_positions, places, atol=1e-6)
+        assert np.all(marks._balls.batched_scales)
+        np.testing.assert_allclose(marks._lines.points[:, 1], places, atol=1e-6)
+        scene.set_keyvectors(False)
+        assert not marks._balls.visible
+    finally:
+        close_server(server)
+
+
 def test_the_forearm_is_cut_off_and_the_picture_holds_the_label() -> None:
     """Mimic's model has a forearm 12 cm long; the page shows 3 cm of it."""
     hand = load_hand("mimic_p050")

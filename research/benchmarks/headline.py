@@ -1,12 +1,13 @@
 """The README's table of methods and pictures of poses, from one benchmark.
 
     python research/benchmarks/headline.py RECORDING... --output FOLDER [--docs docs]
-        [--methods smooth,sbr:paper,dexpilot:published] [--hands mimic_p050,shadow_hand,leap_hand]
+        [--methods smooth,sbr:paper,dexpilot:published] [--pictures smooth,sbr,dexpilot]
+        [--hands mimic_p050,shadow_hand,leap_hand]
         [--files README.md docs/reference/benchmarks.md]
 
-Runs ``smooth-operator bench`` on the first hand with latency, and on all hands for the pictures;
-writes ``DOCS/img/hands-in-poses-HAND.webp``, and puts the table into each of the files between the
-lines ``<!-- headline -->`` and ``<!-- /headline -->``.
+Measures the first hand, with latency, for the table, and all hands for the pictures; writes
+``DOCS/img/hands-in-poses-HAND.webp``, and puts the table into each of the files between the lines
+``<!-- headline -->`` and ``<!-- /headline -->``.
 """
 
 from __future__ import annotations
@@ -19,7 +20,14 @@ from typing import Final
 
 from smooth_operator.cli.bench import comma_words
 from smooth_operator.cli.hand_shape import ModelShape
-from smooth_operator.lab.benchmark import Settings, make_rows, plan_cells, run_suite
+from smooth_operator.lab.benchmark import (
+    Finished,
+    Row,
+    Settings,
+    make_rows,
+    plan_cells,
+    run_suite,
+)
 from smooth_operator.lab.benchmark.contact_sheet import contact_sheet, panels_by_hand
 from smooth_operator.lab.benchmark.page.summary import summary_text
 from smooth_operator.lab.benchmark.panels import make_panels
@@ -34,30 +42,36 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("recordings", nargs="+")
     parser.add_argument("--methods", default="smooth,sbr:paper,dexpilot:published")
+    parser.add_argument("--pictures", help="methods of the pictures; --methods if left out")
     parser.add_argument("--hands", default="mimic_p050,shadow_hand,leap_hand")
     parser.add_argument("--output", type=Path, required=True)
     parser.add_argument("--docs", type=Path)
     parser.add_argument("--files", type=Path, nargs="*", default=[])
     options = parser.parse_args(arguments)
-    methods, hands = comma_words(options.methods), comma_words(options.hands)
-    for i, hand in enumerate(hands):
-        settings = Settings(
-            output=options.output / hand, recordings=tuple(options.recordings), hands=(hand,),
-            methods=methods, workers=0, latency_frames=0 if i else 500,
-        )  # fmt: skip
-        finished = run_suite(settings, plan_cells(settings))
-        if i == 0:
-            text = summary_text(make_rows(finished, settings), settings)
-            print(text)
-            for path in options.files:
-                _put(path, text)
+    hands = comma_words(options.hands)
+    text = summary_text(*_measured(options, hands[0], options.methods, latency_frames=500)[1:])
+    print(text)
+    for path in options.files:
+        _put(path, text)
+    for hand in hands if options.docs is not None else ():
+        finished, _, _ = _measured(options, hand, options.pictures or options.methods)
         for (name, _), panels in panels_by_hand(make_panels(finished)).items():
             sheet = contact_sheet(panels, ModelShape, POSES)
-            if sheet is None or options.docs is None:
-                continue
-            path = options.docs / "img" / f"hands-in-poses-{name}.webp"
-            sheet.save(path, quality=82, method=6)
-            print(f"wrote {path}")
+            if sheet is not None:
+                path = options.docs / "img" / f"hands-in-poses-{name}.webp"
+                sheet.save(path, quality=82, method=6)
+                print(f"wrote {path}")
+
+
+def _measured(
+    options: argparse.Namespace, hand: str, methods: str, latency_frames: int = 0
+) -> tuple[list[Finished], list[Row], Settings]:
+    settings = Settings(
+        output=options.output / hand, recordings=tuple(options.recordings), hands=(hand,),
+        methods=comma_words(methods), workers=0, latency_frames=latency_frames,
+    )  # fmt: skip
+    finished = run_suite(settings, plan_cells(settings))
+    return finished, make_rows(finished, settings), settings
 
 
 def _put(path: Path, text: str) -> None:

@@ -12,6 +12,7 @@ from rich.text import Text
 from smooth_operator.cli.console import output_console, plain_table
 from smooth_operator.lab.benchmark.comparison import Comparison
 from smooth_operator.lab.benchmark.ranking import (
+    COLUMNS,
     Line,
     best,
     by_hand,
@@ -21,6 +22,7 @@ from smooth_operator.lab.benchmark.ranking import (
     failures,
     lines_of,
     overall,
+    sample_text,
     shown_value,
 )
 from smooth_operator.lab.benchmark.results import Row
@@ -29,10 +31,14 @@ from smooth_operator.metrics import Metric
 
 _MOST_PANELS: Final = 8
 _MOST_NAMED: Final = 4
-_WIDTH_OF_ALL: Final = 104
-"""Of a table with every column [characters]."""
-_LEFT_OUT: Final = ("scale_ratio", "workspace_utilisation")
-"""What a narrower terminal does without; the report has it."""
+_WIDTH_OF_NAME, _WIDTH_OF_COLUMN, _FEWEST = 20, 11, 5
+"""About the width of a method's name and of a column [characters]; columns of any terminal."""
+_ORDER: Final = (
+    "finger_extension_error", "pinch_gap_excess_mm", "motion_preservation", "self_collision.share",
+    "latency_ms.p50", "finger_direction_error_deg", "jumps_per_1000", "cosine_similarity",
+    "thumb_direction_error_deg", "flatness", "scale_ratio", "workspace_utilisation",
+)  # fmt: skip
+"""Columns that a narrow terminal shows first; the report has all."""
 _STYLES: Final = {"better": "green", "worse": "red", "same": ""}
 _SIGNS: Final = {"better": " ▲", "worse": " ▼", "same": ""}
 
@@ -51,7 +57,7 @@ def print_results(rows: Sequence[Row]) -> None:
         count = len({row["recording"] for row in own if row["status"] == "ok"})
         lines = overall(own)
         if count > 1:
-            console.print(_table(f"{hand}, mean over {count} recordings", lines, shown))
+            console.print(_table(f"{hand}, mean over {sample_text(own)}", lines, shown))
         verdict = verdict_of(lines)
         if verdict:
             console.print(Text(f"{hand}: {verdict}"))
@@ -137,4 +143,5 @@ def _header(metric: Metric) -> str:
 
 
 def _columns(console: Console) -> list[Metric]:
-    return [m for m in columns() if console.width >= _WIDTH_OF_ALL or m.name not in _LEFT_OUT]
+    room = max(_FEWEST, (console.width - _WIDTH_OF_NAME) // _WIDTH_OF_COLUMN)
+    return [m for m in columns() if m not in COLUMNS or m.name in _ORDER[:room]]

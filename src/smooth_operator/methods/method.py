@@ -112,7 +112,7 @@ class Method(ABC):
 
     def fingertip_targets(self, state: Any) -> Float[Array, "F 3"] | None:
         """(F, 3) places of the fingertips that the last frame asks for, in the palm frame [m];
-        None for a method that does not place them, NaN before the first frame.
+        None for a method that does not place them, and before the first frame.
 
         Args:
             state: from ``init`` or a step.

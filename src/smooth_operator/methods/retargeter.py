@@ -183,7 +183,7 @@ class Retargeter:
         """
         state = self._state if state is None else state
         targets = self.shared.method.fingertip_targets(state.method)
-        if targets is None or not np.isfinite(targets).all():
+        if targets is None:
             return None
         return np.asarray(targets, float) * (_REFLECTION if self.shared.reflects else 1.0)
 

@@ -281,10 +281,10 @@ class Smooth(Method):
 
     def fingertip_targets(self, state: SmoothState) -> Float[Array, "F 3"] | None:
         """(F, 3) places of the fingertips that the last frame asks for, in the palm frame [m];
-        None without a correspondence, NaN before the first frame."""
-        if not state.operator:
+        None without a correspondence, and before the first frame."""
+        if not state.operator or not np.asarray(state.frames):
             return None
-        return jnp.where(state.frames > 0, state.operator.places, jnp.nan)
+        return state.operator.places
 
     def frame_goals(self) -> FrameGoals:
         """The objective on landmarks without the filter, which a known future makes needless."""

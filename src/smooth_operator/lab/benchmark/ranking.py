@@ -145,12 +145,14 @@ def by_tracker(rows: Iterable[Row]) -> dict[str, list[Row]]:
 
 def sample_text(rows: Iterable[Row]) -> str:
     """Numbers of recordings of each tracker, for a person: ``3 recordings: 2 glove, 1 camera``."""
+    rows = [row for row in rows if row["status"] == "ok"]
     counts = {
-        tracker: len({row_unit(row) for row in own if row["status"] == "ok"})
-        for tracker, own in by_tracker(rows).items()
+        tracker: len({row_unit(row) for row in own}) for tracker, own in by_tracker(rows).items()
     }
     total = sum(counts.values())
     words = f"{total} recording{'' if total == 1 else 's'}"
+    parts = len({row["recording"] for row in rows})
+    words += f" in {parts} parts" if parts > total else ""
     listed = ", ".join(f"{count} {tracker}" for tracker, count in counts.items())
     return f"{words}: {listed}" if len(counts) > 1 else words
 
