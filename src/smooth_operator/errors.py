@@ -27,8 +27,8 @@ __all__ = (
 DISTRIBUTION: Final = "smooth-retargeting"
 """Name of the distribution; ``smooth-operator`` on the package index is another program."""
 
-UPGRADE: Final = f"python -m pip install --upgrade {DISTRIBUTION}"
-"""The command that brings a newer version of this program."""
+UPGRADE: Final = "git pull && python -m pip install ."
+"""The commands that bring a newer version of this program, in a clone."""
 
 
 class SmoothOperatorError(Exception):
@@ -153,7 +153,12 @@ class UnknownNameError(SmoothOperatorError, KeyError):
 def did_you_mean(name: str, names: Iterable[str]) -> str:
     """`` Did you mean 'sbr'?``, for a message; empty if no name is close."""
     bare = {one.lstrip("-"): one for one in names}  # the dashes of options are like any others
-    close = get_close_matches(name.lstrip("-"), bare, n=1)
+    word = name.lstrip("-")
+    close = get_close_matches(word, bare, n=1) or [
+        one
+        for one in bare
+        if word.lower() in one.lower().split("_") or one.lower() in word.lower().split("_")
+    ]
     return f" Did you mean {bare[close[0]]!r}?" if close else ""
 
 

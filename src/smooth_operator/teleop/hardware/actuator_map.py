@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Final, Literal, TypeAlias
 
 import numpy as np
@@ -216,9 +217,9 @@ class BoundMap:
             for joint, weight in actuator.joints.items():
                 if joint not in self.names and actuators.hand != hand.name:
                     raise ConfigError(
-                        f"{actuators.file} is the table of the hand {actuators.hand!r}, and the "
-                        f"run's hand is {hand.name!r}: choose --hand {actuators.hand}, or another "
-                        "table with table=FILE"
+                        f"{Path(actuators.file).name} is the table of the hand "
+                        f"{actuators.hand!r}, and the run's hand is {hand.name!r}: choose --hand "
+                        f"{actuators.hand}, or another table with table=FILE"
                     )
                 if joint not in self.names:
                     raise UnknownNameError(

@@ -12,14 +12,15 @@ roll of the thumb 0x03 (first value), tips 0x04; speed 0x05, current 0x06, fault
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Final, Literal
+from typing import Any, ClassVar, Final, Literal
 
 import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError, require
+from smooth_operator.hands.hand import Hand
 from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
 from smooth_operator.teleop.hardware.device import (
     HandDevice,
@@ -29,6 +30,7 @@ from smooth_operator.teleop.hardware.device import (
 )
 from smooth_operator.teleop.hardware.drivers.can_bus import CanBus, can_port
 from smooth_operator.teleop.hardware.hardware_sink import HardwareSink
+from smooth_operator.types import Side
 
 
 @dataclass(frozen=True)
@@ -81,18 +83,25 @@ class LinkerSink(HardwareSink):
 
     Attributes:
         port: a CAN channel, ``can0`` or ``INTERFACE:CHANNEL`` of python-can.
-        model: model of the hand; it chooses the table, too, unless one is named.
+        model: model of the hand; it chooses the table, too, unless one is named. None is the run's
+            hand, or l20 where there is none.
     """
 
     driver: ClassVar[str] = "linker"
 
     port: str = "can0"
-    model: Literal["l10", "l20"] = "l20"
+    model: Literal["l10", "l20"] | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.table:
-            object.__setattr__(self, "table", f"linker_{self.model}")
+            self._set(table=f"linker_{self.model or 'l20'}")
+
+    def open(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> None:
+        """Take the table of the run's hand and the bus; see ``HardwareSink``."""
+        if self.model is None and {hand.name for hand in hands.values()} == {"linker_l10"}:
+            self._set(model="l10", table=self.table.replace("linker_l20", "linker_l10"))
+        super().open(hands, config)
 
     @property
     def bus(self) -> str:
@@ -102,7 +111,7 @@ class LinkerSink(HardwareSink):
     def device(self, actuators: ActuatorMap) -> LinkerDevice:
         """The hand, not yet open; see ``HardwareSink``."""
         require(LinkerDevice.name, "linker", "can")
-        return LinkerDevice(actuators, self.port, self.model)
+        return LinkerDevice(actuators, self.port, self.model or "l20")
 
 
 class LinkerDevice(HandDevice):
