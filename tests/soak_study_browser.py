@@ -205,8 +205,9 @@ class BrowserSoak(SoakBase):
 
     def form(self, shown: Shown) -> None:
         """A form: as it should be, or refused and asked once more, or while pages come and go."""
-        name = shown.heading.removeprefix("Form: ")
-        form = next(one for one in self.plan.protocol.forms if one.name == name)
+        title = shown.heading.removeprefix("Form: ")
+        form = next(f for f in self.plan.protocol.forms if title == (f.title or f.name))
+        name = form.name
         while self.tablet.asked()["title"] != (form.title or form.name):
             pass
         answers = {one.name: self.answer(one, self.tablet.page) for one in form.fields}

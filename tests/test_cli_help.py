@@ -9,7 +9,7 @@ import sys
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, get_args, get_type_hints
+from typing import Any
 
 import pytest
 
@@ -23,20 +23,11 @@ from smooth_operator.plugins import Entry
 EDGES = " ╭╰│"
 
 
-def subcommands(kind: type) -> dict[str, type]:
-    """Name -> options of the subcommands of a group."""
-    union = get_args(get_type_hints(kind, include_extras=True)["what"])[0]
-    return {
-        next(one.name for one in member.__metadata__ if hasattr(one, "name")): get_args(member)[0]
-        for member in get_args(union)
-    }
-
-
 def commands() -> Iterator[tuple[tuple[str, ...], Any]]:
     for name, kind in _COMMANDS.items():
         yield (name,), kind
         if issubclass(kind, Group):
-            yield from (((name, inner), options) for inner, options in subcommands(kind).items())
+            yield from (((name, inner), options) for inner, options in kind.members().items())
 
 
 def printed(monkeypatch: pytest.MonkeyPatch, *words: str) -> str:
@@ -102,6 +93,11 @@ def test_rare_options_are_in_the_long_help_alone(monkeypatch: pytest.MonkeyPatch
     assert {"--source", "--sink", "--hand", "--method", "--estop"} <= listed
     rest = set(re.findall(r"^│ (--[a-z][\w.-]*)", whole, re.MULTILINE)) - listed
     assert {"--priority", "--limits.velocity", "--safety.stale-s"} <= rest
+
+
+@pytest.mark.parametrize("command", ["dataset", "retarget", "demo", "bench", "study"])
+def test_common_options_fit_on_a_page_or_two(command: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert len(printed(monkeypatch, command, "--help").split()) <= 700
 
 
 def test_what_is_indented_keeps_its_lines(capsys: pytest.CaptureFixture[str]) -> None:

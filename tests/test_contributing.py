@@ -185,12 +185,15 @@ def test_only_what_was_tried_is_published() -> None:
         if "artifact" in step.get("uses", "")
     }
     assert names == {"dist"}
-    assert jobs["publish"]["steps"][-1] == {"uses": "pypa/gh-action-pypi-publish@release/v1"}
+    assert jobs["publish"]["steps"][-1] == {
+        "uses": "pypa/gh-action-pypi-publish@release/v1",
+        "with": {"packages-dir": "upload/"},
+    }
     assert "secrets." not in read(".github/workflows/release.yml")
 
 
 @pytest.mark.skipif(os.name == "nt", reason="needs bash")
-def test_a_tag_that_is_not_the_version_of_all_three_is_refused(tmp_path: Path) -> None:
+def test_a_tag_that_is_not_the_version_of_all_distributions_is_refused(tmp_path: Path) -> None:
     steps = parsed(".github/workflows/release.yml")["jobs"]["build"]["steps"]
     (check,) = [step["run"] for step in steps if "TAG" in step.get("env", {})]
     files = [path.relative_to(PROJECT) for path in PROJECT.glob("packages/*/pyproject.toml")]
@@ -210,7 +213,16 @@ def test_a_tag_that_is_not_the_version_of_all_three_is_refused(tmp_path: Path) -
     for file in files:
         (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / file).write_text(read(str(file)))
+    (tmp_path / "CITATION.cff").write_text(read("CITATION.cff"))
+    assert "CHANGELOG.md has no date" in run(f"v{version}")
+    (tmp_path / "CHANGELOG.md").write_text(f"## [{version}] - 2026-12-01\n")
+    assert "project.urls lacks Source" in run(f"v{version}")
+    urls = 'Source = "https://a.example"\nIssues = "https://a.example/issues"\n'
+    text = read("pyproject.toml").replace("[project.urls]\n", f"[project.urls]\n{urls}")
+    (tmp_path / "pyproject.toml").write_text(text)
     assert run(f"v{version}") == ""
+    (tmp_path / "CITATION.cff").write_text("version: 8.8.8\n")
+    assert "CITATION.cff has another version" in run(f"v{version}")
     assert "but pyproject.toml has" in run("v9.9.9")
     for file in files:
         (tmp_path / file).write_text(read(str(file)).replace(f'"{version}"', '"9.9.9"'))
@@ -218,11 +230,22 @@ def test_a_tag_that_is_not_the_version_of_all_three_is_refused(tmp_path: Path) -
         (tmp_path / file).write_text(read(str(file)))
 
 
-def test_the_published_distribution_is_ours() -> None:
-    project = tomllib.loads(read("pyproject.toml"))["project"]
+def test_each_distribution_is_published_by_a_publisher_of_its_own() -> None:
+    files = [PROJECT / "pyproject.toml", *sorted(PROJECT.glob("packages/*/pyproject.toml"))]
+    projects = [tomllib.loads(file.read_text(encoding="utf-8"))["project"] for file in files]
     publish = parsed(".github/workflows/release.yml")["jobs"]["publish"]
-    assert publish["environment"]["url"].rstrip("/").endswith(f"/{project['name']}")
-    assert f"version: {project['version']}\n" in read("CITATION.cff")
+    entries = publish["strategy"]["matrix"]["include"]
+    assert [entry["distribution"] for entry in entries] == [project["name"] for project in projects]
+    assert len({entry["environment"] for entry in entries}) == len(entries)
+    for entry in entries:
+        assert entry["files"] == entry["distribution"].replace("-", "_")
+    assert publish["strategy"]["max-parallel"] == 1
+    for project in projects:
+        assert f"version: {project['version']}\n" in read("CITATION.cff")
+        groups = [project["dependencies"], *project["optional-dependencies"].values()]
+        for need in (need for group in groups for need in group):
+            if need.startswith("smooth-retargeting") and project is not projects[0]:
+                assert "~=0.1" in need, need  # never an older, unknown one
 
 
 def test_hooks_are_the_tools_of_ci() -> None:

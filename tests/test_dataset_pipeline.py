@@ -325,6 +325,11 @@ def test_sources_of_every_kind(folder: Path, tmp_path: Path) -> None:
     assert names(folder / "deep" / "*.npz") == ["c"]
     assert names((folder / "a.pair.npz").as_uri()) == ["a"]
     assert names(folder / "a.pair.npz", folder / "a.pair.npz") == ["a", "a~2"]
+    part = find_items([f"{folder / 'a.pair.npz'}@5:25"], layout=LAYOUT).items[0]
+    whole = find_items([str(folder / "a.pair.npz")], layout=LAYOUT).items[0]
+    assert (part.name, part.frames, part.asked == whole.asked) == ("a", "5:25", False)
+    with pytest.raises(ConfigError, match="frames must be a range"):
+        find_items([f"{folder / 'a.pair.npz'}@half"], layout=LAYOUT)
     listed = folder / "list.csv"
     listed.write_text("path,task,side\na.pair.npz,stir,right\ndeep,,\n", encoding="utf-8")
     found = find_items([str(listed)], layout=LAYOUT)

@@ -633,8 +633,9 @@ def test_the_command_writes_a_spec_and_prints_a_checklist(
 ) -> None:
     hand = make_hand(1, side="left")
     path = write(tmp_path, urdf(hand.parts), "gadget_left.urdf")
-    add(path, "--no-view")
+    add(path, "--all")
     text = capsys.readouterr().out
+    assert text.splitlines()[-1] == "Next: smooth-operator hands check gadget --side left"
     for word in ("side", "palm", "thumb", "order", "tip of pinky", "wrist", "0.98", "--tip"):
         assert word in text
     file = folder / "gadget.left.toml"
@@ -703,7 +704,7 @@ def test_options_that_make_no_sense_are_said_to(tmp_path: Path, folder: Path) ->
     assert not folder.exists()
 
 
-def test_the_page_is_opened_unless_told_otherwise(
+def test_the_page_is_opened_on_request(
     tmp_path: Path,
     folder: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -714,8 +715,8 @@ def test_the_page_is_opened_unless_told_otherwise(
     shown: list[Any] = []
     monkeypatch.setattr(hands_show, "show_hand", shown.append)
     path = write(tmp_path, urdf(make_hand(1).parts), "gadget.urdf")
-    add(path, "--port", "0", "--no-browser")
-    add(path, "--no-view")
+    add(path, "--view", "--port", "0", "--no-browser")
+    add(path)
     assert [(s.hand, s.port, s.no_browser) for s in shown] == [
         (str(folder / "gadget.right.toml"), 0, True)
     ]

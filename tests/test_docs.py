@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import re
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -223,11 +224,64 @@ def test_a_mark_skips_only_the_next_block() -> None:
     assert [code for _, code in python_blocks(text)] == ["b"]
 
 
-@pytest.mark.parametrize(
-    "page", [*PAGES, *(PROJECT / "packages").glob("*/README.md")], ids=lambda page: str(page)
-)
-def test_pages_install_from_the_clone(page: Path) -> None:
-    """None of the distributions is published; whoever takes a name could install anything."""
-    names = r"smooth[-_](?:retargeting|operator)(?!-\*\.whl)|lerobot_\w+"
-    published = rf"pip install\b[^\n`]*(?<![./\w])(?:{names})"
-    assert re.findall(published, page.read_text(encoding="utf-8")) == []
+OWN_NAMES = r"smooth[-_](?:retargeting|operator|hand)(?!-\*\.whl)|lerobot_\w+"
+INSTALLS = [
+    *PAGES,
+    *(PROJECT / name for name in ("CONTRIBUTING.md", "SECURITY.md", "NOTICES.md", "CITATION.cff")),
+    *sorted((PROJECT / "packages").glob("*/README.md")),
+    *sorted((PROJECT / "examples").rglob("*.md")),
+    *sorted(
+        path
+        for top in ("src", "research/src", "packages", "examples")
+        for path in (PROJECT / top).rglob("*.py")
+        if "pip install" in path.read_text(encoding="utf-8")
+    ),
+]
+
+
+@pytest.mark.parametrize("file", INSTALLS, ids=relative_name)
+def test_all_texts_install_from_the_clone(file: Path) -> None:
+    """None of the distributions is published; whoever takes a name could install anything.
+
+    The name alone is in ``install_command``, for those who have it installed from a wheel.
+    """
+    published = rf"pip install\b[^\n`]*(?<![./\w])(?:{OWN_NAMES})"
+    assert re.findall(published, file.read_text(encoding="utf-8")) == []
+
+
+def test_folders_and_extras_of_install_lines_exist() -> None:
+    projects = {
+        path.parent: tomllib.loads(path.read_text(encoding="utf-8"))["project"]
+        for path in PROJECT.rglob("pyproject.toml")
+        if ".venv" not in path.parts
+    }
+    lines = [
+        line
+        for file in INSTALLS
+        for line in re.findall(r"pip install ([^\n`]*)", file.read_text(encoding="utf-8"))
+    ]
+    targets = [
+        match
+        for line in lines
+        for match in re.findall(r"(?<![\w.])(\.(?:/\w+)*)(?:\[([\w,-]+)\])?(?=[\"' ]|$)", line)
+    ]
+    assert len(targets) > 20
+    for folder, extras in targets:
+        project = projects[(PROJECT / folder).resolve()]
+        known = project.get("optional-dependencies", {})
+        assert [name for name in extras.split(",") if name and name not in known] == [], folder
+
+
+def test_readme_is_short_and_lists_all_extras() -> None:
+    text = README.read_text(encoding="utf-8")
+    assert len(text.split()) < 900
+    project = tomllib.loads((PROJECT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    section = text.split("\n## Extras\n")[1].split("\n## ")[0]
+    assert set(project["optional-dependencies"]) - set(re.findall(r"`([\w-]+)`", section)) == set()
+
+
+def test_every_built_in_hand_is_in_the_notices() -> None:
+    text = (PROJECT / "NOTICES.md").read_text(encoding="utf-8")
+    rows = set(re.findall(r"`(\w+)`", "".join(re.findall(r"^\| (`.+?) \|", text, re.MULTILINE))))
+    models = {path.name.split(".")[0] for path in (SOURCE / "hands" / "models").glob("*.toml")}
+    assert models - rows == set()

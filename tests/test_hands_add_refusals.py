@@ -184,7 +184,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFi
 
     def call(*arguments: str) -> tuple[int, str, str]:
         capfd.readouterr()
-        status = main(["hands", "add", *arguments, "--no-view"])
+        status = main(["hands", "add", *arguments])
         return status, *capfd.readouterr()
 
     return call

@@ -52,7 +52,7 @@ def package(tmp_path: Path) -> Path:
 def test_a_hand_survives_that_its_model_is_moved(run: Run, folder: Path, tmp_path: Path) -> None:
     file = package(tmp_path)
     assert load_model(file).model.nmesh == 1
-    status, out, _ = run("add", file, "--name", "claw", "--no-view")
+    status, out, _ = run("add", file, "--name", "claw")
     assert status == 0
     assert "Copied the model" in out
     before = load_hand("claw", load_side(folder, "claw"))
@@ -65,7 +65,7 @@ def test_a_hand_survives_that_its_model_is_moved(run: Run, folder: Path, tmp_pat
     assert not Path(json_model(folder, "claw")).is_absolute()
     # adding it again from its new place is no other hand
     moved = tmp_path / "elsewhere" / "urdf" / "claw.urdf"
-    assert run("add", moved, "--name", "claw", "--no-view")[0] == 0
+    assert run("add", moved, "--name", "claw")[0] == 0
 
 
 def load_side(folder: Path, name: str) -> str:
@@ -83,7 +83,7 @@ def test_in_place_copies_nothing_and_a_lost_model_is_said_with_its_cure(
     run: Run, folder: Path, tmp_path: Path
 ) -> None:
     file = package(tmp_path)
-    assert run("add", file, "--name", "claw", "--no-view", "--in-place")[0] == 0
+    assert run("add", file, "--name", "claw", "--in-place")[0] == 0
     assert not (folder / "models").exists()
     shutil.move(tmp_path / "vendor", tmp_path / "elsewhere")
     status, _, err = run("show", "claw", "--side", load_side(folder, "claw"), "--no-view")
@@ -116,7 +116,7 @@ def test_remove_takes_the_hand_and_leaves_the_users_model(
     run: Run, folder: Path, tmp_path: Path
 ) -> None:
     file = package(tmp_path)
-    assert run("add", file, "--name", "claw", "--no-view")[0] == 0
+    assert run("add", file, "--name", "claw")[0] == 0
     assert "claw" in hand_names()
     status, _, err = run("remove", "claw")  # nobody there to ask
     assert status == 2
@@ -132,7 +132,7 @@ def test_remove_takes_the_hand_and_leaves_the_users_model(
 
 
 def test_remove_of_what_is_not_ones_own(run: Run, folder: Path, tmp_path: Path) -> None:
-    assert run("add", package(tmp_path), "--name", "claw", "--no-view")[0] == 0
+    assert run("add", package(tmp_path), "--name", "claw")[0] == 0
     status, _, err = run("remove", "clow", "--yes")
     assert (status, "Did you mean 'claw'" in err) == (2, True)
     status, _, err = run("remove", "leap_hand", "--yes")

@@ -289,7 +289,7 @@ def test_a_hand_of_one_side_has_that_side_by_default(
 ) -> None:
     monkeypatch.setenv("SMOOTH_OPERATOR_HANDS", str(tmp_path / "hands"))
     path = ros_package(tmp_path / "lefty", "package://lefty/meshes/box.stl", side="left")
-    assert main(["hands", "add", str(path), "--name", "lefty", "--no-view"]) == 0
+    assert main(["hands", "add", str(path), "--name", "lefty"]) == 0
     assert load_hand("lefty").spec.side == "left"
     assert Retargeter("lefty", method="keyvector").hand.spec.side == "left"
     picture = tmp_path / "lefty.png"

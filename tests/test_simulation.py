@@ -460,7 +460,7 @@ def test_the_places_of_the_fingertips_are_marked() -> None:
         state: dict[str, Any] = {"positions": bent, "human": None, "latched": None}
         scene.draw({"right": state})
         assert not np.any(marks._balls.batched_scales)
-        places = hand.tips(bent) + [0.0, 0.01, 0.0]
+        places = hand.tips(bent) + np.array([0.0, 0.01, 0.0])
         scene.draw({"right": state | {"targets": places.ravel().tolist()}})
         np.testing.assert_allclose(marks._balls.batched_positions, places, atol=1e-6)
         assert np.all(marks._balls.batched_scales)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 import os
 import re
 import subprocess
@@ -63,6 +64,24 @@ def test_the_site_has_a_search_index(site: Path) -> None:
     index = (site / "search" / "search_index.json").read_text(encoding="utf-8")
     assert "smooth_operator.methods" in index
     assert "load_hand" in index
+
+
+def test_guides_rank_before_the_api_in_the_search(site: Path) -> None:
+    index = json.loads((site / "search" / "search_index.json").read_text(encoding="utf-8"))
+    boosts: dict[str, set[float]] = {"how-to": set(), "reference/api": set()}
+    for entry in index["docs"]:
+        for top, values in boosts.items():
+            if entry["location"].startswith(f"{top}/"):
+                values.add(entry.get("boost", 1.0))
+    assert min(boosts["how-to"]) > 10 * max(boosts["reference/api"])
+
+
+def test_the_site_ships_no_bytecode_and_wraps_code(site: Path) -> None:
+    assert [
+        path for path in site.rglob("*") if "pycache" in path.name or path.suffix == ".pyc"
+    ] == []
+    assert "site.css" in (site / "index.html").read_text(encoding="utf-8")
+    assert "pre-wrap" in (site / "site.css").read_text(encoding="utf-8")
 
 
 def test_the_site_loads_nothing_from_other_hosts(site: Path) -> None:

@@ -153,7 +153,7 @@ def test_it_is_said_where_a_hand_is_added(
 ) -> None:
     monkeypatch.setenv("SMOOTH_OPERATOR_HANDS", str(tmp_path))
     file = shared / "hands_urdf" / "leap_hand" / "leap_hand_right.urdf"
-    assert main(["hands", "add", str(file), "--name", "bare_leap", "--no-view"]) == 0
+    assert main(["hands", "add", str(file), "--name", "bare_leap"]) == 0
     said = capfd.readouterr().out
     assert "could not be read; 'smooth' keeps estimated capsules" in said
     recording = tmp_path / "r.npz"

@@ -28,8 +28,8 @@ __all__ = (
 DISTRIBUTION: Final = "smooth-retargeting"
 """Name of the distribution; ``smooth-operator`` on the package index is another program."""
 
-UPGRADE: Final = f"python -m pip install --upgrade {DISTRIBUTION}"
-"""The command that brings a newer version of this program."""
+UPGRADE: Final = "git pull && python -m pip install ."
+"""The commands that bring a newer version of this program, in a clone."""
 
 
 class SmoothOperatorError(Exception):

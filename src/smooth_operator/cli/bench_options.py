@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar, Literal
 
 from tyro.conf import Positional, arg
 
-from smooth_operator.cli.common_options import Common, HandSide, Ordered
+from smooth_operator.cli.common_options import RARE, Common, HandSide, Ordered
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,6 +44,8 @@ Examples:
   smooth-operator bench recordings/ --hands all --workers 8 --output out
       a folder, on every hand, in eight processes
 """
+
+    rare: ClassVar[frozenset[str]] = RARE
 
     recordings: Annotated[Positional[tuple[str, ...]], arg(metavar="[RECORDING ...]")] = ()
     """Files, folders or `synthetic`, each with settings after an @ if need be."""

@@ -26,6 +26,13 @@ PRESET_HELP: Final = (
 Scale: TypeAlias = float | Literal["frame", "calibrate"]
 
 
+RARE: Final = frozenset({
+    "seed", "scale", "fingers", "operator", "definition", "layout", "model", "no_meshes", "debug",
+    "port", "cluster",
+})  # fmt: skip
+"""Shared options that only ``--help-all`` shows."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Common:
     """Options of every command, and the function that does its work.

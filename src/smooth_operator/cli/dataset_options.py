@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar, Literal
 
 from tyro.conf import Positional, arg
 
-from smooth_operator.cli.common_options import Common, HandSide, Retargeting
+from smooth_operator.cli.common_options import RARE, Common, HandSide, Retargeting
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -16,10 +16,10 @@ class Dataset(Common, Retargeting):
     """Turn recordings of human hands into a data set of robot episodes."""
 
     work: ClassVar[str] = "smooth_operator.cli.dataset:dataset"
-    details: ClassVar[str] = """A SOURCE is a folder (however deep), a file, a pattern in quotes, a
-list of paths (.txt a path a line; .csv or .jsonl with path and, where wanted, task, side, layout
-and rate), or an address of object storage (s3://, gs://, ...; extra datasets). Each file's layout
-is recognised; --layout names it.
+    details: ClassVar[str] = """A SOURCE is a folder (however deep), a file, some frames of a
+file (take.npz@100:500), a pattern in quotes, a list of paths (.txt a path a line; .csv or .jsonl
+with path and, where wanted, task, side, layout and rate), or an address of object storage (s3://,
+gs://, ...; extra datasets). Each file's layout is recognised; --layout names it.
 
 Both hands of a clip are retargeted. An episode holds the joints of both robot hands, the poses of
 their wrists, which frames are valid, the task in words, the files that it is from with their
@@ -37,18 +37,24 @@ Formats:
   parquet      Parquet files, a row a clip
   spider, flashdex (after: pip install ./packages/smooth_hand_datasets)
 
-Exit status: 0 done, 1 some clips could not be read or retargeted (the others are done), 2 the
-request is invalid, 130 stopped.
-
 Examples:
   smooth-operator dataset egodex/ --hand leap_hand --output out
   smooth-operator dataset 'takes/**/*.npz' clips.csv --hand shadow_hand --output out
   smooth-operator dataset s3://bucket/hands --hand leap_hand --format webdataset --output out
   smooth-operator dataset egodex/ --hand leap_hand --max-collision 0.05 --output out
-  smooth-operator dataset /nfs/egodex --hand leap_hand --shard 3/16 --output /nfs/out
-      the third of 16 jobs; then, when all are done:
-  smooth-operator dataset /nfs/egodex --hand leap_hand --merge --output /nfs/out
 """
+
+    more: ClassVar[str] = """Jobs on several machines, here the third of 16; and when all are done:
+  smooth-operator dataset /nfs/egodex --hand leap_hand --shard 3/16 --output /nfs/out
+  smooth-operator dataset /nfs/egodex --hand leap_hand --merge --output /nfs/out
+
+Exit status: 0 done, 1 some clips could not be read or retargeted (the others are done), 2 the
+request is invalid, 130 stopped."""
+    rare: ClassVar[frozenset[str]] = RARE | {
+        "frame", "mano", "objects", "whole", "hands", "min_confidence", "max_gap", "max_jump",
+        "min_seconds", "min_valid", "max_tip_error", "min_reach", "no_limits", "loose", "shard_mb",
+        "shard", "merge",
+    }  # fmt: skip
 
     sources: Annotated[Positional[tuple[str, ...]], arg(metavar="SOURCE...")]
     """Folders, files, patterns, lists of paths, addresses."""

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final
 from tyro.conf import arg
 
 from smooth_operator.cli.common_options import (
+    RARE,
     Common,
     Measured,
     Meshes,
@@ -35,6 +36,8 @@ Examples:
   smooth-operator demo --no-view --duration 5
   smooth-operator demo --side left --noise 1 --landmark-loss 0.02
 """
+
+    rare: ClassVar[frozenset[str]] = RARE | {"rate", "noise", "frame_loss", "landmark_loss"}
 
     output: Annotated[Path, arg(metavar="FOLDER")] = Path("smooth-operator-demo")
     """Folder to write; the files of an earlier demo in it are replaced."""

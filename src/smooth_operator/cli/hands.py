@@ -17,7 +17,7 @@ from smooth_operator.cli.common_options import Common, HandSide
 from smooth_operator.cli.hands_add import Add
 from smooth_operator.cli.hands_check import Check
 from smooth_operator.cli.hands_show import Render, Show
-from smooth_operator.cli.subcommands import Group, described
+from smooth_operator.cli.subcommands import Group
 from smooth_operator.errors import ConfigError, SmoothOperatorError
 
 if TYPE_CHECKING:
@@ -59,12 +59,12 @@ Examples:
 
 
 What: TypeAlias = (
-    Annotated[List, subcommand("list", description=described(List))]
-    | Annotated[Show, subcommand("show", description=described(Show))]
-    | Annotated[Render, subcommand("render", description=described(Render))]
-    | Annotated[Add, subcommand("add", description=described(Add))]
-    | Annotated[Remove, subcommand("remove", description=described(Remove))]
-    | Annotated[Check, subcommand("check", description=described(Check))]
+    Annotated[List, subcommand("list")]
+    | Annotated[Show, subcommand("show")]
+    | Annotated[Render, subcommand("render")]
+    | Annotated[Add, subcommand("add")]
+    | Annotated[Remove, subcommand("remove")]
+    | Annotated[Check, subcommand("check")]
 )
 """The subcommands of the group."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import sys
 from collections.abc import Iterator
@@ -27,7 +28,8 @@ class Add(Common, Page):
     work: ClassVar[str] = "smooth_operator.cli.hands_add:add_hand"
     details: ClassVar[str] = """Finds palm, fingers, thumb, order, fingertips, side, coupled
 joints, wrist and a neutral pose, from how the joints move and not from names. The output gives
-confidence, reason and the option that overrides each; run it again with those options. The model
+what is unsure, with the option that overrides it; run it again with those options. --all prints
+every finding with its reason, and the spec file has them as comments. The model
 and its meshes are copied to the folder of the spec file, so the original may be moved or deleted;
 after a change to it, run the command again.
 
@@ -71,8 +73,11 @@ Examples:
     json: bool = False
     """One JSON object on standard output instead of the checklist, and no page."""
 
-    no_view: bool = False
-    """Open no page to look at the hand."""
+    all: bool = False
+    """Print every finding with its reason."""
+
+    view: bool = False
+    """Serve a page to look at the hand, until Ctrl-C."""
 
 
 def add_hand(options: Add) -> None:
@@ -111,8 +116,8 @@ def add_hand(options: Add) -> None:
         files = {"file": str(file), "model_used": str(used)}
         print(json.dumps(discovery.to_json() | files, indent=2))
         return
-    _print(discovery, file, used)
-    if not options.no_view:
+    _print(discovery, file, used, options.all)
+    if options.view:
         from smooth_operator.cli.hands_show import Show, show_hand
 
         show_hand(
@@ -222,7 +227,27 @@ def _comment(discovery: Discovery) -> str:
     return "\n".join([*lines, *(f"Note: {note}" for note in discovery.notes), ""])
 
 
-def _print(discovery: Discovery, file: Path, used: Path) -> None:
+def _built_in(discovery: Discovery) -> str | None:
+    """The built-in hand with the same joints, or None.
+
+    Makers and our catalogue name joints alike, as both take the names of the maker's URDF. A hand
+    of the other side has other prefixes and is not found.
+    """
+    from smooth_operator.hands.hand import load_hand_spec
+    from smooth_operator.hands.registry import known_hands, load_hand
+
+    try:
+        joints = set(load_hand_spec(discovery.spec).joint_names)
+    except SmoothOperatorError:
+        return None
+    for name, entry in known_hands().items():
+        with contextlib.suppress(SmoothOperatorError):
+            if entry.builtin and joints == set(load_hand(name, discovery.spec.side).joint_names):
+                return name
+    return None
+
+
+def _print(discovery: Discovery, file: Path, used: Path, whole: bool) -> None:
     from rich.text import Text
 
     from smooth_operator.cli.console import output_console, plain_table
@@ -231,7 +256,8 @@ def _print(discovery: Discovery, file: Path, used: Path) -> None:
     table = plain_table(f"{discovery.spec.name}, from {discovery.spec.model}")
     for header in ("", "what", "found", "sure", "because"):
         table.add_column(header, no_wrap=header in ("", "what", "sure"))
-    for finding in discovery.findings:
+    shown = discovery.findings if whole else discovery.unsure
+    for finding in shown:
         mark, style = _mark(finding.confidence)
         table.add_row(
             Text(mark, style),
@@ -240,11 +266,15 @@ def _print(discovery: Discovery, file: Path, used: Path) -> None:
             f"{finding.confidence:.2f}",
             Text("; ".join(finding.evidence)),
         )
-    console.print(table)
 
     def say(text: str) -> None:
         console.print(text, markup=False, soft_wrap=True)
 
+    if shown:
+        console.print(table)
+    if not whole:
+        sure, total = len(discovery.findings) - len(shown), len(discovery.findings)
+        say(f"{sure} of {total} findings about {discovery.spec.name} are sure (--all lists them)")
     for note in discovery.notes:
         say(f"Note: {note}")
     if discovery.unsure:
@@ -258,7 +288,10 @@ def _print(discovery: Discovery, file: Path, used: Path) -> None:
             f"Copied the model and its meshes to {used.parent}: the original may be moved or "
             "deleted; after a change to it, add it again"
         )
-    say(f"Written to {file}: edit it, or use it with --hand {discovery.spec.name}")
+    say(f"Written to {file}, which you may edit")
+    if (name := _built_in(discovery)) is not None:
+        say(f"The built-in hand {name} has the same joints; it needs no file: --hand {name}")
+    say(f"Next: smooth-operator hands check {discovery.spec.name} --side {discovery.spec.side}")
     sys.stdout.flush()
 
 

@@ -9,7 +9,7 @@ from typing import Annotated, ClassVar, TypeAlias
 from tyro.conf import OmitSubcommandPrefixes, Positional, arg, subcommand
 
 from smooth_operator.cli.common_options import Common, HandSide
-from smooth_operator.cli.subcommands import Group, described
+from smooth_operator.cli.subcommands import Group
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,9 +87,9 @@ Examples:
 
 
 What: TypeAlias = (
-    Annotated[List, subcommand("list", description=described(List))]
-    | Annotated[Check, subcommand("check", description=described(Check))]
-    | Annotated[Monitor, subcommand("monitor", description=described(Monitor))]
+    Annotated[List, subcommand("list")]
+    | Annotated[Check, subcommand("check")]
+    | Annotated[Monitor, subcommand("monitor")]
 )
 """The subcommands of the group."""
 

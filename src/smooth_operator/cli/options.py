@@ -189,6 +189,9 @@ def parse(arguments: Sequence[str]) -> Command:
                 config=flags,
             )
         kind: Any = commands[name]
+        rest = list(arguments[1:])
+        if issubclass(kind, Group) and rest and rest[0] in (members := kind.members()):
+            kind, name = members[rest[0]], f"{name} {rest.pop(0)}"
         document(kind)
         if not whole and {"-h", "--help"} & set(arguments):
             kind = without_rare(kind)
@@ -196,7 +199,7 @@ def parse(arguments: Sequence[str]) -> Command:
             kind,
             prog=f"smooth-operator {name.replace('.', ' ')}",
             description=described(kind, whole),
-            args=list(arguments[1:]),
+            args=rest,
             config=flags,
         )
         return chosen

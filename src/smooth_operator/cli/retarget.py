@@ -13,7 +13,14 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from tyro.conf import Positional, arg
 
-from smooth_operator.cli.common_options import Common, HandSide, Measured, Ordered, Retargeting
+from smooth_operator.cli.common_options import (
+    RARE,
+    Common,
+    HandSide,
+    Measured,
+    Ordered,
+    Retargeting,
+)
 from smooth_operator.errors import ConfigError, OutputError, RecordingError
 from smooth_operator.terminal import printable
 
@@ -47,6 +54,8 @@ Examples:
   smooth-operator retarget recordings/ --workers 8 --output commands/
   smooth-operator retarget /nfs/recordings --cluster auto --output /nfs/commands
 """
+
+    rare: ClassVar[frozenset[str]] = RARE
 
     recording: Annotated[Positional[Path], arg(metavar="RECORDING|FOLDER")]
     """MANUS .npz, (T, 21, 3) landmarks [m] as .npy or .npz, or this program's .mcap log; or a

@@ -72,6 +72,7 @@ def analyze_command(options: Analyze) -> None:
         for scopes in outcomes.values()
         for result in scopes.values()
     ):
+        progress.note("exit status 1: some parts were not tested; the tables give the reasons")
         raise SystemExit(SOME_REFUSED)
 
 
@@ -228,7 +229,7 @@ def _print_scope(console: Console, analysis: Analysis, outcome: Outcome, scope: 
 
 def _print_observed(console: Console, title: str, result: ScopeResult, scale: float) -> None:
     """Prints the data where the model to report is refused; figures of mode paper would mislead."""
-    console.print(Text(f"{title}: refused: {result.refused}", "yellow"), soft_wrap=True)
+    console.print(Text(f"{title}: not tested: {result.refused}", "yellow"), soft_wrap=True)
     if result.observed:
         table = _table("as observed, without a model", ("retargeter", "rows", "mean", "median"))
         for name, facts in result.observed.items():

@@ -31,6 +31,7 @@ from smooth_operator.study.design.plan_file import (
     write_preregistration,
 )
 from smooth_operator.study.design.protocol import (
+    FEW_OPERATORS,
     PAPER_MARGINS,
     POINTS,
     PRIMARY,
@@ -355,5 +356,11 @@ def _print(plan: Plan) -> None:
     run = ", ".join(" ".join(filter(None, (c.method, c.preset))) for c in protocol.conditions)
     rate = "" if protocol.rate_hz is None else f"; {protocol.rate_hz:g} commands a second"
     console.print(f"what is run: {run}{rate}", markup=False, soft_wrap=True)
+    if protocol.operators < FEW_OPERATORS:
+        console.print(
+            f"note: {protocol.operators} operators can show only very large differences; "
+            "smooth-operator study power says how many are needed",
+            soft_wrap=True,
+        )
     for note in imbalances(plan):
         console.print(f"note: {note}", markup=False, soft_wrap=True)

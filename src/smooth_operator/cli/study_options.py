@@ -13,7 +13,7 @@ from typing import Annotated, ClassVar, Literal, TypeAlias
 from tyro.conf import OmitSubcommandPrefixes, Positional, UseAppendAction, arg, subcommand
 
 from smooth_operator.cli.common_options import Common
-from smooth_operator.cli.subcommands import Group, described
+from smooth_operator.cli.subcommands import Group
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -356,14 +356,14 @@ Examples:
 
 
 What: TypeAlias = (
-    Annotated[New, subcommand("new", description=described(New))]
-    | Annotated[Enrol, subcommand("enrol", description=described(Enrol))]
-    | Annotated[Power, subcommand("power", description=described(Power))]
-    | Annotated[Run, subcommand("run", description=described(Run))]
-    | Annotated[Export, subcommand("export", description=described(Export))]
-    | Annotated[Metrics, subcommand("metrics", description=described(Metrics))]
-    | Annotated[Erase, subcommand("erase", description=described(Erase))]
-    | Annotated[Analyze, subcommand("analyze", description=described(Analyze))]
+    Annotated[New, subcommand("new")]
+    | Annotated[Enrol, subcommand("enrol")]
+    | Annotated[Power, subcommand("power")]
+    | Annotated[Run, subcommand("run")]
+    | Annotated[Export, subcommand("export")]
+    | Annotated[Metrics, subcommand("metrics")]
+    | Annotated[Erase, subcommand("erase")]
+    | Annotated[Analyze, subcommand("analyze")]
 )
 """The subcommands of the group."""
 

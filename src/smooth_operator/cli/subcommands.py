@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from typing import Any
+from typing import Any, get_args, get_type_hints
 
 from smooth_operator.cli.help_text import unwrapped
 
@@ -20,6 +20,16 @@ class Group:
     """Options of a group: a field ``what``, the options of the subcommand that was chosen."""
 
     what: Any
+
+    @classmethod
+    def members(cls) -> dict[str, type]:
+        """Name -> options of each subcommand."""
+        union = get_args(get_type_hints(cls, include_extras=True)["what"])[0]
+        members = {}
+        for member in get_args(union):
+            (name,) = (one.name for one in member.__metadata__ if hasattr(one, "name"))
+            members[name] = get_args(member)[0]
+        return members
 
     @property
     def debug(self) -> bool:

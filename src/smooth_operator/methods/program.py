@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import inspect
 import math
 from collections.abc import Callable
 from typing import Any, NamedTuple, TypeAlias
@@ -14,6 +15,7 @@ from jaxtyping import Array, Bool, Float, Int, UInt32
 from numpy.typing import ArrayLike
 
 from smooth_operator.compilation.compiled_program import CompiledProgram
+from smooth_operator.errors import ConfigError
 from smooth_operator.human.alignment import (
     MIN_CONDITION,
     AlignmentConfig,
@@ -55,7 +57,18 @@ Program: TypeAlias = Callable[
 
 
 def frame_step(method: Method, alignment: AlignmentConfig) -> Step:
-    """One frame as a function to be compiled, by itself or in a longer program."""
+    """One frame as a function to be compiled, by itself or in a longer program.
+
+    Raises:
+        ConfigError: the method's ``step`` takes other arguments.
+    """
+    try:
+        inspect.signature(method.step).bind(None, None, None)
+    except TypeError:
+        raise ConfigError(
+            f"{type(method).__name__}.step{inspect.signature(method.step)} must be step(state, "
+            "aligned, ticks); see docs/reference/methods.md, Your own"
+        ) from None
 
     def step(
         state: FrameState,

@@ -28,6 +28,7 @@ class Row:
         side: which hand.
         layout: name of the reader.
         rate: frames a second [Hz].
+        frames: range of frames ``A:B`` of the file; empty for all.
     """
 
     path: str
@@ -35,6 +36,7 @@ class Row:
     side: Side | None = None
     layout: str | None = None
     rate: float | None = None
+    frames: str = ""
 
 
 def is_manifest(path: Path) -> bool:

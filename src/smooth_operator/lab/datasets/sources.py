@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Final, TypeAlias
 
 from smooth_operator.errors import ConfigError, RecordingError, SmoothOperatorError
+from smooth_operator.formats.frames import frame_slice
 from smooth_operator.lab.datasets.manifest import Row, is_manifest, read_manifest
 from smooth_operator.lab.datasets.registry import (
     DATASETS,
@@ -49,6 +50,7 @@ class Item:
         task: what is done, in words, as a list says; None for what the file says.
         side: which hand, as a list says.
         rate: frames a second, as a list says.
+        frames: range of frames ``A:B`` of the clip; empty for all.
         root: the folder that the paths of its files are named relative to; None for none.
         size: bytes or frames; 0 if unknown.
     """
@@ -61,6 +63,7 @@ class Item:
     task: str | None = None
     side: Side | None = None
     rate: float | None = None
+    frames: str = ""
     root: Path | None = None
     size: int = field(default=0, compare=False)
 
@@ -68,7 +71,7 @@ class Item:
     def asked(self) -> str:
         """Digest of what a list says of it, and of the part of the file that it is."""
         part = "" if self.ref is None else self.ref.key
-        return key_digest([self.layout, part, self.task, self.side, self.rate])[:16]
+        return key_digest([self.layout, part, self.task, self.side, self.rate, self.frames])[:16]
 
 
 @dataclass(frozen=True)
@@ -193,7 +196,11 @@ class _Looking:
                 yield from self._remote(source, Row(source))
                 return
             source = str(local)
-        path = Path(source).expanduser()
+        path, frames = Path(source).expanduser(), ""
+        name, _, part = source.rpartition("@")
+        if not path.exists() and Path(name).expanduser().is_file():
+            frame_slice(part, 10**12)  # refuses what is no range
+            path, frames = Path(name).expanduser(), part
         if not path.exists() and any(sign in source for sign in _WILD):
             paths = [Path(match) for match in sorted(glob.glob(str(path), recursive=True))]
             if not paths:
@@ -206,14 +213,16 @@ class _Looking:
             return
         if not path.exists():
             raise RecordingError(
-                f"{source}: there is no such file or folder; expected a folder, a file, a pattern "
-                "like 'data/*.hdf5', a list (.txt, .csv, .jsonl) or an address like s3://..."
+                f"{source}: there is no such file or folder; expected a folder, a file, frames of "
+                "a file like 'take.npz@:500', a pattern like 'data/*.hdf5', a list (.txt, .csv, "
+                ".jsonl) or an address like s3://..."
             )
         if path.is_file() and is_manifest(path):
             for row in read_manifest(path):
-                yield from self._listed(row, path.parent)
+                yield from self._listed(replace(row, frames=frames), path.parent)
             return
-        yield from self._named(path, path if path.is_dir() else path.parent, Row(source))
+        row = Row(str(path), frames=frames)
+        yield from self._named(path, path if path.is_dir() else path.parent, row)
 
     def _listed(self, row: Row, home: Path) -> Iterator[_Each]:
         if is_address(row.path) and local_path(row.path) is None:
@@ -295,6 +304,7 @@ def _clips(
                 task=row.task,
                 side=row.side,
                 rate=row.rate,
+                frames=row.frames,
                 root=root,
                 size=ref.size,
             )

@@ -10,8 +10,9 @@ from pathlib import Path
 
 from smooth_operator.compilation.start import dispatch_here
 from smooth_operator.errors import RecordingError, SmoothOperatorError
+from smooth_operator.formats.frames import frame_slice
 from smooth_operator.lab.datasets.clip import Clip
-from smooth_operator.lab.datasets.parts import with_side
+from smooth_operator.lab.datasets.parts import clip_part, with_side
 from smooth_operator.lab.datasets.registry import DATASETS, ClipRef
 from smooth_operator.lab.datasets.remote import fetched
 from smooth_operator.lab.datasets.retargeting import Recipe, SourceFile, clip_key, retarget_clips
@@ -152,6 +153,8 @@ def read_item(item: Item, recipe: Recipe) -> Iterator[ReadClip]:
     if item.ref is not None:
         reader = DATASETS.load(item.ref.layout)
         clip = reader.read(item.ref, own.reading)
+        if item.frames:
+            clip = clip_part(clip, frame_slice(item.frames, len(clip)))
         yield _read_clip(item, item.ref, clip, item.name, recipe)
         return
     with ExitStack() as stack:

@@ -212,7 +212,7 @@ def _analyze_scope(analysis: Analysis, scope: str) -> None:
     by_outcome["time"] = analyze("time", frame, notes)
     if data.questionnaires is None:
         reason = "no questionnaires were given"
-        none = ScopeResult(refused=reason, warnings=(f"refused: {reason}",))
+        none = ScopeResult(refused=reason, warnings=(f"not tested: {reason}",))
         by_outcome["tlx"] = dict.fromkeys(MODES, none)
     else:
         frame = tlx_frame(data.questionnaires, scope, baseline)

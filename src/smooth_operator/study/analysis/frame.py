@@ -178,8 +178,7 @@ def check_frame(frame: Frame, *, retargeters: int = 2) -> None:
         )
     if np.ptp(frame.outcome) == 0:
         raise StudyError(
-            f"the outcome is constant, {frame.outcome[0]:g} in all {len(frame)} rows: no effect "
-            "and no variance can be estimated"
+            f"all {len(frame)} values are {frame.outcome[0]:g}, so there is no difference to test"
         )
     design, names = frame.design()
     dependent = dependent_columns(design)

@@ -314,7 +314,7 @@ def _preferences(results: dict[Mode, ScopeResult], unit: str) -> tuple[str, ...]
 
 def refuse(blank: ScopeResult, reason: str) -> ScopeResult:
     """A result without figures, and the reason."""
-    return replace(blank, refused=reason, warnings=(f"refused: {reason}", *blank.warnings))
+    return replace(blank, refused=reason, warnings=(f"not tested: {reason}", *blank.warnings))
 
 
 def formula(frame: Frame, *, random: Sequence[str] = ()) -> str:

@@ -80,6 +80,7 @@ QUESTIONNAIRE_S: Final = 60.0
 """Six scales, or the fifteen pairs [s]."""
 BLOCK_S: Final = 60.0
 """Switching, explaining [s]."""
+_BEFORE_BLOCK: Final = ("form", "calibrate", "start_block", "start_familiarisation", "break")
 
 
 def time_left(progress: Progress) -> float:
@@ -99,9 +100,16 @@ def time_left(progress: Progress) -> float:
         left += (block.task.trials - progress.scored[key]) * (trial_s + BETWEEN_S)
         left += (len(block.questionnaires) - answered[key]) * QUESTIONNAIRE_S
         left += QUESTIONNAIRE_S * (protocol.weights and bool(block.questionnaires))
-        if not progress.scored[key]:
+        if progress.scored[key]:
+            continue
+        blocks += 1
+        begun = progress.step.block == block and progress.step.what not in _BEFORE_BLOCK
+        if not begun:
             left += protocol.familiarisation_s + BLOCK_S
-            blocks += 1
+        elif progress.step.what == "familiarise":
+            left += protocol.familiarisation_s
+    if not progress.over:
+        left += QUESTIONNAIRE_S * sum(not form["answers"] for form in forms_view(progress))
     every = protocol.break_every
     return left + (protocol.break_s * (blocks // every) if every else 0.0)
 
@@ -328,12 +336,14 @@ def step_view(progress: Progress, named: Named, words: TlxWords = ENGLISH) -> di
         "asked": asked_view(progress, words),
         "break_possible": can_happen(progress, BreakStarted()),
         "break_due": break_is_due(progress),
-        "left_s": time_left(progress),
+        "ends": None,
         "scored": scored_view(progress, named),
         "forms": forms_view(progress),
         "withdrawn": None,
         "undoable": None,
     }
+    if progress.records:  # counted from the last event, so that the page's clock runs
+        view["ends"] = 1e3 * (progress.records[-1].at.timestamp() + time_left(progress))
     if (left := progress.withdrawn) is not None:
         view["withdrawn"] = {"keep": left.keep, "reason": left.reason}
     if (last := progress.undoable) is not None:

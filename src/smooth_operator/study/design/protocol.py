@@ -18,6 +18,8 @@ OUTCOMES: Final = ("success", "time", "tlx")
 POOLED: Final = "pooled"
 """The scope that is all tasks together; the others are the tasks."""
 PRIMARY: Final = f"{OUTCOMES[0]}/{POOLED}"
+FEW_OPERATORS: Final = 6
+"""With fewer operators only very large differences can be shown."""
 PAPER_MARGINS: Final = {"success": 0.10, "time": 5.0, "tlx": 10.0}
 _LARGEST: Final = {"success": 1.0, "time": 86_400.0, "tlx": 100.0}
 

@@ -217,7 +217,7 @@ class BoundMap:
             for joint, weight in actuator.joints.items():
                 if joint not in self.names and actuators.hand != hand.name:
                     raise ConfigError(
-                        f"the table {Path(actuators.file).name} is of the hand "
+                        f"{Path(actuators.file).name} is the table of the hand "
                         f"{actuators.hand!r}, and the run's hand is {hand.name!r}: choose --hand "
                         f"{actuators.hand}, or another table with table=FILE"
                     )

@@ -15,6 +15,7 @@ from smooth_operator.study.analysis.report.tables import (
     with_minus,
 )
 from smooth_operator.study.analysis.results import MODES, OUTCOMES, POOLED, Outcome, ScopeResult
+from smooth_operator.study.design.protocol import FEW_OPERATORS
 
 _ALPHA: Final = 0.05
 NAMES: Final[dict[Outcome, str]] = {
@@ -70,7 +71,7 @@ def _outcome(analysis: Analysis, outcome: Outcome, scope: str, *, primary: bool)
 
 def _differences(outcome: Outcome, result: ScopeResult, baseline: str) -> str:
     if result.refused is not None:
-        return f"no result, refused: {with_minus(result.refused)}"
+        return f"not tested: {with_minus(result.refused)}"
     scale, digits, unit = DIGITS[outcome]
     shown_ones: list[str] = []
     open_: list[str] = []
@@ -86,9 +87,12 @@ def _differences(outcome: Outcome, result: ScopeResult, baseline: str) -> str:
         low, high = (signed(scale * end, digits) for end in (one.lower, one.upper))
         shown = (
             f"{name} {signed(scale * one.difference, digits)}{_FIXED}{_unit(unit)} "
-            f"[{low}, {high}], {_p(one.p_dunnett)}, {one.effect_words}"
+            f"[{low}, {high}], {_p(one.p_dunnett)}"
         )
-        (shown_ones if one.p_dunnett < _ALPHA else open_).append(shown)
+        if one.p_dunnett < _ALPHA:
+            shown_ones.append(f"{shown}, {one.effect_words}")
+        else:
+            open_.append(shown)
     if not shown_ones and not open_:
         return "no result, nothing to compare with the baseline"
     if not shown_ones:
@@ -98,6 +102,12 @@ def _differences(outcome: Outcome, result: ScopeResult, baseline: str) -> str:
 
 def _limits(analysis: Analysis, outcome: Outcome | None, scope: str) -> str:
     parts = []
+    count = len({str(name) for name in analysis.data.trials.operator})
+    if count < FEW_OPERATORS:
+        parts.append(
+            f"with {count} operators only very large differences can be shown; smooth-operator "
+            "study power says how many are needed"
+        )
     for one, test in analysis.readings.interaction.items():
         if isinstance(test, Interaction) and test.found:
             parts.append(
@@ -113,7 +123,7 @@ def _limits(analysis: Analysis, outcome: Outcome | None, scope: str) -> str:
         if result.refused is not None and (one != "tlx" or analysis.data.questionnaires is not None)
     ]
     if refused:
-        parts.append(f"refused with a reason: {', '.join(refused)}")
+        parts.append(f"not tested, for the reasons in their sections: {', '.join(refused)}")
     parts.append("a difference that is not shown is no evidence of equality")
     text = "; ".join(parts)
     return f"{text[0].upper()}{text[1:]}."

@@ -192,7 +192,7 @@ function draw() {
 function drawHead({ study, now, teleop, pages }) {
   part('study').textContent = study.name;
   document.title = now ? `${now.operator}: ${now.words} – ${study.name}` : study.name;
-  part('who').textContent = now ? `Operator ${now.operator}${now.task ? ` · ${now.title}` : ''}` : 'Nobody is on';
+  part('who').textContent = now ? `Operator ${now.operator}${now.task ? ` · ${now.title}` : ''}` : 'No operator is selected';
   part('blind').hidden = !study.blind;
   const there = pages.operator > 0;
   part('tablet').textContent = there ? 'tablet connected' : 'no tablet';
@@ -203,8 +203,8 @@ function drawHead({ study, now, teleop, pages }) {
     teleop?.state === 'gone' ? `The teleoperation does not answer. ${teleop.detail}` : `The teleoperation was not switched: ${teleop?.detail}`);
   if (teleop) {
     const scene = teleop.scene ? ` · ${teleop.scene}` : '';
-    chip.textContent = { ready: `hand: ${teleop.running ?? 'ready'}${scene}`, switching: 'hand: switching …', refused: 'hand: not switched',
-      gone: 'hand: gone', unknown: 'hand: …' }[teleop.state];
+    chip.textContent = { ready: `robot hand: ${teleop.running ?? 'ready'}${scene}`, switching: 'robot hand: switching …', refused: 'robot hand: not switched',
+      gone: 'robot hand: no answer', unknown: 'robot hand: …' }[teleop.state];
     chip.dataset.kind = { ready: 'good', refused: 'bad', gone: 'bad' }[teleop.state] ?? 'idle';
   }
 }
@@ -235,6 +235,7 @@ function tick() {
   for (const shown of document.querySelectorAll('[data-until]')) {
     const left = Math.max(0, (Number(shown.dataset.until) - link.now()) / 1000);
     if (shown.tagName === 'PROGRESS') shown.value = shown.max - left;
+    else if ('minutes' in shown.dataset) shown.textContent = left < 30 ? '' : `About ${Math.round(left / 60)} min left`;
     else shown.textContent = clock(Math.ceil(left - 1e-6));
   }
 }
@@ -292,6 +293,7 @@ link.addEventListener('state', () => {
 });
 link.addEventListener('refused', ({ detail }) => { refusal = detail.answer.error; });
 link.addEventListener('done', ({ detail }) => {
+  refusal = '';
   if (['score', 'void'].includes(detail.command.do)) stopped.at = null;
 });
 link.addEventListener('change', draw);

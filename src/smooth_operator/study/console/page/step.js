@@ -116,7 +116,7 @@ const STEPS = {
     ];
   },
   form(now, state, actions, blocked) {
-    return [h('h2', {}, `Form: ${now.form}`),
+    return [h('h2', {}, `Form: ${now.forms.find(({ form }) => form === now.form)?.title ?? now.form}`),
       h('p', {}, 'The operator fills it in on the tablet. This page goes on by itself.'), ...tablet(state),
       h('div', { class: 'row' }, button('It is on paper', { id: 'on-paper', kind: 'quiet', disabled: blocked, onclick: actions.onPaper }))];
   },
@@ -190,13 +190,12 @@ function rest(now, state) {
 
 function aside(now, actions, blocked) {
   const quiet = (text, id, onclick, key) => button(text, { key, id, kind: 'quiet', disabled: blocked, onclick });
-  const minutes = Math.round(now.left_s / 60);
   return h('div', { class: 'row foot' },
     now.break_possible && quiet('Break', 'break', () => actions.send('start_break'), 'B'),
     now.can_calibrate && quiet('Calibrate again', 'recalibrate', actions.recalibrate),
     now.can_end_block && quiet('End block', 'end-block', actions.endBlock),
     !now.withdrawn && quiet('Withdraw', 'withdraw', actions.withdraw),
-    minutes > 0 && h('span', { class: 'soft left' }, `About ${minutes} min left`));
+    now.ends && h('span', { class: 'soft left', 'data-minutes': '', 'data-until': String(now.ends) }));
 }
 
 function fromPaper(actions, blocked) {
