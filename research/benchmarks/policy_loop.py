@@ -1,12 +1,13 @@
 """From retargeter to policy: do policies differ by the retargeter of their demonstrations?
 
-    python research/benchmarks/policy_loop.py --source demonstrations                 # all of it
+    python research/benchmarks/policy_loop.py                                          # all of it
     python research/benchmarks/policy_loop.py --demonstrations 10 --steps 200 --worlds 5 --seeds 1
 
 For each task and method demonstrations are recorded as a LeRobot data set until there are enough of
-score 1: by virtual operators, who look and correct, or with ``--source demonstrations`` by an
-operator who performs one motion that was found by search, without looking, in perturbed worlds (as
-``bench --physics demonstrations``; many more succeed). LeRobot's ACT, small enough for a processor,
+score 1: by an operator who performs one motion that was found by search, without looking, in
+perturbed worlds (as ``bench --physics demonstrations``), or with ``--source operators`` by virtual
+operators, who look and correct; few of their trials succeed, so that takes ten times as long and
+longer episodes (``--seconds 40``). LeRobot's ACT, small enough for a processor,
 is trained on it by ``lerobot-train`` with several seeds. Each policy is evaluated in the same
 worlds of the environment ``smooth_hand``, which begins an episode in the mean start pose of the
 demonstrations. What is finished in the output folder is kept, so that a run that was stopped goes
@@ -92,14 +93,14 @@ class Settings:
     tasks: tuple[str, ...] = ("card", "cube")
     methods: tuple[str, ...] = ("smooth", "sbr:paper", "dexpilot:published", "geort")
     hand: str = "mimic_p050"
-    source: Source = "operators"
+    source: Source = "demonstrations"
     demonstrations: int = 100
-    most_trials: int = 1000
+    most_trials: int = 400
     steps: int = 5000
     batch: int = 64
     seeds: int = 3
     worlds: int = 100
-    seconds: float = 40.0
+    seconds: float = 15.0
     workers: int = 2
     output: Path = Path("build") / "policy_loop"
 
