@@ -1,4 +1,4 @@
-"""Demonstrations as rows of a data set: what was recorded does the task again in the environment."""
+"""Demonstrations as rows of a data set: what was recorded does the task in the environment, too."""
 
 from __future__ import annotations
 
