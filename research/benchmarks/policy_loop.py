@@ -96,8 +96,8 @@ class Settings:
     source: Source = "demonstrations"
     demonstrations: int = 100
     most_trials: int = 400
-    steps: int = 5000
-    batch: int = 64
+    steps: int = 3000
+    batch: int = 32
     seeds: int = 3
     worlds: int = 100
     seconds: float = 15.0
@@ -290,7 +290,7 @@ def train(settings: Settings, task: str, method: str, seed: int) -> Path:
         done = subprocess.run(
             [sys.executable, "-m", "lerobot.scripts.lerobot_train",
              *(f"--{name}={value}" for name, value in options.items())],
-            stdout=log, stderr=subprocess.STDOUT, env={**os.environ, "HF_HUB_OFFLINE": "1"},
+            stdout=log, stderr=subprocess.STDOUT, env={**os.environ, "HF_HUB_OFFLINE": "1", "OMP_NUM_THREADS": "1"},
         )  # fmt: skip
     if done.returncode:
         raise BenchmarkError(f"lerobot-train failed; its output is in {log.name}")

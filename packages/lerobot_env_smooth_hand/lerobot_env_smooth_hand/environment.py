@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, ClassVar, Final
+from typing import Any, Final
 
 import gymnasium
 import numpy as np
@@ -61,7 +61,7 @@ class HandTask(gymnasium.Env[Observation, np.ndarray]):
         HandModelError: the hand can't do the task.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 25}
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 25}  # noqa: RUF012
 
     def __init__(
         self,
@@ -163,7 +163,7 @@ class HandTask(gymnasium.Env[Observation, np.ndarray]):
         done = outcome is not None and not truncated
         return self._observation(physics), score, done, truncated, info
 
-    def render(self) -> np.ndarray | None:  # type: ignore[override]
+    def render(self) -> np.ndarray | None:
         """(height, width, 3) picture of the scene; None without a render mode."""
         if self.render_mode is None or self._physics is None:
             return None
