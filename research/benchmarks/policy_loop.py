@@ -66,6 +66,7 @@ POLICY = {
     "chunk_size": 25, "n_action_steps": 10, "use_vae": "true", "latent_dim": 8,
     "n_vae_encoder_layers": 2, "optimizer_lr": 3e-4, "device": "cpu", "push_to_hub": "false",
 }  # fmt: skip
+ALONE = {"HF_HUB_OFFLINE": "1", "OMP_NUM_THREADS": "1"}  # trainings run side by side
 RESAMPLES = 5000
 Source = Literal["operators", "demonstrations"]
 
@@ -290,7 +291,7 @@ def train(settings: Settings, task: str, method: str, seed: int) -> Path:
         done = subprocess.run(
             [sys.executable, "-m", "lerobot.scripts.lerobot_train",
              *(f"--{name}={value}" for name, value in options.items())],
-            stdout=log, stderr=subprocess.STDOUT, env={**os.environ, "HF_HUB_OFFLINE": "1", "OMP_NUM_THREADS": "1"},
+            stdout=log, stderr=subprocess.STDOUT, env={**os.environ, **ALONE},
         )  # fmt: skip
     if done.returncode:
         raise BenchmarkError(f"lerobot-train failed; its output is in {log.name}")
