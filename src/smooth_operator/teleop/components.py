@@ -242,6 +242,9 @@ SINKS: Final = Registry(
             "ROS 2 topics, without a ROS 2 installation too (extra ros2)",
         ),
         "record": Entry(f"{_SINKS}.record:RecordSink", "an MCAP log: record:FILE"),
+        "rerun": Entry(
+            f"{_SINKS}.rerun_sink:RerunSink", "Rerun's viewer, or a file for it (extra rerun)"
+        ),
         "table": Entry(f"{_SINKS}.table:TableSink", "a table in the terminal"),
         "dynamixel": Entry(
             f"{_DRIVERS}.dynamixel:DynamixelSink",

@@ -1,0 +1,64 @@
+"""Demonstrations as rows of a data set: what was recorded does the task in the environment, too."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from smooth_operator_research.demonstrations.perturbation import draw_perturbation
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(autouse=True)
+def paths(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("gymnasium", reason="gymnasium is not installed")
+    monkeypatch.syspath_prepend(str(ROOT / "packages" / "lerobot_env_smooth_hand"))
+    monkeypatch.syspath_prepend(str(ROOT / "research" / "benchmarks"))
+
+
+@pytest.mark.parametrize(("task", "number"), [("card", 0), ("cube", 1)])
+def test_recorded_actions_do_the_task_in_the_environment(task: str, number: int) -> None:
+    """At a quarter of the rate, from the start pose, in the same world."""
+    import policy_loop
+    from lerobot_env_smooth_hand import HandTask
+
+    trial = policy_loop.trial_in_world(task, "mimic_p050", "smooth", number - 1)
+    assert trial.success
+    assert len(trial.action) == len(trial.state) == len(trial.environment)
+    world = draw_perturbation(number)
+    environment = HandTask(task=task, variation=0.0, start=trial.state[0].tolist())
+    environment._scene = world.scene(environment._scene)
+    seen, _ = environment.reset(seed=0)
+    world.prepare(environment._physics)
+    apart = []
+    for state, place, action in zip(trial.state, trial.environment, trial.action, strict=True):
+        apart.append(np.abs(seen["agent_pos"] - state).mean())
+        if len(apart) == 1:
+            np.testing.assert_allclose(seen["environment_state"], place, atol=5e-3)
+        seen, reward, done, _, info = environment.step(action.astype(np.float32))
+        if done:
+            break
+    assert np.mean(apart) < 0.05  # [rad]; it begins a little later, at another phase
+    for _ in range(50):  # a grip that swings is held for long enough a little later
+        if done:
+            break
+        seen, reward, done, _, info = environment.step(trial.action[-1].astype(np.float32))
+    assert (reward, info["is_success"]) == (1.0, True), info
+
+
+def test_intervals_are_of_seeds_and_worlds() -> None:
+    import policy_loop
+
+    low, high = policy_loop.interval(policy_loop.resampled(success))
+    assert low == pytest.approx(0.40, abs=0.02)  # binomial, 100 worlds
+    assert high == pytest.approx(0.60, abs=0.02)
+    seeds = np.array([[1.0] * 100, [0.0] * 100, [0.5] * 100])
+    low, high = policy_loop.interval(policy_loop.resampled(seeds))
+    assert (low, high) == (pytest.approx(0.0, abs=0.01), pytest.approx(1.0, abs=0.01))
+    share, low, high = policy_loop.share_of_units([[1, 0], [1, 1], [0, 0]])
+    assert share == 0.5
+    assert low == 0.0
+    assert high == 1.0
