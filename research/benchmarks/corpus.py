@@ -6,17 +6,18 @@
     python research/benchmarks/corpus.py --sizes 0 --plan 20000   # from earlier figures
 
 Clips are made when they are read (``SyntheticCorpus``). Each run is a process of its own, whose
-memory is measured at every shard; it runs ``retarget_corpus``, as a user's program does. With
+memory is measured after every pack; it runs ``make_dataset``, as a user's program does. With
 ``--kill`` a further run loses a worker every now and then, or is killed itself half-way and started
-again; its files must then be those of the run that nothing happened to.
+again; its files must then be those of the run that nothing happened to. Processor time is that of
+the driver and of its processes; workers of Ray are not among them.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-import math
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -43,9 +44,8 @@ class Settings:
         pack: leave out retargeting: the clips are read and written as they are.
         kill: worker: SIGKILL to one of them whenever a tenth of the clips is done; driver: SIGKILL
             to it half-way, and a second run that goes on.
-        cluster: local, an address, or none for a pool of processes without Ray.
+        cluster: none for a pool of processes without Ray; local, or an address.
         workers: as many as there are cores unless given.
-        clips_per_shard: clips of a task.
         hand: robot hand.
         method: retargeting method.
         preset: of the method.
@@ -64,9 +64,8 @@ class Settings:
     side: Literal["right", "left"] | None = None
     pack: bool = False
     kill: tuple[Literal["worker", "driver"], ...] = ()
-    cluster: str = "local"
+    cluster: str = "none"
     workers: int | None = None
-    clips_per_shard: int = 64
     hand: str = "leap_hand"
     method: str = "smooth"
     preset: str | None = None
@@ -81,11 +80,11 @@ class Settings:
 
 @dataclass
 class Run:
-    """What one driver said, shard by shard.
+    """Progress and result of one driver.
 
     Attributes:
-        lines: of its progress, in the order of time.
-        wall_s: from its start to its end [s].
+        lines: progress, in the order of time; the last one has the result.
+        wall_s: time from its start to its end [s].
         code: its exit status; negative for a signal.
     """
 
@@ -93,20 +92,10 @@ class Run:
     wall_s: float = 0.0
     code: int = 0
 
-    def total(self, name: str) -> float:
-        return float(sum(line["report"][name] for line in self.lines))
-
     @property
-    def shares(self) -> tuple[float, float]:
-        """Retargeting over the time of the workers: as they count it, and by the clock."""
-        work = self.total("retarget_s")
-        own = self.total("busy_s") + sum(
-            line["report"]["idle_s"] for line in self.lines if not line["report"]["start_s"]
-        )
-        workers = len({line["report"]["worker"] for line in self.lines})
-        first = self.lines[0]
-        wall = self.lines[-1]["at"] - (first["at"] - first["report"]["busy_s"])
-        return work / own, work / (wall * workers)
+    def result(self) -> dict[str, Any]:
+        result: dict[str, Any] = self.lines[-1].get("result", {}) if self.lines else {}
+        return result
 
 
 def main(settings: Settings) -> None:
@@ -127,13 +116,10 @@ def main(settings: Settings) -> None:
                 (
                     "clips",
                     "wall [s]",
-                    "start-up [s]",
+                    "first pack [s]",
                     "CPU-ms a clip",
-                    "hand frames a CPU-s",
+                    "frames a CPU-s",
                     "driver [MB]",
-                    "worker [MB]",
-                    "retargeting",
-                    "by the clock",
                     "files",
                     "MB",
                 ),
@@ -153,35 +139,26 @@ def measured(report: Any, settings: Settings, home: Path, size: int) -> list[obj
     output = home / f"{size}-clips"
     run = driven(settings, output, size)
     check(run, size)
-    own, clock = run.shares
-    clips = run.total("clips")
+    result = run.result
     files, written = contents(output)
-    first = run.lines[0]
     figures = {
         "wall_s": run.wall_s,
-        "startup_s": first["since_start"] - first["report"]["busy_s"],
-        "cpu_ms_a_clip": run.total("cpu_s") / clips * 1e3,
-        "hand_frames_a_cpu_s": run.total("hand_frames") / max(run.total("cpu_s"), 1e-9),
+        "startup_s": run.lines[0]["since_start"],
+        "cpu_ms_a_clip": result["cpu_s"] / size * 1e3,
+        "frames_a_cpu_s": result["frames"] / max(result["cpu_s"], 1e-9),
         "driver_mb": max(line["memory_mb"] for line in run.lines),
-        "worker_mb": max(line["report"]["memory_mb"] for line in run.lines),
-        "retargeting_share": own,
-        "retargeting_share_by_the_clock": clock,
         "files": float(files),
         "mb": written / MB,
     }
     report.add(f"{size}", figures)
-    hours = run.total("frames") / settings.rate / 3600
+    hours = result["frames"] / settings.rate / 3600
     more = {
         "hours": hours,
-        "core_hours_an_hour": run.total("cpu_s") / 3600 / hours,
-        "busy_ms_a_clip": run.total("busy_s") / clips * 1e3,
+        "core_hours_an_hour": result["cpu_s"] / 3600 / hours,
         "mb_an_hour": written / MB / hours,
-        "write_share": run.total("write_s") / run.total("busy_s"),
-        "driver_mb_at_a_tenth": at_share(run, 0.1),
-        "driver_mb_at_half": at_share(run, 0.5),
-        "worker_mb_at_a_tenth": worker_at_share(run, 0.1),
-        "failed": run.total("failed"),
-        "dropped": run.total("dropped"),
+        "driver_mb_at_half": run.lines[len(run.lines) // 2]["memory_mb"],
+        "failed": float(len(result["failed"])),
+        "dropped": float(result["dropped"]),
     }
     report.add(f"{size}", more)
     return [size, *figures.values()]
@@ -203,27 +180,21 @@ def kills(report: Any, settings: Settings, home: Path, size: int, what: str) -> 
         run = driven(settings, output, size)
         runs = [stopped, run]
     check(run, size)
-    before = size - run.total("computed") if what == "driver" else float(size)
-    repeated = run.total("repeated")
     same = digest(output) == digest(home / f"{size}-clips")
     figures = {
         "kills": float(len(killed)),
-        "done_at_kill": before,
-        "repeated_clips": repeated,
-        "cost_share": repeated / before,
+        "done_at_kill": float(max(line["done"] for line in runs[0].lines)),
         "wall_s": sum(each.wall_s for each in runs),
         "same_bytes": float(same),
-        "clips": run.total("clips"),
-        "failed": run.total("failed"),
+        "clips": float(run.result["clips"]),
+        "failed": float(len(run.result["failed"])),
     }
     report.add(f"{what} killed", figures)
     report.table(
         f"{size} clips, {what} killed",
         (
             "kills",
-            "clips done at the kill",
-            "clips done twice",
-            "share",
+            "clips done",
             "wall of all runs [s]",
             "same files",
             "clips in the end",
@@ -235,11 +206,16 @@ def kills(report: Any, settings: Settings, home: Path, size: int, what: str) -> 
 
 
 def kill_worker(line: dict[str, Any], size: int, killed: list[int]) -> None:
-    if line["done"] >= size * (len(killed) + 1) / 10 and line["done"] < size:
-        host, _, process = line["report"]["worker"].rpartition(":")
-        assert host == os.uname().nodename
-        killed.append(int(process))
-        os.kill(int(process), signal.SIGKILL)
+    if size * (len(killed) + 1) / 10 <= line["done"] < size:
+        children = Path(f"/proc/{line['process']}/task/{line['process']}/children")
+        workers = [
+            int(child)
+            for child in children.read_text().split()
+            if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes()
+        ]
+        if workers:
+            killed.append(workers[0])
+            os.kill(workers[0], signal.SIGKILL)
 
 
 def kill_driver(line: dict[str, Any], size: int, killed: list[int]) -> None:
@@ -251,17 +227,8 @@ def kill_driver(line: dict[str, Any], size: int, killed: list[int]) -> None:
 def check(run: Run, size: int) -> None:
     from smooth_operator_research.run_report import BenchmarkError
 
-    if run.code or not run.lines or run.total("clips") != size:
+    if run.code or run.result.get("clips") != size:
         raise BenchmarkError(f"the driver ended with status {run.code} before all clips were done")
-
-
-def at_share(run: Run, share: float) -> float:
-    return float(run.lines[math.ceil(share * len(run.lines)) - 1]["memory_mb"])
-
-
-def worker_at_share(run: Run, share: float) -> float:
-    lines = run.lines[: max(1, math.ceil(share * len(run.lines)))]
-    return float(max(line["report"]["memory_mb"] for line in lines))
 
 
 def driven(
@@ -294,43 +261,46 @@ def driven(
 
 
 def drive(options: dict[str, Any]) -> None:
-    """What the driver's process does."""
+    """Makes a data set, with a line of JSON on standard output after each pack and at the end."""
+    from smooth_operator.lab.datasets.pipeline import DatasetRequest, Progress, make_dataset
     from smooth_operator.lab.datasets.readers.synthetic import SyntheticCorpus
-    from smooth_operator.lab.datasets.sources import each_item
-    from smooth_operator.lab.ray.corpus import Progress, retarget_corpus
-    from smooth_operator.lab.ray.settings import CorpusSettings
+    from smooth_operator.lab.datasets.retargeting import Recipe
+    from smooth_operator.lab.datasets.work import Entry
+    from smooth_operator.planning import make_request
 
     output = Path(options["output"])
     output.parent.mkdir(parents=True, exist_ok=True)
     source = output.with_name(f"{options['size']}.synthetic.json")
     sides = ("right", "left") if options["side"] is None else (options["side"],)
     SyntheticCorpus(options["size"], *options["seconds"], options["rate"], sides).write(source)
-    request = {name: options[name] for name in ("hand", "method", "preset")}
-    settings = CorpusSettings(
-        request,
-        clips_per_shard=options["clips_per_shard"],
-        retarget=not options["pack"],
-        side=options["side"],
-    )
+    request = make_request(**{name: options[name] for name in ("hand", "method", "preset")})
+    done = 0
 
-    def tell(so_far: Progress) -> None:
-        line = {
-            "at": time.monotonic(),
-            "done": so_far.done,
-            "process": os.getpid(),
-            "memory_mb": peak_mb(),
-            "report": asdict(so_far.last) if so_far.last else {},
-        }
-        print(json.dumps(line), flush=True)
+    def tell(**more: Any) -> None:
+        line = {"at": time.monotonic(), "done": done, "process": os.getpid()}
+        print(json.dumps({**line, "memory_mb": peak_mb(), **more}), flush=True)
 
-    retarget_corpus(
-        each_item([str(source)]),
-        output,
-        settings,
-        workers=options["workers"],
-        cluster=None if options["cluster"] == "none" else options["cluster"],
-        progress=tell,
+    class Lines(Progress):
+        def retargeted(self, entries: Sequence[Entry]) -> None:
+            nonlocal done
+            done += len(entries)
+            tell()
+
+    summary = make_dataset(
+        DatasetRequest(
+            (str(source),),
+            output,
+            Recipe(request, side=options["side"]),
+            format="parquet",
+            pack=options["pack"],
+            workers=options["workers"],
+            cluster=None if options["cluster"] == "none" else options["cluster"],
+        ),
+        Lines(),
     )
+    times = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    cpu = sum(each.ru_utime + each.ru_stime for each in times)
+    tell(result={**summary.as_json(), "cpu_s": cpu})
 
 
 def peak_mb() -> float:
@@ -340,8 +310,8 @@ def peak_mb() -> float:
 
 
 def contents(output: Path) -> tuple[int, int]:
-    """Files of a data set, those of the run included, and their bytes."""
-    sizes = [path.stat().st_size for path in output.rglob("*") if path.is_file()]
+    """Number of files of a data set, and their bytes."""
+    sizes = [p.stat().st_size for p in (output / "dataset").rglob("*") if p.is_file()]
     return len(sizes), sum(sizes)
 
 
@@ -350,7 +320,7 @@ def digest(output: Path) -> str:
     hashed = hashlib.sha256()
     for path in sorted(output.rglob("*")):
         inside = path.relative_to(output)
-        if path.is_file() and inside.parts[0] != ".corpus" and inside.name != "summary.json":
+        if path.is_file() and inside.parts[0] in ("dataset", "episodes.jsonl"):
             hashed.update(f"{inside.as_posix()}\0".encode() + path.read_bytes())
     return hashed.hexdigest()
 

@@ -86,7 +86,7 @@ def request_of(options: Dataset) -> DatasetRequest:
         recipe,
         options.layout,
         NO_LIMITS if options.no_limits else limits,
-        options.format,
+        "parquet" if options.pack else options.format,
         WritingOptions(
             rate=options.fps,
             videos=options.videos,
@@ -95,6 +95,7 @@ def request_of(options: Dataset) -> DatasetRequest:
         ),
         None if options.shard is None else parse_shard(options.shard),
         options.merge,
+        options.pack,
         options.workers,
         options.cluster,
     )
@@ -108,6 +109,7 @@ class _Shown(Progress):
         self._bar: Bar | None = None
         self._task: Any = None
         self._frames = self._failed = 0
+        self._writing = False
 
     def __enter__(self) -> _Shown:
         return self
@@ -134,7 +136,8 @@ class _Shown(Progress):
             )
 
     def written(self, done: int, count: int) -> None:
-        if done == 1:
+        if not self._writing:
+            self._writing = True
             self._start(self._progress.counter("clips written", in_files=True), count)
         if self._bar is not None:
             self._bar.update(self._task, completed=done)

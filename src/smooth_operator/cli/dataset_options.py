@@ -149,5 +149,8 @@ request is invalid, 130 stopped."""
     merge: bool = False
     """Write the data set from what shares have finished; retarget nothing."""
 
+    pack: bool = False
+    """Retarget nothing: write the human clips into few Parquet files, a source for later runs."""
+
     json: bool = False
     """Print the report as one JSON object on standard output."""

@@ -47,36 +47,26 @@ def run_on_cluster(
     cluster: str,
     *,
     workers: int | None = None,
-    least_workers: int | None = None,
-    gpus: float = 0.0,
     retries: int = 2,
 ) -> Generator[TaskResult[R]]:
     """Results of tasks from a cluster; see ``run_tasks``.
 
     Args:
         function, tasks, cluster, workers, retries: as in ``run_tasks``.
-        least_workers: size of the pool at the start; it grows up to ``workers`` while tasks wait
-            and the cluster has room. None for a constant size.
-        gpus: number of accelerators for each worker, perhaps a fraction.
 
     Raises:
         ConfigError: a number of workers is not valid.
         MissingExtraError: Ray or Ray Data is not installed.
         WorkerError: the cluster can't be reached, or gave up.
     """
-    for name, value in (("workers", workers), ("least_workers", least_workers)):
-        if value is not None and value < 1:
-            raise ConfigError(f"{name} must be 1 or more, not {value}")
-    if workers is not None and least_workers is not None and least_workers > workers:
-        raise ConfigError(
-            f"least_workers, {least_workers}, must not be more than workers, {workers}"
-        )
+    if workers is not None and workers < 1:
+        raise ConfigError(f"workers must be 1 or more, not {workers}")
     try:
         import ray
         import ray.data
     except ImportError as error:
         raise MissingExtraError("working on a cluster", "cluster") from error
-    return _results(ray, function, tasks, cluster, workers, least_workers, gpus, retries)
+    return _results(ray, function, tasks, cluster, workers, retries)
 
 
 def _results(
@@ -85,8 +75,6 @@ def _results(
     tasks: Sequence[T],
     cluster: str,
     workers: int | None,
-    least: int | None,
-    gpus: float,
     retries: int,
 ) -> Generator[TaskResult[R]]:
     rows = []
@@ -106,12 +94,10 @@ def _results(
             batch_size=1,
             batch_format="pyarrow",
             compute=ray.data.ActorPoolStrategy(
-                min_size=min(size, len(rows)) if least is None else least,
-                max_size=min(size, len(rows)) if least is None else workers,
+                size=min(size, len(rows)),
                 max_tasks_in_flight_per_actor=_QUEUED,
             ),
             num_cpus=1,
-            **({"num_gpus": gpus} if gpus else {}),
         )
         try:
             for batch in results.iter_batches(

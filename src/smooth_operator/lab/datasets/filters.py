@@ -101,6 +101,9 @@ def select(whole: RobotClip, limits: Limits) -> Iterator[RobotClip | Dropped]:
         whole: the clip, with tracks.
         limits: what they must keep to.
     """
+    if not whole.commands:  # packed alone
+        yield whole
+        return
     whole = _confident(whole, limits.min_confidence)
     if not limits.cut:
         yield _judged(whole, whole, slice(0, len(whole.clip)), limits)

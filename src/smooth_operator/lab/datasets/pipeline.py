@@ -57,6 +57,7 @@ class DatasetRequest:
         shard: (i, n) for the i-th of n runs that share the work, from 1; it retargets its items and
             writes no data set.
         merge: retarget nothing; write the data set from what other runs have finished.
+        pack: retarget nothing; write the human clips as they are, a source for later runs.
         workers: as in ``run_tasks``.
         cluster: as there.
     """
@@ -70,6 +71,7 @@ class DatasetRequest:
     writing: WritingOptions = field(default_factory=WritingOptions)
     shard: tuple[int, int] | None = None
     merge: bool = False
+    pack: bool = False
     workers: int | None = None
     cluster: str | None = None
 
@@ -114,7 +116,8 @@ def make_dataset(request: DatasetRequest, progress: Progress | None = None) -> S
             f"nothing to retarget in {', '.join(request.sources)}"
             + (f": no layout knows its files ({kinds})" if kinds else ": it is empty")
         )
-    work = request.output / WORK / request.recipe.digest[:16]
+    name = request.recipe.digest[:16]
+    work = request.output / WORK / (f"packed-{name}" if request.pack else name)
     own = work if request.shard is None else work / "shard-{:05d}-of-{:05d}".format(*request.shard)
     own.mkdir(parents=True, exist_ok=True)
     with claimed(own):
@@ -144,8 +147,16 @@ def make_dataset(request: DatasetRequest, progress: Progress | None = None) -> S
             request.limits,
             request.format,
             request.writing,
+            work,
         )
-        return write_episodes(order, Store(work), reasons, survey.passed_over, progress.written)
+        return write_episodes(
+            order,
+            reasons,
+            survey.passed_over,
+            progress.written,
+            workers=request.workers,
+            cluster=request.cluster,
+        )
 
 
 def check_output(request: DatasetRequest) -> None:
@@ -205,9 +216,9 @@ def _jobs(items: Sequence[Item], folder: Path, request: DatasetRequest) -> Itera
     size = 0
     for item in items:
         if now and (len(now) == count or size + item.size > _MOST_BYTES):
-            yield Job(tuple(now), request.recipe, folder)
+            yield Job(tuple(now), request.recipe, folder, not request.pack)
             now, size = [], 0
         now.append(item)
         size += item.size
     if now:
-        yield Job(tuple(now), request.recipe, folder)
+        yield Job(tuple(now), request.recipe, folder, not request.pack)

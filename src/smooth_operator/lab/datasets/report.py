@@ -52,6 +52,12 @@ class FigureTable:
                 table.setdefault(figure.name, array("f")).append(value)
         table.setdefault("seconds", array("f")).append(episode.figures["seconds"])
 
+    def extend(self, other: FigureTable) -> None:
+        """Takes the figures of another table."""
+        for own, more in ((self.kept, other.kept), (self.dropped, other.dropped)):
+            for name, values in more.items():
+                own.setdefault(name, array("f")).extend(values)
+
     def percentiles(self) -> dict[str, dict[str, float]]:
         """Name of figure -> percentiles over the episodes that are kept."""
         result = {}

@@ -22,6 +22,7 @@ from smooth_operator.lab.datasets.retargeting import Recipe
 from smooth_operator.lab.datasets.robot_clip import RobotClip
 from smooth_operator.lab.datasets.store import Kept, Store
 from smooth_operator.lab.datasets.writers.registry import WRITERS, WritingOptions
+from smooth_operator.parallel import run_tasks
 from smooth_operator.planning import PROGRAM
 from smooth_operator.result_cache import key_digest
 from smooth_operator.types import Side
@@ -33,6 +34,9 @@ DATASET: Final = "dataset"
 REPORT: Final = "report.json"
 EPISODES: Final = "episodes.jsonl"
 _STATE: Final = "dataset.json"
+
+PART_FRAMES: Final = 1_000_000
+"""Frames of a part of the data set, which one worker writes: about six files of Parquet."""
 
 
 @dataclass
@@ -67,6 +71,14 @@ class Summary:
     passed_over: dict[str, int] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
 
+    def add(self, part: Summary) -> None:
+        """Adds the episodes, reasons and notes of a part."""
+        for name in ("episodes", "episode_frames", "dropped", "dropped_frames"):
+            setattr(self, name, getattr(self, name) + getattr(part, name))
+        reasons = Counter(self.reasons) + Counter(part.reasons)
+        self.reasons = dict(sorted(reasons.items()))
+        self.notes += [note for note in part.notes if note not in self.notes]
+
     @classmethod
     def of_shard(
         cls,
@@ -96,6 +108,7 @@ class Order:
         limits: which episodes are good enough.
         format: name of the output format.
         writing: its settings.
+        store: folder of the packs.
     """
 
     output: Path
@@ -104,6 +117,7 @@ class Order:
     limits: Limits
     format: str
     writing: WritingOptions
+    store: Path
 
     @property
     def identity(self) -> str:
@@ -112,25 +126,46 @@ class Order:
         return key_digest([self.limits, self.format, self.writing, content])
 
 
+@dataclass(eq=False)
+class Part:
+    """The result of writing consecutive items.
+
+    Attributes:
+        summary: counts of episodes.
+        lines: lines of ``episodes.jsonl``.
+        figures: quality of the episodes.
+        items: number of the items.
+    """
+
+    summary: Summary
+    lines: list[bytes] = field(default_factory=list)
+    figures: FigureTable = field(default_factory=FigureTable)
+    items: int = 0
+
+
 def write_episodes(
     order: Order,
-    store: Store,
     failed: Mapping[str, str],
     passed_over: Mapping[str, int],
     written: Callable[[int, int], None] = lambda done, count: None,
+    **workers: Any,
 ) -> Summary:
     """Writes the data set and the report; goes on where a run was stopped at this same data set.
 
+    A large data set is written in parts of ``PART_FRAMES`` frames, several in parallel. The parts,
+    and the bytes of each, depend on the items alone.
+
     Args:
         order: what to write.
-        store: where the clips are.
         failed: name -> why a clip is missing, for the report.
         passed_over: suffix -> files that no reader knows, for the report.
         written: is called with the number of items that are done, and of all.
+        workers: options of ``run_tasks``.
 
     Raises:
         OutputError: it can't be written.
         RecordingError: a pack is damaged.
+        WorkerError: the cluster can't be reached, or gave up.
     """
     summary = Summary(order.output, failed=dict(failed), passed_over=dict(passed_over))
     summary.clips = len(order.items)
@@ -139,27 +174,80 @@ def write_episodes(
         _account(order, summary, FigureTable())
         return summary
     order = replace(order, writing=_with_joints(order))
-    target = _prepare(order)
+    _prepare(order)
+    parts = _parts(order)
+    done: dict[int, Part] = {}
+    if len(parts) == 1:
+        done[0] = write_part(parts[0], lambda at: written(at, len(order.items)))
+    else:
+        with contextlib.closing(run_tasks(write_part, parts, **workers)) as results:
+            for result in results:
+                if result.value is None:
+                    raise OutputError(f"a part of the data set can't be written: {result.error}")
+                done[result.index] = result.value
+                written(sum(part.items for part in done.values()), len(order.items))
     figures = FigureTable()
+    with atomic_write(order.output / EPISODES) as lines:
+        for _, part in sorted(done.items()):
+            summary.add(part.summary)
+            figures.extend(part.figures)
+            lines.write(b"".join(part.lines))
+    _mark(order, whole=True)
+    _account(order, summary, figures)
+    return summary
+
+
+def _parts(order: Order) -> list[Order]:
+    """Consecutive items, so many that a part has ``PART_FRAMES`` frames at least, but the last."""
+    if not getattr(WRITERS.load(order.format), "parallel", False):
+        return [order]
+    groups: list[list[tuple[str, Kept]]] = []
+    frames = PART_FRAMES
+    for item in order.items:
+        if frames >= PART_FRAMES:
+            groups.append([])
+            frames = 0
+        groups[-1].append(item)
+        frames += item[1].frames
+    count = len(groups)
+    return [
+        replace(
+            order,
+            items=group,
+            writing=replace(order.writing, part=number, parts=count, apart=count > 1),
+        )
+        for number, group in enumerate(groups)
+    ]
+
+
+def write_part(order: Order, written: Callable[[int], None] = lambda done: None) -> Part:
+    """Writes the episodes of some items, in a worker.
+
+    Args:
+        order: the items.
+        written: is called with the number of items that are done.
+
+    Raises:
+        OutputError: they can't be written.
+        RecordingError: a pack is damaged.
+    """
+    part = Part(Summary(order.output), items=len(order.items))
     reasons: Counter[str] = Counter()
     with (
-        contextlib.closing(store),
-        atomic_write(order.output / EPISODES) as lines,
-        WRITERS.load(order.format).open(target, order.writing) as writer,
+        contextlib.closing(Store(order.store)) as store,
+        WRITERS.load(order.format).open(order.output / DATASET, order.writing) as writer,
     ):
         for done, (_, pack) in enumerate(order.items, 1):
             for clip in store.read(pack):
                 for episode in select(clip, order.limits):
                     episode = _written(episode, writer)
-                    _count(summary, reasons, episode)
-                    figures.add(episode)
-                    lines.write(to_json(_line(clip, episode)).encode() + b"\n")
-            written(done, len(order.items))
-        summary.notes = [*writer.notes]
-    summary.reasons = dict(sorted(reasons.items()))
-    _mark(order, whole=True)
-    _account(order, summary, figures)
-    return summary
+                    _count(part.summary, reasons, episode)
+                    part.figures.add(episode)
+                    part.lines.append(to_json(_line(clip, episode)).encode() + b"\n")
+            written(done)
+        part.summary.notes = [*writer.notes]
+    part.summary.reasons = dict(reasons)
+    return part
 
 
 def _written(episode: RobotClip | Dropped, writer: Any) -> RobotClip | Dropped:
@@ -220,8 +308,8 @@ def _with_joints(order: Order) -> WritingOptions:
     return replace(order.writing, joints=joints)
 
 
-def _prepare(order: Order) -> Path:
-    """The folder to write into: that of a stopped run at the same data set, or a new one.
+def _prepare(order: Order) -> None:
+    """Takes the folder of a stopped run at the same data set, or a new one.
 
     Raises:
         OutputError: something stands there that no run has left.
@@ -236,7 +324,6 @@ def _prepare(order: Order) -> Path:
     if state is not None and state.get("identity") != order.identity:
         shutil.rmtree(target, ignore_errors=True)  # other clips, limits or format: all again
     _mark(order, whole=False)
-    return target
 
 
 def _state(order: Order) -> dict[str, Any] | None:

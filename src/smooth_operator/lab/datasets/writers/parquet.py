@@ -237,6 +237,7 @@ def _leaves(pa: Any, columns: dict[str, tuple[Any, _Make]]) -> list[str]:
 
 class _Parquet:
     what = "Parquet files of clips"
+    parallel = True
     loses = LOST
 
     def open(self, output: Path, options: WritingOptions) -> _Writer:

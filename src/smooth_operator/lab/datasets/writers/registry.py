@@ -118,7 +118,11 @@ class DatasetFormat(Protocol):
     """What it writes, for messages: ``a LeRobot dataset``."""
 
     loses: str
-    """What of a clip it has no place for, in a sentence."""
+    """Parts of a clip that it has no place for, in a sentence.
+
+    A true attribute ``parallel`` says that parts which several writers write at a time (``part``,
+    ``parts`` of the options) are one data set.
+    """
 
     def open(self, output: Path, options: WritingOptions) -> DatasetWriter:
         """A writer into a folder, which is made; one that this format began is continued.

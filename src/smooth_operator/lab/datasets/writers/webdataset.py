@@ -92,6 +92,7 @@ class _Writer(TarShards):
 
 class _WebDataset:
     what = "WebDataset tar shards"
+    parallel = True
     loses = LOST
 
     def open(self, output: Path, options: WritingOptions) -> _Writer:

@@ -8,20 +8,24 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from smooth_operator.compilation.start import dispatch_here
 from smooth_operator.errors import RecordingError
 from smooth_operator.lab.datasets.clip import Clip
-from smooth_operator.lab.datasets.filters import Dropped
+from smooth_operator.lab.datasets.filters import NO_LIMITS, Dropped, Limits, select
+from smooth_operator.lab.datasets.parts import Frame
 from smooth_operator.lab.datasets.readers.packed import clip_of_row
 from smooth_operator.lab.datasets.registry import ClipRef, ReadingOptions
+from smooth_operator.lab.datasets.retargeting import Recipe, retarget_clips
 from smooth_operator.lab.datasets.robot_clip import RobotClip
 from smooth_operator.lab.datasets.sources import Item
 from smooth_operator.lab.datasets.store import as_stored
-from smooth_operator.lab.datasets.work import ReadClip
+from smooth_operator.lab.datasets.work import ReadClip, read_item
 from smooth_operator.lab.datasets.writers.parquet import clips_table
-from smooth_operator.lab.ray.settings import CorpusSettings
-from smooth_operator.lab.ray.work import ClipWork
+from smooth_operator.lab.offline.jobs import checked
 from smooth_operator.parallel.tasks import describe, one_thread
+from smooth_operator.planning import make_request
 from smooth_operator.result_cache import key_digest
+from smooth_operator.types import Side
 
 
 class RetargetClips:
@@ -43,7 +47,7 @@ class RetargetClips:
     Example::
 
         import ray
-        from smooth_operator.lab.ray.retarget_clips import RetargetClips
+        from smooth_operator.lab.datasets.map_batches import RetargetClips
 
         episodes = (
             ray.data.read_parquet("clips/")
@@ -75,13 +79,15 @@ class RetargetClips:
         *,
         limits: Mapping[str, Any] | None = None,
         reading: ReadingOptions | None = None,
-        frame: str | None = None,
-        side: str | None = None,
+        frame: Frame | None = None,
+        side: Side | None = None,
         **request: Any,
     ) -> None:
         with one_thread(os.getpid()) as start_threads:
-            settings = CorpusSettings(request, reading or ReadingOptions(), frame, side, limits)
-            self._work = ClipWork(settings)
+            dispatch_here()
+            hand = checked(make_request(**request))
+            self._recipe = Recipe(hand, reading or ReadingOptions(), frame, side)
+            self._limits = NO_LIMITS if limits is None else Limits(**limits)
             start_threads()
 
     def __call__(self, batch: Any) -> Any:
@@ -102,11 +108,16 @@ class RetargetClips:
                 read += [(row, name, each) for each in clips]
             except Exception as error:  # of one row: a damaged file, a foreign reader
                 results.append((row, name, describe(error)))
-        answers = self._work.retarget([each for _, _, each in read]) if read else []
+        answers = retarget_clips(
+            [each.clip for _, _, each in read],
+            self._recipe,
+            [each.files for _, _, each in read],
+            [each.key for _, _, each in read],
+        )
         for (row, name, _), answer in zip(read, answers, strict=True):
             if isinstance(answer, RobotClip):
                 whole = as_stored(answer)  # so that figures are those of the pipeline
-                results += [(row, name, _judged(each)) for each in self._work.select(whole)]
+                results += [(row, name, _judged(each)) for each in select(whole, self._limits)]
             else:
                 results.append((row, name, describe(answer)))
         results.sort(key=lambda each: each[0])
@@ -121,7 +132,7 @@ class RetargetClips:
                     Item(clip.name),
                     clip,
                     (),
-                    key_digest([self._work.recipe.digest, clip.name, _content(clip)]),
+                    key_digest([self._recipe.digest, clip.name, _content(clip)]),
                 )
             ]
         if not {"path", "layout"} <= set(columns):
@@ -137,7 +148,7 @@ class RetargetClips:
         path = Path(values["path"])
         name = values.get("name") or path.stem
         ref = ClipRef(name, path, values.get("key") or "", values["layout"])
-        return name, self._work.read(Item(name, ref, layout=ref.layout))
+        return name, list(read_item(Item(name, ref, layout=ref.layout), self._recipe))
 
 
 def _judged(episode: RobotClip | Dropped) -> RobotClip | str:
