@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from soak_study_pages import Browser, Desk, Shown, Tablet, fill_form, see
+from soak_study_pages import Browser, Desk, Shown, Tablet, see
 from soak_study_parts import SoakBase
 from study_console import ConsoleProcess, ratings
 
@@ -17,12 +17,12 @@ SIMULATED = 0.3
 KINDS = (
     "kill", "kill at start", "scored while cut off", "restart", "teleop", "wrong click", "undo",
     "amend", "void", "pause", "second page", "second console", "withdraw", "end block", "reload",
-    "another operator", "recalibrate", "kill at the questionnaire",
+    "recalibrate", "kill at the questionnaire",
 )  # fmt: skip
 
 
 FORM_KINDS = (
-    "", "", "consent refused", "reload", "kill", "kill before", "undo", "paper", "corrected",
+    "", "", "consent refused", "reload", "kill", "kill before", "undo",
 )  # fmt: skip
 """How a form is disturbed; drawn for each."""
 
@@ -37,7 +37,6 @@ class BrowserSoak(SoakBase):
         self.begun = 0.0
         self.tablet_disturbed = ""
         self.odd: list[str] = []
-        self.papers: list[Any] = []
         self.disturbed = False
 
     def begin(self) -> None:
@@ -69,8 +68,6 @@ class BrowserSoak(SoakBase):
         shown = self.desk.settled()
         if shown.operator != code:
             shown = self.desk.click(f"person-{code}", "choose", operator=code)
-            if shown.dialog:
-                shown = self.desk.answer()
         return shown
 
     def operator(self, code: str) -> None:
@@ -90,8 +87,6 @@ class BrowserSoak(SoakBase):
                 shown = self.choose(code)
                 continue
             if shown.what in ("done", "withdrawn"):
-                while self.papers:
-                    self.type_in(shown, self.papers.pop())
                 return
             shown = self.step(shown) or self.desk.settled()
         raise AssertionError(f"no end for {code}: {self.desk.look()}")
@@ -129,8 +124,6 @@ class BrowserSoak(SoakBase):
             return self.desk.press("b", "start_break", operator=shown.operator)
         if self.draw.random() < 0.01:
             self.note(shown, f"before {shown.heading}")
-        if self.papers and self.draw.random() < 0.05:
-            self.type_in(shown, self.papers.pop())
         self.disturbed = False
         kind = self.next_disturbance(shown)
         if kind == "kill at start":
@@ -218,13 +211,6 @@ class BrowserSoak(SoakBase):
         self.done["form: " + kind] += bool(kind) and (kind != "consent refused" or refused)
         if refused:
             answers["agreed"] = False
-        if kind == "paper":
-            self.desk.click("on-paper")
-            self.desk.answer(
-                "paper", operator=shown.operator, given={"who": "AB"}, form=name, who="AB"
-            )
-            self.papers.append(form)
-            return
         half = dict(list(answers.items())[: len(answers) // 2])
         if kind in ("reload", "kill before"):
             self.tablet.fill(form, half)
@@ -246,21 +232,6 @@ class BrowserSoak(SoakBase):
             self.take_back("a slip")
         elif kind == "undo":
             self.take_back("a wrong answer")
-        elif kind == "corrected":
-            self.type_in(self.desk.settled(), form, "misread")
-
-    def type_in(self, shown: Shown, form: Any, reason: str = "") -> None:
-        """A form from paper, or one that is there already and wrong, on the experimenter's page."""
-        self.desk.click(f"form-{form.name}")
-        page = self.desk.page
-        answers = {one.name: self.answer(one, page) for one in form.fields}
-        fill_form(page.locator("#paper"), form, answers)
-        given = {"who": "CD", **({"reason": reason} if reason else {})}
-        for name, text in given.items():
-            page.locator(f"#paper-{name}").fill(text)
-        self.desk.mean("form", operator=shown.operator, form=form.name, answers=answers, **given)
-        page.locator('#paper button[data-key="submit"]:enabled').click()
-        self.desk.settled()
 
     def answer(self, asked: Any, page: Any) -> Any:
         if asked.kind == "ranking":
@@ -289,7 +260,7 @@ class BrowserSoak(SoakBase):
             "undo": self.undo, "amend": self.amend, "void": self.void, "pause": self.pause,
             "second page": self.second_page, "second console": self.second_console,
             "withdraw": self.withdraw, "end block": self.end_block, "reload": self.reload,
-            "another operator": self.another, "recalibrate": self.recalibrate,
+            "recalibrate": self.recalibrate,
             "kill at the questionnaire": self.kill_later,
         }  # fmt: skip
 
@@ -332,13 +303,12 @@ class BrowserSoak(SoakBase):
         self.teleop.restart()
 
     def wrong_click(self, shown: Shown) -> None:
-        """Keys that mean nothing now, keys pressed twice, another operator and back."""
+        """Presses keys without a meaning and keys twice, and clicks another operator."""
         others = [code for code in self.plan.codes if code != shown.operator]
         for key in ("9", "b", "e", "Enter", "x"):
             self.desk.press(key)
-        asked = self.desk.click(f"person-{self.draw.choice(others)}")
-        assert asked.dialog.startswith("Put "), asked
-        shown = self.desk.cancel()
+        self.desk.click(f"person-{self.draw.choice(others)}")
+        shown = self.desk.press("Escape")  # it was refused
         number, line = self.draw.choice(shown.lines)
         self.desk.mean("score", operator=shown.operator, **shown.place, line=line)
         self.desk.page.keyboard.press(number)
@@ -346,14 +316,6 @@ class BrowserSoak(SoakBase):
             self.desk.page.locator("#ask-yes").dblclick()
         self.desk.page.keyboard.press(number)
         self.desk.after(shown)
-
-    def another(self, shown: Shown) -> None:
-        """Another operator is put on in the middle of a trial, and the first one again."""
-        other = self.draw.choice([code for code in self.plan.codes if code != shown.operator])
-        self.desk.click(f"person-{other}")
-        now = self.desk.answer("choose", operator=other)
-        assert now.operator == other, now
-        self.choose(shown.operator)
 
     def take_back(self, reason: str) -> Shown:
         shown = self.desk.press("u")
@@ -414,9 +376,7 @@ class BrowserSoak(SoakBase):
         desk = Desk(self.browser, f"http://127.0.0.1:{self.other.port}/")
         there = desk.settled()
         if there.operator != shown.operator:
-            asked = desk.click(f"person-{shown.operator}", "choose", operator=shown.operator)
-            if asked.dialog:
-                desk.answer()
+            desk.click(f"person-{shown.operator}", "choose", operator=shown.operator)
         self.both(shown, desk)
 
     def both(self, shown: Shown, other: Desk) -> None:

@@ -70,9 +70,7 @@ class Ledger:
 
 
 def _key(do: str, operator: str, fields: Mapping[str, Any]) -> str:
-    known = {
-        name: fields[name] for name in sorted(fields) if name not in ("number", "confirm", "point")
-    }
+    known = {name: fields[name] for name in sorted(fields) if name not in ("number", "point")}
     return f"{do} of {operator}: {json.dumps(known, sort_keys=True)}"
 
 
@@ -98,7 +96,7 @@ def expected(
 
 
 def expected_forms(events: dict[tuple[str, int], dict[str, Any]]) -> dict[Any, Any]:
-    """(operator, form) -> answers, and who typed them in, from what was acknowledged."""
+    """(operator, form) -> answers that were acknowledged and not undone."""
     undone = {
         (who, said["fields"]["number"]) for (who, _), said in events.items() if said["do"] == "undo"
     }
@@ -106,14 +104,14 @@ def expected_forms(events: dict[tuple[str, int], dict[str, Any]]) -> dict[Any, A
     for place, said in sorted(events.items()):
         given = said["fields"]
         if place not in undone and said["do"] == "form":
-            found[place[0], given["form"]] = (given["answers"], given.get("who"))
+            found[place[0], given["form"]] = given["answers"]
     return found
 
 
 def _exported_forms(data: Path) -> dict[Any, Any]:
     operators = json.loads((data / "study.json").read_text("utf-8"))["operators"]
     return {
-        (one["operator"], name): (form["answers"], form["typed_by"])
+        (one["operator"], name): form["answers"]
         for one in operators
         for name, form in one["forms"].items()
     }

@@ -23,16 +23,14 @@ from smooth_operator.study.console.server import Console
 from smooth_operator.study.console.session_service import SessionService
 from smooth_operator.study.design.plan import Plan, make_plan
 from smooth_operator.study.design.protocol import Condition, Protocol, RubricLine, Task
-from smooth_operator.study.store.nasa_tlx import PAIRS, SCALE_NAMES
+from smooth_operator.study.store.nasa_tlx import SCALE_NAMES
 from smooth_operator.study.store.progress import Progress
 from smooth_operator.web.listening import listen
 
 PATIENCE_S = 180.0  # a busy machine, and processes that are stopped for a while
 
 
-def console_plan(
-    trials: int = 3, *, seconds: float = 0.0, weights: bool = False, resets: int = 1
-) -> Plan:
+def console_plan(trials: int = 3, *, seconds: float = 0.0, resets: int = 1) -> Plan:
     """Two operators, two conditions whose names are found wherever they leak, one task."""
     conditions = (Condition("secretone", "sbr", "realtime"), Condition("secrettwo", "dexpilot"))
     rubric = (
@@ -44,7 +42,7 @@ def console_plan(
     return make_plan(
         Protocol(
             "console", conditions, (task,), "secrettwo", 2,
-            familiarisation_s=seconds, weights=weights, resets=resets,
+            familiarisation_s=seconds, resets=resets,
         )
     )  # fmt: skip
 
@@ -93,8 +91,6 @@ def due_command(progress: Progress, line: str = "done") -> Command | None:
         return command(progress, "score", line=line)
     if what == "questionnaire":
         return command(progress, "answer", ratings=ratings(progress.number))
-    if what == "weights":
-        return command(progress, "weigh", winners=[pair[0] for pair in PAIRS])
     return None
 
 

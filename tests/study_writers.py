@@ -22,23 +22,29 @@ from smooth_operator.study.store.events import (
     Event,
     FamiliarisationEnded,
     FamiliarisationStarted,
+    Noted,
     QuestionnaireAnswered,
     TrialReset,
     TrialScored,
     TrialStarted,
-    WeightsAnswered,
 )
-from smooth_operator.study.store.nasa_tlx import PAIRS, SCALE_NAMES
+from smooth_operator.study.store.nasa_tlx import SCALE_NAMES
 from smooth_operator.study.store.progress import Progress
 from smooth_operator.study.store.study_store import open_study
 
 STUDY = "twenty"
 
 
-def small_plan(operators: int = 20, *, weights: bool = True) -> Plan:
+def notes(progress: Progress) -> list[str]:
+    """Texts of the notes in the log."""
+    events = (record.event for record in progress.effective)
+    return [event.text for event in events if isinstance(event, Noted)]
+
+
+def small_plan(operators: int = 20) -> Plan:
     conditions = tuple(Condition(name) for name in ("sbr", "dexpilot", "hybrid"))
     tasks = (Task("A", trials=3), Task("B", trials=3))
-    return make_plan(Protocol(STUDY, conditions, tasks, "dexpilot", operators, weights=weights))
+    return make_plan(Protocol(STUDY, conditions, tasks, "dexpilot", operators))
 
 
 def due(progress: Progress, rng: random.Random) -> Event | None:
@@ -68,16 +74,15 @@ def due(progress: Progress, rng: random.Random) -> Event | None:
         line = rng.choice(block.task.rubric).name
         seconds = round(rng.uniform(5, 60), 2)
         return TrialScored(task, number, trial, line, progress.capped(line), seconds)
-    if step.what == "questionnaire":
-        assert step.point is not None
-        ratings = {name: 5 * rng.randint(0, 20) for name in SCALE_NAMES}
-        return QuestionnaireAnswered(task, number, step.point, ratings)
-    return WeightsAnswered(task, number, tuple(rng.choice(pair) for pair in PAIRS))
+    assert step.what == "questionnaire"
+    assert step.point is not None
+    ratings = {name: 5 * rng.randint(0, 20) for name in SCALE_NAMES}
+    return QuestionnaireAnswered(task, number, step.point, ratings)
 
 
 def write(target: str, operator: str, most: int, acknowledged: Path, seed: int) -> None:
     rng = random.Random(seed)
-    with open_study(target, name=STUDY) as store, acknowledged.open("a") as file:
+    with open_study(target) as store, acknowledged.open("a") as file:
         for _ in range(most):
             event = due(store.progress(operator), rng)
             if event is None:

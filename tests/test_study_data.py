@@ -64,7 +64,7 @@ def test_a_folder_and_json_hold_the_same(case: Case, tmp_path: Path) -> None:
     same = read_study([file])
     np.testing.assert_array_equal(same.trials.time, folder.trials.time)
     np.testing.assert_array_equal(same.trials.score, folder.trials.score)
-    assert read_study([], texts=[("store", json.dumps(content))]).sources == ("store",)
+    assert read_study([], exports={"store": content}).sources == ("store",)
 
 
 def test_semicolons_and_a_byte_order_mark_are_read(case: Case, tmp_path: Path) -> None:

@@ -17,8 +17,10 @@ from smooth_operator.study.console.commands import Command
 from smooth_operator.study.console.session_service import SessionService
 from smooth_operator.study.design.plan import make_plan
 from smooth_operator.study.design.protocol import RubricLine
+from smooth_operator.study.store import study_store
 from smooth_operator.study.store.clock import Clock
-from smooth_operator.study.store.events import Chosen, Replaces, TrialScored, Withdrawn
+from smooth_operator.study.store.events import Amended, Replaces, TrialScored, Withdrawn
+from smooth_operator.study.store.export import study_json
 from smooth_operator.study.store.study_store import StudyStore, open_study
 
 
@@ -35,8 +37,8 @@ def give(service: SessionService, store: StudyStore, do: str, **fields: object) 
     return service.carry_out(asked, "experimenter")
 
 
-def choose(service: SessionService, operator: str, **fields: object) -> None:
-    asked = Command(f"choose-{operator}", "choose", operator, None, fields)
+def choose(service: SessionService, operator: str) -> None:
+    asked = Command(f"choose-{operator}", "choose", operator, None, {})
     service.carry_out(asked, "experimenter")
 
 
@@ -67,9 +69,11 @@ def test_a_score_is_amended_in_a_later_trial_and_nothing_else_changes(store: Stu
     assert not progress.trials[1].amended
     assert progress.step == before.step
     assert progress.questionnaires == before.questionnaires
-    (made,) = progress.amendments
-    assert (made.before[:2], made.after[:2]) == (("done", 1.0), ("nearly", 0.5))
-    assert (made.reason, made.who) == ("saw the film", "AB")
+    ((record, amended, scoring),) = progress.amendments
+    assert isinstance(record.event, Amended)
+    assert (amended, scoring[:2]) == (first, ("done", 1.0))
+    assert (record.event.line, record.event.score) == ("nearly", 0.5)
+    assert (record.event.reason, record.event.who) == ("saw the film", "AB")
     scored = [r.event for r in progress.records if isinstance(r.event, TrialScored)]
     assert [event.line for event in scored] == ["done"]  # the log keeps what was given first
     give(service, store, "amend", **place, time_s=4.25, reason="stopped too late")
@@ -215,7 +219,8 @@ def test_a_block_that_ends_early_leaves_the_next_one_due(store: StudyStore) -> N
     give(service, store, "end_block", reason="the glove broke")
     progress = store.progress("P01")
     assert progress.step.block == progress.blocks[1]
-    assert progress.ended_early["card", 1][1] == "the glove broke"
+    (ended,) = study_json(store)["operators"][0]["ended_early"]
+    assert (ended["block"], ended["reason"]) == (1, "the glove broke")
     blocks = service.look()[0]["overview"][0]["blocks"]
     assert [block["state"] for block in blocks] == ["left", "on"]
     last = progress.undoable
@@ -238,7 +243,8 @@ def test_the_hand_is_calibrated_again_between_trials_only(
     give(service, store, "recalibrate", detail=str(file))
     asked = [fields for do, fields in teleop.asked if do == "calibration"]
     assert asked == [{"path": str(file)}]
-    assert [detail for _, _, detail in store.progress("P01").recalibrations] == [str(file)]
+    (again,) = study_json(store)["operators"][0]["recalibrations"]
+    assert (again["task"], again["detail"]) == ("card", str(file))
     assert store.progress("P01").step.what == "questionnaire"
 
 
@@ -302,7 +308,7 @@ def test_a_replacement_is_written_whole_or_not_at_all(
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patched:
-        patched.setattr(store, "_insert", killed)  # the plan is written, the event is not
+        patched.setattr(study_store, "_insert", killed)  # the plan is written, the event is not
         with pytest.raises(KeyboardInterrupt):
             store.replace("P01", "P09")
     with open_study(tmp_path) as again:
@@ -330,53 +336,27 @@ def test_who_comes_later_gets_the_row_of_who_was_left_out(store: StudyStore) -> 
 # Who is on.
 
 
-def test_nobody_is_put_on_in_the_middle_of_a_trial_by_a_click(store: StudyStore) -> None:
+def test_no_other_operator_is_chosen_during_a_trial_or_free_movement(tmp_path: Path) -> None:
     teleop = FakeTeleop()
-    service = SessionService(store, operator="P02", teleop=teleop)
-    walk(service, store, "start_trial", "P02")  # the other method than that of P01
-    choose(service, "P01")
-    walk(service, store, "trial", "P01")
-    switched = len(teleop.switched)
-    with pytest.raises(StudyError, match="trial 1, card, block 1 of operator P01 is on"):
-        choose(service, "P02")
-    assert service.operator == "P01"
-    choose(service, "P02", confirm=True)
-    service.watch()
-    assert len(teleop.switched) == switched  # the hand stays with the trial that runs
-    for do in ("start_trial", "switch"):
-        with pytest.raises(StudyError, match="P01 was left in a trial"):
-            give(service, store, do)
-    assert len(teleop.switched) == switched
-    restarted = SessionService(store, teleop=teleop)  # knows it from the log
-    assert restarted.operator == "P02"
-    restarted.watch()
-    assert len(teleop.switched) == switched
-    choose(service, "P01")
-    give(service, store, "score", line="done")
-    choose(service, "P02")
-    give(service, store, "start_trial")
-    chosen = [(r.author, r.event) for r in store.records("P01") if isinstance(r.event, Chosen)]
-    assert chosen == [("experimenter", Chosen("P02", "P01"))] * 2
-    assert SessionService(store).operator == "P02"
-
-
-def test_a_console_that_comes_back_is_not_talked_out_of_a_trial(store: StudyStore) -> None:
-    walk(SessionService(store, operator="P01"), store, "trial")
-    restarted = SessionService(store)
-    restarted.propose("P02")
-    assert restarted.operator == "P01"
-
-
-def test_free_movement_of_who_was_left_ends_by_itself(tmp_path: Path) -> None:
-    hours = Hours()
     with open_study(tmp_path, console_plan(seconds=60.0)) as store:
-        store.clock = hours.clock()
-        service = SessionService(store, operator="P01")
-        walk(service, store, "familiarise")
-        choose(service, "P02", confirm=True)
-        hours.at += 61
-        assert service.tick()
-        assert store.progress("P01").step.what == "start_trial"
+        service = SessionService(store, operator="P01", teleop=teleop)
+        for step in ("familiarise", "trial"):
+            walk(service, store, step)
+            switched = len(teleop.switched)
+            with pytest.raises(StudyError, match="card, block 1 of operator P01 is on; end it"):
+                choose(service, "P02")
+            enrol = Command(f"enrol-{step}", "enrol", f"P-{step}", None, {})
+            service.carry_out(enrol, "experimenter")
+            assert store.plan.codes[-1] == f"P-{step}"
+            service.watch()
+            assert service.operator == "P01"
+            assert len(teleop.switched) == switched
+        choose(service, "P01")  # which changes nothing
+        assert SessionService(store).operator == "P01"  # a console that was started again
+        give(service, store, "score", line="done")
+        choose(service, "P02")
+        walk(service, store, "start_familiarisation", "P02")
+        assert SessionService(store).operator == "P02"
 
 
 # What the scorer knows, and what the log keeps.
@@ -438,9 +418,10 @@ def test_what_the_simulation_proposed_stays_when_it_is_overruled(store: StudySto
     simulation.done("done", 1.0, 12.25)
     service.watch()
     give(service, store, "score", line="failed")
-    trial = store.progress("P01").trials[-1]
-    assert (trial.line, trial.score) == ("failed", 0.0)
-    assert (trial.proposed_line, trial.proposed_score) == ("done", 1.0)
+    event = store.records("P01")[-1].event
+    assert isinstance(event, TrialScored)
+    assert (event.line, event.score) == ("failed", 0.0)
+    assert (event.proposed_line, event.proposed_score) == ("done", 1.0)
 
 
 def test_undone_events_are_counted_by_condition(store: StudyStore) -> None:

@@ -244,7 +244,7 @@ def test_rubrics_need_failure_and_success() -> None:
 
 def test_a_plan_reads_back_as_it_was(tmp_path: Path) -> None:
     odd = Task("T-1.x", trials=7, time_limit_s=90.0, title='Say "hm" \\ 手', instruction="n")
-    made = protocol(tasks=(odd, *PAPER_TASKS), weights=True, name='quoted "x"', break_s=0.0)
+    made = protocol(tasks=(odd, *PAPER_TASKS), name='quoted "x"', break_s=0.0)
     plan = make_plan(made).enrol("late_1", ["A"])
     assert read_plan(write_plan(plan, tmp_path)) == plan
     assert read_plan(tmp_path) == plan
@@ -268,7 +268,6 @@ def test_a_short_file_is_enough(tmp_path: Path) -> None:
     [
         (("format = 1", "format = 2"), "newer smooth-operator"),
         (("operators = 18", 'operators = "18"'), "operators: expected a whole number, not '18'"),
-        (("weights = false", "weights = 0"), "weights: expected true or false"),
         (("seed = 0", "sead = 0"), "sead: no such entry. Did you mean 'seed'"),
         (("trials = 10", "trials = 0"), "from 1 to 1000, not 0"),
         (("score = 1.0", "score = 0.9"), "must be 0, 0.5 or 1"),
@@ -326,7 +325,6 @@ def test_study_new_writes_plan_and_schedule(
             *arguments,
             "--operators",
             "7",
-            "--weights",
             "--primary",
             "tlx/A",
             "--margin",
@@ -338,7 +336,6 @@ def test_study_new_writes_plan_and_schedule(
     assert "labels for operators" in shown
     plan = read_plan(folder)
     assert plan.protocol.condition("sbr").preset == "paper"
-    assert plan.protocol.weights
     assert (plan.protocol.primary, plan.protocol.margins) == ("tlx/A", {"tlx": 8.0})
     assert [plan.protocol.planned(task) for task in plan.protocol.tasks] == [7, 5]
     rows = list(csv.DictReader(io.StringIO((folder / "schedule.csv").read_text())))
@@ -407,7 +404,7 @@ def test_study_new_refuses(
 def test_the_wizard_asks_until_answers_go_together(monkeypatch: pytest.MonkeyPatch) -> None:
     answers = iter([
         "hands", "sbr", "sbr ako=ako:slsqp", "", "many", "6", "A X", "8", "4", "5", "0", "3",
-        "grip", "", "60", "initial lunch", "initial final", "y",
+        "grip", "", "60", "initial lunch", "initial final",
         "time", "time/B", "time/X", "time=x", "time=3 tlx=8", "fast", "50", "4",
         # 4 and 3 operators are 7, enough for 6; all fits, so nothing is asked again
     ])  # fmt: skip
@@ -425,6 +422,5 @@ def test_the_wizard_asks_until_answers_go_together(monkeypatch: pytest.MonkeyPat
     assert made.rate_hz == 50.0
     assert (made.primary, made.margins) == ("time/X", {"time": 3.0, "tlx": 8.0})
     assert made.questionnaires == ("initial", "final")
-    assert made.weights
     with pytest.raises(UnknownNameError):
         made.task("B")

@@ -18,7 +18,6 @@ from smooth_operator.study.analysis import analyze_study
 from smooth_operator.study.analysis.methods_text import methods_paragraph
 from smooth_operator.study.analysis.operators import flow_rows, flow_text, leave_out
 from smooth_operator.study.data import StudyData, read_study
-from smooth_operator.study.data.reading import with_second_ratings
 from smooth_operator.study.design.plan import make_plan
 from smooth_operator.study.design.plan_file import plan_table, write_plan_files
 from smooth_operator.study.design.protocol import Condition, Protocol, Task
@@ -256,27 +255,6 @@ def test_an_exclusion_needs_a_reason(
     assert main(words) == 2
     assert "expected OPERATOR=REASON" in capsys.readouterr().err
     assert not out.exists()
-
-
-# A second rater.
-
-
-def test_second_ratings(exported: Path, tmp_path: Path) -> None:
-    data = read_study([exported])
-    row = {"operator": "P04", "task": "A", "block": 1, "trial_in_block": 2, "score": 0.5}
-    found = with_second_ratings(data, write_rows(tmp_path / "r.csv", [row])).second_ratings
-    assert found is not None
-    assert (found.operator[0], found.trial_in_block[0], found.score[0]) == ("P04", 2, 0.5)
-    for wrong, said in (
-        ([row | {"block": 9}], "row 2: the study has no trial of operator P04, task A, block 9"),
-        ([row | {"score": 2}], "expected 0, 0.5 or 1"),
-        ([row, row], "the same operator P04"),
-        ([{k: v for k, v in row.items() if k != "block"}], "missing: block"),
-    ):
-        with pytest.raises(StudyError, match=said):
-            with_second_ratings(data, write_rows(tmp_path / "r.csv", wrong))
-    with pytest.raises(StudyError, match="no such file"):
-        with_second_ratings(data, tmp_path / "none.csv")
 
 
 # The methods paragraph.

@@ -152,17 +152,17 @@ def test_the_preregistration_follows_the_plan_until_someone_begins(
 
 
 def test_study_run_writes_it_for_a_plan_changed_by_hand(tmp_path: Path) -> None:
-    from smooth_operator.cli.study_run import _register
+    from smooth_operator.cli.study_run import _write_preregistration
     from smooth_operator.study.store.events import Calibrated
     from smooth_operator.study.store.study_store import open_study
 
     plan = make_plan(protocol(forms=()))
     write_plan_files(plan, tmp_path)
     with open_study(tmp_path, plan) as store:
-        _register(store, tmp_path)
+        _write_preregistration(store, tmp_path)
         file = tmp_path / "PREREGISTRATION.md"
         assert file.is_file()
         file.unlink()
         store.append("P01", Calibrated(next(iter(plan.enrolled[0].rows))))
-        _register(store, tmp_path)
+        _write_preregistration(store, tmp_path)
         assert not file.is_file()  # somebody has begun: too late to register

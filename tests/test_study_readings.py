@@ -11,8 +11,8 @@ from study_cases import Row, simulate, write_rows
 
 from smooth_operator.errors import StudyError
 from smooth_operator.study.analysis import Analysis, analyze_study
-from smooth_operator.study.analysis.agreement import Agreement, Preference, agreement, preference
 from smooth_operator.study.analysis.models import clustered_wald, model_wald
+from smooth_operator.study.analysis.preference import Preference, preference
 from smooth_operator.study.analysis.readings import equivalences, reading_rows
 from smooth_operator.study.analysis.results import Pair, Refused, ScopeResult, operator_weights
 from smooth_operator.study.analysis.spearman import correlation_within
@@ -24,7 +24,6 @@ from smooth_operator.study.analysis.time_to_success import (
     incidence,
 )
 from smooth_operator.study.data import read_study
-from smooth_operator.study.data.rows import SecondRatings
 from smooth_operator.study.design.protocol import Condition, Protocol, Task
 
 
@@ -119,24 +118,6 @@ def test_joint_tests_are_those_of_one_difference_where_there_is_one() -> None:
         clustered_wald(np.ones(5), np.eye(5), 5)
 
 
-def test_kappa_is_cohens() -> None:
-    # Cohen 1968 with three categories: 1 - sum(w o) / sum(w e), here by hand.
-    first = np.array([0, 0, 0.5, 0.5, 1, 1, 1, 0, np.nan])
-    second = np.array([0, 0.5, 0.5, 1, 1, 1, 0, 0, 1])
-    found = agreement(first, second, np.array(list("aabbccddd")))
-    assert isinstance(found, Agreement)
-    assert (found.n, found.operators) == (8, 4)
-    assert found.agreed == pytest.approx(5 / 8)
-    chance = (3 * 3 + 2 * 2 + 3 * 3) / 64
-    assert found.kappa_unweighted.estimate == pytest.approx((5 / 8 - chance) / (1 - chance))
-    apart = (0.5 + 0.5 + 1) / 8
-    by_chance = (0.5 * (3 * 2 + 2 * 3 + 2 * 3 + 3 * 2) + 1.0 * (3 * 3 + 3 * 3)) / 64
-    assert found.kappa.estimate == pytest.approx(1 - apart / by_chance)
-    assert found.table["1"] == {"0": 1, "0.5": 0, "1": 2}
-    alike = agreement(np.ones(4), np.ones(4), np.array(list("aabb")))
-    assert isinstance(alike, Refused)
-
-
 def test_rankings_become_strengths() -> None:
     rankings = {f"P{i}": ("b", "a", "c") for i in range(7)}
     rankings |= {"P7": ("a", "b", "c"), "P8": ("b", "a")}
@@ -188,18 +169,8 @@ def analysis(tmp_path_factory: pytest.TempPathFactory) -> Analysis:
         operators=12,
         margins={"success": 0.15, "tlx": 10.0},
     )
-    seconds = SecondRatings(
-        data.trials.operator[::3], data.trials.task[::3], data.trials.block[::3],
-        data.trials.trial_in_block[::3], np.roll(data.trials.score[::3], 1),
-    )  # fmt: skip
-    return analyze_study(
-        replace(
-            data,
-            plan=plan,
-            ranking=dict.fromkeys(names, ("sbr", "hybrid", "dexpilot")),
-            second_ratings=seconds,
-        )
-    )
+    ranking = dict.fromkeys(names, ("sbr", "hybrid", "dexpilot"))
+    return analyze_study(replace(data, plan=plan, ranking=ranking))
 
 
 def test_correlations_within_operators_leave_out_what_operators_differ_in() -> None:
@@ -225,7 +196,7 @@ def test_a_difference_that_depends_on_the_task_is_warned_of() -> None:
         else row
         for row in case.trials
     ]
-    study = read_study([], texts=[("made up", json.dumps({"trials": rows}))])
+    study = read_study([], exports={"made up": {"trials": rows}})
     small = analyze_study(study).results["small-sample"]
     assert any("depend on the task" in text for text in small["time"]["pooled"].warnings)
     assert not any("depend on the task" in text for text in small["success"]["pooled"].warnings)
@@ -237,7 +208,7 @@ def test_what_one_retargeter_leaves_is_refused_and_never_an_error() -> None:
         row | {"score": 0, "time_s": ""} if row["retargeter"] == "sbr" else row
         for row in simulate(8, operators=range(6), retargeters=("dexpilot", "sbr")).trials
     ]
-    study = read_study([], texts=[("made up", json.dumps({"trials": rows}))])
+    study = read_study([], exports={"made up": {"trials": rows}})
     readings = analyze_study(study).readings
     assert isinstance(readings.interaction["success"], Refused)
     assert readings.full_success["pooled"].separated["sbr"].rate == 0
@@ -266,7 +237,6 @@ def test_a_whole_study_has_every_reading(analysis: Analysis) -> None:
         assert one["lower"] < one["estimate"] < one["upper"]
     assert content["equivalence"]["success"]["A"]["sbr-dexpilot"]["margin"] == 0.15
     assert content["equivalence"]["time"]["A"]["sbr-dexpilot"]["margin"] is None
-    assert content["second_rater"]["n"] == len(analysis.data.trials.score[::3])
     assert content["preference"]["mean_rank"]["sbr"]["estimate"] == 1
 
 

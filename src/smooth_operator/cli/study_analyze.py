@@ -1,11 +1,11 @@
-"""``smooth-operator study analyze``: reads, analyses, writes, prints both modes."""
+"""``smooth-operator study analyze``: analyses a study, writes the results, prints both modes."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from rich.console import Console
 from rich.table import Table
@@ -20,39 +20,34 @@ from smooth_operator.study.analysis.operators import flow_text, leave_out
 from smooth_operator.study.analysis.output import write_analysis
 from smooth_operator.study.analysis.results import OUTCOMES, Mode, Outcome, ScopeResult
 from smooth_operator.study.data import read_study
-from smooth_operator.study.data.reading import NAMES, with_second_ratings, with_workload
+from smooth_operator.study.data.reading import NAMES
 
 SOME_REFUSED: Final = 1
-"""Exit status where everything was done, but some parts have a reason in place of figures."""
+"""Exit status if some parts of the analysis were refused with a reason."""
 _STORE: Final = "study.db"
 _SQLITE: Final = b"SQLite format 3\0"
 _UNITS: Final[dict[Outcome, tuple[float, str]]] = {
     "success": (100.0, "success rate [%]"),
     "time": (1.0, "completion time [s]"),
-    "tlx": (1.0, "{} TLX"),
+    "tlx": (1.0, "raw TLX"),
 }
 
 
 def analyze_command(options: Analyze) -> None:
-    """Analyses and prints.
+    """Analyses a study, writes the results and prints the tables.
 
     Raises:
         StudyError: the data can't be used; nothing is written then.
         OutputError: the folder can't be written to.
-        SystemExit: with ``SOME_REFUSED``.
+        SystemExit: a part was refused; the status is ``SOME_REFUSED``.
     """
     progress = Progressing(options.quiet)
     if not options.study:
         raise ConfigError("no data: give a folder, tables (.csv) or a JSON file")
     stored, files = _split(options.study)
-    data = read_study(
-        _with_metrics(files, stored),
-        texts=[(word, _exported(word, options.name)) for word in stored],
-    )
-    if options.second_rater is not None:
-        data = with_second_ratings(data, options.second_rater)
-    # Before the workload: an operator without weights may be one who is left out.
-    data = with_workload(leave_out(data, _exclusions(options.exclude)), options.workload)
+    exports = {word: _exported(word) for word in stored}
+    data = read_study(_with_metrics(files, stored), exports=exports)
+    data = leave_out(data, _exclusions(options.exclude))
     for note in data.notes:
         progress.note(f"note: {note}")
     with folder_for(options.output), progress.status() as tell:
@@ -77,7 +72,7 @@ def analyze_command(options: Analyze) -> None:
 
 
 def _exclusions(words: Sequence[str]) -> dict[str, str]:
-    """Operator -> reason."""
+    """Reads the reason of each excluded operator."""
     reasons: dict[str, str] = {}
     for word in words:
         operator, sign, reason = word.partition("=")
@@ -92,7 +87,7 @@ def _exclusions(words: Sequence[str]) -> dict[str, str]:
 
 
 def _split(words: Sequence[str]) -> tuple[list[str], list[Path]]:
-    """Splits the words into stores and files."""
+    """Splits the arguments into stores and other files."""
     stored, files = [], []
     for word in words:
         path = Path(word)
@@ -111,8 +106,8 @@ def _is_sqlite(path: Path) -> bool:
         return file.read(len(_SQLITE)) == _SQLITE
 
 
-def _exported(target: str, name: str | None) -> str:
-    """The data of a store, as ``study export`` writes them.
+def _exported(target: str) -> dict[str, Any]:
+    """Returns the data of a store, as ``study export`` writes it.
 
     Raises:
         StudyError: there is no such store.
@@ -122,12 +117,12 @@ def _exported(target: str, name: str | None) -> str:
 
     if not Path(target).exists():  # opening would make one
         raise StudyError(f"no such file: {target!r}; give the folder of a study that was run")
-    with open_study(target, name=name) as store:
-        return json.dumps(study_json(store))
+    with open_study(target) as store:
+        return study_json(store)
 
 
 def _with_metrics(paths: Sequence[Path], stored: Sequence[str] = ()) -> list[Path]:
-    """The files, and the metrics in the folder of the trials under their usual name."""
+    """Adds the table of metrics in the folder of the trials to the files."""
     folders = [Path(word) for word in stored]
     trials = [(f if f.is_dir() else f.parent) / NAMES[0] for f in folders]
     files = list(paths)
@@ -162,7 +157,7 @@ def _print(analysis: Analysis) -> None:
 
 
 def _print_plan(console: Console, analysis: Analysis) -> None:
-    """Who is analysed, against what, and what decides."""
+    """Prints baseline, primary endpoint and flow of participants."""
     data = analysis.data
     departs = data.plan is None or analysis.baseline != data.plan.baseline
     sentences = [f"baseline: {analysis.baseline}{'' if departs else ', as planned'}"]
@@ -180,9 +175,8 @@ def _print_scope(console: Console, analysis: Analysis, outcome: Outcome, scope: 
     scale, unit = _UNITS[outcome]
     small, paper = (analysis.results[mode][outcome][scope] for mode in _both())
     role = analysis.role(outcome, scope)
-    title = (
-        f"{unit.format(analysis.workload)}, {scope}: {small.n} rows, {small.operators} operators"
-        + (f" ({role})" if role else "")
+    title = f"{unit}, {scope}: {small.n} rows, {small.operators} operators" + (
+        f" ({role})" if role else ""
     )
     if small.refused:
         _print_observed(console, title, small, scale)
@@ -228,7 +222,7 @@ def _print_scope(console: Console, analysis: Analysis, outcome: Outcome, scope: 
 
 
 def _print_observed(console: Console, title: str, result: ScopeResult, scale: float) -> None:
-    """Prints the data where the model to report is refused; figures of mode paper would mislead."""
+    """Prints the observed data of a refused model; the figures of mode paper would mislead."""
     console.print(Text(f"{title}: not tested: {result.refused}", "yellow"), soft_wrap=True)
     if result.observed:
         table = _table("as observed, without a model", ("retargeter", "rows", "mean", "median"))

@@ -15,28 +15,28 @@ from smooth_operator.terminal import printable
 
 
 def export_data(options: Export) -> None:
-    """Writes the files and names them.
+    """Exports the data and prints the names of the files.
 
     Raises:
         StudyError: there is no such study.
         OutputError: a file can't be written.
     """
     _check_there(options.study)
-    with open_study(options.study, name=options.name) as store:
+    with open_study(options.study) as store:
         files = export_study(store, options.output, operators=options.operator or None)
     print(printable(f"written: {', '.join(str(path) for path in files)}"))
 
 
 def erase_data(options: Erase) -> None:
-    """Deletes, after asking; the plan in the folder loses the operator, too.
+    """Deletes the data of an operator after asking, and takes them off the plan in the folder.
 
     Raises:
         StudyError: there is no such study.
         UnknownNameError: there is no such operator.
-        ConfigError: it may not ask, and has no option to go on.
+        ConfigError: there is no terminal to ask in, and --yes is missing.
     """
     _check_there(options.study)
-    with open_study(options.study, name=options.name) as store:
+    with open_study(options.study) as store:
         if options.operator not in (*store.plan.codes, *store.erased):
             raise UnknownNameError("operator", options.operator, store.plan.codes)
         count = len(store.records(options.operator))
@@ -62,7 +62,7 @@ def erase_data(options: Erase) -> None:
 
 
 def _check_there(study: str) -> None:
-    """Opening would make a store where there is none."""
+    """Refuses a missing store, which opening would create."""
     path = Path(study) / FILE if Path(study).is_dir() else Path(study)
     if not path.is_file():
         raise ConfigError(f"nothing is stored at {path}; give the folder of a study that was run")

@@ -1,4 +1,4 @@
-"""``smooth-operator study metrics``: from takes and trials to the table of simulation metrics."""
+"""``smooth-operator study metrics``: computes simulation metrics of the trials from takes."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from smooth_operator.types import CommandTrajectory
 
 
 def study_metrics(options: Metrics) -> None:
-    """Writes the table and names it.
+    """Writes the table of simulation metrics.
 
     Raises:
         StudyError: there is no such study, or no trial of it is in the takes.
@@ -49,7 +49,7 @@ def study_metrics(options: Metrics) -> None:
             f"there are no takes in {str(takes)!r}; record them with smooth-operator teleop --sink "
             f"record:{takes}/, or name their folder with --takes"
         )
-    with open_study(options.study, name=options.name) as store:
+    with open_study(options.study) as store:
         spans = [span for code in store.plan.codes for span in trial_spans(store.progress(code))]
     pieces, hands, covered = [], {}, set()
     with progress.counter("takes") as bar:
@@ -79,7 +79,7 @@ def study_metrics(options: Metrics) -> None:
 
 
 def read_take(file: Path) -> Take:
-    """A take with its hand, and when it was recorded.
+    """Reads a take with its hand and the time of its recording.
 
     Raises:
         SmoothOperatorError: it can't be read, or lacks landmarks, commands or the time of day.
@@ -127,7 +127,7 @@ def read_take(file: Path) -> Take:
 
 
 def _alignment(config: dict[str, Any]) -> AlignmentConfig:
-    """The scale that the method used, where the log says."""
+    """Alignment with the scale that the log names; the default if it names none."""
     try:
         return AlignmentConfig(scale=config["alignment"]["scale"])
     except (KeyError, TypeError):

@@ -1,4 +1,4 @@
-"""``smooth-operator study new`` and ``study enrol``: plans of studies, asked for in a terminal."""
+"""``smooth-operator study new`` and ``study enrol``: make plans of studies, ask in a terminal."""
 
 from __future__ import annotations
 
@@ -45,15 +45,14 @@ from smooth_operator.study.design.protocol import (
 from smooth_operator.terminal import open_console, printable
 
 T = TypeVar("T")
-_YES: Final = ("y", "yes")
 
 
 def ask_protocol(draft: Protocol, console: Console) -> Protocol:
-    """Asks for everything; an answer that can't be is asked for again.
+    """Asks for each part of a protocol; repeats the question after an invalid answer.
 
     Args:
-        draft: what Enter takes.
-        console: where to ask.
+        draft: protocol with the default answers.
+        console: terminal to ask in.
     """
 
     def ask(question: str, default: str, read: Callable[[str], T]) -> T:
@@ -100,7 +99,6 @@ def ask_protocol(draft: Protocol, console: Console) -> Protocol:
         " ".join(draft.questionnaires),
         _points,
     )
-    weights = bool(points) and ask("The 15 pairs of NASA-TLX as well? (y/n)", "n", _yes)
     scopes = [task.name for task in tasks]
     primary = ask(
         "Primary endpoint: success, time or tlx, a slash, and pooled or a task",
@@ -128,7 +126,6 @@ def ask_protocol(draft: Protocol, console: Console) -> Protocol:
             tasks=tuple(tasks),
             familiarisation_s=seconds,
             questionnaires=points,
-            weights=weights,
             seed=seed,
             rate_hz=rate,
             primary=primary,
@@ -196,27 +193,24 @@ def _points(text: str) -> tuple[Point, ...]:
     return tuple(point for point in POINTS if point in words)
 
 
-def _yes(text: str) -> bool:
-    return text.lower() in _YES
-
-
 PAPER_CONDITIONS: Final = (
     Condition("sbr", preset="paper"),
     Condition("dexpilot", preset="published"),
     Condition("geort"),  # a model that is trained for the hand and the operator
     Condition("hybrid", preset="published"),
 )
-"""Methods with the settings of the authors' code, which the defaults here differ from."""
+"""Conditions of the paper: methods with the settings of their authors' code."""
 PAPER_RATE_HZ: Final = 30.0
 PAPER_OPERATORS: Final = 18
 _STORE: Final = "study.db"
 
 
 def new_study(options: New) -> None:
-    """Makes a plan, writes it, prints the schedule.
+    """Makes a plan, writes its files and prints the schedule.
 
     Raises:
-        StudyError: what was asked for is no study, or one is there.
+        StudyError: the options make no study.
+        ConfigError: the folder holds a study already, or options contradict each other.
         OutputError: a file can't be written.
     """
     folder = options.folder
@@ -249,7 +243,7 @@ def new_study(options: New) -> None:
 
 
 def enrol_operator(options: Enrol) -> None:
-    """Adds an operator to the plan, in the file; the store takes it over when it is opened next.
+    """Adds an operator to the plan in the file and in the store.
 
     Raises:
         StudyError: there is no such study, or the operator does these tasks already.
@@ -272,7 +266,7 @@ def enrol_operator(options: Enrol) -> None:
 
 
 def _has_options(options: New) -> bool:
-    """True if an option says what the study is to be."""
+    """True if an option describes the study."""
     others = ("folder", "from_", "no_wizard", "overwrite")
     return any(
         getattr(options, one.name) not in (one.default, [])
@@ -309,7 +303,6 @@ def _protocol(options: New) -> Protocol:
         operators=operators,
         familiarisation_s=120.0 if options.familiarisation is None else options.familiarisation,
         questionnaires=tuple(point for point in POINTS if point in points),
-        weights=options.weights,
         seed=options.seed or 0,
         forms=() if options.no_forms else DEFAULT_FORMS,
         rate_hz=rate,

@@ -1,7 +1,7 @@
 """Options of ``smooth-operator study`` and of its subcommands.
 
 A further subcommand: write its options as a dataclass here and its work in a file of its own (as
-``study_analyze.py``), which is imported when it runs; then add one line to ``What``.
+``study_analyze.py``), which is imported when it runs; then add one line to ``Subcommand``.
 """
 
 from __future__ import annotations
@@ -23,13 +23,10 @@ class Stored(Common):
     study: Annotated[Positional[str], arg(metavar="STUDY")]
     """Folder of the study, or its study.db."""
 
-    name: Annotated[str | None, arg(metavar="TEXT")] = None
-    """Name of the study, where a study.db holds several."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class Export(Stored):
-    """What was stored, as trials.csv, tlx.csv and one study.json with the whole log."""
+    """Write the stored data as trials.csv, tlx.csv and one study.json with the whole log."""
 
     work: ClassVar[str] = "smooth_operator.cli.study_data:export_data"
     details: ClassVar[str] = """Examples:
@@ -37,28 +34,28 @@ class Export(Stored):
   smooth-operator study export my-study --operator P07 --output data-of-P07"""
 
     output: Annotated[Path, arg(metavar="FOLDER")]
-    """Where the files go."""
+    """Folder of the files."""
 
     operator: Annotated[tuple[str, ...], arg(metavar="CODE ...")] = ()
-    """Only of these operators; all if left out."""
+    """Operators to export; all if left out."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Erase(Stored):
-    """Deletes all that is stored of one operator, for good."""
+    """Delete all data of one operator for good."""
 
     work: ClassVar[str] = "smooth_operator.cli.study_data:erase_data"
-    details: ClassVar[str] = """The code stays taken, and the operator is taken off the plan. Copies
-that were exported are not touched.
+    details: ClassVar[str] = """The operator is taken off the plan, and the code is not used again.
+Exported copies stay.
 
 Example:
   smooth-operator study erase my-study P07 --yes"""
 
     operator: Annotated[Positional[str], arg(metavar="CODE")]
-    """Whose data."""
+    """Pseudonym of the operator."""
 
     yes: bool = False
-    """Don't ask."""
+    """Delete without asking."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,10 +73,10 @@ Examples:
   smooth-operator study metrics my-study --takes other/takes --output data/sim_metrics.csv"""
 
     takes: Annotated[Path | None, arg(metavar="FOLDER")] = None
-    """Where the recordings are; STUDY/takes if left out."""
+    """Folder of the recordings; STUDY/takes if left out."""
 
     output: Annotated[Path | None, arg(metavar="CSV")] = None
-    """The table; STUDY/sim_metrics.csv if left out."""
+    """File of the table; STUDY/sim_metrics.csv if left out."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,8 +103,8 @@ Examples:
     """Name of the study; the folder's if left out."""
 
     conditions: Annotated[tuple[str, ...], arg(metavar="NAME[=METHOD[:PRESET]] ...")] = ()
-    """What is compared; the name alone if the method is called so. If left out, the paper's four
-    with the settings of its authors' code."""
+    """Compared conditions; the name alone if the method has the same name. If left out, the paper's
+    four with the settings of its authors' code."""
 
     baseline: Annotated[str | None, arg(metavar="NAME")] = None
     """Condition that the others are compared with; dexpilot, or the first."""
@@ -122,10 +119,10 @@ Examples:
     conditions (0.1, 5, 10), else none."""
 
     tasks: Annotated[tuple[str, ...], arg(metavar="NAME[:TRIALS[:OPERATORS]] ...")] = ()
-    """What is done; 10 trials a block and all operators if left out."""
+    """Tasks; 10 trials a block and all operators if left out."""
 
     operators: Annotated[int | None, arg(metavar="INT")] = None
-    """How many take part."""
+    """Number of operators."""
 
     familiarisation: Annotated[float | None, arg(metavar="SECONDS")] = None
     """Free movement before the trials of a block [s]; 120 if left out."""
@@ -135,9 +132,6 @@ Examples:
         arg(metavar="initial midpoint final|none"),
     ] = ()
     """NASA-TLX after the first, middle and last trial of a block: all three if left out."""
-
-    weights: bool = False
-    """Ask for the 15 pairwise comparisons of NASA-TLX at the end of a block."""
 
     no_forms: bool = False
     """Leave out the forms (consent, about the operator, a look back) on the operator's page."""
@@ -175,12 +169,12 @@ class Enrol(Common):
     """Pseudonym; never a name."""
 
     tasks: Annotated[tuple[str, ...], arg(metavar="NAME ...")] = ()
-    """What the operator does; all tasks if left out."""
+    """Tasks of the operator; all if left out."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Power(Common):
-    """How many operators are enough? Simulates studies of a plan and analyses each."""
+    """Find how many operators are enough: simulate studies of a plan and analyse each."""
 
     work: ClassVar[str] = "smooth_operator.cli.study_power:simulate_power"
     details: ClassVar[str] = """For each number of operators, studies with the assumed differences
@@ -198,13 +192,13 @@ Examples:
     """Folder of the study, or its study.toml; the paper's design if left out."""
 
     operators: Annotated[tuple[int, ...], arg(metavar="INT ...")] = ()
-    """Numbers of operators; a third to twice as many as are planned if left out."""
+    """Numbers of operators; from a third to twice the planned number if left out."""
 
     studies: Annotated[int, arg(metavar="INT")] = 1000
-    """Simulated studies for each number, with the differences and again without."""
+    """Simulated studies for each number of operators, with the differences and again without."""
 
     success: Annotated[tuple[str, ...], arg(metavar="NAME=SHARE ...")] = ()
-    """Expected success of conditions, 0 to 1."""
+    """Expected success rate of conditions, 0 to 1."""
 
     time: Annotated[tuple[str, ...], arg(metavar="NAME=SECONDS ...")] = ()
     """Expected time of successful trials [s]."""
@@ -239,7 +233,7 @@ Examples:
     """Processes; one for each core if left out."""
 
     output: Annotated[Path | None, arg(metavar="FOLDER")] = None
-    """Where results go; the folder power of the study if left out, else power."""
+    """Folder of the results; STUDY/power if left out, or power without a study."""
 
     json: bool = False
     """One JSON object on standard output instead of the tables."""
@@ -259,16 +253,10 @@ at any time, and continue where they were. Ctrl-C ends.
 Examples:
   smooth-operator study run my-study --open
   smooth-operator study run my-study --host 0.0.0.0 --teleop tcp://127.0.0.1:5558 --blind
-  smooth-operator study run my-study --store /data/lab.db --operator P03"""
+  smooth-operator study run my-study --operator P03"""
 
     study: Annotated[Positional[str], arg(metavar="STUDY")]
     """Folder of the study."""
-
-    store: Annotated[str | None, arg(metavar="FILE")] = None
-    """SQLite file instead of study.db in the folder; it may hold several studies."""
-
-    name: Annotated[str | None, arg(metavar="TEXT")] = None
-    """Name of the study, where study.db holds several."""
 
     operator: Annotated[str | None, arg(metavar="CODE")] = None
     """The current operator; if left out, the last active one who has not finished."""
@@ -277,11 +265,11 @@ Examples:
     """Show labels instead of conditions. The operator's page never shows either."""
 
     teleop: Annotated[str | None, arg(metavar="ADDRESS")] = None
-    """A running teleop --control ADDRESS, to be switched to the condition of each block."""
+    """Address of a running teleop --control, which is switched to the condition of each block."""
 
     host: Annotated[str, arg(metavar="ADDRESS")] = "127.0.0.1"
-    """Where the pages listen; 0.0.0.0 lets other machines in, such as a tablet, by links with
-    a token."""
+    """Address on which the pages listen; 0.0.0.0 lets other machines in, such as a tablet, by links
+    with a token."""
 
     port: int = 8765
     """Port of the pages; 0 for any free one."""
@@ -300,8 +288,7 @@ a folder with trials.csv, tlx.csv and, if there is one, sim_metrics.csv; or such
 and in any order; or one JSON file of study export. Every value is checked, and
 errors are listed by row and column. Columns:
   trials      operator, task, retargeter, block, trial_in_block, trial_global, score, time_s
-  tlx         operator, task, retargeter, block, point, and the six scales; for --workload
-              weighted also weight_mental, weight_physical, ... (times chosen, 15 together)
+  tlx         operator, task, retargeter, block, point, and the six scales
   simulation  operator, retargeter, and a column for each metric
 
 In the folder of a given trials.csv, sim_metrics.csv is read too, and the plan from study.json.
@@ -320,10 +307,7 @@ Examples:
   smooth-operator study analyze my-study/ --output out --no-report"""
 
     study: Annotated[Positional[tuple[str, ...]], arg(metavar="STUDY|CSV...")]
-    """The data."""
-
-    name: Annotated[str | None, arg(metavar="TEXT")] = None
-    """Name of the study, where a study.db holds several."""
+    """Folder, database or tables of the study."""
 
     baseline: Annotated[str | None, arg(metavar="NAME")] = None
     """The retargeter that the others are compared with. If left out, the plan's, or dexpilot
@@ -332,15 +316,8 @@ Examples:
     exclude: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="OPERATOR=REASON")] = ()
     """An operator to leave out, with the reason, which is reported; repeatable."""
 
-    second_rater: Annotated[Path | None, arg(metavar="CSV")] = None
-    """Scores by another rater: operator, task, block, trial_in_block, score."""
-
     output: Annotated[Path, arg(metavar="FOLDER")]
     """Folder to write, created if missing."""
-
-    workload: Literal["raw", "weighted"] = "raw"
-    """Mean of the six scales, or weighted by the operators' choices between pairs of them, which
-    every block must then have."""
 
     seed: int = 11
     """Seed of the bootstrap over operators."""
@@ -355,7 +332,7 @@ Examples:
     """No progress on standard error, no tables on standard output."""
 
 
-What: TypeAlias = (
+Subcommand: TypeAlias = (
     Annotated[New, subcommand("new")]
     | Annotated[Enrol, subcommand("enrol")]
     | Annotated[Power, subcommand("power")]
@@ -380,5 +357,5 @@ class Study(Group):
 
 Each has its own help: smooth-operator study analyze --help"""
 
-    what: Annotated[OmitSubcommandPrefixes[What], arg(name="")]
-    """What to do."""
+    what: Annotated[OmitSubcommandPrefixes[Subcommand], arg(name="")]
+    """Subcommand."""

@@ -1,4 +1,4 @@
-"""``smooth-operator study run``: opens the study, serves its console until Ctrl-C."""
+"""``smooth-operator study run``: opens a study and serves its console until Ctrl-C."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from smooth_operator.cli.study_options import Run
-from smooth_operator.errors import ConfigError, UnknownNameError
+from smooth_operator.errors import ConfigError
 from smooth_operator.signals import Ending, ended_by_signals
 from smooth_operator.study.console.access import auth_for
 from smooth_operator.study.console.server import Console, check_installed
@@ -33,37 +33,37 @@ from smooth_operator.web.listening import listen
 
 
 def run_study(options: Run) -> None:
-    """Serves both pages.
+    """Serves the pages of a study until Ctrl-C.
 
     Raises:
         StudyError: there is no such study, or its store can't be opened.
         ConfigError: the pages can't be served there.
-        MissingExtraError: what the console or the teleoperation needs is missing.
+        MissingExtraError: a package of the console or the teleoperation is missing.
     """
     check_installed()
     teleop = _teleop(options.teleop)
-    with _listening(options) as listening, _opened(options) as store:
+    folder = _folder(options.study)
+    with _listening(options) as listening, _opened(folder) as store:
         port = int(listening.getsockname()[1])
         auth = auth_for(options.host, store.name)
         links = auth.links(options.host, port)
-        folder = _folder(options.study)
-        _register(store, folder)
+        _write_preregistration(store, folder)
         service = SessionService(
             store,
             operator=options.operator,
             blind=options.blind,
             teleop=teleop,
             words=_words(store.plan, folder),
-            enrolled=lambda plan: _keep_plan(plan, folder),
+            enrolled=lambda plan: _write_plan(plan, folder),
             changed=lambda: console.changed(),
-            report=_say,
+            report=print_note,
         )
         console = Console(service, auth, links, local=is_local(options.host))
 
         def ready() -> None:
-            _say(f"study {store.name!r}, for the experimenter: {links['experimenter']}")
-            _say(f"for the operator's tablet: {links['operator']}")
-            _say("Ctrl-C ends; nothing is lost")
+            print_note(f"study {store.name!r}, for the experimenter: {links['experimenter']}")
+            print_note(f"for the operator's tablet: {links['operator']}")
+            print_note("Ctrl-C ends; nothing is lost")
             if options.open:
                 open_page(links["experimenter"])
 
@@ -93,31 +93,23 @@ def _listening(options: Run) -> socket.socket:
         ) from error
 
 
-def _opened(options: Run) -> StudyStore:
-    """The store, with all operators that it or the plan in the folder know."""
-    folder = _folder(options.study)
+def _opened(folder: Path) -> StudyStore:
+    """Opens the store with all operators of the stored plan and of the plan in the folder."""
     file = folder / NAME
     if not file.is_file():
         if not (folder / FILE).is_file():
             raise ConfigError(
-                f"there is no study in {options.study}: no {NAME}; make one with smooth-operator "
-                "study new"
+                f"there is no study in {folder}: no {NAME}; make one with smooth-operator study new"
             )
-        return open_study(folder, name=options.name)
+        return open_study(folder)
     plan = read_plan(file)
-    return _open_store(options.store or folder, plan)
-
-
-def _open_store(target: str | Path, plan: Plan) -> StudyStore:
-    """The store of a plan: made if it is not there, brought up to date if it is."""
+    if not (folder / FILE).is_file():
+        return open_study(folder, plan)
+    store = open_study(folder)
     try:
-        store = open_study(target, name=plan.protocol.name)
-    except UnknownNameError:
-        return open_study(target, plan)
-    # Who was enrolled on a page is in the store, but not in the file if that went wrong.
-    stored, erased = store.plan, store.erased
-    new = [one for one in plan.enrolled if one.code not in (*stored.codes, *erased)]
-    try:
+        # An operator who was enrolled on a page is missing in a file that could not be written.
+        stored, erased = store.plan, store.erased
+        new = [one for one in plan.enrolled if one.code not in (*stored.codes, *erased)]
         store.revise(replace(plan, enrolled=(*stored.enrolled, *new)))
     except BaseException:
         store.close()
@@ -126,7 +118,7 @@ def _open_store(target: str | Path, plan: Plan) -> StudyStore:
 
 
 def _words(plan: Plan, folder: Path) -> TlxWords:
-    """The words of NASA-TLX for the operators."""
+    """Reads the words of NASA-TLX for the operators."""
     file = plan.protocol.tlx_language
     if not file:
         return ENGLISH
@@ -138,20 +130,20 @@ def _folder(study: str) -> Path:
     return path if path.is_dir() else path.parent
 
 
-def _keep_plan(plan: Plan, folder: Path) -> None:
-    """The files of a plan that was changed on a page."""
+def _write_plan(plan: Plan, folder: Path) -> None:
+    """Writes the files of a plan that was changed on a page."""
     if (folder / NAME).is_file():
         write_plan_files(plan, folder)
 
 
-def _register(store: StudyStore, folder: Path) -> None:
-    """The pre-registration of a plan that was changed by hand, as long as nobody has begun."""
+def _write_preregistration(store: StudyStore, folder: Path) -> None:
+    """Writes the pre-registration of a plan that was changed by hand, before anyone has begun."""
     if not (folder / NAME).is_file():
         return
     if not any(store.records(code) for code in store.plan.codes):
         path = write_preregistration(store.plan, folder)
         if path is not None:
-            _say(f"written for the plan as it is now: {path}")
+            print_note(f"written for the plan as it is now: {path}")
 
 
 def _teleop(address: str | None) -> Teleop | None:
@@ -160,7 +152,3 @@ def _teleop(address: str | None) -> Teleop | None:
     from smooth_operator.teleop.runtime.remote_client import RemoteTeleop
 
     return RemoteTeleop(address, timeout_s=2.0)
-
-
-def _say(text: str) -> None:
-    print_note(text)

@@ -36,7 +36,7 @@ from smooth_operator.study.analysis.results import (
     plain,
 )
 from smooth_operator.study.analysis.spearman import correlations
-from smooth_operator.study.data.rows import ITEMS, StudyData, Workload
+from smooth_operator.study.data.rows import ITEMS, StudyData
 
 Report = Callable[[str], None]
 _DEFAULT_BASELINE: Final = "dexpilot"
@@ -84,14 +84,9 @@ class Analysis:
             return ""
         return "primary" if (outcome, scope) == self.primary else "exploratory"
 
-    @property
-    def workload(self) -> Workload:
-        """Kind of the workload."""
-        return "raw" if self.data.questionnaires is None else self.data.questionnaires.kind
-
     @cached_property
     def readings(self) -> Readings:
-        """Sensitivity analyses, equivalence, agreement, preference."""
+        """Sensitivity analyses, equivalence, interaction and preference."""
         small = self.results[MODES[0]]
         return read_further(
             self.data, self.retargeters, self.scopes, small, self.interaction, seed=self.seed
@@ -121,7 +116,7 @@ class Analysis:
             "operators": sorted({str(name) for name in self.data.trials.operator}),
             "trials": len(self.data.trials),
             "questionnaires": len(self.data.questionnaires or ()),
-            "workload": self.workload,
+            "workload": "raw",
             "notes": list(self.data.notes),
             "files": list(self.data.sources),
             "default_mode": MODES[0],

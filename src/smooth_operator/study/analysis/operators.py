@@ -54,11 +54,11 @@ def leave_out(data: StudyData, exclude: Mapping[str, str] | None = None) -> Stud
     gone = sorted(out)
     changes: dict[str, Any] = {
         name: table.where(~np.isin(table.operator, gone))
-        for name in ("trials", "questionnaires", "metrics", "second_ratings")
+        for name in ("trials", "questionnaires", "metrics")
         if (table := getattr(data, name)) is not None
     }
     changes["ranking"] = {code: v for code, v in data.ranking.items() if code not in out}
-    for name in ("questionnaires", "metrics", "second_ratings"):
+    for name in ("questionnaires", "metrics"):
         if name in changes and len(changes[name]) == 0:
             changes[name] = None
     return replace(data, flow=flow, **changes)

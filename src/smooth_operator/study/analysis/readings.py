@@ -1,8 +1,8 @@
-"""Further readings of a study: what reviewers ask for, next to the models that are reported.
+"""Further readings of a study, next to the models that are reported.
 
-Success as the full score only; equivalence by two one-sided tests (Schuirmann 1987); does a
-difference depend on the task; time with failures; agreement of raters; preference. Each has its
-figures or the reason why it has none.
+Success as the full score only; equivalence by two one-sided tests (Schuirmann 1987); interaction of
+retargeter and task; time with failures; preference. Each has its figures, or the reason why it has
+none.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ import numpy as np
 from scipy.special import ndtr, stdtr
 
 from smooth_operator.errors import StudyError
-from smooth_operator.study.analysis.agreement import Agreement, Preference, agreement, preference
 from smooth_operator.study.analysis.dunnett import holm, quantile
 from smooth_operator.study.analysis.frame import (
     Frame,
@@ -27,6 +26,7 @@ from smooth_operator.study.analysis.frame import (
 )
 from smooth_operator.study.analysis.models import WaldTest, fit_with
 from smooth_operator.study.analysis.outcomes import observed
+from smooth_operator.study.analysis.preference import Preference, preference
 from smooth_operator.study.analysis.results import (
     OUTCOMES,
     POOLED,
@@ -184,7 +184,6 @@ class Readings:
         time_to_success: by scope, with failures.
         equivalence: by outcome, scope and pair.
         interaction: by outcome, retargeter x task.
-        second_rater: None without second ratings.
         preference: None without rankings.
     """
 
@@ -192,7 +191,6 @@ class Readings:
     time_to_success: Mapping[str, TimeToSuccess | Refused]
     equivalence: Mapping[Outcome, Mapping[str, Mapping[str, Equivalence]]]
     interaction: Mapping[Outcome, Interaction | Refused]
-    second_rater: Agreement | Refused | None = None
     preference: Preference | Refused | None = None
 
 
@@ -240,7 +238,6 @@ def read_further(
             for outcome in OUTCOMES
         },
         interaction=depending,
-        second_rater=_second_rater(data, seed),
         preference=preference(rankings, retargeters, seed=seed) if rankings else None,
     )  # fmt: skip
 
@@ -265,27 +262,6 @@ def _frames(data: StudyData, baseline: str) -> dict[Outcome, Frame]:
     if data.questionnaires is not None:
         frames["tlx"] = tlx_frame(data.questionnaires, POOLED, baseline)
     return frames
-
-
-def _second_rater(data: StudyData, seed: int) -> Agreement | Refused | None:
-    second = data.second_ratings
-    if second is None:
-        return None
-    by_trial = {
-        (str(who), str(task), int(block), int(trial)): float(score)
-        for who, task, block, trial, score in zip(
-            second.operator, second.task, second.block, second.trial_in_block, second.score,
-            strict=True,
-        )
-    }  # fmt: skip
-    trials = data.trials
-    scores = [
-        by_trial.get((str(who), str(task), int(block), int(trial)), np.nan)
-        for who, task, block, trial in zip(
-            trials.operator, trials.task, trials.block, trials.trial_in_block, strict=True
-        )
-    ]
-    return agreement(trials.score, np.array(scores), trials.operator, seed=seed)
 
 
 Row = dict[str, Any]

@@ -43,7 +43,7 @@ def correlations(data: StudyData, *, seed: int = 11, draws: int = DRAWS) -> dict
         has the correlation of ranks within operators: ``rho``, ``n``, ``operators``, ``lcl`` and
         ``ucl`` of the bootstrap, ``p`` by changing the signs of operators, ``p_holm`` over all
         pairs. ``means`` has that of the retargeters' means, ``rho`` and ``n``. Outcomes are
-        ``success``, ``time_s`` and ``raw_tlx`` or ``weighted_tlx``. Empty without metrics.
+        ``success``, ``time_s`` and ``raw_tlx``. Empty without metrics.
     """
     if data.metrics is None:
         return {}
@@ -133,7 +133,7 @@ def _means(data: StudyData) -> dict[str, dict[tuple[str, str], float]]:
     if data.questionnaires is not None:
         table = data.questionnaires
         answered = np.isfinite(table.workload)
-        means[f"{table.kind}_tlx"] = _by_pair(
+        means["raw_tlx"] = _by_pair(
             table.operator[answered], table.retargeter[answered], table.workload[answered]
         )
     return means

@@ -1,7 +1,8 @@
-"""Token authentication: the operator's token opens the operator's page alone.
+"""Authentication by token: the operator's token opens the operator's page only.
 
-On this machine alone no token is asked for; other pages of the same browser are kept out by their
-origin. Tokens are kept, since a tablet must come back by itself when the console is started again.
+A console that only this machine reaches asks for no token; pages of other sites in the same browser
+are refused by their origin. Tokens stay the same, so that a tablet reconnects by itself when the
+console is started again.
 """
 
 from __future__ import annotations
@@ -32,18 +33,18 @@ OPERATORS: Final = (
     "/operator", "/operator/link", "/operator.js", "/tlx.js", "/form.js",
     "/link.js", "/dom.js", "/console.css", "/icon.svg",
 )  # fmt: skip
-"""All that the operator's token opens."""
+"""Paths that the operator's token opens."""
 
 
 @dataclass(frozen=True)
 class ConsoleAuth(TokenAuth):
-    """Asks for the token of a page's role; the operator's opens the operator's page alone."""
+    """Authentication with one token for each role; the operator's opens ``OPERATORS`` only."""
 
     paths: Mapping[str, Collection[str]] = field(default_factory=lambda: {"operator": OPERATORS})
     shown_by: str = "the terminal, or the experimenter's page,"
 
     def links(self, host: str, port: int) -> dict[Role, str]:
-        """Address of each page, with what opens it."""
+        """Returns the address of each page with its token."""
         base = page_addresses(host, port, "http")[0]
         return {
             role: base + path + ("" if self.tokens is None else f"?token={self.tokens[role]}")
@@ -52,11 +53,11 @@ class ConsoleAuth(TokenAuth):
 
 
 def auth_for(host: str, study: str) -> ConsoleAuth:
-    """The authentication of a console that listens on ``host``.
+    """Returns the authentication of a console.
 
     Args:
-        host: where it listens; tokens are asked for unless only this machine reaches it.
-        study: whose tokens; the same after a restart.
+        host: address on which the console listens; a loopback address needs no tokens.
+        study: name of the study; its tokens are the same after a restart.
     """
     if is_local(host):
         return ConsoleAuth(None)
@@ -69,7 +70,7 @@ def auth_for(host: str, study: str) -> ConsoleAuth:
 
 
 def qr_code(text: str) -> bytes:
-    """A QR code as SVG, to be shown on any background."""
+    """Returns a QR code as SVG with its own light background."""
     import io
 
     import segno
@@ -82,9 +83,9 @@ def qr_code(text: str) -> bytes:
 
 
 def _secret() -> bytes:
-    """32 bytes of this user on this machine, drawn once; of this run alone if they can't be kept.
+    """32 random bytes of this user on this machine; new ones in each run if they can't be stored.
 
-    Not in the folder of the study, which may be given away.
+    They are not in the folder of the study, which may be given to others.
     """
     drawn = secrets.token_bytes(32)
     if os.environ.get(SWITCH, "").strip().lower() in OFF:
@@ -92,15 +93,15 @@ def _secret() -> bytes:
     file = user_cache() / "study" / "console.key"
     try:
         make_private(file.parent)
-        _keep(file, drawn)
+        _write_once(file, drawn)
         stored = read_own_file(file, len(drawn), secret=True)
-    except (OSError, DocumentError):  # others may know it
+    except (OSError, DocumentError):  # others may be able to read the file
         return drawn
     return stored if len(stored) == len(drawn) else drawn
 
 
-def _keep(file: Path, content: bytes) -> None:
-    """Writes a file whole, unless it is there."""
+def _write_once(file: Path, content: bytes) -> None:
+    """Writes a file unless it exists; no reader sees a part of it."""
     if file.exists():
         return
     draft = file.with_name(f".{file.name}.{secrets.token_hex(4)}")
@@ -109,6 +110,6 @@ def _keep(file: Path, content: bytes) -> None:
         with os.fdopen(handle, "wb") as out:
             out.write(content)
         with contextlib.suppress(FileExistsError):
-            os.link(draft, file)  # the first of two that do this in parallel wins
+            os.link(draft, file)  # the first of two parallel writers wins
     finally:
         draft.unlink()

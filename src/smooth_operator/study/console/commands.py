@@ -1,8 +1,8 @@
-"""Commands of the pages: checked, and turned into events of the store.
+"""Commands of the pages: checks them, and makes events of them.
 
-A command is a JSON object: ``token`` (any text that belongs to it alone), ``do`` (a word below),
-``operator``, ``after`` (number of the last event that the page had seen), ``waited_s`` (time since
-it was given: it may have lain in a page that was cut off) and the fields of its word.
+A command is a JSON object: ``token`` (unique text), ``do`` (a word below), ``operator``, ``after``
+(number of the last event that the page had seen), ``waited_s`` (age of the command [s]: it may have
+waited in a page without a connection) and the ``fields`` of its word.
 """
 
 from __future__ import annotations
@@ -13,34 +13,32 @@ from dataclasses import dataclass
 from typing import Any, Final, Literal, TypeAlias
 
 from smooth_operator.errors import StudyError
+from smooth_operator.study.store import events
 from smooth_operator.study.store.clock import Elapsed
-from smooth_operator.study.store.events import ASIDE, Amended, Event, event_of
-from smooth_operator.study.store.events import EVENTS as KINDS
-from smooth_operator.study.store.nasa_tlx import shown_pairs
-from smooth_operator.study.store.operator_state import Trial
-from smooth_operator.study.store.progress import Progress
+from smooth_operator.study.store.progress import Progress, Trial
 
 Role: TypeAlias = Literal["experimenter", "operator"]
-EVENTS: Final = {event.word: kind for kind, event in KINDS.items() if event.word}
-"""Word -> kind of the event that it causes."""
+EVENTS: Final = {event.command: kind for kind, event in events.EVENTS.items() if event.command}
+"""Command -> kind of the event that it causes."""
 OTHER: Final = ("choose", "enrol", "replace", "switch", "cancel_start")
-"""Words that cause no event of the operator who is on."""
-OPERATOR_MAY: Final = ("answer", "weigh", "form")
+"""Commands that cause no event of the current operator."""
+OPERATOR_COMMANDS: Final = ("answer", "form")
+"""Commands of the operator's page; the experimenter's page has all others."""
 _LONGEST_WAIT: Final = 86_400.0
 _TOKEN: Final = range(8, 129)
 
 
 @dataclass(frozen=True)
 class Command:
-    """One thing that a page asks for.
+    """A request of a page.
 
     Attributes:
-        token: belongs to it alone, however often it is sent.
+        token: unique text of the command, the same each time that it is sent.
         do: one of ``EVENTS`` or ``OTHER``.
         operator: pseudonym.
         after: number of the last event that the page had seen; None where that doesn't matter.
-        fields: what else its word needs.
-        waited_s: since it was given [s]; of a score: since the clock was stopped.
+        fields: further fields of the command.
+        waited_s: age of the command [s]; for a score the time since the clock was stopped.
     """
 
     token: str
@@ -52,23 +50,20 @@ class Command:
 
 
 def command_of(message: Mapping[str, Any], role: Role) -> Command:
-    """A command from a page, checked as far as it can be without the study.
+    """Makes a command of a page's message, checked as far as possible without the study.
 
     Raises:
-        StudyError: it is none, or not one that this page may give.
+        StudyError: the message is no command, or not one of this page.
     """
     token, do, operator = message.get("token"), message.get("do"), message.get("operator", "")
+    after, fields = message.get("after"), message.get("fields", {})
+    waited = message.get("waited_s", 0.0)
     if not isinstance(token, str) or len(token) not in _TOKEN or not token.isprintable():
         raise StudyError(f"a command needs a token of 8 to 128 characters, not {token!r}")
     if not isinstance(do, str) or do not in (*EVENTS, *OTHER):
         raise StudyError(f"no such command: {do!r}; reload the page")
-    if role == "operator" and do not in OPERATOR_MAY:
-        raise StudyError(f"the operator's page may not do {do!r}")
-    after, fields, waited = (
-        message.get("after"),
-        message.get("fields", {}),
-        message.get("waited_s", 0.0),
-    )
+    if (role == "operator") != (do in OPERATOR_COMMANDS):
+        raise StudyError(f"the {role}'s page may not do {do!r}")
     if not isinstance(operator, str) or not isinstance(fields, Mapping):
         raise StudyError("a command needs an operator and its fields; reload the page")
     if after is not None and (isinstance(after, bool) or not isinstance(after, int)):
@@ -76,13 +71,6 @@ def command_of(message: Mapping[str, Any], role: Role) -> Command:
     number = isinstance(waited, int | float) and not isinstance(waited, bool)
     if not number or not math.isfinite(waited) or not 0 <= waited <= _LONGEST_WAIT:
         raise StudyError(f"waited_s must be 0 to {_LONGEST_WAIT:g} s, not {waited!r}")
-    who = fields.get("who", "")
-    typed = bool(who.strip()) if isinstance(who, str) else bool(who)
-    if do in OPERATOR_MAY and typed != (role == "experimenter"):
-        raise StudyError(
-            "what an operator answers needs the initials of who types it in for them, on the "
-            "experimenter's page and nowhere else"
-        )
     return Command(token, do, operator, after, dict(fields), float(waited))
 
 
@@ -92,18 +80,18 @@ def event_for(
     elapsed: Elapsed | None,
     measured_s: float | None = None,
     more: Mapping[str, Any] | None = None,
-) -> Event:
-    """The event that a command causes. What the protocol decides is not taken from the page.
+) -> events.Event:
+    """Makes the event of a command. Facts that the protocol decides are not taken from the page.
 
     Args:
-        command: what is asked for.
-        progress: of its operator.
-        elapsed: from the start of the trial until it came; None where none runs.
-        measured_s: how long the trial took, where something better than a person measured it [s].
-        more: fields that this program knows and a page does not say.
+        command: request of the page.
+        progress: progress of its operator.
+        elapsed: time from the start of the trial to the command; None without a trial.
+        measured_s: time of the trial by a simulation [s]; None without one.
+        more: fields that the console knows and the page does not send.
 
     Raises:
-        StudyError: a field is missing, unknown or wrong, or nothing runs that could be scored.
+        StudyError: a field is missing, unknown or wrong, or no trial runs that could be scored.
         UnknownNameError: the rubric has no such line.
     """
     values = dict(command.fields)
@@ -115,12 +103,9 @@ def event_for(
     elif command.do == "start_block":
         block = progress.step.block
         values["condition"] = "" if block is None else block.condition.name
-    elif command.do == "weigh" and not values.get("who"):  # paper has an order of its own
-        pairs = shown_pairs(progress.plan.protocol.seed, progress.operator)
-        values["shown"] = ["-".join(pair) for pair in pairs]
     elif command.do == "amend":
         values = _amended(values, progress)
-    return event_of(EVENTS[command.do], {**values, **(more or {})})
+    return events.event_of(EVENTS[command.do], {**values, **(more or {})})
 
 
 def _check_reset(line: str, trial: Trial | None) -> None:
@@ -132,7 +117,7 @@ def _check_reset(line: str, trial: Trial | None) -> None:
 
 
 def _amended(values: dict[str, Any], progress: Progress) -> dict[str, Any]:
-    """An amendment with what it leaves as it is; its score is the rubric's."""
+    """Completes an amendment by the trial's line and time, and by the score of the rubric."""
     task, block, number = (values.get(name) for name in ("task", "block", "trial"))
     trial = progress.scored_trial(str(task), _whole(block), _whole(number))
     line = str(values.get("line") or trial.line)
@@ -152,16 +137,16 @@ def trial_time(
     waited_s: float,
     measured_s: float | None = None,
 ) -> float:
-    """Time of the trial that runs [s], to the millisecond.
+    """Time of the running trial [s], to the millisecond.
 
-    From its stored start until its clock was stopped, so that neither a killed server nor a lost
-    connection changes it. A trial whose score was undone keeps the time that it had.
+    It goes from the stored start to the moment when the page stopped the clock, so that neither a
+    killed server nor a lost connection changes it. A trial whose score was undone keeps its time.
 
     Args:
-        progress: of the operator.
-        elapsed: from its start until now.
-        waited_s: how long ago the clock was stopped [s].
-        measured_s: what a simulation says, without pauses [s]; by its own clock.
+        progress: progress of the operator.
+        elapsed: time from the start of the trial until now.
+        waited_s: time since the page stopped the clock [s].
+        measured_s: time by the clock of a simulation, without pauses [s].
     """
     trial = progress.running
     if trial is None or elapsed is None:
@@ -174,17 +159,17 @@ def trial_time(
 
 
 def check_seen(command: Command, progress: Progress) -> None:
-    """Refuses what was asked for on a page that had not seen what happened meanwhile.
+    """Refuses a command of a page that had not seen the latest events.
 
     Raises:
-        StudyError: says what happened.
+        StudyError: says which event the page had not seen.
     """
     if command.after is None or command.do == "note":
         return
     for record in progress.records[command.after :]:
-        if isinstance(record.event, Amended) and command.do not in ("amend", "undo"):
-            continue  # of an earlier trial: what is due is the same
-        if not isinstance(record.event, ASIDE):
+        if isinstance(record.event, events.Amended) and command.do not in ("amend", "undo"):
+            continue  # it concerns an earlier trial: the step that is due is the same
+        if not isinstance(record.event, events.ASIDE):
             what = record.event.kind.replace("_", " ")
             raise StudyError(
                 f"not done: meanwhile another page, or this console itself, wrote event "

@@ -1,10 +1,9 @@
 """Both pages and their WebSockets on one port.
 
-From a page come ``{"type": "hello", "operator": ...}`` and ``{"type": "command", ...}``
-(``.commands``). To it go ``state`` (all that it shows, again after each change), ``done`` and
-``refused`` (by the command's token; ``again`` if the same may succeed later) and, once a second,
-``alive``: without it a page knows that it is cut off. A command is answered with ``done`` only when
-it is on the disk.
+A page sends ``{"type": "command", ...}`` (``.commands``). It receives ``state`` (its whole content,
+again after each change), ``done`` and ``refused`` (with the command's token; ``again`` if the same
+command may succeed later) and, once a second, ``alive``: a page that misses it is cut off. A
+command is answered with ``done`` only when its event is on disk.
 """
 
 from __future__ import annotations
@@ -39,18 +38,18 @@ _ALIVE_S: Final = 1.0
 _LOOK_S: Final = 1.5
 """Time between two looks at what other processes stored, and at the teleoperation [s]."""
 _LOOK_CLOSER_S: Final = 0.4
-"""The same while a trial runs in simulation."""
+"""Time between two looks while a trial runs in simulation [s]."""
 _TROUBLE_S: Final = 10.0
-"""Time that a failure of the store is shown that did not come again [s]."""
+"""Time for which a failure of the store is shown after it occurred last [s]."""
 _LARGEST: Final = 256 * 1024
 _PLACES: Final[dict[Role, int]] = {"experimenter": 16, "operator": 48}
-"""Most pages of each kind: a tablet's link takes no experimenter's place."""
+"""Largest number of open pages of each role, counted separately."""
 _LOGGER: Final = logging.getLogger("smooth_operator.study.console")
 
 
 @dataclass(eq=False)
 class _Page:
-    """A page that is connected, and what was not sent to it yet."""
+    """A connected page, and the answers that were not sent to it yet."""
 
     connection: ServerConnection
     role: Role
@@ -63,9 +62,9 @@ class Console:
     """Serves the pages of a session.
 
     Args:
-        service: carries commands out; its ``changed`` is ``Console.changed``.
-        auth: who may open what.
-        links: role -> address of its page.
+        service: carries out commands; its ``changed`` is ``Console.changed``.
+        auth: authentication of the pages.
+        links: role -> address of the page.
         local: whether only this machine reaches the pages.
     """
 
@@ -87,19 +86,19 @@ class Console:
         self._threads = ThreadPoolExecutor(8, "study-console")
 
     def changed(self) -> None:
-        """Has the pages drawn again. From any thread."""
+        """Draws the pages again. May be called from any thread."""
         if self._loop is not None and not self._loop.is_closed():
             self._loop.call_soon_threadsafe(self._stale.set)
 
     async def serve(
         self, listening: socket.socket, stop: asyncio.Event, ready: Callable[[], None]
     ) -> None:
-        """Serves until it is to stop.
+        """Serves the pages until ``stop`` is set.
 
         Args:
-            listening: the socket.
-            stop: set it to end.
-            ready: called once pages are answered.
+            listening: listening socket.
+            stop: event that ends the server.
+            ready: called once requests are answered.
         """
         from websockets.asyncio.server import serve
 
@@ -177,11 +176,7 @@ class Console:
 
     def _hear(self, page: _Page, message: str | bytes) -> None:
         request = json_object(message) or {}
-        if request.get("type") == "hello":
-            operator = request.get("operator")
-            if page.role == "experimenter" and isinstance(operator, str):
-                self._in_thread(self._propose, operator)
-        elif request.get("type") == "command":
+        if request.get("type") == "command":
             asyncio.create_task(self._command(page, request))  # noqa: RUF006  (answers by itself)
 
     async def _command(self, page: _Page, request: dict[str, Any]) -> None:
@@ -203,10 +198,10 @@ class Console:
         page.news.set()
 
     def _carried_out(self, command: Command, role: Role) -> asyncio.Future[int]:
-        """Number of the event that a command causes; sent again meanwhile, it takes no new thread.
+        """Carries out a command in a thread; a command that is sent again joins the first thread.
 
-        A start may wait for minutes, and a page that is loaded again sends it again: the threads
-        would all wait for it, and no page could cancel it.
+        A start may wait for minutes, and a page that is loaded again sends it again: all threads
+        would wait, and no page could cancel the start.
         """
         key = (role, command.token, command.do, command.operator)
         job = self._under_way.get(key)
@@ -217,7 +212,7 @@ class Console:
         return job
 
     async def _send_news(self, page: _Page) -> None:
-        """Sends what is new; a slow page gets the newest state, not all of them."""
+        """Sends news to a page; a slow page gets only the newest state."""
         from websockets.exceptions import ConnectionClosed
 
         with contextlib.suppress(ConnectionClosed):
@@ -243,10 +238,10 @@ class Console:
     # All pages.
 
     async def _draw(self) -> None:
-        """Makes the states again and wakes the pages that show something else.
+        """Computes the states, and wakes the pages if they have changed.
 
-        Several may be under way. One that began earlier and comes back later is left out: pages
-        would go back to what was before.
+        Several calls may overlap. A result that began before one that is shown is dropped, or the
+        pages would go back to an older state.
         """
         self._stale.clear()
         self._looks += 1
@@ -255,7 +250,7 @@ class Console:
             experimenter, operator = await self._in_thread(self._service.look)
             self._note_trouble("look", None)
         except Exception as error:
-            # Whatever it is: who waits for an answer gets it, and the next look is tried.
+            # Answers are sent whatever the failure is, and the next look tries again.
             if not isinstance(error, SmoothOperatorError):
                 _LOGGER.exception("a look at the study failed")
                 error = StudyError(f"a fault of this program, {type(error).__name__}")
@@ -309,7 +304,7 @@ class Console:
             await asyncio.sleep(_LOOK_S if hand.get("trial") is None else _LOOK_CLOSER_S)
 
     async def _regularly(self, job: Callable[[], object]) -> object:
-        """A job that is done again and again; a failure of the store is shown on the pages."""
+        """Runs a regular job; a failure of the store is shown on the pages."""
         try:
             result = await self._in_thread(job)
             self._note_trouble(job.__name__, None)
@@ -334,13 +329,9 @@ class Console:
             self._stale.set()
 
     def _trouble(self) -> str:
-        """The failure of the store; a page tries its command again, or gave it up."""
+        """Message of the latest failure of the store; empty without one."""
         since = time.monotonic() - _TROUBLE_S
         return next((text for text, at in self._troubles.values() if at > since), "")
-
-    def _propose(self, operator: str) -> None:
-        with contextlib.suppress(SmoothOperatorError):
-            self._service.propose(operator)
 
     def _in_thread(self, job: Callable[..., Any], *arguments: Any) -> asyncio.Future[Any]:
         return asyncio.get_running_loop().run_in_executor(self._threads, job, *arguments)
@@ -351,10 +342,10 @@ def _role_of(path: str) -> Role:
 
 
 def check_installed() -> None:
-    """Refuses where something is missing that the console needs.
+    """Checks that the packages of the console are installed.
 
     Raises:
-        MissingExtraError: says what to install.
+        MissingExtraError: one is missing; says what to install.
     """
     try:
         import segno  # noqa: F401

@@ -1,6 +1,6 @@
-"""Console without a network: commands, the current operator, the running method.
+"""Console without a network: commands of the pages, current operator, running teleoperation.
 
-All methods may be called from any thread. A command returns when what it caused is on the disk.
+All methods may be called from any thread. A command returns when its event is on disk.
 """
 
 from __future__ import annotations
@@ -14,218 +14,70 @@ from datetime import datetime
 from typing import Any, Final
 
 from smooth_operator.errors import SmoothOperatorError, StudyError
-from smooth_operator.study.console.commands import (
-    EVENTS,
-    Command,
-    Role,
-    check_seen,
-    event_for,
-)
-from smooth_operator.study.console.page_state import experimenter_view, operator_view, step_in_words
+from smooth_operator.study.console.commands import EVENTS, Command, Role, check_seen, event_for
+from smooth_operator.study.console.page_state import experimenter_view, operator_view
 from smooth_operator.study.console.session_teleop import SessionTeleop
 from smooth_operator.study.console.switching import Switch, Teleop
 from smooth_operator.study.design.plan import Plan
 from smooth_operator.study.store.clock import Elapsed
 from smooth_operator.study.store.events import (
-    Chosen,
     FamiliarisationEnded,
     FamiliarisationStarted,
     Noted,
     TrialScored,
-    TrialStarted,
 )
 from smooth_operator.study.store.nasa_tlx import ENGLISH, TlxWords
-from smooth_operator.study.store.progress import Progress
+from smooth_operator.study.store.progress import Progress, check_event
 from smooth_operator.study.store.study_store import StudyStore
+
+_STARTS: Final = (
+    "calibrated", "recalibrate", "start_block", "start_familiarisation", "start_trial",
+)  # fmt: skip
+_TELEOP_COMMANDS: Final = (
+    *_STARTS,
+    "reset",
+    "void",
+    "score",
+    "pause",
+    "resume",
+    "withdraw",
+    "undo",
+)
+"""Commands that the teleoperation takes part in."""
 
 
 class StoreFailedError(StudyError):
-    """Nothing is wrong with the command, but it can't be written now: trying again may help."""
+    """The store can't be used now. The command is right, and may succeed when sent again."""
 
 
 @contextmanager
 def store_failures() -> Iterator[None]:
-    """Raises ``StoreFailedError`` where a database is to blame, and not what was asked."""
+    """Turns an error of the database into ``StoreFailedError``."""
     try:
         yield
     except StoreFailedError:
         raise
     except StudyError as error:
         cause = error.__cause__
-        blamed = isinstance(cause, sqlite3.Error | OSError)
-        if blamed and not isinstance(cause, SmoothOperatorError):
+        if isinstance(cause, sqlite3.Error | OSError) and not isinstance(
+            cause, SmoothOperatorError
+        ):
             raise StoreFailedError(str(error)) from error
         raise
 
 
-class OperatorChoice:
-    """The operator who is on at one console.
-
-    Args:
-        store: of the study.
-        operator: who is on; None for the one who was on last and is not done.
-        enrolled: called with a plan that was changed here and is stored.
-        changed: called when another operator is on.
-        report: where a sentence for the terminal goes.
-        lock: held while something is written at this console.
-
-    Raises:
-        UnknownNameError: there is no such operator.
-    """
-
-    def __init__(
-        self,
-        store: StudyStore,
-        operator: str | None,
-        *,
-        enrolled: Callable[[Plan], None],
-        changed: Callable[[], None],
-        report: Callable[[str], None],
-        lock: threading.RLock,
-    ) -> None:
-        self._store = store
-        self._enrolled = enrolled
-        self._changed = changed
-        self._report = report
-        self._lock = lock
-        self.chosen = operator is not None
-        """True if the current operator was stated and not guessed."""
-        if operator is not None:
-            store.progress(operator)
-        self.operator = self._latest() if operator is None else operator
-        """Who is on; None for nobody."""
-        self.left = self._left_before()
-        """Who was on before, if they were left in a trial or in free movement."""
-
-    def propose(self, operator: str) -> None:
-        """A page that comes back says who was on; heeded if nobody was chosen here since."""
-        with self._lock:
-            busy = self.operator is not None and self._store.progress(self.operator).busy
-            if not self.chosen and not busy and operator in self._store.plan.codes:
-                self.choose(operator, None)
-
-    def _latest(self) -> str | None:
-        """Who did something last and is not done yet."""
-        latest: list[tuple[datetime, str]] = []
-        codes = self._store.plan.codes
-        over = {code for code in codes if self._store.progress(code).over}
-        for code in codes:
-            for record in reversed(self._store.records(code)):
-                event = record.event
-                who = event.operator if isinstance(event, Chosen) else code
-                if who in codes and who not in over:
-                    latest.append((record.at, who))
-                    break
-        return max(latest)[1] if latest else None
-
-    def _left_before(self) -> str | None:
-        """Who was left in a trial or in free movement before this program was started."""
-        for code in self._store.plan.codes:
-            if code == self.operator or not self._store.progress(code).busy:
-                continue
-            for record in reversed(self._store.records(code)):
-                if isinstance(record.event, TrialStarted | FamiliarisationStarted):
-                    break
-                if isinstance(record.event, Chosen):
-                    return code
-        return None
-
-    def choose(self, operator: str, author: Role | None, confirmed: bool = False) -> int:
-        """Puts an operator on; logged where it was somebody's doing."""
-        with self._lock:
-            chosen = self._store.progress(operator)  # there is one, and not erased
-            if operator != self.operator:
-                before = None if self.operator is None else self._store.progress(self.operator)
-                busy = before is not None and before.busy
-                if before is not None and busy and author is not None and not confirmed:
-                    raise StudyError(
-                        f"not done: {step_in_words(before.step)} of operator {before.operator} is "
-                        "on; confirm that another operator is to be put on meanwhile"
-                    )
-                event = Chosen(operator, self.operator or "")
-                logs = [p.operator for p in (before, chosen) if p is not None and p.number]
-                if author is not None and logs:
-                    self._store.append(logs[0], event, author=author)
-                if before is not None and busy:
-                    self.left = before.operator
-            self.operator, self.chosen = operator, True
-        self._changed()
-        return 0
-
-    def still_busy(self) -> str | None:
-        """Whose trial or free movement is on with the hand, if that is not who is on here."""
-        if self.left is None or self.left == self.operator:
-            return None
-        with store_failures():
-            if self._store.progress(self.left).busy:
-                return self.left
-        self.left = None
-        return None
-
-    def _put_on(self, operator: str, role: Role) -> int:
-        """Chooses somebody new, unless that would disturb who is on."""
-        on = None if self.operator is None else self._store.progress(self.operator)
-        if on is not None and on.busy:
-            self._changed()
-            return 0
-        return self.choose(operator, role)
-
-    def replace(self, command: Command, role: Role) -> int:
-        """Gives the rows of the operator of a command, who withdrew, to a new one."""
-        by = command.fields.get("by")
-        if not isinstance(by, str):
-            raise StudyError("the code of the new operator is missing")
-        with self._lock:
-            self._store.replace(command.operator, by, author=role, token=command.token)
-            self._keep(self._store.plan, by)
-            return self._put_on(by, role)
-
-    def _keep(self, plan: Plan, code: str) -> None:
-        try:
-            self._enrolled(plan)
-        except SmoothOperatorError as error:  # the store has it; the file is a copy
-            self._report(f"{code} is enrolled, but the files of the plan are old: {error}")
-
-    def enrol(self, command: Command, role: Role) -> int:
-        """Adds an operator, or tasks for one, to the plan."""
-        tasks = command.fields.get("tasks")
-        listed = isinstance(tasks, list) and all(isinstance(task, str) for task in tasks)
-        if tasks is not None and not listed:
-            raise StudyError("tasks must be a list of names")
-        with self._lock:
-            plan = self._store.plan
-            code = command.operator
-            if code in self._store.erased:
-                raise StudyError(f"{code} was deleted; codes are not used again")
-            if code not in plan.codes or not set(tasks or ()) <= set(plan.enrolment(code).rows):
-                plan = plan.enrol(code, tasks or None, absent=self._store.absent())
-                self._store.revise(plan)
-                self._keep(plan, code)
-            return self._put_on(code, role)
-
-
-_STARTS: Final = (
-    "calibrated", "recalibrate", "start_block", "start_familiarisation", "start_trial",
-)  # fmt: skip
-_WITH_THE_HAND: Final = (
-    *_STARTS, "reset", "void", "score", "pause", "resume", "withdraw",
-    "undo",
-)  # fmt: skip
-"""Commands that the teleoperation has a part in."""
-
-
 class SessionService:
-    """Carries out the commands of one console's pages and says what they show.
+    """Carries out the commands of one console's pages and gives the content of the pages.
 
     Args:
-        store: of the study.
-        operator: who is on; None for the one with the last event who is not done.
-        blind: whether the experimenter sees labels in the place of conditions.
-        teleop: the running teleoperation, if it is to be switched.
-        words: of NASA-TLX, as operators read it.
-        enrolled: called with a plan that was changed here and is stored.
+        store: store of the study.
+        operator: current operator; None for the one with the last event who is not done.
+        blind: whether the experimenter sees labels instead of conditions.
+        teleop: running teleoperation that is switched to the conditions; None without one.
+        words: words of NASA-TLX for the operators.
+        enrolled: called with each plan that was changed here and is stored.
         changed: called, from any thread, when the pages should be drawn again.
-        report: where a sentence for the terminal goes.
+        report: called with sentences for the terminal.
 
     Raises:
         UnknownNameError: there is no such operator.
@@ -246,79 +98,132 @@ class SessionService:
         self._store = store
         self._blind = blind
         self._words = words
+        self._enrolled = enrolled
         self._changed = changed
         self._report = report
         self._lock = threading.RLock()
         self._switching = threading.RLock()
-        self._known_progress: dict[str, tuple[tuple[int, int], Progress]] = {}
         switch = None if teleop is None else Switch(teleop, lambda: self._changed())
         self._hand = None if switch is None else SessionTeleop(switch, blind=blind, report=report)
-        self._choice = OperatorChoice(
-            store,
-            operator,
-            enrolled=enrolled,
-            changed=lambda: self._changed(),
-            report=report,
-            lock=self._lock,
-        )
+        if operator is not None:
+            store.progress(operator)
+        self.operator = self._latest() if operator is None else operator
+        """Current operator; None before one is chosen."""
 
-    @property
-    def operator(self) -> str | None:
-        """Who is on; None for nobody."""
-        return self._choice.operator
-
-    # What the pages do.
+    # Commands.
 
     def carry_out(self, command: Command, role: Role) -> int:
-        """Does what a command says; sent again, it is not done again.
+        """Carries out a command; one that is sent again is not done again.
 
         Returns:
             Number of the event that is now stored; 0 where there is none.
 
         Raises:
-            StoreFailedError: it can't be written now.
-            SmoothOperatorError: it is refused; nothing was written.
+            StoreFailedError: the event can't be written now.
+            SmoothOperatorError: the command is refused; nothing was written.
         """
-        at = self._store.clock.seconds()  # what takes long here does not count
+        at = self._store.clock.seconds()  # time that is spent here does not count for the trial
         with store_failures():
-            if command.do == "choose":
-                confirmed = command.fields.get("confirm") is True
-                return self._choice.choose(command.operator, role, confirmed)
-            if command.do == "replace":
-                return self._choice.replace(command, role)
-            if command.do == "enrol":
-                return self._choice.enrol(command, role)
-            if command.do == "switch":
-                return self._switch_again()
-            if command.do == "cancel_start":
-                self.give_up_start()
-                return 0
-            if self._hand is not None and command.do in _WITH_THE_HAND:
+            match command.do:
+                case "choose":
+                    return self._choose(command.operator)
+                case "replace":
+                    return self._replace(command, role)
+                case "enrol":
+                    return self._enrol(command)
+                case "switch":
+                    return self._switch_again()
+                case "cancel_start":
+                    self.give_up_start()
+                    return 0
+            if self._hand is not None and command.do in _TELEOP_COMMANDS:
                 return self._write_with(self._hand, command, role, at)
             return self._write(command, role, at)
 
-    def propose(self, operator: str) -> None:
-        """A page that comes back says who was on; heeded if nobody was chosen here since."""
-        self._choice.propose(operator)
+    def _latest(self) -> str | None:
+        """The operator with the last event who is not done yet."""
+        everyone = [self._store.progress(code) for code in self._store.plan.codes]
+        latest = [(p.records[-1].at, p.operator) for p in everyone if p.records and not p.over]
+        return max(latest)[1] if latest else None
 
-    # What happens by itself.
+    def _choose(self, operator: str) -> int:
+        """Makes an operator the current one, unless the other is in a trial or moves the hand."""
+        with self._lock:
+            self._store.progress(operator)  # refuses an unknown or erased one
+            if operator != self.operator and (current := self._busy()) is not None:
+                raise StudyError(
+                    f"not done: {current.step} of operator {current.operator} is on; end it, or "
+                    "void the trial, before another operator is chosen"
+                )
+            self.operator = operator
+        self._changed()
+        return 0
+
+    def _busy(self) -> Progress | None:
+        """The current operator during a trial or free movement."""
+        progress = None if self.operator is None else self._store.progress(self.operator)
+        return progress if progress is not None and progress.busy else None
+
+    def _choose_new(self, operator: str) -> int:
+        """Chooses a new operator, unless that would disturb the current one."""
+        if self._busy() is None:
+            return self._choose(operator)
+        self._changed()
+        return 0
+
+    def _replace(self, command: Command, role: Role) -> int:
+        """Gives the rows of an operator who withdrew to a new one."""
+        by = command.fields.get("by")
+        if not isinstance(by, str):
+            raise StudyError("the code of the new operator is missing")
+        with self._lock:
+            self._store.replace(command.operator, by, author=role, token=command.token)
+            self._report_plan(by)
+            return self._choose_new(by)
+
+    def _enrol(self, command: Command) -> int:
+        """Adds an operator, or tasks for one, to the plan."""
+        tasks = command.fields.get("tasks")
+        listed = isinstance(tasks, list) and all(isinstance(task, str) for task in tasks)
+        if tasks is not None and not listed:
+            raise StudyError("tasks must be a list of names")
+        with self._lock:
+            plan, code = self._store.plan, command.operator
+            if code in self._store.erased:
+                raise StudyError(f"{code} was deleted; codes are not used again")
+            if code not in plan.codes or not set(tasks or ()) <= set(plan.enrolment(code).rows):
+                self._store.revise(plan.enrol(code, tasks or None, absent=self._store.absent()))
+                self._report_plan(code)
+            return self._choose_new(code)
+
+    def _report_plan(self, code: str) -> None:
+        try:
+            self._enrolled(self._store.plan)
+        except SmoothOperatorError as error:  # the store has the plan; the file is a copy
+            self._report(f"{code} is enrolled, but the files of the plan are old: {error}")
+
+    def _switch_again(self) -> int:
+        if self._hand is None or self.operator is None:
+            raise StudyError("no teleoperation is attached that could be switched")
+        with self._switching:
+            self._hand.again(self._store.progress(self.operator))
+        return 0
+
+    # Regular jobs.
 
     def tick(self) -> bool:
         """Ends free movement whose time is over.
 
         Returns:
-            Whether it did.
+            Whether it ended free movement.
 
         Raises:
-            StoreFailedError: it is over, but that can't be written.
+            StoreFailedError: the end can't be written.
         """
-        if self.operator is None:
+        operator = self.operator
+        if operator is None:
             return False
-        self._note_clock_steps(self.operator)
-        ended = [self._end_movement(code) for code in {self.operator, self._choice.left} if code]
-        return any(ended)
-
-    def _end_movement(self, operator: str) -> bool:
+        self._note_clock_steps(operator)
         with store_failures(), self._lock:
             progress = self._store.progress(operator)
             step, block = progress.step, progress.step.block
@@ -330,7 +235,7 @@ class SessionService:
             started = max(
                 r.number for r in progress.records if isinstance(r.event, FamiliarisationStarted)
             )
-            # Once for each start: if someone undoes it, they want the operator to go on moving.
+            # Once for each start: whoever undoes it wants the operator to go on moving.
             token = f"time-over-{operator}-{started}"
             if self._store.recorded(token) is not None:
                 return False
@@ -350,18 +255,16 @@ class SessionService:
                 self._store.append(operator, Noted(text), author="system")
 
     def watch(self) -> None:
-        """Looks at the teleoperation, and puts it back on the method of the block that is on.
+        """Looks at the teleoperation, and puts it back on the condition of the current block.
 
         Raises:
             StoreFailedError: the store can't be read.
         """
         if self._hand is None or not self._switching.acquire(blocking=False):
-            return  # something is being switched right now
+            return  # it is being switched right now
         try:
             with store_failures():
                 progress = None if self.operator is None else self._store.progress(self.operator)
-                if self._choice.still_busy() is not None:
-                    progress = None  # the hand stays with the one who was left
                 for text in self._hand.watch(progress):
                     assert progress is not None  # or there is nothing to note
                     self._store.append(progress.operator, Noted(text), author="system")
@@ -369,55 +272,36 @@ class SessionService:
             self._switching.release()
 
     def give_up_start(self) -> None:
-        """A trial that waits for the hand to be clear does not start."""
+        """Ends the wait of a trial for the hand to be clear of the object."""
         if self._hand is not None:
             self._hand.scenes.give_up()
 
-    # What the pages show.
+    # Content of the pages.
 
     def look(self) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Content of the experimenter's page and of the operator's page.
+        """Returns the content of the experimenter's page and of the operator's page.
 
         Raises:
             StoreFailedError: the store can't be read.
         """
         with store_failures():
-            version, counts = self._store.newest()
             plan = self._store.plan
-            everyone = [
-                self._progress_at(code, (version, counts.get(code, 0))) for code in plan.codes
-            ]
+            everyone = [self._store.progress(code) for code in plan.codes]
         current = next((p for p in everyone if p.operator == self.operator), None)
-        view = experimenter_view(plan, everyone, current, self._blind, self._words)
+        view = experimenter_view(plan, everyone, current, self._blind)
         view["teleop"] = None if self._hand is None else self._hand.view(current)
         return view, operator_view(plan, current, self._words)
 
     def now(self) -> datetime:
-        """This moment, by the clock that trials are timed by."""
+        """Returns this moment by the clock of the store."""
         return self._store.clock.now()
 
     def marks(self) -> tuple[object, ...]:
-        """Changes whenever what the pages show changes."""
+        """Returns values that change whenever the content of the pages changes."""
         with store_failures():
-            version, counts = self._store.newest()
-            return (self.operator, version, *sorted(counts.items()))
+            return (self.operator, *self._store.version())
 
-    def _progress_at(self, operator: str, mark: tuple[int, int]) -> Progress:
-        """An operator's progress, read again only where something was written."""
-        cached = self._known_progress.get(operator)
-        if cached is None or cached[0] != mark:
-            cached = self._known_progress[operator] = (mark, self._store.progress(operator))
-        return cached[1]
-
-    def _known_number(self, command: Command) -> int | None:
-        """Number of the event that this very command has caused already."""
-        written = self._store.recorded(command.token)
-        if written is None:
-            return None
-        whose, record = written
-        if whose != command.operator or record.event.kind != EVENTS[command.do]:
-            raise StudyError(f"token {command.token!r} belongs to another command already")
-        return record.number
+    # Events.
 
     def _write(
         self,
@@ -428,7 +312,7 @@ class SessionService:
         more: Mapping[str, Any] | None = None,
     ) -> int:
         with self._lock:
-            if (number := self._known_number(command)) is not None:
+            if (number := self._written_number(command)) is not None:
                 return number
             progress = self._due(command)
             elapsed = self._elapsed(progress, at)
@@ -439,45 +323,22 @@ class SessionService:
                 ).number
             except StudyError:
                 # A connection that was lost may have committed what it did not acknowledge.
-                if (number := self._known_number(command)) is None:
+                if (number := self._written_number(command)) is None:
                     raise
             if isinstance(event, TrialScored) and elapsed is not None and measured_s is None:
                 self._note_doubt(command, progress, elapsed)
         self._changed()
         return number
 
-    def _elapsed(self, progress: Progress, at: float) -> Elapsed | None:
-        """Time that the trial that runs had taken at a moment of the steady clock."""
-        trial, clock = progress.running, self._store.clock
-        if trial is None:
-            return None
-        elapsed = clock.since(trial.started, trial.clock)
-        return replace(elapsed, seconds=elapsed.seconds - (clock.seconds() - at))
-
-    def _note_doubt(self, command: Command, progress: Progress, elapsed: Elapsed) -> None:
-        """Says in the log why the time of a trial may be wrong."""
-        trial, doubt = progress.running, elapsed.doubt
-        if trial is None or trial.undone_time_s is not None:
-            return
-        if elapsed.seconds < command.waited_s:
-            doubt = "it has no time, since a clock was set: it would have ended before it began"
-        if doubt:
-            with suppress(StudyError):
-                text = f"Trial {trial.number} of {trial.block.task.name}: {doubt}"
-                self._store.append(command.operator, Noted(text), author="system")
-
     def _write_with(self, hand: SessionTeleop, command: Command, role: Role, at: float) -> int:
-        """The same, with what the hand has to do before and along with it."""
-        starts = command.do in _STARTS
-        with self._switching if starts else nullcontext():
-            if starts:
-                self._check_hand_is_free()
-            if (number := self._known_number(command)) is not None:
+        """Writes the event of a command, and lets the teleoperation follow it."""
+        with self._switching if command.do in _STARTS else nullcontext():
+            if (number := self._written_number(command)) is not None:
                 return number
             with self._lock:
                 progress = self._due(command)
                 elapsed = self._elapsed(progress, at)
-                progress.check(event_for(command, progress, elapsed))
+                check_event(progress, event_for(command, progress, elapsed))
             note = hand.before(command, progress)
             measured = hand.measured(progress) if command.do == "score" else None
             facts = hand.facts(command, progress)
@@ -490,10 +351,20 @@ class SessionService:
             if note:
                 with suppress(StudyError):
                     self._store.append(command.operator, Noted(note), author="system")
-        # Whoever watches the hand meanwhile goes by the log as it was before.
+        # ``watch`` compares the hand with the log, so a pause is not seen half done.
         with self._switching if command.do in ("pause", "resume") else nullcontext():
             hand.along(command.do, progress)
         return number
+
+    def _written_number(self, command: Command) -> int | None:
+        """Number of the event that this very command has caused already."""
+        written = self._store.recorded(command.token)
+        if written is None:
+            return None
+        operator, record = written
+        if operator != command.operator or record.event.kind != EVENTS[command.do]:
+            raise StudyError(f"token {command.token!r} belongs to another command already")
+        return record.number
 
     def _due(self, command: Command) -> Progress:
         """The operator's progress, if the command may be carried out now."""
@@ -506,18 +377,22 @@ class SessionService:
         check_seen(command, progress)
         return progress
 
-    def _check_hand_is_free(self) -> None:
-        """Refuses to touch a hand that another operator's trial runs with."""
-        if (left := self._choice.still_busy()) is not None:
-            raise StudyError(
-                f"not done: operator {left} was left in a trial or in free movement with this "
-                f"hand; go back to {left}, and end or void that first"
-            )
+    def _elapsed(self, progress: Progress, at: float) -> Elapsed | None:
+        """Time from the start of the running trial to a moment of the steady clock."""
+        trial, clock = progress.running, self._store.clock
+        if trial is None:
+            return None
+        elapsed = clock.since(trial.started, trial.clock)
+        return replace(elapsed, seconds=elapsed.seconds - (clock.seconds() - at))
 
-    def _switch_again(self) -> int:
-        if self._hand is None or self.operator is None:
-            raise StudyError("no teleoperation is attached that could be switched")
-        with self._switching:
-            self._check_hand_is_free()
-            self._hand.again(self._store.progress(self.operator))
-        return 0
+    def _note_doubt(self, command: Command, progress: Progress, elapsed: Elapsed) -> None:
+        """Notes in the log why the time of a trial may be wrong."""
+        trial, doubt = progress.running, elapsed.doubt
+        if trial is None or trial.undone_time_s is not None:
+            return
+        if elapsed.seconds < command.waited_s:
+            doubt = "it has no time, since a clock was set: it would have ended before it began"
+        if doubt:
+            with suppress(StudyError):
+                text = f"Trial {trial.number} of {trial.block.task.name}: {doubt}"
+                self._store.append(command.operator, Noted(text), author="system")

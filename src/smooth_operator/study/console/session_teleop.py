@@ -1,8 +1,8 @@
 """Running teleoperation of a study: its method, and the trials of its simulation.
 
-A block starts when the running teleoperation has gone over to its condition, and not before. Where
-that drives a simulation with a task, its trials begin, reset and end with those of the protocol,
-and what it makes of them is proposed to the experimenter, who has the last word.
+A block starts only when the running teleoperation has switched to its condition. In a simulation
+with a task, trials begin, reset and end with those of the protocol; the simulation proposes line
+and time, and the experimenter decides.
 """
 
 from __future__ import annotations
@@ -13,13 +13,11 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
 
-from smooth_operator.errors import (
-    StudyError,
-)
+from smooth_operator.errors import StudyError
 from smooth_operator.study.console.commands import Command
 from smooth_operator.study.console.switching import SceneTrials, Switch
 from smooth_operator.study.design.plan import Block
-from smooth_operator.study.store.events import Calibrated, Recalibrated, TrialStarted, Undone
+from smooth_operator.study.store.events import TrialStarted
 from smooth_operator.study.store.progress import Progress
 
 HIDDEN: Final = "the teleoperation could not be switched; the terminal of the console says why"
@@ -27,12 +25,12 @@ HIDDEN: Final = "the teleoperation could not be switched; the terminal of the co
 
 
 class SessionTeleop:
-    """The part of a running teleoperation in each step of the protocol.
+    """Prepares the teleoperation for each step of the protocol, and follows the trials with it.
 
     Args:
-        switch: of the running teleoperation.
+        switch: switch of the running teleoperation.
         blind: whether methods are not to be named.
-        report: where reasons go that a blind experimenter may not see.
+        report: called with reasons that a blind experimenter may not see.
     """
 
     def __init__(self, switch: Switch, *, blind: bool, report: Callable[[str], None]) -> None:
@@ -47,10 +45,10 @@ class SessionTeleop:
         """Prepares the hand before a calibration counts, or a block or a trial starts.
 
         Returns:
-            What to note in the log; empty for nothing.
+            Text to note in the log; empty for none.
 
         Raises:
-            StudyError: it can't be made so; nothing may start.
+            StudyError: the hand can't be prepared; nothing may start.
         """
         block = progress.step.block
         if command.do in ("calibrated", "recalibrate"):
@@ -71,11 +69,12 @@ class SessionTeleop:
                 self.switch.to(block.condition)
             else:
                 self.switch.remember(block.condition, progress.begun_with)
-                self.switch.keep(block.condition)
-            self._pace(progress)
-            self._calibrate(calibration(progress, block))
+                if not self.switch.runs(block.condition):
+                    self.switch.to(block.condition)
+            self._set_rate(progress)
+            self._calibrate(_file(progress.calibrations.get(block.task.name, "")))
         except StudyError as error:
-            self._complain(error)
+            self._report_once(error)
             why = HIDDEN if self._blind else f"the teleoperation could not be switched: {error}"
             raise StudyError(f"the {what} does not start: {why}") from error
         try:
@@ -90,59 +89,61 @@ class SessionTeleop:
             raise StudyError(f"the {what} does not start: the simulation: {error}") from error
 
     def _calibrate(self, file: str | None) -> None:
-        """Has the hand use a calibration; not again where it still does."""
-        if file is None or self._loaded == (file, self.switch.heard.calibrations):
+        """Loads a calibration into the hand, unless the hand still uses it."""
+        if file is None or self._loaded == (file, self.switch.status.calibrations):
             return
-        self.switch.ask("calibration", path=file)
+        self.switch.request("calibration", path=file)
         self.switch.look()
-        self._loaded = (file, self.switch.heard.calibrations)
+        self._loaded = (file, self.switch.status.calibrations)
 
-    def _pace(self, progress: Progress) -> None:
-        """Has the hand be sent as many commands a second as the plan says; not where it is."""
+    def _set_rate(self, progress: Progress) -> None:
+        """Sets the plan's rate of commands, unless the hand has it."""
         rate = progress.plan.protocol.rate_hz
-        if rate is None or self.switch.heard.rate_hz == rate:
+        if rate is None or self.switch.status.rate_hz == rate:
             return
-        self.switch.ask("rate", rate=rate)
+        self.switch.request("rate", rate=rate)
         self.switch.look()
 
     def facts(self, command: Command, progress: Progress) -> dict[str, str | float]:
-        """Facts on the hand that the log keeps along with an event.
+        """Returns fields of an event that only the teleoperation knows.
 
-        Of a block, what the teleoperation said it runs; of a score, what the simulation proposed.
+        They are the method that runs at the start of a block, and the simulation's proposal of a
+        score.
         """
-        if command.do == "start_block" and self.switch.heard.running is not None:
-            method, preset = self.switch.heard.running
+        if command.do == "start_block" and self.switch.status.running is not None:
+            method, preset = self.switch.status.running
             return {"method": method, "preset": preset or ""}
         if command.do == "score":
-            trial = self.scenes.standing(progress)
+            trial = self.scenes.current(progress)
             if trial is not None and trial.phase == "done":
                 return {"proposed_line": trial.line, "proposed_score": trial.score}
         return {}
 
     def along(self, do: str, progress: Progress) -> None:
-        """Has the simulation follow a trial that was reset, paused, void, scored or undone.
+        """Lets the simulation follow a trial that was reset, paused, void, scored or undone.
 
-        Never raises. An event before the trial's start can't be undone while it runs.
+        Never raises.
         """
-        if do == "undo" and not _starts_trial(progress):
-            return
-        self.scenes.along(do, progress)
+        # An event before the start of a trial can't be undone while the trial runs.
+        undone = progress.undoable
+        if do != "undo" or (undone is not None and isinstance(undone.event, TrialStarted)):
+            self.scenes.along(do, progress)
 
     def measured(self, progress: Progress) -> float | None:
-        """Time of the trial that runs by the simulation [s]; None where that is not over."""
-        trial = self.scenes.standing(progress, fresh=True)
+        """Time of the running trial by the simulation [s]; None where the trial is not over."""
+        trial = self.scenes.current(progress, fresh=True)
         if trial is None or trial.phase != "done" or trial.time_s is None:
             return None
         running = progress.running
         if running is None or trial.pauses >= len(running.pauses):
-            return trial.time_s  # its own clock stood, too
+            return trial.time_s  # the simulation's own clock was paused, too
         return max(0.0, trial.time_s - running.paused_within(trial.time_s))
 
     def watch(self, progress: Progress | None) -> list[str]:
-        """Looks at the teleoperation; puts it back on condition and scene of the block that is on.
+        """Looks at the teleoperation; restores condition and scene of the current block.
 
         Returns:
-            What to note in the log.
+            Texts to note in the log.
         """
         block = None if progress is None else progress.begun
         if progress is None or block is None:
@@ -151,32 +152,34 @@ class SessionTeleop:
         switched, notes = False, []
         try:
             self.switch.remember(block.condition, progress.begun_with)
-            if not self.switch.runs(block.condition) and self.switch.heard.state != "refused":
-                self.switch.to(block.condition)  # refused is tried again on request
+            if not self.switch.runs(block.condition) and self.switch.status.state != "refused":
+                self.switch.to(block.condition)  # a refused switch is repeated on request only
                 switched = True
-            self._pace(progress)
+            self._set_rate(progress)
             if switched or self._loaded is not None:
-                self._calibrate(calibration(progress, block))
+                self._calibrate(_file(progress.calibrations.get(block.task.name, "")))
             if switched and progress.running is not None:
                 notes.append("the teleoperation ran something else during a trial; switched back")
             notes.append(self._watch_scene(progress, block))
         except StudyError as error:
-            self._complain(error)
+            self._report_once(error)
         return [note for note in notes if note]
 
     def _watch_scene(self, progress: Progress, block: Block) -> str:
         if progress.running is None:
             self.scenes.abandon_stray(progress.operator)
-            return self.scenes.load(block, with_object=False if _free(progress, block) else None)
+            # Before the first trial of a block the operator moves without the object.
+            tried = any(trial.block == block for trial in progress.trials)
+            return self.scenes.load(block, with_object=None if tried else False)
         self.scenes.match_pause(progress)
-        self.scenes.standing(progress)
+        self.scenes.current(progress)
         return self.scenes.lost(progress)
 
     def again(self, progress: Progress) -> None:
         """Switches once more, on request.
 
         Raises:
-            StudyError: it can't be.
+            StudyError: the hand can't be switched.
         """
         block = progress.begun
         if block is None:
@@ -185,60 +188,35 @@ class SessionTeleop:
         try:
             self.switch.to(block.condition)
         except StudyError as error:
-            self._complain(error)
+            self._report_once(error)
             raise StudyError(HIDDEN if self._blind else str(error)) from error
 
     def view(self, progress: Progress | None) -> dict[str, Any]:
-        """The hand as the experimenter's page shows it."""
-        heard = self.switch.heard
-        running = None if heard.running is None else " ".join(filter(None, heard.running))
-        hidden = self._blind and heard.state == "refused"
-        trial = None if progress is None else self.scenes.standing(progress)
+        """Returns the state of the hand for the experimenter's page."""
+        status = self.switch.status
+        running = None if status.running is None else " ".join(filter(None, status.running))
+        hidden = self._blind and status.state == "refused"
+        trial = None if progress is None else self.scenes.current(progress)
         block = None if progress is None else progress.step.block
         return {
-            "state": heard.state,
-            "detail": HIDDEN if hidden else heard.detail,
+            "state": status.state,
+            "detail": HIDDEN if hidden else status.detail,
             "running": None if self._blind else running,
-            "scene": heard.task,
+            "scene": status.task,
             "limit_s": None if block is None else self.scenes.limit_s(block),
             "waiting": self.scenes.waiting,
             "trial": None if trial is None else {**asdict(trial), "about": None},
         }
 
-    def _complain(self, error: Exception) -> None:
+    def _report_once(self, error: Exception) -> None:
         if str(error) != self._reported:
             self._reported = str(error)
             self._report(f"the teleoperation: {error}")
 
 
-def calibration(progress: Progress, block: Block) -> str | None:
-    """The file that an operator was calibrated with for a block's task; None if there is none."""
-    undone = {r.event.number for r in progress.records if isinstance(r.event, Undone)}
-    for record in reversed(progress.records):
-        event, counts = record.event, record.number not in undone
-        if (
-            counts
-            and isinstance(event, Calibrated | Recalibrated)
-            and event.task == block.task.name
-        ):
-            return _file(event.detail)
-    return None
-
-
 def _file(detail: str) -> str | None:
-    """A file of this machine with its folder, since the teleoperation may run in another one."""
+    """A calibration file with its folder, since the teleoperation may run in another one."""
     if not detail.lower().endswith(".json"):
         return None
     path = Path(detail).expanduser()
     return str(path.absolute()) if path.is_file() else detail
-
-
-def _starts_trial(progress: Progress) -> bool:
-    """True if the event that would be undone now is the start of a trial."""
-    due = progress.undoable
-    return due is not None and isinstance(due.event, TrialStarted)
-
-
-def _free(progress: Progress, block: Block) -> bool:
-    """True if a block has had no trial yet: the operator moves without the object."""
-    return not any(trial.block == block for trial in progress.trials)

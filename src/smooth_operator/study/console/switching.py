@@ -1,8 +1,8 @@
 """Remote control of a study's teleoperation: methods, and scenes and trials of its simulation.
 
-The scene is that of the block that is on, and there is no object in it before the block's first
-trial. A trial of the protocol has one in the simulation; they know each other by the entries that
-the record of the simulated one has, so that a console that was started again knows it, too.
+The simulation has the scene of the current block, without the object before the first trial of the
+block. Each trial of the protocol has one trial in the simulation, whose record names study,
+operator, block and trial: a console that was started again recognises it.
 """
 
 from __future__ import annotations
@@ -26,34 +26,38 @@ from smooth_operator.study.store.events import ASIDE, TrialStarted
 from smooth_operator.study.store.progress import Progress
 
 State: TypeAlias = Literal["unknown", "ready", "switching", "refused", "gone"]
+CLEAR_WAIT_S: Final = 120.0
+"""Longest time that a trial waits for the hand to be clear of the object [s]."""
+_POLL_S: Final = 0.05
+_KEYS: Final = ("operator", "task", "block", "trial", "after")
+"""Entries that match a simulated trial with one of the log."""
 
 
 class Teleop(Protocol):
-    """A remote control of a running teleoperation, such as ``RemoteTeleop``."""
+    """Remote control of a running teleoperation, such as ``RemoteTeleop``."""
 
     def request(self, do: str, **fields: Any) -> Mapping[str, Any]:
-        """Has something done.
+        """Sends a request and returns the answer.
 
         Raises:
-            SmoothOperatorError: it can't be, or nobody answers.
+            SmoothOperatorError: it is refused, or there is no answer.
         """
 
 
 @dataclass(frozen=True)
-class Standing:
-    """State of a simulated trial.
+class TrialStatus:
+    """Status of a simulated trial.
 
     Attributes:
-        phase: ``ready``, ``waiting`` (for the hand to be clear), ``running`` or ``done``; final
-            only when it is done.
-        line: of the rubric, by which it would be scored.
-        score: of that line.
-        reason: in a few words.
-        resets: how often the object was put back.
-        time_s: how long it took [s]; None before it is done.
-        about: what it was begun with; names the condition.
-        paused: whether its scene stands still.
-        pauses: how often it did.
+        phase: ``ready``, ``waiting`` (for the hand to be clear), ``running`` or ``done``.
+        line: line of the rubric that fits so far; final when the trial is done.
+        score: score of that line.
+        reason: reason for the line, in a few words.
+        resets: number of times that the object was put back.
+        time_s: time of the trial [s]; None before it is done.
+        about: entries that the trial was started with; they name the condition.
+        paused: whether the scene stands still.
+        pauses: number of pauses.
     """
 
     phase: str
@@ -68,173 +72,171 @@ class Standing:
 
 
 @dataclass(frozen=True)
-class Heard:
-    """State of the teleoperation as it answered last.
+class TeleopStatus:
+    """Status of the teleoperation as of its last answer.
 
     Attributes:
-        state: ``ready`` answers, and runs what it should; ``refused`` could not be switched;
+        state: ``ready`` answers and runs the right method; ``refused`` could not be switched;
             ``gone`` does not answer.
-        detail: why not, in its own words; may name a method.
+        detail: reason of ``refused`` and ``gone``; may name a method.
         running: method and preset.
-        task: name of the scene, where it drives a simulation with one.
-        trial: in that scene.
-        calibrations: of its hands, as it names them.
-        rate_hz: commands a second that it sends; None if it does not say.
-        simulated: whether it drives a simulation, with a task or without.
-        object_there: whether the scene has its object now; None if it does not say.
+        task: name of the scene; None without a simulated task.
+        trial: simulated trial; None without one.
+        calibrations: calibrations of the hands: side and name.
+        rate_hz: commands a second; None if unknown.
+        simulated: whether the hand is simulated, with a task or without.
+        has_object: whether the scene has its object; None if unknown.
     """
 
     state: State = "unknown"
     detail: str = ""
     running: tuple[str, str | None] | None = None
     task: str | None = None
-    trial: Standing | None = None
+    trial: TrialStatus | None = None
     calibrations: tuple[tuple[str, str], ...] = ()
     rate_hz: float | None = None
     simulated: bool = False
-    object_there: bool | None = None
+    has_object: bool | None = None
 
 
 class Switch:
-    """Selects what the teleoperation runs, and sees whether it still runs it.
+    """Selects the method of the teleoperation, and checks that it still runs it.
 
     Args:
-        teleop: what is switched.
-        changed: called when ``heard`` is new, from the thread that found out.
+        teleop: remote control of the teleoperation.
+        changed: called when ``status`` has changed, from the thread that changed it.
     """
 
     def __init__(self, teleop: Teleop, changed: Callable[[], None] = lambda: None) -> None:
-        self.heard = Heard()
+        self.status = TeleopStatus()
         self._teleop = teleop
         self._changed = changed
-        self._turn = threading.RLock()
-        self._answered: dict[str, tuple[str, str | None]] = {}
+        self._lock = threading.RLock()
+        self._answers: dict[str, tuple[str, str | None]] = {}
 
     def to(self, condition: Condition) -> None:
-        """Has it run a condition; returns when it does.
+        """Switches to a condition; returns when its method runs.
 
         Raises:
-            StudyError: it does not.
+            StudyError: the method does not run.
         """
-        with self._turn:
-            self._hear(replace(self.heard, state="switching", detail=""))
+        with self._lock:
+            self._set(replace(self.status, state="switching", detail=""))
             fields: dict[str, Any] = {"method": condition.method}
             if condition.preset is not None:
                 fields["preset"] = condition.preset
-            running = _running(self.ask("method", **fields))
+            running = _running(self.request("method", **fields))
             if running[0] != condition.method:
                 why = (
                     f"it was asked for {condition.method!r} and answers that it runs {running[0]!r}"
                 )
-                self._hear(replace(self.heard, state="refused", detail=why, running=running))
+                self._set(replace(self.status, state="refused", detail=why, running=running))
                 raise StudyError(why)
-            self._answered[condition.name] = running
-            self._hear(replace(self.heard, state="ready", detail="", running=running))
-
-    def keep(self, condition: Condition) -> bool:
-        """Has it run a condition, if it does not already.
-
-        Returns:
-            Whether it had to be switched.
-
-        Raises:
-            StudyError: it does not, and can't be made to.
-        """
-        with self._turn:
-            if self.runs(condition):
-                return False
-            self.to(condition)
-            return True
+            self._answers[condition.name] = running
+            self._set(replace(self.status, state="ready", detail="", running=running))
 
     def runs(self, condition: Condition) -> bool:
-        """Asks if it runs a condition.
+        """Asks the teleoperation whether it runs a condition.
 
         Raises:
             StudyError: it does not answer.
         """
-        with self._turn:
-            status = self.ask("status")
-            running = _running(status)
-            target = self._answered.get(condition.name)
-            if target is None:  # a console that was started again
+        with self._lock:
+            answer = self.request("status")
+            running = _running(answer)
+            target = self._answers.get(condition.name)
+            if target is None:  # the console was started again
                 target = (condition.method, condition.preset or _default_preset(running))
             right = running == target
-            state: State = "ready" if right else "unknown"
-            if not right and self.heard.state == "refused":
-                self._hear(_state_of(status, "refused", self.heard.detail))
+            if not right and self.status.state == "refused":
+                self._set(_status(answer, "refused", self.status.detail))
             else:
-                self._hear(_state_of(status, state))
+                self._set(_status(answer, "ready" if right else "unknown"))
             return right
 
-    def remember(self, condition: Condition, answered: tuple[str, str | None] | None) -> None:
-        """Takes over its answer to a condition from before this program was started, if known."""
-        if answered is not None:
-            self._answered.setdefault(condition.name, answered)
+    def remember(self, condition: Condition, answer: tuple[str, str | None] | None) -> None:
+        """Takes over the answer to a condition from before this program was started."""
+        if answer is not None:
+            self._answers.setdefault(condition.name, answer)
 
     def look(self) -> None:
-        """Sees whether it answers, where nothing particular has to run. Never raises."""
-        with self._turn:
-            try:
-                self._hear(_state_of(self.ask("status"), "ready"))
-            except StudyError:
-                return
+        """Asks for the status where no particular method has to run. Never raises."""
+        with self._lock, contextlib.suppress(StudyError):
+            self._set(_status(self.request("status"), "ready"))
 
-    def follow(self) -> Standing | None:
-        """Asks for the state of the simulated trial.
+    def look_at_trial(self) -> TrialStatus | None:
+        """Asks for the status of the simulated trial.
 
         Raises:
-            StudyError: there is none, or nobody answers.
+            StudyError: there is none, or no answer.
         """
-        trial = standing(self.ask("trial"))
-        self._hear(replace(self.heard, trial=trial))
+        trial = trial_status(self.request("trial"))
+        self._set(replace(self.status, trial=trial))
         return trial
 
-    def ask(self, do: str, **fields: Any) -> Mapping[str, Any]:
-        """Anything else; what is heard of it is kept.
+    def request(self, do: str, **fields: Any) -> Mapping[str, Any]:
+        """Sends any request; a failure changes the status.
 
         Raises:
-            StudyError: it can't be done, or nobody answers.
+            StudyError: it is refused, or there is no answer.
         """
         try:
             answer = self._teleop.request(do, **fields)
         except SmoothOperatorError as error:
             if not isinstance(error, RemoteRefusedError):
-                self._hear(Heard("gone", str(error)))
+                self._set(TeleopStatus("gone", str(error)))
             elif do == "method":
-                self._hear(replace(self.heard, state="refused", detail=str(error)))
+                self._set(replace(self.status, state="refused", detail=str(error)))
             raise StudyError(str(error)) from error
         if answer.get("ok") is not True:
             why = str(answer.get("error") or f"{do}: refused without a reason")
             if do == "method":
-                self._hear(replace(self.heard, state="refused", detail=why))
+                self._set(replace(self.status, state="refused", detail=why))
             raise StudyError(why)
         return answer
 
-    def _hear(self, heard: Heard) -> None:
-        if heard != self.heard:
-            self.heard = heard
+    def _set(self, status: TeleopStatus) -> None:
+        if status != self.status:
+            self.status = status
             self._changed()
 
 
-def standing(report: object) -> Standing | None:
-    """State of a simulated trial from the answer to ``trial``; None if that is no state."""
-    if not isinstance(report, Mapping):
+def trial_status(answer: object) -> TrialStatus | None:
+    """Status of a simulated trial from the answer to ``trial``; None if it has none."""
+    if not isinstance(answer, Mapping):
         return None
-    time_s, about = report.get("time_s"), report.get("about")
+    time_s, about = answer.get("time_s"), answer.get("about")
     try:
-        return Standing(
-            str(report["phase"]),
-            str(report["line"]),
-            float(report["score"]),
-            str(report.get("reason", "")),
-            int(report["resets"]),
+        return TrialStatus(
+            str(answer["phase"]),
+            str(answer["line"]),
+            float(answer["score"]),
+            str(answer.get("reason", "")),
+            int(answer["resets"]),
             None if time_s is None else float(time_s),
             dict(about) if isinstance(about, Mapping) else {},
-            report.get("paused") is True,
-            int(report.get("pauses", 0)),
+            answer.get("paused") is True,
+            int(answer.get("pauses", 0)),
         )
     except (KeyError, TypeError, ValueError):
         return None
+
+
+def _status(answer: Mapping[str, Any], state: State, detail: str = "") -> TeleopStatus:
+    task, operators = answer.get("task"), answer.get("operators")
+    sources = operators.items() if isinstance(operators, Mapping) else ()
+    rate, has_object = answer.get("rate"), answer.get("object")
+    return TeleopStatus(
+        state,
+        detail,
+        _running(answer),
+        None if task is None else str(task),
+        trial_status(answer.get("trial")),
+        tuple(sorted((str(side), str(source)) for side, source in sources)),
+        float(rate) if isinstance(rate, int | float) else None,
+        task is not None or answer.get("simulation") is True,
+        has_object if isinstance(has_object, bool) else None,
+    )
 
 
 def _running(answer: Mapping[str, Any]) -> tuple[str, str | None]:
@@ -243,7 +245,7 @@ def _running(answer: Mapping[str, Any]) -> tuple[str, str | None]:
 
 
 def _default_preset(running: tuple[str, str | None]) -> str | None:
-    """The preset that a method has where none was asked for; what runs, if it is not known here."""
+    """Default preset of the running method; the running preset if the method is not known here."""
     from smooth_operator.methods.presets import default_preset
 
     try:
@@ -252,100 +254,75 @@ def _default_preset(running: tuple[str, str | None]) -> str | None:
         return running[1]
 
 
-def _state_of(status: Mapping[str, Any], state: State, detail: str = "") -> Heard:
-    task, operators = status.get("task"), status.get("operators")
-    sources = operators.items() if isinstance(operators, Mapping) else ()
-    rate, there = status.get("rate"), status.get("object")
-    return Heard(
-        state,
-        detail,
-        _running(status),
-        None if task is None else str(task),
-        standing(status.get("trial")),
-        tuple(sorted((str(side), str(source)) for side, source in sources)),
-        float(rate) if isinstance(rate, int | float) else None,
-        task is not None or status.get("simulation") is True,
-        there if isinstance(there, bool) else None,
-    )
-
-
-CLEAR_WAIT_S: Final = 120.0
-"""Longest that a trial waits for the hand to be clear of the object [s]."""
-_POLL_S: Final = 0.05
-_KEYS: Final = ("operator", "task", "block", "trial", "after")
-"""Entries by which a simulated trial is known as one of the log."""
-
-
 class SceneTrials:
-    """The part of the simulation in each step of the protocol.
+    """Lets the simulation follow the steps of the protocol.
 
     Args:
-        switch: to the running teleoperation.
+        switch: switch of the running teleoperation.
     """
 
     def __init__(self, switch: Switch) -> None:
         self._switch = switch
-        self._simulated = False  # whether there was ever a scene
-        self._given_up = threading.Event()
-        self._state_of: object = None  # start of the logged trial that the simulation ran
+        self._simulated = False  # there was a scene at some time
+        self._gave_up = threading.Event()
+        self._followed: object = None  # start of the logged trial that the simulation ran
 
     @property
     def waiting(self) -> bool:
         """True while a trial waits for the hand to be clear of the object."""
-        trial = self._switch.heard.trial
+        trial = self._switch.status.trial
         return trial is not None and trial.phase == "waiting"
 
     def load(self, block: Block, *, with_object: bool | None = None) -> str:
-        """Has the scene of a block loaded, where it is not there.
+        """Loads the scene of a block, unless the simulation has it.
 
         Args:
-            block: that is on.
-            with_object: whether an object is to be there; None leaves that as it is.
+            block: the current block.
+            with_object: whether the scene is to have its object; None leaves it unchanged.
 
         Returns:
-            What was found and changed, for the log; empty if all was right.
+            Text for the log; empty if the scene was right.
 
         Raises:
-            StudyError: it can't be loaded, or plan and scene contradict each other.
+            StudyError: the scene can't be loaded, or plan and scene contradict each other.
         """
-        heard, scene = self._switch.heard, scene_of(block)
-        self._simulated = self._simulated or heard.task is not None
-        if scene is None or not self._simulated or heard.state == "gone":
+        status, scene = self._switch.status, scene_of(block)
+        self._simulated = self._simulated or status.task is not None
+        if scene is None or not self._simulated or status.state == "gone":
             return ""
         check_rubric(block)
-        there = heard.object_there
-        wrong = with_object is not None and there is not None and there is not with_object
-        if heard.task == scene and not wrong:
+        has_object = status.has_object
+        wrong = with_object is not None and has_object is not None and has_object is not with_object
+        if status.task == scene and not wrong:
             return ""
-        if heard.task is None and not heard.simulated:
+        if status.task is None and not status.simulated:
             raise StudyError(
                 f"task {block.task.name} ran in a simulation, and the teleoperation has none now; "
                 f"start it with --task {scene}, or this console again if the hand is real"
             )
-        before = heard.task
         fields = {} if with_object is None else {"object": with_object}
-        self._switch.ask("task", task=scene, **fields)
+        self._switch.request("task", task=scene, **fields)
         self._switch.look()
-        if self._switch.heard.task != scene:
+        if self._switch.status.task != scene:
             raise StudyError(
                 f"task {block.task.name} needs the scene {scene}, but the teleoperation answers "
-                f"that it has {self._switch.heard.task or 'none'}"
+                f"that it has {self._switch.status.task or 'none'}"
             )
-        if before == scene:
+        if status.task == scene:
             return ""
-        return f"the simulation had {_named(before)}; the scene {scene} was loaded"
+        return f"the simulation had {_scene_text(status.task)}; the scene {scene} was loaded"
 
     def begin(self, progress: Progress, block: Block) -> None:
-        """Begins the simulated trial; returns when its clock runs, the hand clear of the object.
+        """Starts the simulated trial; returns when its clock runs, the hand clear of the object.
 
         Raises:
-            StudyError: it can't begin, the hand stays at the object, or it was given up.
+            StudyError: it can't start, the hand stays at the object, or the start was cancelled.
         """
         if not self.in_scene(block):
             return
-        trial, limit = self._switch.heard.trial, block.task.time_limit_s
+        trial, limit = self._switch.status.trial, block.task.time_limit_s
         if trial is not None and trial.phase in ("running", "waiting"):  # of one that was undone
-            self._switch.ask("trial", cancel=True)
+            self._switch.request("trial", cancel=True)
         about = {
             "study": progress.plan.protocol.name,
             "operator": progress.operator,
@@ -357,8 +334,8 @@ class SceneTrials:
             "after": progress.number,
         }
         fields = {} if limit is None else {"limit_s": limit}
-        self._given_up.clear()
-        answer = self._switch.ask("trial", begin=True, when_clear=True, about=about, **fields)
+        self._gave_up.clear()
+        answer = self._switch.request("trial", begin=True, when_clear=True, about=about, **fields)
         try:
             _check_limit(block, answer)
             self._wait_until_clear()
@@ -368,8 +345,8 @@ class SceneTrials:
 
     def _wait_until_clear(self) -> None:
         end = time.monotonic() + CLEAR_WAIT_S
-        while (trial := self._switch.follow()) is not None and trial.phase == "waiting":
-            if self._given_up.wait(_POLL_S):
+        while (trial := self._switch.look_at_trial()) is not None and trial.phase == "waiting":
+            if self._gave_up.wait(_POLL_S):
                 raise StudyError("its start was cancelled while the hand was in the way")
             if time.monotonic() > end:
                 raise StudyError(f"the hand was not clear of the object within {CLEAR_WAIT_S:g} s")
@@ -377,108 +354,113 @@ class SceneTrials:
             raise StudyError("it ended before its clock ran")
 
     def give_up(self) -> None:
-        """Waits no longer for the hand to be clear."""
-        self._given_up.set()
+        """Ends the wait for the hand to be clear."""
+        self._gave_up.set()
 
     def abandon(self) -> None:
-        """Forgets the simulated trial that was begun for one that the log does not have."""
+        """Cancels the simulated trial of a trial that the log does not have."""
         with contextlib.suppress(StudyError):
-            self._switch.ask("trial", cancel=True)
-            self._switch.follow()
+            self._switch.request("trial", cancel=True)
+            self._switch.look_at_trial()
 
     def abandon_stray(self, operator: str) -> None:
-        """The same for one that a console began which was killed before it was logged."""
-        trial = self._switch.heard.trial
+        """Cancels a simulated trial whose console was killed before it logged the trial."""
+        trial = self._switch.status.trial
         if trial is None or trial.phase not in ("waiting", "running"):
             return
         if "after" in trial.about and trial.about.get("operator") == operator:
             self.abandon()
 
     def along(self, do: str, progress: Progress) -> None:
-        """Has the simulation follow a trial: reset, paused, scored, undone or made void.
+        """Lets the simulation follow a trial that was reset, paused, scored, undone or void.
 
         Args:
             do: the command.
-            progress: before it.
+            progress: progress before the command.
         """
         running = progress.running
         if running is None or not self.in_scene(running.block):
             return
-        if self._switch.heard.state == "gone":
+        if self._switch.status.state == "gone":
             return
         with contextlib.suppress(StudyError):
-            trial = self._switch.follow()
+            trial = self._switch.look_at_trial()
             if trial is None or not same_trial(trial.about, progress):
                 return
             if do == "reset":
-                self._switch.ask("reset")
+                self._switch.request("reset")
             elif do in ("pause", "resume") and trial.phase == "running":
-                self._switch.ask("trial", **{do: True})
+                self._switch.request("trial", **{do: True})
             elif do == "score" and trial.phase == "running":
-                self._switch.ask("trial", finish=True)
+                self._switch.request("trial", finish=True)
             elif do in ("void", "undo", "withdraw"):
                 mark = "undone" if do == "undo" else "void"
                 about = {key: trial.about[key] for key in _KEYS}
-                self._switch.ask("trial", cancel=True, mark=mark, about=about)
+                self._switch.request("trial", cancel=True, mark=mark, about=about)
 
     def match_pause(self, progress: Progress) -> None:
-        """Has the scene stand still while the trial in the log is paused, and go on after that."""
-        running, trial = progress.running, self._switch.heard.trial
+        """Pauses or resumes the scene as the trial in the log is paused or not."""
+        running, trial = progress.running, self._switch.status.trial
         if running is None or trial is None or trial.phase != "running":
             return
         if running.paused != trial.paused and same_trial(trial.about, progress):
             with contextlib.suppress(StudyError):
-                self._switch.ask("trial", **{"pause" if running.paused else "resume": True})
-                self._switch.follow()
+                self._switch.request("trial", **{"pause" if running.paused else "resume": True})
+                self._switch.look_at_trial()
 
-    def standing(self, progress: Progress, *, fresh: bool = False) -> Standing | None:
-        """State of the trial that runs, if the simulation knows of it all that the log does."""
+    def current(self, progress: Progress, *, fresh: bool = False) -> TrialStatus | None:
+        """Status of the running trial, if the simulation knows all of its resets.
+
+        Args:
+            progress: progress of the operator.
+            fresh: whether to ask the simulation again.
+        """
         running = progress.running
         if running is None or not self.in_scene(running.block):
             return None
-        trial = self._switch.heard.trial
-        if fresh and self._switch.heard.state != "gone":
+        trial = self._switch.status.trial
+        if fresh and self._switch.status.state != "gone":
             trial = None
             with contextlib.suppress(StudyError):
-                trial = self._switch.follow()
+                trial = self._switch.look_at_trial()
         if trial is None or not same_trial(trial.about, progress):
             return None
-        self._state_of = running.started
+        self._followed = running.started
         right = trial.phase in ("running", "done") and trial.resets == running.resets
         return trial if right else None
 
     def lost(self, progress: Progress) -> str:
-        """A note, once, where the simulation no longer runs the trial that it ran."""
-        running, heard = progress.running, self._switch.heard
-        if running is None or heard.state == "gone" or self._state_of != running.started:
+        """Text for the log, once, where the simulation no longer runs the trial that it ran."""
+        running, status = progress.running, self._switch.status
+        if running is None or status.state == "gone" or self._followed != running.started:
             return ""
-        trial = heard.trial
+        trial = status.trial
         if self.in_scene(running.block) and trial and same_trial(trial.about, progress):
             return ""
-        self._state_of = None
+        self._followed = None
         return (
-            f"the simulation no longer runs trial {running.number}, but has {_named(heard.task)}: "
-            "void it, or score what was seen"
+            f"the simulation no longer runs trial {running.number}, but has "
+            f"{_scene_text(status.task)}: void it, or score what was seen"
         )
 
     def limit_s(self, block: Block) -> float | None:
-        """Time limit of the simulated task that is on [s]; the plan's own may say another."""
+        """Time limit of the simulated task [s]; None if the simulation has another scene."""
         from smooth_operator.simulation.tasks.task_registry import task_named
 
         return task_named(block.task.name).seconds if self.in_scene(block) else None
 
     def in_scene(self, block: Block) -> bool:
         """True if the simulation has the scene of a block."""
-        task = self._switch.heard.task
+        task = self._switch.status.task
         return task is not None and task == scene_of(block)
 
 
 def same_trial(about: Mapping[str, Any], progress: Progress) -> bool:
-    """True if a simulated trial was begun for the one that runs in the log.
+    """True if a simulated trial was started for the running trial of the log.
 
     Args:
-        about: entries of its record.
-        progress: of an operator; nothing but notes came between these entries and the start.
+        about: entries of the simulated trial.
+        progress: progress of an operator; between ``after`` and the start came only notes.
     """
     running, after = progress.running, about.get("after")
     if running is None or not isinstance(after, int):
@@ -492,7 +474,7 @@ def same_trial(about: Mapping[str, Any], progress: Progress) -> bool:
 
 
 def scene_of(block: Block) -> str | None:
-    """Name of the simulated task, where the block's is one."""
+    """Name of the simulated task of a block; None if its task is not simulated."""
     from smooth_operator.simulation.tasks.task_registry import task_named
 
     try:
@@ -505,7 +487,7 @@ def check_rubric(block: Block) -> None:
     """Refuses a plan whose rubric gives another score than the scene for the same line.
 
     Raises:
-        StudyError: names both.
+        StudyError: names both scores.
     """
     from smooth_operator.simulation.tasks.task_registry import task_named
 
@@ -523,8 +505,8 @@ def _check_limit(block: Block, answer: Mapping[str, Any]) -> None:
     """Refuses a scene that ends a trial at another time than the plan says."""
     from smooth_operator.simulation.tasks.task_registry import task_named
 
-    planned, told = block.task.time_limit_s, answer.get("limit_s")
-    used = float(told) if isinstance(told, int | float) else task_named(block.task.name).seconds
+    planned, limit = block.task.time_limit_s, answer.get("limit_s")
+    used = float(limit) if isinstance(limit, int | float) else task_named(block.task.name).seconds
     if planned is not None and abs(planned - used) > 1e-6:
         raise StudyError(
             f"the time limit of task {block.task.name} is {planned:g} s in the plan and {used:g} s "
@@ -532,5 +514,5 @@ def _check_limit(block: Block, answer: Mapping[str, Any]) -> None:
         )
 
 
-def _named(scene: str | None) -> str:
+def _scene_text(scene: str | None) -> str:
     return "no scene" if scene is None else f"the scene {scene}"

@@ -1,4 +1,4 @@
-"""Tables of a study, every cell checked; errors are listed by row and column."""
+"""Tables of a study, with every cell checked and errors listed by row and column."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from jaxtyping import Float, Int
 from smooth_operator.errors import StudyError, brief, listed
 from smooth_operator.study.data.rows import (
     ITEMS,
-    PAIRS,
     POINTS,
     SCORES,
     SUCCESS,
@@ -32,13 +31,13 @@ _MOST_COUNT = 10**9
 
 @dataclass
 class Checked:
-    """Rows of one table, and what is wrong with them, gathered so that one look shows all.
+    """Rows of one table, and all of their problems.
 
     Attributes:
-        name: of the file.
-        rows: (number of its line or entry, values by column).
-        unit: what the number counts: "row" of a file with a header in row 1, or "entry".
-        problems: found so far.
+        name: name of the file.
+        rows: number of each row, and its values by column.
+        unit: unit of these numbers: "row" of a file with a header in row 1, or "entry".
+        problems: problems so far.
     """
 
     name: str
@@ -47,14 +46,14 @@ class Checked:
     problems: list[str] = field(default_factory=list)
 
     def complain(self, number: int, column: str, text: str) -> None:
-        """Notes a problem with one value."""
+        """Adds a problem of one value."""
         self.problems.append(f"{self.unit} {number}, column {column}: {text}")
 
     def raise_if_any(self) -> None:
-        """Refuses the table if anything was wrong.
+        """Refuses the table if it has problems.
 
         Raises:
-            StudyError: with the first problems by row and column.
+            StudyError: lists the first problems by row and column.
         """
         if not self.problems:
             return
@@ -64,7 +63,7 @@ class Checked:
         raise StudyError(f"{self.name} can't be used:\n  {shown}{rest}")
 
     def words(self, column: str) -> np.ndarray:
-        """Names (n,) of str; none may be empty, and two must differ by more than case."""
+        """Reads names (n,) of str; none is empty, and two differ by more than case."""
         texts: list[str] = []
         first: dict[str, tuple[int, str]] = {}
         for number, row in self.rows:
@@ -83,7 +82,7 @@ class Checked:
         return np.array(texts, str)
 
     def counts(self, column: str) -> Int[np.ndarray, " n"]:
-        """Whole numbers from 1."""
+        """Reads whole numbers from 1."""
         wholes = []
         for number, row in self.rows:
             value = _number(row[column])
@@ -98,12 +97,12 @@ class Checked:
     def numbers(
         self, column: str, expected: str, allowed: Any, *, optional: bool = True
     ) -> Float[np.ndarray, " n"]:
-        """Numbers; NaN where the field is empty, if that is allowed.
+        """Reads numbers; NaN where the field is empty.
 
         Args:
-            column: which.
-            expected: what to say that was expected.
-            allowed: takes a number, returns whether it is.
+            column: name of the column.
+            expected: description of the allowed values, for messages.
+            allowed: function of a number that returns whether it is allowed.
             optional: whether the field may be empty.
         """
         floats = []
@@ -121,7 +120,7 @@ class Checked:
         return np.array(floats, float)
 
     def unique(self, columns: Sequence[str]) -> None:
-        """Notes rows that are there twice."""
+        """Adds a problem for each row whose values in these columns occur twice."""
         rows_of: dict[tuple[str, ...], int] = {}
         for number, row in self.rows:
             key = tuple(str(row[column]).strip() for column in columns)
@@ -135,7 +134,7 @@ class Checked:
 
 
 def is_missing(value: Any) -> bool:
-    """True if a field says that there is no value."""
+    """True if a field is empty or holds a word for a missing value."""
     return (
         value is None
         or (isinstance(value, str) and value.strip().lower() in _MISSING)
@@ -144,7 +143,7 @@ def is_missing(value: Any) -> bool:
 
 
 def _number(value: Any) -> float | None:
-    """A finite number, or None."""
+    """Reads a finite number; None if the value is none."""
     if isinstance(value, bool) or is_missing(value):
         return None
     if isinstance(value, str) and not _NUMBER.fullmatch(value.strip()):
@@ -160,28 +159,26 @@ TRIAL_COLUMNS: Final = (
     "operator", "task", "retargeter", "block", "trial_in_block", "trial_global", "score", "time_s",
 )  # fmt: skip
 MORE_TRIAL_COLUMNS: Final = ("duration_s", "line", "resets", "started_at", "place", "amended")
-"""Further columns of stored trials; an analysis reads the first two, where they are there."""
+"""Further columns of exported trials; an analysis reads the first two if they exist."""
 QUESTIONNAIRE_COLUMNS: Final = ("operator", "task", "retargeter", "block", "point", *ITEMS)
-WEIGHT_COLUMNS: Final = tuple(f"weight_{item}" for item in ITEMS)
-"""Columns of questionnaires with pairs of scales: all six, or none."""
 METRIC_COLUMNS: Final = ("operator", "retargeter")
-"""And a column for each metric."""
+"""Columns of metrics, followed by one column for each metric."""
 Rows = Sequence[tuple[int, Mapping[str, Any]]]
 
 
 def make_trials(name: str, rows: Rows, unit: str = "row") -> tuple[Trials, tuple[str, ...]]:
-    """Trials and what is odd about them.
+    """Makes checked trials of rows.
 
     Args:
-        name: of the file, for messages.
-        rows: (number, values by column), with all of ``TRIAL_COLUMNS``.
-        unit: what the number counts.
+        name: name of the file, for messages.
+        rows: rows with all of ``TRIAL_COLUMNS``.
+        unit: unit of the row numbers.
 
     Returns:
-        (trials, notes).
+        The trials, and notes on their oddities.
 
     Raises:
-        StudyError: a value is not what its column holds; says which, by row and column.
+        StudyError: a value does not fit its column; lists problems by row and column.
     """
     table = Checked(name, rows, unit)
     more: dict[str, np.ndarray] = {}
@@ -226,18 +223,18 @@ def make_trials(name: str, rows: Rows, unit: str = "row") -> tuple[Trials, tuple
 def make_questionnaires(
     name: str, rows: Rows, unit: str = "row"
 ) -> tuple[Questionnaires, tuple[str, ...]]:
-    """Questionnaires and what is odd about them.
+    """Makes checked questionnaires of rows.
 
     Args:
-        name: of the file, for messages.
-        rows: (number, values by column), with all of ``QUESTIONNAIRE_COLUMNS``.
-        unit: what the number counts.
+        name: name of the file, for messages.
+        rows: rows with all of ``QUESTIONNAIRE_COLUMNS``.
+        unit: unit of the row numbers.
 
     Returns:
-        (questionnaires, notes).
+        The questionnaires, and notes on their oddities.
 
     Raises:
-        StudyError: a value is not what its column holds; says which, by row and column.
+        StudyError: a value does not fit its column; lists problems by row and column.
     """
     table = Checked(name, rows, unit)
     points = []
@@ -255,7 +252,6 @@ def make_questionnaires(
         block=table.counts("block"),
         point=np.array(points, int),
         answers=np.array(answers).T.reshape(-1, len(ITEMS)),
-        weights=_weights(table),
     )
     table.unique(("operator", "task", "block", "point"))
     table.raise_if_any()
@@ -269,47 +265,11 @@ def make_questionnaires(
     return filled, tuple(notes)
 
 
-def _weights(table: Checked) -> Float[np.ndarray, "n 6"] | None:
-    """(n, 6) how often each scale was chosen; None where the table has no such columns."""
-    there = [column for column in WEIGHT_COLUMNS if column in table.rows[0][1]]
-    if not there:
-        return None
-    missing = [column for column in WEIGHT_COLUMNS if column not in there]
-    if missing:
-        table.problems.append(
-            f"expected all of the columns {', '.join(WEIGHT_COLUMNS)}, or none; missing: "
-            f"{', '.join(missing)}"
-        )
-        return None
-    most = len(ITEMS) - 1
-    columns = [
-        table.numbers(
-            column, f"0 to {most}, whole, or nothing", lambda x: 0 <= x <= most and x == int(x)
-        )
-        for column in WEIGHT_COLUMNS
-    ]
-    chosen = np.array(columns).T.reshape(-1, len(ITEMS))
-    for (number, row), weights in zip(table.rows, chosen, strict=True):
-        filled = [not is_missing(row[column]) for column in WEIGHT_COLUMNS]
-        if any(filled) and not all(filled):
-            table.complain(
-                number, WEIGHT_COLUMNS[filled.index(False)], "the other weights are there"
-            )
-        elif all(filled) and np.isfinite(weights).all() and weights.sum() != PAIRS:
-            table.complain(
-                number,
-                WEIGHT_COLUMNS[0],
-                f"expected weights that are {PAIRS} together, as of {PAIRS} pairs; they are "
-                f"{weights.sum():g}",
-            )
-    return None if np.isnan(chosen).all() else chosen
-
-
 def make_metrics(name: str, rows: Rows, unit: str = "row") -> SimulationMetrics:
-    """Metrics from simulation.
+    """Makes checked metrics from simulation of rows.
 
     Raises:
-        StudyError: a value is not what its column holds; says which, by row and column.
+        StudyError: a value does not fit its column; lists problems by row and column.
     """
     table = Checked(name, rows, unit)
     names = tuple(column for column in rows[0][1] if column not in METRIC_COLUMNS)
@@ -328,7 +288,7 @@ def make_metrics(name: str, rows: Rows, unit: str = "row") -> SimulationMetrics:
 
 
 def _mixed_blocks(name: str, trials: Trials) -> list[str]:
-    """A block belongs to one retargeter; where two share one, indices within it mean little."""
+    """Notes on blocks with trials of several retargeters, whose trial numbers mean little."""
     first: dict[tuple[str, str, int], str] = {}
     mixed = set()
     for operator, task, block, retargeter in zip(

@@ -1,4 +1,4 @@
-"""Data of a study from tables, JSON files and folders."""
+"""Readers of a study: tables, JSON files, folders."""
 
 from __future__ import annotations
 
@@ -19,39 +19,38 @@ from smooth_operator.study.data.checked_tables import (
     METRIC_COLUMNS,
     QUESTIONNAIRE_COLUMNS,
     TRIAL_COLUMNS,
-    Checked,
     Rows,
     make_metrics,
     make_questionnaires,
     make_trials,
 )
 from smooth_operator.study.data.rows import (
-    SCORES,
     Flow,
     Questionnaires,
-    SecondRatings,
     SimulationMetrics,
     StudyData,
     Trials,
     Withdrawal,
-    Workload,
 )
 from smooth_operator.study.design.plan import Plan
 from smooth_operator.study.design.plan_file import plan_of
 
 _START: Final = "block_started"
-"""Kind of the event by which an operator has started."""
+"""Kind of the event with which an operator starts."""
 
 
 def study_facts(content: Mapping[str, Any], name: str) -> dict[str, Any]:
-    """Facts of a study by their names in ``StudyData``; empty if the file has none.
+    """Reads plan, orders, flow and ranking of a study, by their names in ``StudyData``.
 
     Args:
-        content: of ``study.json``.
-        name: of the file, for messages.
+        content: content of ``study.json``.
+        name: name of the file, for messages.
+
+    Returns:
+        The values; empty if the file has no plan.
 
     Raises:
-        StudyError: the plan in it is none, or the participants are not as an export writes them.
+        StudyError: the plan is invalid, or the participants are not as an export writes them.
     """
     table = content.get("study")
     if not isinstance(table, Mapping) or "conditions" not in table:
@@ -128,32 +127,33 @@ _KINDS: Final = {
     "questionnaires": frozenset(QUESTIONNAIRE_COLUMNS),
 }
 _SIMULATED: Final = "simulation.json"
-"""Name of the file of virtual operators that has their plan."""
+"""Name of the file of virtual operators that holds their plan."""
 _TELLING: Final = {"score": "trials", "trial_in_block": "trials", "point": "questionnaires"}
-"""Columns that identify a table although others are missing."""
+"""Columns that identify a table in which others are missing."""
 
 
-def read_study(paths: Sequence[str | Path], *, texts: Sequence[tuple[str, str]] = ()) -> StudyData:
-    """Reads a study.
+def read_study(
+    paths: Sequence[str | Path], *, exports: Mapping[str, Mapping[str, Any]] | None = None
+) -> StudyData:
+    """Reads the data of a study.
 
     Args:
-        paths: a folder with trials.csv and, where there are, tlx.csv and sim_metrics.csv; or such
+        paths: folder with trials.csv and, if they exist, tlx.csv and sim_metrics.csv; or such
             tables under any name and in any order; or one JSON file.
-        texts: (name, content) of JSON that is in no file, as a store exports it.
+        exports: name -> content of stores, as ``study_json`` returns it.
 
     Returns:
-        The data, each value checked; with plan and participants, where a JSON file has them.
+        The data with each value checked, and with plan and participants if a JSON file has them.
 
     Raises:
-        StudyError: no trials among the files, two tables of a kind, a column is missing, or values
-            are not what their columns hold; says which by row and column.
+        StudyError: there are no trials, two tables of a kind, a column is missing, or a value does
+            not fit its column; lists problems by row and column.
     """
     files = [file for path in paths for file in _files(Path(path))]
     tables: dict[str, tuple[str, Rows, str]] = {}
     facts: dict[str, Any] = {}
     read: list[tuple[str, list[tuple[str, Rows, str]]]] = []
-    for name, text in texts:
-        content = _content(name, text)
+    for name, content in (exports or {}).items():
         facts |= study_facts(content, name)
         read.append((name, _from_json(name, content)))
     for file in files:
@@ -204,7 +204,7 @@ def _files(path: Path) -> list[Path]:
 
 
 def _facts_files(files: Sequence[Path]) -> list[Path]:
-    """The file next to ``trials.csv`` that has the plan."""
+    """The file next to ``trials.csv`` that holds the plan."""
     for file in files:
         if file.name == NAMES[0]:
             for name in (EXPORT, _SIMULATED):
@@ -224,20 +224,6 @@ def _text(file: Path) -> str:
         raise StudyError(f"{file.name}: {error}; expected a table (.csv) or JSON") from None
     except OSError as error:
         raise StudyError(f"can't read {str(file)!r}: {error.strerror or error}") from error
-
-
-def csv_rows(file: Path) -> Rows:
-    """Numbered rows of a table by column; one at least.
-
-    Raises:
-        StudyError: there is no such file, or it is no table.
-    """
-    if not file.is_file():
-        raise StudyError(f"no such file: {str(file)!r}; expected a table (.csv)")
-    rows = _csv(file.name, _text(file))[1]
-    if not rows:
-        raise StudyError(f"{file.name} holds a header and no rows")
-    return rows
 
 
 def _from_csv(name: str, text: str) -> tuple[str, Rows, str]:
@@ -326,7 +312,7 @@ def _from_json(name: str, content: Mapping[str, Any]) -> list[tuple[str, Rows, s
 
 
 def _strange_names(data: StudyData, files: Mapping[str, str]) -> tuple[str, ...]:
-    """Names in other tables that no trial has: a typing error would go unseen."""
+    """Notes on names in other tables that no trial has, which may be typing errors."""
     others: list[tuple[str, Questionnaires | SimulationMetrics]] = []
     if data.questionnaires is not None:
         others.append(("questionnaires", data.questionnaires))
@@ -350,87 +336,3 @@ def _strange_names(data: StudyData, files: Mapping[str, str]) -> tuple[str, ...]
 
 def _distinct(table: Trials | Questionnaires | SimulationMetrics, column: str) -> list[str]:
     return [str(word) for word in np.unique(getattr(table, column))]
-
-
-SECOND_COLUMNS: Final = ("operator", "task", "block", "trial_in_block", "score")
-_KEY: Final = SECOND_COLUMNS[:-1]
-
-
-def with_second_ratings(data: StudyData, file: str | Path) -> StudyData:
-    """The study with a second rater's scores of some or all trials.
-
-    Args:
-        data: the study.
-        file: CSV with ``SECOND_COLUMNS``; further columns are ignored.
-
-    Raises:
-        StudyError: it can't be read, a column is missing, a value is none, or a trial is there
-            twice or is none of the study.
-    """
-    file = Path(file)
-    rows = csv_rows(file)
-    missing = [column for column in SECOND_COLUMNS if column not in rows[0][1]]
-    if missing:
-        raise StudyError(
-            f"{file.name}: a table of second ratings needs the columns "
-            f"{', '.join(SECOND_COLUMNS)}; missing: {', '.join(missing)}"
-        )
-    table = Checked(file.name, rows)
-    ratings = SecondRatings(
-        operator=table.words("operator"),
-        task=table.words("task"),
-        block=table.counts("block"),
-        trial_in_block=table.counts("trial_in_block"),
-        score=table.numbers("score", "0, 0.5 or 1", lambda x: x in SCORES, optional=False),
-    )
-    table.unique(_KEY)
-    trials = data.trials
-    places = set(
-        zip(trials.operator, trials.task, trials.block, trials.trial_in_block, strict=True)
-    )
-    for k, (number, _) in enumerate(rows):
-        key = (ratings.operator[k], ratings.task[k], ratings.block[k], ratings.trial_in_block[k])
-        if key not in places:
-            where = ", ".join(f"{c} {v}" for c, v in zip(_KEY, key, strict=True))
-            table.problems.append(f"row {number}: the study has no trial of {where}")
-    table.raise_if_any()
-    return replace(data, second_ratings=ratings)
-
-
-_SHOWN: Final = 5
-
-
-def with_workload(data: StudyData, kind: Workload) -> StudyData:
-    """The study with raw or weighted workload.
-
-    Args:
-        data: the study.
-        kind: which.
-
-    Raises:
-        StudyError: weighted, and there are no questionnaires, or some without weights.
-    """
-    table = data.questionnaires
-    if kind == "raw" and table is None:
-        return data
-    if table is None:
-        raise StudyError("a weighted workload needs questionnaires; none were given")
-    if kind == "weighted":
-        without = (
-            np.ones(len(table), bool)
-            if table.weights is None
-            else np.isnan(table.weights).any(axis=1)
-        )
-        if without.any():
-            rows = zip(
-                table.operator[without], table.task[without], table.block[without], strict=True
-            )
-            blocks = list(dict.fromkeys((str(o), str(t), int(b)) for o, t, b in rows))
-            shown = "; ".join(f"operator {o}, task {t}, block {b}" for o, t, b in blocks[:_SHOWN])
-            more = f"; and {len(blocks) - _SHOWN} more" if len(blocks) > _SHOWN else ""
-            raise StudyError(
-                f"a weighted workload needs the answers to the pairs of scales in every block; "
-                f"they are missing in {len(blocks)}: {shown}{more}. Analyse the raw workload, or "
-                "leave these operators out"
-            )
-    return replace(data, questionnaires=replace(table, kind=kind))

@@ -1,10 +1,10 @@
-"""Data of a study as columns: trials, questionnaires, metrics, ratings, flow of participants."""
+"""Data of a study as columns: trials, questionnaires, metrics, flow of participants."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
-from typing import Final, Literal, Self, TypeAlias
+from typing import Final, Self
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -14,11 +14,11 @@ from smooth_operator.study.design.protocol import Protocol
 
 @dataclass(frozen=True)
 class Withdrawal:
-    """An operator who left the study.
+    """Withdrawal of an operator.
 
     Attributes:
-        keep: whether the data up to then may be analysed.
-        reason: as the experimenter noted it.
+        keep: whether the data so far may be analysed.
+        reason: reason that the experimenter noted.
         at: ISO date and time.
     """
 
@@ -29,25 +29,25 @@ class Withdrawal:
 
 @dataclass(frozen=True)
 class Flow:
-    """Participants from enrolment to analysis, as CONSORT counts them, and irregular events.
+    """Flow of participants from enrolment to analysis (CONSORT), and numbers of irregular events.
 
     Attributes:
-        logged: whether a log of the study is known; without one, enrolled and started are those
-            who have data, and the rest is unknown.
-        planned: number of operators of the plan; None where unknown.
-        enrolled: operators.
-        started: those who have an event.
-        completed: those who did all that was planned for them.
-        withdrawn: operator -> how they left.
-        replaces: operator -> the withdrawn one whose place they took.
+        logged: whether the log of the study is known. Without it, operators with data count as
+            enrolled and started, and the rest is unknown.
+        planned: number of operators of the plan; None if unknown.
+        enrolled: operators who were enrolled.
+        started: operators who started a block.
+        completed: operators who did all of their plan.
+        withdrawn: operator -> withdrawal.
+        replaces: operator -> withdrawn operator whose place they took.
         excluded: operator -> reason why their data are left out of the analysis.
         analysed: operators whose data are in the analysis.
-        voids: retargeter -> trials that were declared void and repeated.
-        undone: retargeter -> events that were taken back.
-        amended: retargeter -> trials that were corrected later.
-        pauses: of all operators.
-        recalibrations: after the first calibration, of all operators.
-        ended_early: blocks that were ended before their last trial.
+        voids: retargeter -> number of trials that were declared void and repeated.
+        undone: retargeter -> number of events that were undone.
+        amended: retargeter -> number of trials that were corrected later.
+        pauses: number of pauses.
+        recalibrations: number of calibrations after the first ones.
+        ended_early: number of blocks that were ended before their last trial.
     """
 
     logged: bool = False
@@ -69,52 +69,30 @@ class Flow:
 
 @dataclass(frozen=True, eq=False)
 class _Table:
-    """Columns of one length n."""
+    """Columns of equal length n."""
 
     operator: np.ndarray
-    """Pseudonymous codes (n,) of str."""
+    """Pseudonyms (n,) of str."""
 
     def __len__(self) -> int:
         return len(self.operator)
 
     def where(self, rows: Bool[np.ndarray, " n"]) -> Self:
-        """Only some rows."""
+        """Selects rows."""
         columns = {f.name: getattr(self, f.name) for f in fields(self)}
         return replace(
             self, **{name: c[rows] for name, c in columns.items() if isinstance(c, np.ndarray)}
         )
 
 
-@dataclass(frozen=True, eq=False)
-class SecondRatings(_Table):
-    """Scores that another rater gave, for instance from video.
-
-    Attributes:
-        task: names (n,) of str.
-        block: which block of the operator's task, from 1 (n,).
-        trial_in_block: from 1 (n,).
-        score: 0, 0.5 or 1 (n,).
-    """
-
-    task: np.ndarray
-    block: Int[np.ndarray, " n"]
-    trial_in_block: Int[np.ndarray, " n"]
-    score: Float[np.ndarray, " n"]
-
-
 ITEMS: Final = ("mental", "physical", "temporal", "performance", "effort", "frustration")
 """Scales of the NASA-TLX, each 0 to 100, higher is worse."""
-PAIRS: Final = len(ITEMS) * (len(ITEMS) - 1) // 2
-"""Pairs of scales: an operator says of each pair which added more to the workload."""
-Workload: TypeAlias = Literal["raw", "weighted"]
-"""``raw``: mean of the six answers (Hart 2006); ``weighted``: each as often as its scale was chosen
-(Hart and Staveland 1988)."""
 POINTS: Final = ("initial", "midpoint", "final")
-"""When a questionnaire is filled in: after the first, middle and last trial of a block."""
+"""Times of questionnaires: after the first, middle and last trial of a block."""
 SCORES: Final = (0.0, 0.5, 1.0)
 """Failure, marginal success, success."""
 SUCCESS: Final = 0.5
-"""Score from which a trial counts as a success."""
+"""Smallest score of a successful trial."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,15 +100,15 @@ class Trials(_Table):
     """Trials, one a row.
 
     Attributes:
-        task: names (n,) of str.
-        retargeter: names (n,) of str.
-        block: which block of the operator's task, from 1 (n,).
-        trial_in_block: from 1 (n,).
-        trial_global: count over all blocks of the operator's task, from 1 (n,).
+        task: names of tasks (n,) of str.
+        retargeter: names of retargeters (n,) of str.
+        block: number of the block in the operator's task, from 1 (n,).
+        trial_in_block: number of the trial in its block, from 1 (n,).
+        trial_global: number of the trial in the operator's task, from 1 (n,).
         score: 0, 0.5 or 1 (n,).
         time: completion time [s], NaN where there is none (n,).
-        duration: from the start to the score, of failures too [s], NaN where unknown (n,).
-        line: of the rubric, "" where unknown (n,) of str.
+        duration: time from the start to the score, also of failures [s], NaN where unknown (n,).
+        line: line of the rubric, "" where unknown (n,) of str.
     """
 
     task: np.ndarray
@@ -150,7 +128,7 @@ class Trials(_Table):
 
     @property
     def success(self) -> np.ndarray:
-        """Which trials have a score of 0.5 or 1 (n,)."""
+        """True for trials with a score of 0.5 or 1 (n,)."""
         return np.asarray(self.score >= SUCCESS)
 
 
@@ -159,14 +137,11 @@ class Questionnaires(_Table):
     """NASA-TLX answers, one questionnaire a row.
 
     Attributes:
-        task: names (n,) of str.
-        retargeter: names (n,) of str.
-        block: which block of the operator's task, from 1 (n,).
+        task: names of tasks (n,) of str.
+        retargeter: names of retargeters (n,) of str.
+        block: number of the block in the operator's task, from 1 (n,).
         point: 1, 2 or 3: initial, midpoint, final (n,).
-        answers: of ``ITEMS``, 0 to 100, NaN where one was left out (n, 6).
-        weights: how often each was chosen, 0 to 5, 15 together, NaN in rows without (n, 6); None
-            if no row has them.
-        kind: of the workload.
+        answers: answers to ``ITEMS``, 0 to 100, NaN where one is missing (n, 6).
     """
 
     task: np.ndarray
@@ -174,21 +149,15 @@ class Questionnaires(_Table):
     block: Int[np.ndarray, " n"]
     point: Int[np.ndarray, " n"]
     answers: Float[np.ndarray, "n 6"]
-    weights: Float[np.ndarray, "n 6"] | None = None
-    kind: Workload = "raw"
 
     @property
     def workload(self) -> Float[np.ndarray, " n"]:
-        """Raw or weighted TLX; NaN where an answer is missing, or the weights are (n,)."""
-        if self.kind == "raw":
-            return np.asarray(self.answers.mean(axis=1))
-        if self.weights is None:
-            return np.full(len(self), np.nan)
-        return np.asarray((self.weights * self.answers).sum(axis=1) / PAIRS)
+        """Raw TLX, the mean of the six answers (Hart 2006); NaN where one is missing (n,)."""
+        return np.asarray(self.answers.mean(axis=1))
 
     @property
     def index(self) -> Int[np.ndarray, " n"]:
-        """Count over all questionnaires of the operator's task, from 1 (n,)."""
+        """Number of the questionnaire in the operator's task, from 1 (n,)."""
         return np.asarray((self.block - 1) * len(POINTS) + self.point)
 
 
@@ -197,9 +166,9 @@ class SimulationMetrics(_Table):
     """Metrics of an operator's motion with a retargeter, from simulation.
 
     Attributes:
-        retargeter: names (n,) of str.
-        names: of the metrics (m,).
-        values: NaN where one is missing (n, m).
+        retargeter: names of retargeters (n,) of str.
+        names: names of the metrics (m,).
+        values: values of the metrics, NaN where one is missing (n, m).
     """
 
     retargeter: np.ndarray
@@ -209,19 +178,18 @@ class SimulationMetrics(_Table):
 
 @dataclass(frozen=True, eq=False)
 class StudyData:
-    """A study.
+    """Data of a study.
 
     Attributes:
-        trials: all of them.
-        questionnaires: None if none were given.
-        metrics: from simulation; None if none were given.
-        notes: what is odd in the data, but no reason to refuse them.
-        sources: names of the files that they came from.
-        plan: of the study; None where only tables are known.
-        orders: rows of the plan's square; empty where unknown.
-        flow: of the participants, from enrolment to analysis.
-        ranking: operator -> retargeters, the preferred one first.
-        second_ratings: scores by another rater; None if there are none.
+        trials: all trials.
+        questionnaires: all questionnaires; None without any.
+        metrics: metrics from simulation; None without any.
+        notes: oddities of the data that are no reason to refuse them.
+        sources: names of the files.
+        plan: protocol of the study; None if only tables are known.
+        orders: orders of the conditions in the plan; empty if unknown.
+        flow: flow of participants.
+        ranking: operator -> retargeters, the best first.
     """
 
     trials: Trials
@@ -233,4 +201,3 @@ class StudyData:
     orders: tuple[tuple[str, ...], ...] = ()
     flow: Flow = field(default_factory=Flow)
     ranking: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    second_ratings: SecondRatings | None = None

@@ -40,7 +40,6 @@ _COMMENTS: Final[Mapping[type, Mapping[str, str]]] = {
         "operators": "",
         "familiarisation_s": "free movement before a block",
         "questionnaires": "NASA-TLX, after these trials",
-        "weights": "the 15 pairs of NASA-TLX at the end of a block",
         "resets": "of the object, in a trial",
         "reset_cap": "best score after that",
         "break_s": "offered between blocks",

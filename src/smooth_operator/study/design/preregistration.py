@@ -118,8 +118,7 @@ def _outcomes(protocol: Protocol) -> Iterator[str]:
     else:
         yield f"- **Exploratory:** {titles}, in every scope."
     if protocol.questionnaires:
-        more = " (weights from the 15 pairs are a sensitivity analysis)" if protocol.weights else ""
         yield (
             f"- NASA-TLX is filled in after the {', '.join(protocol.questionnaires)} trial of a "
-            f"block; workload is the unweighted mean of its six scales{more}."
+            f"block; workload is the unweighted mean of its six scales."
         )

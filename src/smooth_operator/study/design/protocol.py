@@ -146,7 +146,6 @@ class Protocol:
         operators: how many are to take part.
         familiarisation_s: free movement before the trials of each block, without the task [s].
         questionnaires: after which trials of a block NASA-TLX is asked; empty for never.
-        weights: whether the 15 pairwise comparisons of NASA-TLX follow the last one of a block.
         resets: how often the object may be put back in a trial.
         reset_cap: the best score after that.
         break_s: offered between blocks [s].
@@ -171,7 +170,6 @@ class Protocol:
     operators: int
     familiarisation_s: float = 120.0
     questionnaires: tuple[Point, ...] = POINTS
-    weights: bool = False
     resets: int = 1
     reset_cap: float = 0.5
     break_s: float = 120.0

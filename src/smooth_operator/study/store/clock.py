@@ -1,9 +1,9 @@
-"""Clock of a store: durations do not depend on changes of the machine's clock.
+"""Clock of a store, whose durations don't depend on changes of the machine's clock.
 
-The time of day jumps when a person or a time server sets it. A steady clock never does, but it
-starts from zero with the machine. So a program takes the time of day at its start, and adds what
-the steady clock has counted since. What is timed (a trial, free movement) is stored with a reading
-of the steady clock, so that a program that is started later can continue it.
+The time of day jumps when a person or a time server sets it. A steady clock never jumps, but starts
+at zero with the machine. A program takes the time of day at its start and adds the seconds that the
+steady clock has counted since. Trials, pauses and free movement are stored with a reading of the
+steady clock, so that a program that is started later can continue them.
 """
 
 from __future__ import annotations
@@ -16,17 +16,18 @@ from pathlib import Path
 from typing import Final
 
 _STEP_S: Final = 1.0
-"""A difference between two clocks that is called a step [s]; a time server slews smaller ones."""
+"""Smallest difference of two clocks that is called a step [s]; a time server corrects smaller
+differences gradually."""
 
 
 def _steady() -> float:
-    """Seconds that never jump, sleep of the machine included where the system counts it."""
+    """Seconds that never jump; includes sleep of the machine where the system counts it."""
     boot = getattr(time, "CLOCK_BOOTTIME", None)
     return time.monotonic() if boot is None else time.clock_gettime(boot)
 
 
 def _boot() -> str:
-    """An identifier of this start of this machine; empty where the system has none."""
+    """Identifier of this start of the machine; empty where the system has none."""
     try:
         return Path("/proc/sys/kernel/random/boot_id").read_text("ascii").strip()
     except OSError:
@@ -35,12 +36,12 @@ def _boot() -> str:
 
 @dataclass(frozen=True)
 class Elapsed:
-    """A duration and the doubts about it.
+    """Elapsed time and its uncertainty.
 
     Attributes:
-        seconds: negative where nothing but a clock that was set back explains it.
-        doubt: why that may be wrong, or how the time of day disagrees, in a sentence; empty if
-            there is nothing to say.
+        seconds: elapsed time; negative only where a clock was set back.
+        doubt: sentence that says why the time may be wrong, or how the time of day disagrees;
+            empty if both clocks agree.
     """
 
     seconds: float
@@ -48,12 +49,12 @@ class Elapsed:
 
 
 class Clock:
-    """Moments of one program.
+    """Times and durations of one program.
 
     Args:
-        wall: the time of day [s since 1970].
-        steady: a clock that never jumps [s].
-        boot: of the machine; readings of another one can't be gone on from.
+        wall: time of day [s since 1970].
+        steady: clock that never jumps [s].
+        boot: identifier of the start of the machine; readings of another start can't be used.
     """
 
     def __init__(
@@ -64,32 +65,31 @@ class Clock:
     ) -> None:
         self._wall, self._steady = wall, steady
         self._boot = boot if boot is not None else _boot() or f"{time.time_ns():x}"
-        self._begun = (wall(), steady())
-        self._known_step = 0.0
+        self._start = (wall(), steady())
+        self._reported_offset = 0.0
 
     def now(self) -> datetime:
-        """This moment, in UTC: later than all before, whatever the machine's clock does."""
-        wall, steady = self._begun
-        passed = timedelta(seconds=self._steady() - steady)
-        return datetime.fromtimestamp(wall, UTC) + passed
+        """Returns this moment in UTC, later than all before even if the machine's clock is set."""
+        wall, steady = self._start
+        return datetime.fromtimestamp(wall, UTC) + timedelta(seconds=self._steady() - steady)
 
     def seconds(self) -> float:
-        """The steady clock [s]: for durations within this program."""
+        """Returns the steady clock [s], for durations within this program."""
         return self._steady()
 
     def reading(self) -> str:
-        """The steady clock, to be stored."""
+        """Returns the steady clock and the start of the machine as text for the store."""
         return f"{self._boot} {self._steady():.3f}"
 
     def since(self, at: datetime, reading: str) -> Elapsed:
-        """The time since a moment.
+        """Measures the time since a stored moment.
 
         Args:
-            at: when it was written down.
-            reading: of the steady clock then; empty if there is none.
+            at: stored time of day.
+            reading: stored reading of the steady clock; empty if there is none.
         """
         by_day = (self.now() - at).total_seconds()
-        seconds = self._passed(reading)
+        seconds = self._since_reading(reading)
         if seconds is None:
             text = "timed by the time of day, as the machine or the console was started again"
             return Elapsed(by_day, text)
@@ -99,7 +99,7 @@ class Clock:
         text = f"the machine's clock was set by {step:+.0f} s meanwhile; timed by a steady clock"
         return Elapsed(seconds, text)
 
-    def _passed(self, reading: str) -> float | None:
+    def _since_reading(self, reading: str) -> float | None:
         boot, _, value = reading.partition(" ")
         try:
             return self._steady() - float(value) if boot == self._boot else None
@@ -107,11 +107,11 @@ class Clock:
             return None
 
     def step(self) -> float:
-        """By how much the machine's clock was set since this was asked last [s]; 0 if it wasn't."""
-        wall, steady = self._begun
-        off = self._wall() - wall - (self._steady() - steady)
-        step = off - self._known_step
+        """Returns the step by which the machine's clock was set since the last call [s]."""
+        wall, steady = self._start
+        offset = self._wall() - wall - (self._steady() - steady)
+        step = offset - self._reported_offset
         if abs(step) < _STEP_S:
             return 0.0
-        self._known_step = off
+        self._reported_offset = offset
         return step

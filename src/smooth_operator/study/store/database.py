@@ -1,7 +1,7 @@
 """SQLite file of a study: tables, transactions, and the rules that keep the log append-only.
 
-A trigger refuses to change an event at all, and to delete one unless its participant was erased
-first, which leaves a line that says so. Moments are ISO 8601 text in UTC.
+Triggers refuse to change an event, and to delete one whose operator was not erased first; erasing
+leaves a row that says so. Times are ISO 8601 text in UTC.
 """
 
 from __future__ import annotations
@@ -21,31 +21,28 @@ from smooth_operator.io.documents import parse_json
 
 FILE: Final = "study.db"
 """Name of the SQLite file in the folder of a study."""
+FORMAT: Final = 1
+"""Version of the tables, stored as SQLite's ``user_version``; a newer one is refused."""
 BUSY_S: Final = 60.0
 """Longest time that a writer waits for its turn [s]."""
 _TABLES: Final = (
-    """CREATE TABLE studies (id INTEGER PRIMARY KEY, name TEXT NOT NULL UNIQUE,
-    format INTEGER NOT NULL, created_at TEXT NOT NULL)""",
-    """CREATE TABLE plans (id INTEGER PRIMARY KEY,
-    study_id INTEGER NOT NULL REFERENCES studies (id), at TEXT NOT NULL, plan TEXT NOT NULL)""",
-    "CREATE INDEX ix_plans_study_id ON plans (study_id)",
-    """CREATE TABLE participants (id INTEGER PRIMARY KEY,
-    study_id INTEGER NOT NULL REFERENCES studies (id), operator TEXT NOT NULL,
-    created_at TEXT NOT NULL, erased_at TEXT, UNIQUE (study_id, operator))""",
-    """CREATE TABLE events (id INTEGER PRIMARY KEY,
-    study_id INTEGER NOT NULL REFERENCES studies (id), operator TEXT NOT NULL,
-    number INTEGER NOT NULL, kind TEXT NOT NULL, at TEXT NOT NULL, author TEXT NOT NULL, token TEXT,
-    payload TEXT NOT NULL, UNIQUE (study_id, operator, number), UNIQUE (study_id, token))""",
+    "CREATE TABLE plans (id INTEGER PRIMARY KEY, at TEXT NOT NULL, plan TEXT NOT NULL)",
+    """CREATE TABLE participants (operator TEXT PRIMARY KEY, created_at TEXT NOT NULL,
+    erased_at TEXT)""",
+    """CREATE TABLE events (id INTEGER PRIMARY KEY, operator TEXT NOT NULL,
+    number INTEGER NOT NULL, kind TEXT NOT NULL, at TEXT NOT NULL, author TEXT NOT NULL,
+    token TEXT UNIQUE, payload TEXT NOT NULL, UNIQUE (operator, number))""",
     """CREATE TRIGGER events_never_change BEFORE UPDATE ON events
     BEGIN SELECT RAISE(ABORT, 'events are append-only'); END""",
     """CREATE TRIGGER events_never_vanish BEFORE DELETE ON events
-    WHEN NOT EXISTS (SELECT 1 FROM participants p WHERE p.study_id = OLD.study_id
-      AND p.operator = OLD.operator AND p.erased_at IS NOT NULL)
+    WHEN NOT EXISTS (SELECT 1 FROM participants p WHERE p.operator = OLD.operator
+      AND p.erased_at IS NOT NULL)
     BEGIN SELECT RAISE(ABORT, 'events are append-only'); END""",
     """CREATE TRIGGER plans_never_change BEFORE UPDATE ON plans
     BEGIN SELECT RAISE(ABORT, 'plans are append-only'); END""",
     """CREATE TRIGGER plans_never_vanish BEFORE DELETE ON plans
     BEGIN SELECT RAISE(ABORT, 'plans are append-only'); END""",
+    f"PRAGMA user_version = {FORMAT}",
 )
 
 
@@ -53,10 +50,10 @@ class Database:
     """One open file. All methods may be called from any thread; transactions take turns.
 
     Args:
-        target: folder of a study, or its SQLite file; the file is made if it is not there.
+        target: folder of a study, or its SQLite file, which is created if missing.
 
     Raises:
-        StudyError: it can't be opened, or is no SQLite database.
+        StudyError: the file can't be opened, or is no SQLite database.
     """
 
     def __init__(self, target: str | Path) -> None:
@@ -71,8 +68,8 @@ class Database:
             raise StudyError(f"can't open the store {self._path}: {error}") from error
         try:
             self._connection.row_factory = sqlite3.Row
-            _into_wal(self._connection)
-            # An event is on the disk before it is acknowledged; erased ones can't be read from it.
+            _use_write_ahead_log(self._connection)
+            # An event is on disk before it is acknowledged; an erased one can't be read from disk.
             for setting in ("synchronous=FULL", "foreign_keys=ON", "secure_delete=ON"):
                 self._connection.execute(f"PRAGMA {setting}")
             self._file = os.stat(self._path).st_ino
@@ -80,6 +77,9 @@ class Database:
         except (sqlite3.Error, OSError) as error:
             self.close()
             raise StudyError(f"can't open the store {self._path}: {error}") from error
+        except BaseException:
+            self.close()
+            raise
 
     def close(self) -> None:
         """Closes the file."""
@@ -88,9 +88,9 @@ class Database:
 
     @contextmanager
     def writing(self) -> Iterator[sqlite3.Connection]:
-        """A transaction that is on the disk when it ends, or leaves nothing after an exception.
+        """Runs a transaction that is on disk when it ends, or leaves nothing after an exception.
 
-        A writer takes its turn before it looks, or two would decide on the same state.
+        A writer locks the file before it reads, or two would decide on the same state.
 
         Raises:
             StudyError: nothing was written; says why.
@@ -99,13 +99,13 @@ class Database:
             try:
                 with self._transaction("BEGIN IMMEDIATE"):
                     yield self._connection
-                    self._check_there()
+                    self._check_file()
             except (sqlite3.Error, OSError) as error:
                 raise StudyError(f"nothing was written: {error}") from error
 
     @contextmanager
     def reading(self) -> Iterator[sqlite3.Connection]:
-        """A transaction that sees one state; within one that writes, it is a part of that.
+        """Runs a transaction that sees one state; inside ``writing`` it is a part of that one.
 
         Raises:
             StudyError: the file can't be read; says why.
@@ -116,7 +116,7 @@ class Database:
                 return
             try:
                 with self._transaction("BEGIN"):
-                    self._check_there()
+                    self._check_file()
                     yield self._connection
             except (sqlite3.Error, OSError) as error:
                 raise StudyError(f"the store can't be read: {error}") from error
@@ -132,11 +132,17 @@ class Database:
                 self._connection.execute("ROLLBACK")
             raise
 
+    def version(self) -> tuple[int, int]:
+        """Numbers that differ after each change of the file, by this program or another one."""
+        with self.reading() as connection:
+            (others,) = connection.execute("PRAGMA data_version").fetchone()
+            return int(others), connection.total_changes
+
     def empty_write_ahead_log(self) -> None:
         """Removes deleted content that is still in the write-ahead log.
 
         Raises:
-            StudyError: another program keeps it alive.
+            StudyError: another program that reads the file keeps the content alive.
         """
         with self._lock:
             busy, *_ = self._connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()
@@ -146,8 +152,8 @@ class Database:
                 "of it alive; end that, and delete again"
             )
 
-    def _check_there(self) -> None:
-        """SQLite writes into a file that was deleted or moved away, and says nothing."""
+    def _check_file(self) -> None:
+        """Refuses a file that was deleted or moved away; SQLite would write into it silently."""
         try:
             now = os.stat(self._path).st_ino
         except FileNotFoundError:
@@ -156,17 +162,32 @@ class Database:
             raise OSError(f"{self._path} was replaced by another file")
 
     def _create(self) -> None:
-        there = "SELECT 1 FROM sqlite_master WHERE name = 'events'"
-        if self._connection.execute(there).fetchone():  # made with all the rest, or not at all
-            return
-        with self._transaction("BEGIN IMMEDIATE"):
-            if not self._connection.execute(there).fetchone():
+        """Creates the tables in an empty file.
+
+        Raises:
+            StudyError: the file holds other tables, or those of a newer program.
+        """
+        with self.reading() as connection:
+            if self._has_tables(connection):
+                return
+        with self.writing() as connection:
+            if not self._has_tables(connection):
                 for statement in _TABLES:
-                    self._connection.execute(statement)
+                    connection.execute(statement)
+
+    def _has_tables(self, connection: sqlite3.Connection) -> bool:
+        names = {row[0] for row in connection.execute("SELECT name FROM sqlite_master")}
+        (version,) = connection.execute("PRAGMA user_version").fetchone()
+        if names and (version != FORMAT or "events" not in names):
+            raise StudyError(
+                f"can't open the store {self._path}: it is in format {version}, this program reads "
+                f"{FORMAT}: update it, or give the study.db of a study"
+            )
+        return bool(names)
 
 
 def stored(text: str, what: str) -> Any:
-    """A value that the database holds as JSON, which another program may have damaged.
+    """Parses a value that the database holds as JSON and another program may have damaged.
 
     Raises:
         StudyError: it is no JSON.
@@ -178,10 +199,6 @@ def stored(text: str, what: str) -> Any:
 
 
 def _path_of(target: str | Path) -> Path:
-    if "://" in str(target):  # not in the message: it may hold a password
-        raise StudyError(
-            "a study is stored in a file: give its folder, or its study.db, in place of a URL"
-        )
     path = Path(target)
     if path.is_dir():
         path = path / FILE
@@ -191,7 +208,7 @@ def _path_of(target: str | Path) -> Path:
 
 
 def _make_private(path: Path) -> None:
-    """Makes the file, for its owner alone; leaves one that is there as it is.
+    """Creates the file for its owner alone; leaves an existing one unchanged.
 
     It holds what people did and how they felt. SQLite gives its log file the same rights.
     """
@@ -199,8 +216,11 @@ def _make_private(path: Path) -> None:
         os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600))
 
 
-def _into_wal(connection: sqlite3.Connection) -> None:
-    """Writers and readers side by side. SQLite doesn't wait for this change as for others."""
+def _use_write_ahead_log(connection: sqlite3.Connection) -> None:
+    """Turns on the write-ahead log, with which readers don't block writers.
+
+    SQLite does not wait for this change as it does for others.
+    """
     until = time.monotonic() + BUSY_S
     while True:
         try:

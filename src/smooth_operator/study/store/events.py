@@ -1,8 +1,7 @@
-"""Events of an operator in a study: fields, text, and what each changes; only events are stored.
+"""Events of an operator in a study: fields, text for people, and change of the operator's progress.
 
-Events are values; they say where they belong (task, block, trial), so that a page that was left
-open can't score the wrong trial. Nothing is changed or taken back in the log: a mistake is undone
-by one more event.
+The store holds only events. An event names its task, block and trial, so that a page that was left
+open can't score another trial. The log is append-only: a mistake is undone by one more event.
 """
 
 from __future__ import annotations
@@ -18,177 +17,184 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, TypeAlias, get_args, get
 
 from smooth_operator.errors import StudyError
 from smooth_operator.study.design.protocol import Point
-from smooth_operator.study.store.nasa_tlx import check_ratings, check_winners, raw_workload
+from smooth_operator.study.store.nasa_tlx import check_ratings, raw_workload
 
 if TYPE_CHECKING:
-    from smooth_operator.study.store.operator_state import OperatorState
+    from smooth_operator.study.store.progress import Progress
 
-Named: TypeAlias = Callable[[str], str]
-"""From the name of a condition to what a reader may see."""
+Naming: TypeAlias = Callable[[str], str]
+"""Function from the name of a condition to the name that a reader may see."""
 EVENTS: Final[dict[str, type[Event]]] = {}
-"""Kind, as it is stored -> class."""
+"""Kind of event, as it is stored -> class."""
 _LONGEST_TEXT: Final = 20_000
 
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happened to an operator.
+    """Base class of the events.
 
     Attributes:
-        kind: name in the store and in exports: that of the class, in lower case.
-        word: name of the pages' command that causes it; empty where none does.
-        due: steps of the protocol in which it is expected; further rules are in ``progress``.
-        words: a line for people: a format of the event (``0``) and its reason (``why``).
+        kind: name in the store and in exports: the class name in lower case.
+        command: name of the pages' command that causes the event; empty if no command does.
+        due: steps of the protocol in which the event is expected; ``progress`` has further rules.
+        line_format: line for people, a format of the event (``0``) and its reason (``why``).
     """
 
     kind: ClassVar[str]
-    word: ClassVar[str]
+    command: ClassVar[str]
     due: ClassVar[tuple[str, ...]]
-    words: ClassVar[str]
+    line_format: ClassVar[str]
 
-    def __init_subclass__(cls, word: str = "", due: tuple[str, ...] = (), words: str = "") -> None:
+    def __init_subclass__(
+        cls, command: str = "", due: tuple[str, ...] = (), line: str = ""
+    ) -> None:
         cls.kind = re.sub("(?!^)([A-Z])", r"_\1", cls.__name__).lower()
-        cls.word, cls.due, cls.words = word, due, words
+        cls.command, cls.due, cls.line_format = command, due, line
         if not cls.__name__.startswith("_"):
             EVENTS[cls.kind] = cls
 
-    def in_words(self, named: Named, *, sums: bool = True) -> str:
-        """The event in a line for people.
+    def describe(self, naming: Naming, *, workload: bool = True) -> str:
+        """Describes the event in a line for people.
 
         Args:
-            named: turns the name of a condition into what the reader may see.
-            sums: whether the workload may be known already.
+            naming: gives the name of a condition that the reader may see.
+            workload: whether the reader may know the workload already.
         """
-        return self._line(named, sums)
+        return self._describe(naming, workload)
 
-    def fold(self, state: OperatorState, record: Record) -> None:
-        """Changes the state of the operator by this event, which was checked before."""
-        self._change(state, record)
+    def change(self, progress: Progress, record: Record) -> None:
+        """Changes the progress by this event, which was checked before."""
+        self._change(progress, record)
 
-    def _line(self, named: Named, sums: bool) -> str:
+    def _describe(self, naming: Naming, workload: bool) -> str:
         reason = getattr(self, "detail", "") or getattr(self, "reason", "")
-        return self.words.format(self, why=_why(reason))
+        return self.line_format.format(self, why=_why(reason))
 
-    def _change(self, state: OperatorState, record: Record) -> None:
-        """Nothing, where an event changes nothing."""
+    def _change(self, progress: Progress, record: Record) -> None:
+        """Changes nothing, unless a subclass does."""
 
 
 @dataclass(frozen=True)
-class _OfBlock(Event):
+class _BlockEvent(Event):
     task: str
     block: int
 
 
 @dataclass(frozen=True)
-class _OfTrial(_OfBlock):
+class _TrialEvent(_BlockEvent):
     trial: int
 
 
 @dataclass(frozen=True)
 class Calibrated(
-    Event, word="calibrated", due=("calibrate",), words="Calibrated for {0.task}{why}"
+    Event, command="calibrated", due=("calibrate",), line="Calibrated for {0.task}{why}"
 ):
-    """The tracker was calibrated to the operator, or that was left out."""
+    """The tracker was calibrated to the operator, or calibration was left out.
+
+    Attributes:
+        task: name of the task.
+        detail: file or remark.
+    """
 
     task: str
     detail: str = ""
 
-    def _change(self, state: OperatorState, record: Record) -> None:
-        state.calibrated.add(self.task)
+    def _change(self, progress: Progress, record: Record) -> None:
+        progress.calibrations[self.task] = self.detail
 
 
 @dataclass(frozen=True)
-class BlockStarted(_OfBlock, word="start_block", due=("start_block",)):
-    """The retargeter was switched to the block's condition.
+class BlockStarted(_BlockEvent, command="start_block", due=("start_block",)):
+    """A block started; the hand was switched to its condition.
 
     Attributes:
-        condition: name.
-        method: that the teleoperation said it runs then; empty where none was attached.
-        preset: of the method, likewise.
+        condition: name of the condition.
+        method: method that the teleoperation reported to run; empty without a teleoperation.
+        preset: preset that the teleoperation reported to run.
     """
 
     condition: str
     method: str = field(default="", compare=False)
     preset: str = field(default="", compare=False)
 
-    def _line(self, named: Named, sums: bool) -> str:
-        return f"Block {self.block} of {self.task} began: {named(self.condition)}"
+    def _describe(self, naming: Naming, workload: bool) -> str:
+        return f"Block {self.block} of {self.task} began: {naming(self.condition)}"
 
-    def _change(self, state: OperatorState, record: Record) -> None:
-        state.started[self.task, self.block] = (self.method, self.preset)
+    def _change(self, progress: Progress, record: Record) -> None:
+        progress.started[self.task, self.block] = (self.method, self.preset)
 
 
 @dataclass(frozen=True)
 class FamiliarisationStarted(
-    _OfBlock,
-    word="start_familiarisation",
+    _BlockEvent,
+    command="start_familiarisation",
     due=("start_familiarisation",),
-    words="Free movement began",
+    line="Free movement began",
 ):
-    """Free movement begins, and its countdown.
+    """Free movement and its countdown started.
 
     Attributes:
-        clock: reading of a steady clock (``smooth_operator.study.store.clock``).
+        clock: reading of the steady clock, see ``smooth_operator.study.store.clock``.
     """
 
     clock: str = field(default="", compare=False)
 
-    def _change(self, state: OperatorState, record: Record) -> None:
-        state.moving = (record.at, self.clock)
+    def _change(self, progress: Progress, record: Record) -> None:
+        progress.moving = (record.at, self.clock)
 
 
 @dataclass(frozen=True)
 class FamiliarisationEnded(
-    _OfBlock, word="end_familiarisation", due=("familiarise",), words="Free movement ended"
+    _BlockEvent, command="end_familiarisation", due=("familiarise",), line="Free movement ended"
 ):
-    """Free movement is over."""
+    """Free movement ended."""
 
-    def _change(self, state: OperatorState, record: Record) -> None:
-        state.moving = None
-        state.moved.add((self.task, self.block))
+    def _change(self, progress: Progress, record: Record) -> None:
+        progress.moving = None
+        progress.moved.add((self.task, self.block))
 
 
 @dataclass(frozen=True)
 class TrialStarted(
-    _OfTrial, word="start_trial", due=("start_trial",), words="Trial {0.trial} started"
+    _TrialEvent, command="start_trial", due=("start_trial",), line="Trial {0.trial} started"
 ):
-    """The clock of a trial runs.
+    """The clock of a trial started.
 
     Attributes:
-        clock: reading of a steady clock (``smooth_operator.study.store.clock``).
+        clock: reading of the steady clock, see ``smooth_operator.study.store.clock``.
     """
 
     clock: str = field(default="", compare=False)
 
-    def _change(self, state: OperatorState, record: Record) -> None:
-        state.begin_trial(self.trial, record.at, self.clock)
+    def _change(self, progress: Progress, record: Record) -> None:
+        progress.begin_trial(self.trial, record.at, self.clock)
 
 
 @dataclass(frozen=True)
 class TrialReset(
-    _OfTrial, word="reset", due=("trial", "paused"), words="Trial {0.trial}: object put back"
+    _TrialEvent, command="reset", due=("trial", "paused"), line="Trial {0.trial}: object put back"
 ):
-    """The object was put back; caps the score."""
+    """The object was put back, which caps the score of the trial."""
 
-    def _change(self, state: OperatorState, record: Record) -> None:
-        state.trials[-1].resets += 1
+    def _change(self, progress: Progress, record: Record) -> None:
+        progress.trials[-1].resets += 1
 
 
 @dataclass(frozen=True)
 class TrialScored(
-    _OfTrial,
-    word="score",
+    _TrialEvent,
+    command="score",
     due=("trial",),
-    words="Trial {0.trial}: {0.line}, score {0.score:g}, {0.time_s:.1f}\u00a0s",
+    line="Trial {0.trial}: {0.line}, score {0.score:g}, {0.time_s:.1f}\u00a0s",
 ):
-    """The trial ended.
+    """A trial ended and was scored.
 
     Attributes:
-        line: of the task's rubric.
-        score: of that line, capped if there was a reset.
-        time_s: from its start, without pauses [s].
-        proposed_line: what a simulation proposed; empty where it did not.
-        proposed_score: of that line; None where nothing was proposed.
+        line: line of the task's rubric.
+        score: score of that line, capped after a reset.
+        time_s: time from the start of the trial, without pauses [s].
+        proposed_line: line that a simulation proposed; empty without a proposal.
+        proposed_score: score of the proposed line; None without a proposal.
     """
 
     line: str
@@ -197,75 +203,74 @@ class TrialScored(
     proposed_line: str = field(default="", compare=False)
     proposed_score: float | None = field(default=None, compare=False)
 
-    def _change(self, state: OperatorState, record: Record) -> None:
-        trial = state.trials[-1]
+    def _change(self, progress: Progress, record: Record) -> None:
+        trial = progress.trials[-1]
         trial.line, trial.score, trial.time_s = self.line, self.score, self.time_s
-        trial.proposed_line, trial.proposed_score = self.proposed_line, self.proposed_score
-        state.scored[self.task, self.block] += 1
+        progress.scored[self.task, self.block] += 1
 
 
 @dataclass(frozen=True)
-class TrialVoided(_OfTrial, word="void", due=("trial", "paused")):
-    """The trial doesn't count, for a reason that is not the operator's; it is done again."""
+class TrialVoided(_TrialEvent, command="void", due=("trial", "paused")):
+    """A trial does not count, for a reason that is not the operator's; it is repeated."""
 
     reason: str
 
-    def _line(self, named: Named, sums: bool) -> str:
+    def _describe(self, naming: Naming, workload: bool) -> str:
         return f"Trial {self.trial} void: {self.reason or 'no reason given'}"
 
-    def _change(self, state: OperatorState, record: Record) -> None:
-        state.void_trial(self.reason, record.at)
+    def _change(self, progress: Progress, record: Record) -> None:
+        progress.void_trial(self.reason, record.at)
 
 
 @dataclass(frozen=True)
 class TrialPaused(
-    _OfTrial, word="pause", due=("trial",), words="Trial {0.trial}: clock paused{why}"
+    _TrialEvent, command="pause", due=("trial",), line="Trial {0.trial}: clock paused{why}"
 ):
-    """The clock of the trial that runs was stopped for a fault that is not the operator's.
+    """The clock of the running trial was stopped for a fault that is not the operator's.
 
     Attributes:
-        reason: why.
-        clock: reading of a steady clock (``smooth_operator.study.store.clock``).
+        reason: reason of the pause.
+        clock: reading of the steady clock, see ``smooth_operator.study.store.clock``.
     """
 
     reason: str = ""
     clock: str = field(default="", compare=False)
 
-    def _change(self, state: OperatorState, record: Record) -> None:
-        trial = state.trials[-1]
+    def _change(self, progress: Progress, record: Record) -> None:
+        trial = progress.trials[-1]
         trial.pauses += ((record.at, None, self.reason),)
         trial.paused_clock = self.clock
 
 
 @dataclass(frozen=True)
 class TrialResumed(
-    _OfTrial,
-    word="resume",
+    _TrialEvent,
+    command="resume",
     due=("paused",),
-    words="Trial {0.trial}: clock goes on after {0.paused_s:.1f}\u00a0s",
+    line="Trial {0.trial}: clock goes on after {0.paused_s:.1f}\u00a0s",
 ):
-    """The clock of a paused trial goes on.
+    """The clock of a paused trial continued.
 
     Attributes:
-        paused_s: how long it had stood [s].
+        paused_s: length of the pause [s].
     """
 
     paused_s: float = field(default=0.0, compare=False)
 
-    def _change(self, state: OperatorState, record: Record) -> None:
-        state.trials[-1].end_pause(self.paused_s)
+    def _change(self, progress: Progress, record: Record) -> None:
+        progress.trials[-1].end_pause(self.paused_s)
 
 
 @dataclass(frozen=True)
-class Amended(_OfTrial, word="amend"):
-    """A scored trial was corrected later; the first score stays in the log.
+class Amended(_TrialEvent, command="amend"):
+    """A scored trial was corrected later; the log keeps the first score.
 
     Attributes:
-        line: of the task's rubric, as it is from now on.
-        score: of that line, capped if there was a reset.
-        time_s: as it is from now on [s].
-        reason: why.
-        who: decided so; initials, never a name.
+        line: corrected line of the task's rubric.
+        score: score of that line, capped after a reset.
+        time_s: corrected time [s].
+        reason: reason of the correction.
+        who: initials of the person who decided, never a name.
     """
 
     line: str
@@ -274,235 +279,161 @@ class Amended(_OfTrial, word="amend"):
     reason: str
     who: str = ""
 
-    def _line(self, named: Named, sums: bool) -> str:
+    def _describe(self, naming: Naming, workload: bool) -> str:
         where = f"Trial {self.trial} of {self.task}, block {self.block}"
         now = f"{self.line}, score {self.score:g}, {self.time_s:.1f}\u00a0s"
         return f"{where} amended to {now}: {self.reason}" + (f" ({self.who})" if self.who else "")
 
-    def _change(self, state: OperatorState, record: Record) -> None:
-        place = self.task, self.block, self.trial
-        after = self.line, self.score, self.time_s
-        state.amend_trial(place, after, record.number, record.at, self.reason, self.who)
+    def _change(self, progress: Progress, record: Record) -> None:
+        trial = progress.scored_trial(self.task, self.block, self.trial)
+        progress.amendments.append((record, trial, (trial.line, trial.score, trial.time_s)))
+        trial.line, trial.score, trial.time_s = self.line, self.score, self.time_s
+        trial.amended = True
 
 
 @dataclass(frozen=True)
 class BlockEnded(
-    _OfBlock,
-    word="end_block",
-    due=("start_block", "start_familiarisation", "start_trial", "questionnaire", "weights"),
-    words="Block {0.block} of {0.task} ended early: {0.reason}",
+    _BlockEvent,
+    command="end_block",
+    due=("start_block", "start_familiarisation", "start_trial", "questionnaire"),
+    line="Block {0.block} of {0.task} ended early: {0.reason}",
 ):
-    """The rest of a block is not done.
+    """The rest of a block is left out.
 
     Attributes:
-        reason: why.
+        reason: reason to end the block.
     """
 
     reason: str
 
-    def _change(self, state: OperatorState, record: Record) -> None:
-        state.ended_early[self.task, self.block] = (record.at, self.reason)
+    def _change(self, progress: Progress, record: Record) -> None:
+        progress.ended_early.add((self.task, self.block))
 
 
 @dataclass(frozen=True)
-class Recalibrated(Event, word="recalibrate", words="Calibrated again for {0.task}{why}"):
+class Recalibrated(Event, command="recalibrate", line="Calibrated again for {0.task}{why}"):
     """The tracker was calibrated once more.
 
     Attributes:
-        task: that is on.
+        task: name of the current task.
         detail: file or remark.
     """
 
     task: str
     detail: str = ""
 
-    def _change(self, state: OperatorState, record: Record) -> None:
-        state.recalibrations.append((record.at, self.task, self.detail))
+    def _change(self, progress: Progress, record: Record) -> None:
+        progress.calibrations[self.task] = self.detail
 
 
 @dataclass(frozen=True)
-class Withdrawn(Event, word="withdraw"):
+class Withdrawn(Event, command="withdraw"):
     """The operator takes no further part.
 
     Attributes:
         keep: whether the data so far may be analysed.
-        reason: why.
+        reason: reason of the operator, if one was given.
     """
 
     keep: bool
     reason: str = ""
 
-    def _line(self, named: Named, sums: bool) -> str:
+    def _describe(self, naming: Naming, workload: bool) -> str:
         data = "the data is kept" if self.keep else "the data is left out"
         return f"Withdrew, {data}" + _why(self.reason)
 
-    def _change(self, state: OperatorState, record: Record) -> None:
-        state.withdraw(record.at, self.keep, self.reason)
+    def _change(self, progress: Progress, record: Record) -> None:
+        progress.withdraw(self, record.at)
 
 
 @dataclass(frozen=True)
-class Replaces(Event, words="Takes the place of {0.operator}"):
+class Replaces(Event, line="Takes the place of {0.operator}"):
     """The operator has the rows of one who withdrew.
 
     Attributes:
-        operator: pseudonym of that one.
+        operator: pseudonym of the operator who withdrew.
     """
 
     operator: str
 
-    def _change(self, state: OperatorState, record: Record) -> None:
-        state.replaces = self.operator
+    def _change(self, progress: Progress, record: Record) -> None:
+        progress.replaces = self.operator
 
 
 @dataclass(frozen=True)
-class Chosen(Event):
-    """Another operator was put on at a console.
+class FormAnswered(Event, command="form", due=("form",), line="Form {0.form} filled in"):
+    """A form of the study was filled in.
 
     Attributes:
-        operator: who is on now.
-        before: who was; empty for nobody.
-    """
-
-    operator: str
-    before: str = ""
-
-    def _line(self, named: Named, sums: bool) -> str:
-        before = f", {self.before} was on" if self.before else ""
-        return f"{self.operator} was put on{before}"
-
-
-@dataclass(frozen=True)
-class FormAnswered(Event, word="form", due=("form",)):
-    """A form of the study was filled in, by the operator or from paper.
-
-    Attributes:
-        form: name.
+        form: name of the form.
         answers: field -> text, number, yes or no, or list of texts.
-        who: typed it in for the operator; initials. Empty where the operator did it.
-        reason: why answers that were there already are replaced; empty where none were.
     """
 
     form: str
     answers: Mapping[str, Any]
-    who: str = ""
-    reason: str = ""
 
-    def _line(self, named: Named, sums: bool) -> str:
-        if not self.who:
-            return f"Form {self.form} filled in"
-        return f"Form {self.form} typed in by {self.who}" + _why(self.reason)
-
-    def _change(self, state: OperatorState, record: Record) -> None:
-        state.forms[self.form] = (record.at, dict(self.answers))
-        state.on_paper.pop(self.form, None)
-        state.typed.pop(self.form, None)
-        if self.who:
-            state.typed[self.form] = self.who
+    def _change(self, progress: Progress, record: Record) -> None:
+        progress.forms[self.form] = (record.at, dict(self.answers))
 
 
 @dataclass(frozen=True)
-class FormOnPaper(Event, word="paper", due=("form",), words="Form {0.form} is on paper ({0.who})"):
-    """A form is filled in on paper, and typed in later.
+class QuestionnaireAnswered(_BlockEvent, command="answer", due=("questionnaire",)):
+    """NASA-TLX was filled in.
 
     Attributes:
-        form: name.
-        who: has the paper; initials.
-    """
-
-    form: str
-    who: str
-
-    def _change(self, state: OperatorState, record: Record) -> None:
-        state.on_paper[self.form] = (record.at, self.who)
-
-
-@dataclass(frozen=True)
-class QuestionnaireAnswered(_OfBlock, word="answer", due=("questionnaire",)):
-    """NASA-TLX was filled in, by the operator or from paper.
-
-    Attributes:
-        point: which of the block's questionnaires.
+        point: initial, midpoint or final.
         ratings: scale -> 0 to 100.
-        who: typed it in for the operator; initials. Empty where the operator did it.
     """
 
     point: Point
     ratings: Mapping[str, int]
-    who: str = ""
 
-    def _line(self, named: Named, sums: bool) -> str:
-        if not sums:  # who scores the rest of the block is not to know
-            return f"Questionnaire ({self.point}) {_how(self.who)}"
-        more = f", {_how(self.who)}" if self.who else ""
-        return f"Questionnaire ({self.point}): workload {raw_workload(self.ratings):.0f}{more}"
+    def _describe(self, naming: Naming, workload: bool) -> str:
+        answer = f": workload {raw_workload(self.ratings):.0f}" if workload else " answered"
+        return f"Questionnaire ({self.point}){answer}"
 
-    def _change(self, state: OperatorState, record: Record) -> None:
-        state.answer(self.point, record.at, self.ratings, self.who)
-        state.answered.add((self.task, self.block, self.point))
+    def _change(self, progress: Progress, record: Record) -> None:
+        progress.answer(self.point, record.at, self.ratings)
 
 
 @dataclass(frozen=True)
-class WeightsAnswered(_OfBlock, word="weigh", due=("weights",)):
-    """The fifteen pairs of NASA-TLX were chosen from.
+class BreakStarted(Event, command="start_break", line="Break began"):
+    """A break began."""
 
-    Attributes:
-        winners: of each of ``PAIRS``, in that order.
-        shown: the pairs as the operator saw them, ``left-right``, in that order; empty if unknown.
-        who: typed them in for the operator; initials. Empty where the operator did it.
-    """
-
-    winners: tuple[str, ...]
-    shown: tuple[str, ...] = field(default=(), compare=False)
-    who: str = ""
-
-    def _line(self, named: Named, sums: bool) -> str:
-        return f"Pairs of scales {_how(self.who)}"
-
-    def _change(self, state: OperatorState, record: Record) -> None:
-        state.winners[self.task, self.block] = self.winners
+    def _change(self, progress: Progress, record: Record) -> None:
+        progress.breaks.append((record.at, None))
 
 
 @dataclass(frozen=True)
-class BreakStarted(Event, word="start_break", words="Break began"):
-    """The operator rests."""
+class BreakEnded(Event, command="end_break", due=("break",), line="Break ended"):
+    """The break ended."""
 
-    def _change(self, state: OperatorState, record: Record) -> None:
-        state.breaks.append((record.at, None))
-
-
-@dataclass(frozen=True)
-class BreakEnded(Event, word="end_break", due=("break",), words="Break ended"):
-    """The operator is back."""
-
-    def _change(self, state: OperatorState, record: Record) -> None:
-        state.end_break(record.at)
+    def _change(self, progress: Progress, record: Record) -> None:
+        progress.end_break(record.at)
 
 
 @dataclass(frozen=True)
-class Noted(Event, word="note", words="Note: {0.text}"):
-    """Something worth remembering."""
+class Noted(Event, command="note", line="Note: {0.text}"):
+    """A remark of the experimenter or of the program."""
 
     text: str
 
-    def _change(self, state: OperatorState, record: Record) -> None:
-        state.notes.append((record.at, self.text))
-
 
 @dataclass(frozen=True)
-class Undone(Event, word="undo", words="Event {0.number} undone{why}"):
-    """An earlier event counts no more.
+class Undone(Event, command="undo", line="Event {0.number} undone{why}"):
+    """An earlier event does not count any more.
 
     Attributes:
-        number: of the event among the operator's.
-        reason: why.
+        number: number of that event among the operator's.
+        reason: reason to undo it.
     """
 
     number: int
     reason: str = ""
 
 
-ASIDE: Final = (Noted, Chosen, Replaces)
-"""Kinds that change nothing in what is due, and are not undone."""
+ASIDE: Final = (Noted, Replaces)
+"""Events that do not change the next step, and can't be undone."""
 
 
 @dataclass(frozen=True)
@@ -510,10 +441,10 @@ class Record:
     """An event in the log.
 
     Attributes:
-        number: among the operator's events, from 1, without gaps.
-        at: when it was written, UTC.
-        author: who did it: ``experimenter``, ``operator`` or ``system``.
-        event: what happened.
+        number: number among the operator's events, from 1, without gaps.
+        at: time at which it was written, UTC.
+        author: ``experimenter``, ``operator`` or ``system``.
+        event: the event.
     """
 
     number: int
@@ -522,24 +453,17 @@ class Record:
     event: Event
 
 
-def _how(who: str) -> str:
-    return f"typed in from paper by {who}" if who else "answered"
-
-
 def _why(text: str) -> str:
     return f": {text}" if text else ""
 
 
 def payload(event: Event) -> dict[str, Any]:
-    """An event's fields as plain values."""
-    return {
-        name: list(value) if isinstance(value, tuple) else value
-        for name, value in dataclasses.asdict(event).items()
-    }
+    """Fields of an event as plain values."""
+    return dataclasses.asdict(event)
 
 
 def event_of(kind: str, values: Mapping[str, Any]) -> Event:
-    """An event from its kind and fields, checked as far as it can be without the plan.
+    """Makes an event of its kind and fields, checked as far as possible without the plan.
 
     Raises:
         StudyError: no such kind, or a field is missing, unknown or of the wrong type.
@@ -549,8 +473,8 @@ def event_of(kind: str, values: Mapping[str, Any]) -> Event:
     event = EVENTS[kind]
     hints = get_type_hints(event)
     names = [f.name for f in fields(event)]
-    needed = {f.name for f in fields(event) if f.default is dataclasses.MISSING}
-    missing, unknown = sorted(needed - set(values)), sorted(set(values) - set(names))
+    required = {f.name for f in fields(event) if f.default is dataclasses.MISSING}
+    missing, unknown = sorted(required - set(values)), sorted(set(values) - set(names))
     if missing or unknown:
         raise StudyError(
             f"event {kind!r} has the fields {', '.join(names) or '(none)'}"
@@ -567,18 +491,8 @@ def _checked(kind: str, name: str, value: Any, hint: Any) -> Any:
             raise StudyError(f"{where} must be a table of the six scales, not {value!r}")
         check_ratings(value)
         return dict(value)
-    if name == "winners":
-        if not isinstance(value, list | tuple):
-            raise StudyError(f"{where} must be a list of scales, not {value!r}")
-        check_winners(value)
-        return tuple(value)
     if name == "answers":
         return _answers(where, value)
-    if name == "shown":
-        listed = isinstance(value, list | tuple) and all(isinstance(v, str) for v in value)
-        if not listed:
-            raise StudyError(f"{where} must be a list of pairs of scales, not {value!r}")
-        return tuple(value)
     if value is None and type(None) in get_args(hint):
         return None
     if hint is bool:

@@ -1,15 +1,14 @@
-"""Stored data as files for analysis: tables, and one JSON file with everything.
+"""Stored data as files for analysis: two tables, and one JSON file with everything.
 
-``trials.csv`` and ``tlx.csv`` hold what counts; ``study.json`` holds the same rows with more
-columns, and the whole log: void trials, undone events, notes, breaks. ``study analyze`` reads
+``trials.csv`` and ``tlx.csv`` hold the rows that count. ``study.json`` holds the same rows with
+more columns, and the whole log: void trials, undone events, notes, breaks. ``study analyze`` reads
 either.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from datetime import datetime
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -20,40 +19,39 @@ from smooth_operator.study.data.checked_tables import (
     MORE_TRIAL_COLUMNS,
     QUESTIONNAIRE_COLUMNS,
     TRIAL_COLUMNS,
-    WEIGHT_COLUMNS,
 )
 from smooth_operator.study.design.plan import Block
 from smooth_operator.study.design.plan_file import plan_table
-from smooth_operator.study.store.events import payload
-from smooth_operator.study.store.nasa_tlx import (
-    SCALE_NAMES,
-    raw_workload,
-    weighted_workload,
-    weights,
+from smooth_operator.study.store.events import (
+    BlockEnded,
+    Event,
+    Noted,
+    Recalibrated,
+    Withdrawn,
+    payload,
 )
-from smooth_operator.study.store.operator_state import Trial
-from smooth_operator.study.store.progress import Progress
+from smooth_operator.study.store.nasa_tlx import SCALE_NAMES, raw_workload
+from smooth_operator.study.store.progress import Progress, Questionnaire, Trial
 from smooth_operator.study.store.study_store import StudyStore
 
 FORMAT: Final = 1
 """Version of ``study.json``."""
-BLOCK_WEIGHT_COLUMNS: Final = ("operator", "task", "retargeter", "block", *SCALE_NAMES)
-_TRIALS, _TLX, _WEIGHTS, _ALL = "trials.csv", "tlx.csv", "tlx_weights.csv", "study.json"
+_TRIALS, _TLX, _ALL = "trials.csv", "tlx.csv", "study.json"
 _SCORING: Final = ("line", "score", "time_s")
 
 
 def export_study(
     store: StudyStore, folder: str | Path, *, operators: Sequence[str] | None = None
 ) -> list[Path]:
-    """Writes the files into a folder; those that stand there are replaced.
+    """Writes the files into a folder; replaces those of an earlier export.
 
     Args:
-        store: of the study.
-        folder: made if it is not there.
-        operators: None for all.
+        store: store of the study.
+        folder: folder of the files, created if missing.
+        operators: operators to export; None for all.
 
     Returns:
-        The files: trials.csv, tlx.csv and tlx_weights.csv where there are such rows, study.json.
+        The files: trials.csv, tlx.csv if there are questionnaires, study.json.
 
     Raises:
         OutputError: a file can't be written.
@@ -64,66 +62,49 @@ def export_study(
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise output_error(folder, error) from error
-    everything = study_json(store, operators)
-    weighted = (*WEIGHT_COLUMNS, "weighted_workload")
-    files = {
-        _TRIALS: ((*TRIAL_COLUMNS, *MORE_TRIAL_COLUMNS), everything["trials"]),
-        _TLX: (
-            (*QUESTIONNAIRE_COLUMNS, *(weighted if everything["weights"] else ())),
-            everything["questionnaires"],
-        ),
-        _WEIGHTS: (BLOCK_WEIGHT_COLUMNS, everything["weights"]),
-    }
-    written = []
-    for name, (columns, rows) in files.items():
-        if rows or name == _TRIALS:
-            written.append(_write(folder / name, _table(columns, rows)))
-        else:
-            _remove(folder / name)  # of an earlier export, when there was more
-    text = json.dumps(everything, indent=1, allow_nan=False) + "\n"
-    written.append(_write(folder / _ALL, text))
-    return written
+    content = study_json(store, operators)
+    trials, questionnaires = content["trials"], content["questionnaires"]
+    files = {_TRIALS: _table((*TRIAL_COLUMNS, *MORE_TRIAL_COLUMNS), trials)}
+    if questionnaires:
+        files[_TLX] = _table(QUESTIONNAIRE_COLUMNS, questionnaires)
+    else:
+        _remove(folder / _TLX)
+    files[_ALL] = json.dumps(content, indent=1, allow_nan=False) + "\n"
+    for name, text in files.items():
+        with atomic_write(folder / name) as file:
+            file.write(text.encode("utf-8"))
+    return [folder / name for name in files]
 
 
 def study_json(store: StudyStore, operators: Sequence[str] | None = None) -> dict[str, Any]:
-    """Everything that is stored, as plain values.
+    """Returns everything that is stored, as plain values.
 
     Args:
-        store: of the study.
-        operators: None for all.
+        store: store of the study.
+        operators: operators to export; None for all.
     """
     plan = store.plan
-    codes = plan.codes if operators is None else tuple(operators)
-    content: dict[str, Any] = {
+    everyone = [store.progress(code) for code in (plan.codes if operators is None else operators)]
+    return {
         "format": FORMAT,
         "study": plan_table(plan),
         "erased": list(store.erased),
-        "trials": [],
-        "questionnaires": [],
-        "weights": [],
-        "operators": [],
+        "trials": [_trial(one, trial) for one in everyone for trial in one.trials if trial.counts],
+        "questionnaires": [
+            _questionnaire(one, answered) for one in everyone for answered in one.questionnaires
+        ],
+        "operators": [operator_json(one) for one in everyone],
     }
-    for code in codes:
-        progress = store.progress(code)
-        places = {(b.task.name, b.number): n for n, b in enumerate(progress.blocks, 1)}
-        content["trials"] += [
-            _trial(code, trial, places) for trial in progress.trials if trial.counts
-        ]
-        content["questionnaires"] += list(_questionnaires(progress))
-        content["weights"] += list(_weights(progress))
-        content["operators"].append(operator_json(progress))
-    return content
 
 
-def _trial(code: str, trial: Trial, places: Mapping[tuple[str, int], int]) -> dict[str, Any]:
+def _trial(progress: Progress, trial: Trial) -> dict[str, Any]:
     assert trial.score is not None
     assert trial.time_s is not None
-    block = trial.block
     return {
-        "operator": code,
-        **_place(block),
+        "operator": progress.operator,
+        **_place(trial.block),
         "trial_in_block": trial.number,
-        "trial_global": block.trial_global(trial.number),
+        "trial_global": trial.block.trial_global(trial.number),
         "score": trial.score,
         # The time of a failure is not the time that the task takes.
         "time_s": trial.time_s if trial.score > 0 and trial.time_s > 0 else None,
@@ -131,51 +112,29 @@ def _trial(code: str, trial: Trial, places: Mapping[tuple[str, int], int]) -> di
         "line": trial.line,
         "resets": trial.resets,
         "started_at": trial.started.isoformat(),
-        "place": places[block.task.name, block.number],
+        "place": progress.blocks.index(trial.block) + 1,
         "amended": int(trial.amended),
     }
 
 
-def _questionnaires(progress: Progress) -> Iterator[dict[str, Any]]:
-    for questionnaire in progress.questionnaires:
-        block = questionnaire.block
-        winners = progress.winners.get((block.task.name, block.number))
-        chosen = {} if winners is None else weights(winners)
-        yield {
-            "operator": progress.operator,
-            **_place(block),
-            "point": questionnaire.point,
-            **{name: questionnaire.ratings[name] for name in SCALE_NAMES},
-            **{
-                column: chosen.get(name)
-                for column, name in zip(WEIGHT_COLUMNS, SCALE_NAMES, strict=True)
-            },
-            "raw_workload": raw_workload(questionnaire.ratings),
-            "weighted_workload": winners and weighted_workload(questionnaire.ratings, winners),
-            "answered_at": questionnaire.at.isoformat(),
-            "typed_by": questionnaire.who or None,
-        }
+def _questionnaire(progress: Progress, answered: Questionnaire) -> dict[str, Any]:
+    return {
+        "operator": progress.operator,
+        **_place(answered.block),
+        "point": answered.point,
+        **{name: answered.ratings[name] for name in SCALE_NAMES},
+        "raw_workload": raw_workload(answered.ratings),
+        "answered_at": answered.at.isoformat(),
+    }
 
 
-def _weights(progress: Progress) -> Iterator[dict[str, Any]]:
-    blocks = {(block.task.name, block.number): block for block in progress.blocks}
-    for key, winners in progress.winners.items():
-        yield {"operator": progress.operator, **_place(blocks[key]), **weights(winners)}
-
-
-def _table(columns: Sequence[str], rows: Sequence[dict[str, Any]]) -> str:
+def _table(columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> str:
     return csv_text(columns, ({name: _short(row[name]) for name in columns} for row in rows))
 
 
 def _short(value: Any) -> Any:
     whole = isinstance(value, float) and value.is_integer()
     return int(value) if whole else value  # a score is 1, not 1.0
-
-
-def _write(path: Path, text: str) -> Path:
-    with atomic_write(path) as file:
-        file.write(text.encode("utf-8"))
-    return path
 
 
 def _remove(path: Path) -> None:
@@ -186,51 +145,64 @@ def _remove(path: Path) -> None:
 
 
 def operator_json(progress: Progress) -> dict[str, Any]:
-    """An operator's forms, notes, irregular events and whole log as plain values."""
-    left = progress.withdrawn
+    """Returns an operator's forms, notes, irregular events and whole log as plain values."""
     blocks = {(block.task.name, block.number): block for block in progress.blocks}
+
+    def events(kind: type[Event]) -> list[dict[str, Any]]:
+        """Fields of the events of a kind that count, with their times."""
+        return [
+            {"at": record.at.isoformat(), **payload(record.event)}
+            for record in progress.effective
+            if isinstance(record.event, kind)
+        ]
+
     return {
         "operator": progress.operator,
         "done": progress.step.what == "done",
-        "withdrawn": left and {"at": left.at.isoformat(), "keep": left.keep, "reason": left.reason},
+        "withdrawn": next(iter(events(Withdrawn)), None),
         "replaces": progress.replaces or None,
         "forms": {
-            name: {"at": at.isoformat(), "answers": answers, "typed_by": progress.typed.get(name)}
+            name: {"at": at.isoformat(), "answers": answers}
             for name, (at, answers) in progress.forms.items()
         },
-        "forms_on_paper": {
-            name: {"at": at.isoformat(), "who": who}
-            for name, (at, who) in progress.on_paper.items()
-        },
         "ranking": list(progress.ranking()),
-        "notes": _rows(("at", "text"), progress.notes),
-        "breaks": _rows(("started_at", "ended_at"), progress.breaks),
-        "recalibrations": _rows(("at", "task", "detail"), progress.recalibrations),
+        "notes": events(Noted),
+        "breaks": [
+            {"started_at": start.isoformat(), "ended_at": end and end.isoformat()}
+            for start, end in progress.breaks
+        ],
+        "recalibrations": events(Recalibrated),
         "voided": [
             {**_place(trial.block), "trial_in_block": trial.number, "reason": trial.void}
             for trial in progress.trials
             if trial.void is not None
         ],
         "pauses": [
-            {**_place(trial.block), "trial_in_block": trial.number, **pause}
+            {
+                **_place(trial.block),
+                "trial_in_block": trial.number,
+                "at": at.isoformat(),
+                "length_s": length,
+                "reason": reason,
+            }
             for trial in progress.trials
-            for pause in _rows(("at", "length_s", "reason"), trial.pauses)
+            for at, length, reason in trial.pauses
         ],
         "ended_early": [
-            {**_place(blocks[key]), "at": at.isoformat(), "reason": reason}
-            for key, (at, reason) in progress.ended_early.items()
+            {**_place(blocks[one["task"], one["block"]]), "at": one["at"], "reason": one["reason"]}
+            for one in events(BlockEnded)
         ],
         "amendments": [
             {
-                **_place(one.block),
-                "trial_in_block": one.trial,
-                "at": one.at.isoformat(),
-                "before": dict(zip(_SCORING, one.before, strict=True)),
-                "after": dict(zip(_SCORING, one.after, strict=True)),
-                "reason": one.reason,
-                "who": one.who,
+                **_place(trial.block),
+                "trial_in_block": trial.number,
+                "at": record.at.isoformat(),
+                "before": dict(zip(_SCORING, before, strict=True)),
+                "after": {name: getattr(record.event, name) for name in _SCORING},
+                "reason": getattr(record.event, "reason", ""),
+                "who": getattr(record.event, "who", ""),
             }
-            for one in progress.amendments
+            for record, trial, before in progress.amendments
         ],
         "undone": dict(progress.undone()),
         "events": [
@@ -244,17 +216,6 @@ def operator_json(progress: Progress) -> dict[str, Any]:
             for record in progress.records
         ],
     }
-
-
-def _rows(names: Sequence[str], rows: Iterable[Sequence[Any]]) -> list[dict[str, Any]]:
-    """Rows as plain values by name; moments are ISO text."""
-    return [
-        {
-            name: value.isoformat() if isinstance(value, datetime) else value
-            for name, value in zip(names, row, strict=True)
-        }
-        for row in rows
-    ]
 
 
 def _place(block: Block) -> dict[str, Any]:

@@ -1,10 +1,12 @@
-"""NASA-TLX: its scales and pairs in the published words or other languages, and its scores."""
+"""NASA-TLX: its six scales in the published words or another language, and its score.
+
+The workload is the unweighted mean of the scales (raw TLX, Hart 2006).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from itertools import combinations
 from pathlib import Path
 from types import MappingProxyType
 from typing import Final
@@ -12,7 +14,6 @@ from typing import Final
 from smooth_operator.errors import DocumentError, StudyError
 from smooth_operator.io.documents import read_json
 from smooth_operator.io.entries import Entries, read_entries
-from smooth_operator.study.design.latin import lot
 
 STEP: Final = 5
 HIGHEST: Final = 100
@@ -20,14 +21,14 @@ HIGHEST: Final = 100
 
 @dataclass(frozen=True)
 class Scale:
-    """One of the six.
+    """One of the six scales.
 
     Attributes:
-        name: in data.
-        title: on the page.
-        question: under the title.
-        low: at 0.
-        high: at 100; more is always worse.
+        name: column in data.
+        title: heading on the page.
+        question: question under the heading.
+        low: label of the end at 0.
+        high: label of the end at 100; more is always worse.
     """
 
     name: str
@@ -50,15 +51,13 @@ SCALES: Final = (
           "How insecure, discouraged, irritated, stressed, and annoyed were you?"),
 )  # fmt: skip
 SCALE_NAMES: Final = tuple(scale.name for scale in SCALES)
-PAIRS: Final = tuple(combinations(SCALE_NAMES, 2))
-"""All pairs of scales; of each, the operator says which added more to the workload."""
 
 
 def check_ratings(ratings: Mapping[str, int]) -> None:
-    """Refuses what is no answer to the six scales.
+    """Checks answers to the six scales.
 
     Raises:
-        StudyError: a scale is missing, unknown, or rated with something else than a step.
+        StudyError: a scale is missing or unknown, or a rating is no step of the scale.
     """
     if set(ratings) != set(SCALE_NAMES):
         missing = sorted(set(SCALE_NAMES) - set(ratings))
@@ -76,36 +75,9 @@ def check_ratings(ratings: Mapping[str, int]) -> None:
             )
 
 
-def check_winners(winners: Sequence[str]) -> None:
-    """Refuses what is no answer to the fifteen pairs.
-
-    Args:
-        winners: of each pair of ``PAIRS``, the scale that added more.
-
-    Raises:
-        StudyError: their number is another, or one is not of its pair.
-    """
-    if len(winners) != len(PAIRS):
-        raise StudyError(f"NASA-TLX has {len(PAIRS)} pairs to choose from, not {len(winners)}")
-    for pair, winner in zip(PAIRS, winners, strict=True):
-        if winner not in pair:
-            raise StudyError(f"NASA-TLX: of {pair[0]} and {pair[1]} one is chosen, not {winner!r}")
-
-
-def weights(winners: Sequence[str]) -> dict[str, int]:
-    """Scale -> number of pairs that it was chosen in: 0 to 5 each, 15 together."""
-    return {name: list(winners).count(name) for name in SCALE_NAMES}
-
-
 def raw_workload(ratings: Mapping[str, float]) -> float:
     """Mean of the six ratings."""
     return sum(ratings[name] for name in SCALE_NAMES) / len(SCALE_NAMES)
-
-
-def weighted_workload(ratings: Mapping[str, float], winners: Sequence[str]) -> float:
-    """Mean of the six ratings, each as often as its scale was chosen."""
-    by = weights(winners)
-    return sum(ratings[name] * by[name] for name in SCALE_NAMES) / len(PAIRS)
 
 
 _MOST_BYTES: Final = 200_000
@@ -121,11 +93,6 @@ TEXTS: Final[Mapping[str, str]] = MappingProxyType(
         "complete": "All six are marked.",
         "send": "Send my answers",
         "sending": "Sending \u2026",
-        "pairs_heading": "Which of the two contributed more to the workload of the task?",
-        "pair": "Pair",
-        "pairs_complete": "All pairs are chosen",
-        "pairs_send": "Send my choices",
-        "back": "Back",
         "form_missing": "Still to answer:",
         "form_complete": "Nothing is missing.",
         "yes": "Yes",
@@ -142,16 +109,16 @@ TEXTS: Final[Mapping[str, str]] = MappingProxyType(
         "wait_text": "The next questions appear here by themselves.",
     }
 )
-"""Name -> other text of the operator's page, in English."""
+"""Name -> other texts of the operator's page, in English."""
 
 
 @dataclass(frozen=True)
 class TlxWords:
-    """The words of the operator's page.
+    """Words of the operator's page.
 
     Attributes:
-        scales: the six, in the order of ``SCALES``.
-        texts: name -> text, of ``TEXTS``.
+        scales: the six scales, in the order of ``SCALES``.
+        texts: name -> text, with the names of ``TEXTS``.
     """
 
     scales: tuple[Scale, ...] = SCALES
@@ -159,11 +126,11 @@ class TlxWords:
 
 
 ENGLISH: Final = TlxWords()
-"""As published."""
+"""The published wording."""
 
 
 def read_words(path: Path) -> TlxWords:
-    """Words in another language.
+    """Reads words in another language.
 
     Args:
         path: a TOML or JSON file.
@@ -197,20 +164,3 @@ def _scale(entries: Entries, name: str) -> Scale:
     entries.only("title", "question", "low", "high")
     parts = (entries.text(part, empty=False) for part in ("title", "question", "low", "high"))
     return Scale(name, *parts)
-
-
-def shown_pairs(seed: int, operator: str) -> tuple[tuple[str, str], ...]:
-    """The fifteen pairs as an operator sees them: their order and sides are drawn for each person.
-
-    Args:
-        seed: of the study.
-        operator: pseudonym.
-
-    Returns:
-        (left, right) of each pair, in the order in which they are shown.
-    """
-    ordered = sorted(PAIRS, key=lambda pair: lot(seed, "pair", operator, *pair))
-    return tuple(
-        (first, second) if lot(seed, "side", operator, first, second) < 0.5 else (second, first)
-        for first, second in ordered
-    )

@@ -1,18 +1,21 @@
-"""Progress of an operator in the protocol, computed from events and never stored.
+"""Progress of an operator through the protocol, computed from the events of the log.
 
-Events are folded one after the other; each is checked against what the protocol wants next. What
-was undone is left out, and the rest folded again.
+Events are folded one after the other, and each is checked against the step that is due. After an
+undo the remaining events are folded again. Progress is never stored.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
-from typing import Any, Final
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from datetime import datetime
+from typing import Any, Final, Literal, TypeAlias
 
 from smooth_operator.errors import StudyError
+from smooth_operator.study.design.forms import Form, When
 from smooth_operator.study.design.plan import Block, Plan
+from smooth_operator.study.design.protocol import Point
 from smooth_operator.study.store.events import (
     ASIDE,
     Amended,
@@ -21,7 +24,6 @@ from smooth_operator.study.store.events import (
     BreakStarted,
     Event,
     FormAnswered,
-    FormOnPaper,
     Recalibrated,
     Record,
     Replaces,
@@ -29,28 +31,217 @@ from smooth_operator.study.store.events import (
     TrialScored,
     Undone,
     Withdrawn,
-)  # fmt: skip
-from smooth_operator.study.store.operator_state import (
-    OperatorState,
-    Step,
 )
 
-_UNBROKEN: Final = ("break", "trial", "paused", "familiarise", "refused", "withdrawn", "done")
+WITHDREW: Final = "the operator withdrew"
+"""Reason of a void trial that was running when its operator withdrew."""
+StepKind: TypeAlias = Literal[
+    "form", "calibrate", "start_block", "start_familiarisation", "familiarise", "start_trial",
+    "trial", "paused", "questionnaire", "break", "refused", "withdrawn", "done",
+]  # fmt: skip
+_NO_BREAK: Final = ("break", "trial", "paused", "familiarise", "refused", "withdrawn", "done")
 """Steps in which no break can begin."""
-_UNCALIBRATED: Final = ("form", "calibrate", "trial", "paused", "refused", "withdrawn", "done")
-"""Steps in which nothing can be calibrated once more."""
+_NO_CALIBRATION: Final = ("form", "calibrate", "trial", "paused", "refused", "withdrawn", "done")
+"""Steps in which the tracker can't be calibrated once more."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """The step of the protocol that is due.
+
+    Attributes:
+        what: kind of step.
+        block: block of the step; None if all blocks are done.
+        trial: number of the trial in the block, from 1; None without a trial.
+        point: initial, midpoint or final, for a questionnaire.
+        since: start of the free movement, trial, pause or break.
+        clock: reading of the steady clock at that start, for free movement, trial and pause.
+        form: name of the form that is due.
+    """
+
+    what: StepKind
+    block: Block | None = None
+    trial: int | None = None
+    point: Point | None = None
+    since: datetime | None = None
+    clock: str = ""
+    form: str | None = None
+
+    def __str__(self) -> str:
+        """Describes the step in a few words."""
+        if self.block is None:
+            texts = {"withdrawn": "withdrawn", "refused": "consent refused"}
+            return f"form {self.form}" if self.form else texts.get(self.what, "done")
+        where = f"{self.block.task.name}, block {self.block.number}"
+        match self.what:
+            case "calibrate":
+                return f"calibration for {self.block.task.name}"
+            case "start_block":
+                return f"start of {where}"
+            case "start_familiarisation" | "familiarise":
+                return f"free movement, {where}"
+            case "start_trial" | "trial" | "paused":
+                return f"trial {self.trial}, {where}" + " (paused)" * (self.what == "paused")
+            case "questionnaire":
+                return f"questionnaire ({self.point}), {where}"
+        return f"break, {where}"
 
 
 @dataclass
-class Progress(OperatorState):
-    """An operator's part of the study so far, which grows with each event.
+class Trial:
+    """A trial that was started.
 
     Attributes:
-        records: all of the log, undone ones included.
+        block: block of the plan.
+        number: number in the block, from 1.
+        started: time of the start.
+        clock: reading of the steady clock at the start; empty if there is none.
+        resets: number of times that the object was put back.
+        line: line of the rubric; None while the trial runs, or if it is void.
+        score: score of that line; None like ``line``.
+        time_s: time of the trial [s]; None like ``line``.
+        void: reason why the trial does not count; None if it counts.
+        undone_time_s: time of a score that was undone, for scoring the trial again [s].
+        pauses: start, length [s] (None while it lasts) and reason of each pause of the clock.
+        paused_clock: reading of the steady clock at the start of the last pause.
+        amended: whether line, score or time differ from the first scoring.
     """
 
+    block: Block
+    number: int
+    started: datetime
+    clock: str = ""
+    resets: int = 0
+    line: str | None = None
+    score: float | None = None
+    time_s: float | None = None
+    void: str | None = None
+    undone_time_s: float | None = None
+    pauses: tuple[tuple[datetime, float | None, str], ...] = ()
+    paused_clock: str = ""
+    amended: bool = False
+
+    @property
+    def paused_s(self) -> float:
+        """Length of the pauses that are over [s]."""
+        return sum(length or 0.0 for _, length, _ in self.pauses)
+
+    def paused_within(self, seconds: float) -> float:
+        """Length of the pauses in the first ``seconds`` of the trial [s].
+
+        For a simulation whose own clock ran on in the pauses.
+        """
+        parts = ((at - self.started, length or 0.0) for at, length, _ in self.pauses)
+        return sum(min(max(0.0, seconds - a.total_seconds()), length) for a, length in parts)
+
+    @property
+    def paused(self) -> bool:
+        """True while the clock of the trial stands."""
+        return bool(self.pauses) and self.pauses[-1][1] is None
+
+    def end_pause(self, seconds: float) -> None:
+        """Ends the last pause, with its length [s]."""
+        start, _, reason = self.pauses[-1]
+        self.pauses = (*self.pauses[:-1], (start, seconds, reason))
+
+    @property
+    def counts(self) -> bool:
+        """True if the trial was scored and is not void."""
+        return self.score is not None and self.void is None
+
+
+@dataclass(frozen=True)
+class Questionnaire:
+    """Ratings of one questionnaire."""
+
+    block: Block
+    point: Point
+    at: datetime
+    ratings: Mapping[str, int]
+
+
+@dataclass
+class Progress:
+    """Progress of an operator; later events make a new one.
+
+    Attributes:
+        plan: plan of the study.
+        operator: pseudonym.
+        records: all events of the log, undone ones included.
+        effective: events that count, without undone ones and undoings.
+        trials: trials that were started, void ones included.
+        questionnaires: answered questionnaires.
+        breaks: start and end of each break; the end is None while it lasts.
+        amendments: record of each correction, its trial, and line, score and time [s] before it.
+        ended_early: (task, block) of blocks whose rest was left out.
+        withdrawn: withdrawal of the operator; None while the operator takes part.
+        replaces: operator whose rows this one has; empty if they are new.
+        forms: name of a form -> time of the answers, and the answers.
+        scored: (task, block) -> number of scored trials.
+        answered: (task, block, point) of answered questionnaires.
+        calibrations: task -> file or remark of the last calibration.
+        started: (task, block) -> method and preset that the hand reported to run.
+        moving: start of the free movement and clock reading then; None without free movement.
+        moved: (task, block) whose free movement is over.
+    """
+
+    plan: Plan
+    operator: str
     records: list[Record] = field(default_factory=list)
-    _effective: list[Record] = field(default_factory=list)
+    effective: list[Record] = field(default_factory=list)
+    trials: list[Trial] = field(default_factory=list)
+    questionnaires: list[Questionnaire] = field(default_factory=list)
+    breaks: list[tuple[datetime, datetime | None]] = field(default_factory=list)
+    amendments: list[tuple[Record, Trial, tuple[Any, ...]]] = field(default_factory=list)
+    ended_early: set[tuple[str, int]] = field(default_factory=set)
+    withdrawn: Withdrawn | None = None
+    replaces: str = ""
+    forms: dict[str, tuple[datetime, dict[str, Any]]] = field(default_factory=dict)
+    scored: Counter[tuple[str, int]] = field(default_factory=Counter)
+    answered: set[tuple[str, int, Point]] = field(default_factory=set)
+    calibrations: dict[str, str] = field(default_factory=dict)
+    started: dict[tuple[str, int], tuple[str, str]] = field(default_factory=dict)
+    moving: tuple[datetime, str] | None = None
+    moved: set[tuple[str, int]] = field(default_factory=set)
+
+    def __post_init__(self) -> None:
+        self.blocks = self.plan.blocks(self.operator)
+
+    # State.
+
+    @property
+    def step(self) -> Step:
+        """The step of the protocol that is due."""
+        if self.withdrawn is not None:
+            return Step("withdrawn")
+        if self.breaks and self.breaks[-1][1] is None:
+            return Step("break", self._block(), since=self.breaks[-1][0])
+        if (step := self._form_step("before")) is not None:
+            return step
+        block = self._block()
+        if block is None:
+            return self._form_step("after") or Step("done")
+        key = (block.task.name, block.number)
+        if block.task.name not in self.calibrations:
+            return Step("calibrate", block)
+        if key not in self.started:
+            return Step("start_block", block)
+        if key not in self.moved and self.plan.protocol.familiarisation_s > 0:
+            if self.moving is not None:
+                since, clock = self.moving
+                return Step("familiarise", block, since=since, clock=clock)
+            return Step("start_familiarisation", block)
+        if (running := self.running) is not None:
+            if running.paused:
+                since, clock = running.pauses[-1][0], running.paused_clock
+                return Step("paused", block, running.number, since=since, clock=clock)
+            since, clock = running.started, running.clock
+            return Step("trial", block, running.number, since=since, clock=clock)
+        done = self.scored[key]
+        point = block.questionnaires.get(done)
+        if point is not None and (*key, point) not in self.answered:
+            return Step("questionnaire", block, done, point)
+        return Step("start_trial", block, done + 1)
 
     @property
     def number(self) -> int:
@@ -59,14 +250,43 @@ class Progress(OperatorState):
 
     @property
     def undoable(self) -> Record | None:
-        """The event that ``Undone`` would take back now: the last that counts, asides left out."""
-        for record in reversed(self._effective):
+        """The event that ``Undone`` would take back now: the last one that counts."""
+        for record in reversed(self.effective):
             if not isinstance(record.event, ASIDE):
                 return record
         return None
 
+    @property
+    def begun(self) -> Block | None:
+        """The current block once it was started: the hand should run its condition."""
+        block = None if self.withdrawn else self._block()
+        return block if block and (block.task.name, block.number) in self.started else None
+
+    @property
+    def begun_with(self) -> tuple[str, str | None] | None:
+        """Method and preset that the hand reported as the current block began; None if unknown."""
+        block = self.begun
+        method, preset = self.started[block.task.name, block.number] if block else ("", "")
+        return (method, preset or None) if method else None
+
+    @property
+    def running(self) -> Trial | None:
+        """The trial that was started and is neither scored nor void, paused ones included."""
+        last = self.trials[-1] if self.trials else None
+        return last if last is not None and last.line is None and last.void is None else None
+
+    @property
+    def busy(self) -> bool:
+        """True during a trial or free movement."""
+        return self.running is not None or self.step.what == "familiarise"
+
+    @property
+    def over(self) -> bool:
+        """True if no step is due any more."""
+        return self.step.what in ("done", "withdrawn")
+
     def undone(self) -> Counter[str]:
-        """Condition -> how many events of its blocks were undone."""
+        """Counts the undone events of each condition."""
         conditions = {(b.task.name, b.number): b.condition.name for b in self.blocks}
         counts: Counter[str] = Counter()
         for record in self.records:
@@ -77,22 +297,86 @@ class Progress(OperatorState):
                     counts[conditions[key]] += 1
         return counts
 
-    def copy(self) -> Progress:
-        """The same, which later events of this one don't change."""
-        twin = Progress(self.plan, self.operator)
-        for name, value in self.__dict__.items():
-            same = value.copy() if isinstance(value, list | dict | set) else value
-            twin.__dict__[name] = same
-        twin.trials = [replace(trial) for trial in self.trials]
-        return twin
+    def ranking(self) -> tuple[str, ...]:
+        """Conditions as the operator ranked them, the best first; empty without a ranking."""
+        names = {c.label: c.name for c in self.plan.protocol.conditions}
+        for form in self.plan.protocol.forms:
+            for one in form.fields:
+                answers = self.forms[form.name][1] if form.name in self.forms else {}
+                if one.kind == "ranking" and one.name in answers:
+                    return tuple(names[label] for label in answers[one.name])
+        return ()
 
-    def apply(self, record: Record) -> None:
-        """One event more.
+    def ranked_labels(self) -> tuple[str, ...]:
+        """Labels of the conditions that the operator has met, in the order of the plan."""
+        met = {trial.block.condition.name for trial in self.trials}
+        return tuple(c.label for c in self.plan.protocol.conditions if c.name in met)
+
+    def capped(self, line: str, trial: Trial | None = None) -> float:
+        """Score of a line of the rubric in a trial.
+
+        Args:
+            line: line of the rubric of the trial's task.
+            trial: None for the running one.
 
         Raises:
-            StudyError: it is not its turn; says what is.
+            StudyError: no trial is running.
+            UnknownNameError: the rubric has no such line.
         """
-        self.check(record.event)
+        trial = trial or self.running
+        if trial is None:
+            raise StudyError(f"operator {self.operator}: no trial runs that could be scored")
+        score = trial.block.task.line(line).score
+        return min(score, self.plan.protocol.reset_cap) if trial.resets else score
+
+    def scored_trial(self, task: str, block: int, number: int) -> Trial:
+        """Finds a trial that was scored and counts.
+
+        Raises:
+            StudyError: there is none at that place.
+        """
+        for trial in self.trials:
+            place = (trial.block.task.name, trial.block.number, trial.number)
+            if trial.counts and place == (task, block, number):
+                return trial
+        raise StudyError(
+            f"operator {self.operator}: trial {number} in block {block} of {task} was not scored; "
+            "only a scored trial can be amended"
+        )
+
+    def finished(self, block: Block) -> bool:
+        """True if no step of a block is due any more."""
+        key = (block.task.name, block.number)
+        return key in self.ended_early or (
+            self.scored[key] >= block.task.trials
+            and all((*key, point) in self.answered for point in block.questionnaires.values())
+        )
+
+    def _form_step(self, when: When) -> Step | None:
+        for form in self.plan.protocol.forms:
+            _, answers = self.forms.get(form.name, (None, None))
+            if form.when == when == "before" and answers is not None and form.refused(answers):
+                return Step("refused", form=form.name)
+        if when == "before" and self.started:
+            return None  # the plan may have gained a form since
+        for form in self.plan.protocol.forms:
+            if form.when == when and form.name not in self.forms:
+                return Step("form", form=form.name)
+        return None
+
+    def _block(self) -> Block | None:
+        """The current block, or the next one."""
+        return next((block for block in self.blocks if not self.finished(block)), None)
+
+    # Changes by events.
+
+    def apply(self, record: Record) -> None:
+        """Checks and folds one more event.
+
+        Raises:
+            StudyError: the event is not due; says which step is.
+        """
+        check_event(self, record.event)
         if record.number != self.number + 1:
             raise StudyError(
                 f"operator {self.operator}: event {record.number} follows event {self.number}; "
@@ -102,38 +386,63 @@ class Progress(OperatorState):
         if isinstance(record.event, Undone):
             self._undo(record.event.number)
         else:
-            self._take(record)
+            self._fold(record)
 
-    def check(self, event: Event) -> None:
-        """Refuses an event that is not due; changes nothing.
-
-        Raises:
-            StudyError: it is not its turn; says what is.
-        """
-        check_event(self, event)
-
-    def _take(self, record: Record) -> None:
-        self._effective.append(record)
-        record.event.fold(self, record)
+    def _fold(self, record: Record) -> None:
+        self.effective.append(record)
+        record.event.change(self, record)
 
     def _undo(self, number: int) -> None:
-        left_out = next(r for r in self._effective if r.number == number)
-        remaining = [record for record in self._effective if record.number != number]
-        records = self.records
+        undone = self.records[number - 1].event
         fresh = Progress(self.plan, self.operator)
-        for record in remaining:
-            fresh._take(record)
-        self.__dict__.update(fresh.__dict__)
-        self.records = records
-        if isinstance(left_out.event, TrialScored):
-            self.trials[-1].undone_time_s = left_out.event.time_s
+        for record in self.effective:
+            if record.number != number:
+                fresh._fold(record)
+        self.__dict__.update(fresh.__dict__ | {"records": self.records})
+        if isinstance(undone, TrialScored):
+            self.trials[-1].undone_time_s = undone.time_s
+
+    def begin_trial(self, number: int, at: datetime, clock: str) -> None:
+        """Starts a trial of the current block."""
+        self.trials.append(Trial(self._current(), number, at, clock))
+
+    def answer(self, point: Point, at: datetime, ratings: Mapping[str, int]) -> None:
+        """Adds a questionnaire of the current block."""
+        block = self._current()
+        self.questionnaires.append(Questionnaire(block, point, at, dict(ratings)))
+        self.answered.add((block.task.name, block.number, point))
+
+    def void_trial(self, reason: str, at: datetime) -> None:
+        """Makes the last trial void and ends its pause."""
+        trial = self.trials[-1]
+        trial.void = reason
+        if trial.paused:
+            trial.end_pause(max(0.0, (at - trial.pauses[-1][0]).total_seconds()))
+
+    def end_break(self, at: datetime) -> None:
+        """Ends the current break."""
+        self.breaks[-1] = (self.breaks[-1][0], at)
+
+    def withdraw(self, event: Withdrawn, at: datetime) -> None:
+        """Ends trial, break and free movement of an operator who withdraws."""
+        if self.running is not None:
+            self.void_trial(WITHDREW, at)
+        if self.breaks and self.breaks[-1][1] is None:
+            self.end_break(at)
+        self.moving = None
+        self.withdrawn = event
+
+    def _current(self) -> Block:
+        block = self._block()
+        assert block is not None
+        return block
 
 
 def replay(plan: Plan, operator: str, records: Iterable[Record]) -> Progress:
-    """An operator's progress from the log.
+    """Computes an operator's progress from the log.
 
     Raises:
-        StudyError: the log holds what the plan doesn't allow.
+        StudyError: the log holds an event that the plan doesn't allow.
     """
     progress = Progress(plan, operator)
     for record in records:
@@ -145,14 +454,13 @@ def check_event(state: Progress, event: Event) -> None:
     """Refuses an event that is not due; changes nothing.
 
     Raises:
-        StudyError: it is not its turn; says what is.
+        StudyError: the event is not due; says which step is.
     """
     step = state.step
     match event:
         case Replaces():
             if state.records:
                 raise _refusal(state, "has begun already, and can't replace anybody")
-            return
         case _ if isinstance(event, ASIDE):
             return
         case Undone():
@@ -165,14 +473,12 @@ def check_event(state: Progress, event: Event) -> None:
         case Withdrawn():
             if state.withdrawn is not None:
                 raise _refusal(state, "has withdrawn already")
-        case FormAnswered() if event.who:
-            _check_typed(state, event)
         case BreakStarted():
-            if step.what in _UNBROKEN:
-                raise _refusal(state, f"no break can begin: {named(step)} is on")
+            if step.what in _NO_BREAK:
+                raise _refusal(state, f"no break can begin: {_message(step)} is on")
         case Recalibrated():
-            if step.what in _UNCALIBRATED:
-                raise _refusal(state, f"nothing can be calibrated now: {named(step)} is on")
+            if step.what in _NO_CALIBRATION:
+                raise _refusal(state, f"nothing can be calibrated now: {_message(step)} is on")
             if step.block is not None:
                 _check_place(state, event, step, step.block)
         case _:
@@ -182,34 +488,18 @@ def check_event(state: Progress, event: Event) -> None:
 def _check_due(state: Progress, event: Event, step: Step) -> None:
     if step.what not in event.due:
         more = "; score or void its trial first" if isinstance(event, BlockEnded) else ""
-        raise _refusal(state, f"{event.kind!r} is not due; {named(step)} is{more}")
-    if isinstance(event, FormAnswered | FormOnPaper):
-        form = next(f for f in state.plan.protocol.forms if f.name == step.form)
+        raise _refusal(state, f"{event.kind!r} is not due; {_message(step)} is{more}")
+    if isinstance(event, FormAnswered):
+        form = _form(state.plan, step)
         if event.form != form.name:
             raise _refusal(state, f"form {event.form!r} is not due; {form.name!r} is")
-        if isinstance(event, FormAnswered):
-            form.check(event.answers, state.ranked_labels())
-        elif not event.who.strip():
-            raise _refusal(state, "who has the form on paper is missing; give initials")
+        form.check(event.answers, state.ranked_labels())
     elif not isinstance(event, BreakEnded) and step.block is not None:
         _check_place(state, event, step, step.block)
 
 
-def _check_typed(state: Progress, event: FormAnswered) -> None:
-    """Refuses a form that an experimenter types in where that can't be."""
-    form = next((f for f in state.plan.protocol.forms if f.name == event.form), None)
-    if form is None or not state.can_type(form):
-        reason = "the study has no such form" if form is None else "it is not due yet"
-        raise _refusal(state, f"form {event.form!r} can't be typed in: {reason}")
-    if form.name in state.forms and not event.reason.strip():
-        raise _refusal(
-            state, f"form {form.name!r} is filled in already; state why it is to be replaced"
-        )
-    form.check(event.answers, state.ranked_labels())
-    if state.trials and form.when == "before" and form.refused(event.answers):
-        raise _refusal(
-            state, "a consent can't be refused once trials were done; withdraw the operator"
-        )
+def _form(plan: Plan, step: Step) -> Form:
+    return next(form for form in plan.protocol.forms if form.name == step.form)
 
 
 def _check_place(state: Progress, event: Any, step: Step, block: Block) -> None:
@@ -232,11 +522,8 @@ def _check_place(state: Progress, event: Any, step: Step, block: Block) -> None:
         allowed, trial = state.plan.protocol.resets, state.running
         if trial is not None and trial.resets >= allowed:
             raise _refusal(state, f"a trial may have {allowed} reset(s), and this one had them")
-    if isinstance(event, TrialScored) and event.score != (due := state.capped(event.line)):
-        raise _refusal(
-            state,
-            f"line {event.line!r} of the rubric scores {due:g} in this trial, not {event.score:g}",
-        )
+    if isinstance(event, TrialScored):
+        _check_score(state, event, state.capped(event.line))
     if isinstance(event, BlockEnded) and not event.reason.strip():
         raise _refusal(state, "a block is ended early for a reason; state it")
 
@@ -245,21 +532,25 @@ def _check_amendment(state: Progress, event: Amended) -> None:
     trial = state.scored_trial(event.task, event.block, event.trial)
     if not event.reason.strip():
         raise _refusal(state, "a trial is amended for a reason; state it")
-    if event.score != (due := state.capped(event.line, trial)):
+    _check_score(state, event, state.capped(event.line, trial))
+    if (event.line, event.time_s) == (trial.line, trial.time_s):
+        raise _refusal(state, f"trial {event.trial} has that line and time already")
+
+
+def _check_score(state: Progress, event: TrialScored | Amended, due: float) -> None:
+    if event.score != due:
         raise _refusal(
             state,
             f"line {event.line!r} of the rubric scores {due:g} in this trial, not {event.score:g}",
         )
-    if (event.line, event.time_s) == (trial.line, trial.time_s):
-        raise _refusal(state, f"trial {event.trial} has that line and time already")
 
 
 def _refusal(state: Progress, text: str) -> StudyError:
     return StudyError(f"operator {state.operator}: {text}")
 
 
-def named(step: Step) -> str:
-    """A step in a message."""
+def _message(step: Step) -> str:
+    """Describes a step for the message of a refusal."""
     where = "" if step.block is None else f" in block {step.block.number} of {step.block.task.name}"
     trial = "" if step.trial is None else f" {step.trial}"
     form = "" if step.form is None else f" {step.form!r}"

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 Colors = Mapping[str, str]
 """Retargeter -> colour."""
 _OUTCOMES: Final = {
-    "success": "success", "time_s": "time", "raw_tlx": "workload", "weighted_tlx": "workload",
+    "success": "success", "time_s": "time", "raw_tlx": "workload",
 }  # fmt: skip
 _LABELS: Final[dict[Outcome, str]] = {
     "success": "success rate [%]", "time": "completion time [s]", "tlx": "workload (NASA-TLX)",
@@ -176,32 +176,6 @@ def item_figure(analysis: Analysis, colors: Colors) -> Figure:
     panels[0].invert_yaxis()
     figure.supxlabel("answer, 0 to 100 (less is better)", fontsize=9)
     return _legend(figure, names)
-
-
-def radar_figure(analysis: Analysis, colors: Colors) -> Figure:
-    """Draws the six scales of the NASA-TLX by scope; a smaller area is less workload."""
-    scopes, polar = analysis.scopes, {"projection": "polar"}
-    figure, panels = _panels(scopes, 2, (4.2, 3.4), (0.0, 0.4), subplot_kw=polar)
-    angles = np.linspace(0, 2 * np.pi, len(ITEMS), endpoint=False)
-    top = 10.0
-    for axes, scope in zip(panels, scopes, strict=True):
-        for name in analysis.retargeters:
-            values = [_item(analysis, scope, item, name) for item in ITEMS]
-            if any(value is None for value in values):
-                continue
-            finite = np.array(values, float)
-            top = max(top, float(finite.max()))
-            axes.plot(
-                np.append(angles, angles[0]), np.append(finite, finite[0]), color=colors[name],
-                label=name if scope == scopes[0] else None, linewidth=1.6,
-            )  # fmt: skip
-            axes.fill(angles, finite, color=colors[name], alpha=0.07)
-        axes.set_xticks(angles, ITEMS)
-        axes.tick_params(labelsize=7.5)
-        axes.spines["polar"].set_visible(False)
-    for axes in panels:
-        axes.set_ylim(0, min(100.0, 1.08 * top))
-    return _legend(figure, analysis.retargeters)
 
 
 def _item(analysis: Analysis, scope: str, item: str, name: str) -> float | None:
@@ -407,7 +381,6 @@ FIGURES: Final[Mapping[str, Callable[[Analysis, Colors], "Figure | None"]]] = {
     "success": success_figure,
     "time": time_figure,
     "tlx-items": item_figure,
-    "tlx-radar": radar_figure,
     "learning": learning_figure,
     "operators-success": _violins("success"),
     "operators-time": _violins("time"),

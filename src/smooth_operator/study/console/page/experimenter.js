@@ -1,17 +1,16 @@
 // The experimenter's page: what is due, keys, notes, the log, everybody's progress.
 
-import { ask, drawForms, typeTlx } from './dialogs.js';
+import { ask } from './dialogs.js';
 import { clock, h, fill, part } from './dom.js';
 import { keep, Link, moment, stored } from './link.js';
 import { drawPeople, drawScored } from './lists.js';
 import { drawStep } from './step.js';
 
-const link = new Link('/link', () => ({ operator: link.state?.now?.operator ?? stored('smooth-operator:on') }));
+const link = new Link('/link');
 let refusal = '';
 let drawn = '';
 const PLACE = ['task', 'block', 'trial'];
 const REASON = { name: 'reason', label: 'Reason', required: true };
-const BUSY = ['trial', 'paused', 'familiarise'];
 const CODE = '[A-Za-z0-9][A-Za-z0-9_.\\-]*';
 
 /** When the clock of the trial that runs was stopped on this page, by this clock; null if it runs. */
@@ -63,13 +62,9 @@ const actions = {
       link.command(what, now.operator, { ...place, ...fields }, { after: now.after, ...more });
     };
   },
-  async choose(operator) {
-    const { now } = link.state;
-    const busy = BUSY.includes(now?.what);
-    if (busy && !await ask(`Put ${operator} on?`, `${now.operator} is in the middle of ${now.words}. It goes on, and so does the hand.`, [], `Put ${operator} on`)) return;
+  choose(operator) {
     refusal = '';
-    keep('smooth-operator:on', operator);
-    link.command('choose', operator, busy ? { confirm: true } : {});
+    link.command('choose', operator);
   },
   stop() {
     stopped.at = stopped.at === null ? moment() : null;
@@ -106,7 +101,6 @@ const actions = {
       [{ name: 'code', label: 'Code of the new operator', required: true, pattern: CODE, maxLength: 64 }], 'Enrol');
     if (!answer) return;
     refusal = '';
-    keep('smooth-operator:on', answer.code);
     link.command('replace', now.operator, { by: answer.code });
   },
   async amend(block, trial) {
@@ -132,18 +126,6 @@ const actions = {
     actions.inquire('undo', [], `Take back event ${last.number}?`, `${last.text}. It counts no more; the log keeps it.`,
       [{ name: 'reason', label: 'Reason (kept in the log)' }], 'Undo', ({ reason }) => ({ number: last.number, reason }));
   },
-  onPaper: () => actions.inquire('paper', ['form'], 'On paper',
-    'The operator fills this form in on paper; type it in when there is time. A consent must be signed before anything starts.',
-    [{ name: 'who', label: 'Who has it (initials)', required: true, maxLength: 40 }], 'It is on paper'),
-  /** A form of an operator, from paper. What is due does not matter. */
-  typeIn(operator, fields) {
-    refusal = '';
-    link.command('form', operator, fields);
-  },
-  /** NASA-TLX of the operator who is on, from paper. */
-  typeTlx() {
-    typeTlx(link.state, actions);
-  },
   async enrol() {
     const tasks = link.state.study.tasks;
     const answer = await ask('Enrol an operator', 'A code, never a name: who it is stands on paper.', [
@@ -153,7 +135,6 @@ const actions = {
     if (!answer) return;
     const chosen = tasks.map((task) => task.name).filter((name) => answer[`task:${name}`]);
     refusal = '';
-    keep('smooth-operator:on', answer.code);
     link.command('enrol', answer.code, { tasks: chosen });
   },
 };
@@ -181,7 +162,6 @@ function draw() {
   }
   drawPeople(part('people'), state, actions);
   drawScored(part('scored'), state, actions, blocked);
-  drawForms(part('forms'), state, actions, blocked);
   const last = state.now?.undoable;
   part('undo').disabled = blocked || !last;
   part('undo-what').textContent = last ? `Undo takes back #${last.number}: ${last.text}` : '';
@@ -288,9 +268,6 @@ part('enrol').addEventListener('click', actions.enrol);
 part('switch').addEventListener('click', () => actions.send('switch'));
 part('drop').addEventListener('click', () => link.drop());
 part('dismiss').addEventListener('click', () => { refusal = ''; draw(); });
-link.addEventListener('state', () => {
-  if (link.state.now) keep('smooth-operator:on', link.state.now.operator);
-});
 link.addEventListener('refused', ({ detail }) => { refusal = detail.answer.error; });
 link.addEventListener('done', ({ detail }) => {
   refusal = '';

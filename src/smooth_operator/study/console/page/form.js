@@ -3,10 +3,10 @@
 import { button, fill, h } from './dom.js';
 import { keep, stored } from './link.js';
 
-/** Draws a form; what is filled in is kept on the device until it is sent. */
-export function form(place, state, { name, sending, send, answers: before = {}, more = null }) {
+/** Draws a form; answers are stored on the device until they are sent. */
+export function form(place, state, { name, sending, send }) {
   const draft = stored(name);
-  const answers = draft?.key === state.key ? draft.answers : { ...before };
+  const answers = draft?.key === state.key ? draft.answers : {};
   const { texts } = state;
   const begun = new Set(); // rankings that are not whole yet
   const left = h('p', { class: 'soft', role: 'status' });
@@ -34,7 +34,7 @@ export function form(place, state, { name, sending, send, answers: before = {}, 
   },
   h('section', { class: 'card intro' }, h('h2', {}, state.title), state.text && h('p', {}, state.text)),
   state.fields.map((field) => h('section', { class: 'card field' }, (DRAWN[field.kind] ?? DRAWN.text)(field, answers[field.name], (value, partly) => set(field, value, partly), sending, texts))),
-  more, h('section', { class: 'card send' }, left, submit)));
+  h('section', { class: 'card send' }, left, submit)));
   show();
 }
 

@@ -6,7 +6,7 @@
 const SILENCE = 5000; // ms without a word: the server says something every second
 const AGAIN = 2500; // ms until a command is tried again that could not be written
 const STALE = 120000; // ms after which a page that is opened again starts nothing of before
-const LASTING = new Set(['score', 'answer', 'weigh', 'void', 'note', 'form', 'amend']); // what has happened, however late it arrives
+const LASTING = new Set(['score', 'answer', 'void', 'note', 'form', 'amend']); // what has happened, however late it arrives
 const BACKOFF = [150, 300, 600, 1000, 2000]; // ms
 
 /** This machine's time of day, ms, as of the page's beginning: it goes on if that clock is set. */
@@ -47,11 +47,10 @@ function storedBy(prefix) {
 
 /** Events: "state", "change" (of the link), "done" and "refused" (detail: {command, answer}). */
 export class Link extends EventTarget {
-  /** path: of the WebSocket; hello: what to say first, a function. */
-  constructor(path, hello = () => ({})) {
+  /** path: path of the WebSocket. */
+  constructor(path) {
     super();
     this.path = path;
-    this.hello = hello;
     this.connected = false;
     this.everConnected = false;
     this.state = null;
@@ -113,7 +112,6 @@ export class Link extends EventTarget {
       this.connected = this.everConnected = true;
       this.flying = null;
       this.best = -Infinity;
-      socket.send(JSON.stringify({ type: 'hello', ...this.hello() }));
       this.changed();
     };
     socket.onmessage = (event) => this.socket === socket && this.hear(JSON.parse(event.data));

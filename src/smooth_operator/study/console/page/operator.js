@@ -1,13 +1,13 @@
-// The operator's page: waits, and shows a questionnaire when the protocol comes to one.
+// The operator's page: shows the form or questionnaire that is due, and else a text to wait.
 
 import { fill, h, part } from './dom.js';
 import { form } from './form.js';
 import { keep, Link } from './link.js';
-import { pairs, scales } from './tlx.js';
+import { scales } from './tlx.js';
 
 const THANKS = 6000; // ms
 const link = new Link('/operator/link');
-let shown = null; // key of what stands on the page
+let shown = null; // key of the content of the page
 let thanked = 0;
 let refusal = '';
 
@@ -23,7 +23,7 @@ function draw() {
   if (!state?.what) return;
   part('study').textContent = state.study;
   part('who').textContent = state.operator ? `Participant ${state.operator}` : '';
-  const asked = ['form', 'questionnaire', 'weights'].includes(state.what);
+  const asked = ['form', 'questionnaire'].includes(state.what);
   const sending = link.pending;
   const key = asked ? `${state.key}/${sending}` : `${state.what}/${state.step}/${performance.now() < thanked}`;
   if (key === shown) return;
@@ -39,9 +39,6 @@ function draw() {
   if (state.what === 'questionnaire') {
     thanked = 0;
     scales(place, state, { name, sending, send: (ratings) => send('answer', { ...at, point: state.point, ratings }) });
-  } else if (state.what === 'weights') {
-    thanked = 0;
-    pairs(place, state, { name, sending, send: (winners) => send('weigh', { ...at, winners }) });
   } else if (state.what === 'form') {
     thanked = 0;
     form(place, state, { name, sending, send: (answers) => send('form', { form: state.form, answers }) });

@@ -115,10 +115,9 @@ const STEPS = {
         button('Void', { key: 'V', id: 'void', kind: 'quiet', disabled: blocked, onclick: actions.voidTrial })),
     ];
   },
-  form(now, state, actions, blocked) {
-    return [h('h2', {}, `Form: ${now.forms.find(({ form }) => form === now.form)?.title ?? now.form}`),
-      h('p', {}, 'The operator fills it in on the tablet. This page goes on by itself.'), ...tablet(state),
-      h('div', { class: 'row' }, button('It is on paper', { id: 'on-paper', kind: 'quiet', disabled: blocked, onclick: actions.onPaper }))];
+  form(now, state) {
+    return [h('h2', {}, `Form: ${now.form}`),
+      h('p', {}, 'The operator fills it in on the tablet. This page goes on by itself.'), ...tablet(state)];
   },
   refused(now) {
     return [h('h2', {}, 'Consent refused'),
@@ -131,14 +130,10 @@ const STEPS = {
       by ? h('p', {}, `${by.operator} has the rows now.`)
         : h('div', { class: 'row' }, button('Replace', { id: 'replace', disabled: blocked, onclick: actions.replace }))];
   },
-  questionnaire(now, state, actions, blocked) {
+  questionnaire(now, state) {
     return [h('h2', {}, 'Questionnaire'),
       h('p', {}, `The operator fills in NASA-TLX (${POINTS[now.point] ?? now.point}) on the tablet. This page goes on by itself.`),
-      ...tablet(state), fromPaper(actions, blocked)];
-  },
-  weights(now, state, actions, blocked) {
-    return [h('h2', {}, 'Pairs of scales'),
-      h('p', {}, 'The operator compares the six scales in pairs on the tablet. This page goes on by itself.'), ...tablet(state), fromPaper(actions, blocked)];
+      ...tablet(state)];
   },
   break(now, state, actions, blocked) {
     return [
@@ -196,10 +191,6 @@ function aside(now, actions, blocked) {
     now.can_end_block && quiet('End block', 'end-block', actions.endBlock),
     !now.withdrawn && quiet('Withdraw', 'withdraw', actions.withdraw),
     now.ends && h('span', { class: 'soft left', 'data-minutes': '', 'data-until': String(now.ends) }));
-}
-
-function fromPaper(actions, blocked) {
-  return h('div', { class: 'row' }, button('Type it in from paper', { id: 'from-paper', kind: 'quiet', disabled: blocked, onclick: actions.typeTlx }));
 }
 
 function tablet({ links, pages }) {

@@ -1,9 +1,9 @@
-// NASA-TLX: six scales, none of which has a mark until it is touched, and their fifteen pairs.
+// NASA-TLX: six scales, none of which has a mark until it is touched.
 
-import { button, fill, h } from './dom.js';
+import { fill, h } from './dom.js';
 import { keep, stored } from './link.js';
 
-/** Draws the six scales; what is filled in is kept on the device until it is sent. */
+/** Draws the six scales; marks are stored on the device until they are sent. */
 export function scales(place, state, { name, sending, send }) {
   const draft = stored(name);
   const ratings = draft?.key === state.key ? draft.ratings : {};
@@ -65,34 +65,4 @@ function oneScale(scale, k, state, ratings, sending, changed) {
   });
   show();
   return card;
-}
-
-/** Draws the pair that is next, one after the other; choices are kept on the device until they are sent. */
-export function pairs(place, state, { name, sending, send }) {
-  const draft = stored(name);
-  const winners = draft?.key === state.key ? draft.winners : [];
-  const { texts } = state;
-  const count = state.pairs.length;
-  // Sent in the order of the instrument, whatever order they are shown in.
-  const sorted = () => winners.map((winner, k) => [state.pairs[k].place, winner]).sort(([a], [b]) => a - b).map(([, winner]) => winner);
-  const again = () => {
-    keep(name, { key: state.key, winners });
-    pairs(place, state, { name, sending, send });
-  };
-  const at = winners.length;
-  const back = button(texts.back, { id: 'back', kind: 'quiet', disabled: sending || at === 0, onclick: () => { winners.pop(); again(); } });
-  if (at >= count) {
-    fill(place, h('section', { class: 'card' }, h('h2', {}, texts.pairs_complete),
-      h('div', { class: 'row' }, h('button', { type: 'button', class: 'main wide', 'data-key': 'submit', disabled: sending, onclick: () => send(sorted()) },
-        sending ? texts.sending : texts.pairs_send), back)));
-    return;
-  }
-  fill(place, h('section', { class: 'card pair' },
-    h('h2', {}, texts.pairs_heading),
-    h('p', { class: 'soft', role: 'status' }, `${texts.pair} ${at + 1} / ${count}`),
-    h('progress', { max: count, value: at, 'aria-label': 'Pairs' }),
-    h('div', { class: 'either' }, state.pairs[at].scales.map((scale, k) => h('button', {
-      type: 'button', 'data-key': `pair-${k}`, onclick: () => { winners.push(scale.name); again(); },
-    }, h('b', {}, scale.title), h('span', {}, scale.question)))),
-    h('div', { class: 'row' }, back)));
 }
