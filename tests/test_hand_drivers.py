@@ -144,9 +144,7 @@ class Driven:
 def test_a_driver_of_several_models_takes_the_table_of_the_runs_hand(hand: str) -> None:
     assert LinkerSink().actuators("right", hand).hand == hand
     assert LinkerSink(model="l20").actuators("right", hand).hand == "linker_l20"
-    with pytest.raises(
-        ConfigError, match=r"is the table of the hand 'linker_l20'"
-    ):
+    with pytest.raises(ConfigError, match=r"is the table of the hand 'linker_l20'"):
         LinkerSink(model="l20").actuators("right").bind(load_hand("leap_hand"))
 
 
