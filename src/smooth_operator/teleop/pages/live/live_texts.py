@@ -72,7 +72,7 @@ def _wrist(state: Mapping[str, Any]) -> str:
         return "not tracked"
     if wrist["engaged"]:
         return (
-            "tracked; there is no arm here, the sinks get its target"
+            "tracked (no arm: the sinks get its target)"
             if state.get("arm") is None
             else "moves the arm"
         )
