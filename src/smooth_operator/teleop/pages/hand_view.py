@@ -163,6 +163,7 @@ def _tapered(hand: Hand) -> dict[int, trimesh.Trimesh]:
     mujoco.mj_kinematics(model, data)
     bones = finger_bones(hand, data)
     usual, palm = finger_radius(hand, bones), int(model.body(hand.spec.palm).id)
+    low, high = (usual * share for share in _RADII)
     own: dict[int, float] = {}
     for geom in np.flatnonzero(solid_shapes(hand)):
         for capsule in shape_capsules(model, int(geom)):
@@ -170,7 +171,7 @@ def _tapered(hand: Hand) -> dict[int, trimesh.Trimesh]:
     balls: dict[int, list[list[tuple[np.ndarray, float]]]] = {}
     for finger in bones.values():
         pieces = [piece for bone in finger for piece in bone]
-        radii = [np.clip(own.get(body, usual), *(usual * r for r in _RADII)) for body, *_ in pieces]
+        radii = [np.clip(own.get(body, usual), low, high) for body, *_ in pieces]
         for number, (body, start, end) in enumerate(pieces):
             before, here = radii[max(number - 1, 0)], radii[number]
             after = radii[number + 1] if number + 1 < len(radii) else _SLIM * here
