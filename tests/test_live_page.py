@@ -554,7 +554,7 @@ def test_a_held_wrist_says_why() -> None:
         ({"mode": "paused"}, "wrist: held (paused)"),
         ({"mode": "tracking", "wrist": {**wrist, "released": True}}, "wrist: held (released"),
         ({"mode": "holding", "wrist": {**wrist, "tracked": False}}, "(the tracker lost it)"),
-        ({"mode": "tracking", "wrist": {**wrist, "engaged": True}}, "there is no arm here"),
+        ({"mode": "tracking", "wrist": {**wrist, "engaged": True}}, "wrist: tracked, no arm here"),
         ({"mode": "tracking", "wrist": None}, "wrist: not tracked"),
     ):
         assert words in live_texts.modes({"right": {**hand, **changes}})

@@ -298,7 +298,7 @@ def test_meshes_are_drawn_where_they_are_here_and_can_be_switched(root: Path) ->
         meshes, simple = page._looks
 
         def shown() -> tuple[bool, bool]:
-            a, b = ({n.visible for n in look.nodes.values()} for look in (meshes, simple))
+            a, b = ({n.visible for n in look.first.nodes.values()} for look in (meshes, simple))
             assert len(a) == len(b) == 1
             return a.pop(), b.pop()
 
@@ -307,8 +307,9 @@ def test_meshes_are_drawn_where_they_are_here_and_can_be_switched(root: Path) ->
         page._show_looks()
         assert shown() == (False, True)
         page.set_joint(2, 0.3)
-        palm = next(b for b in meshes.nodes if meshes.view.hand.model.body(b).name == "palm")
-        np.testing.assert_allclose(meshes.nodes[palm].position, 0, atol=1e-9)
+        model = page._drawn[0].hand.model
+        palm = next(b for b in meshes.first.nodes if model.body(b).name == "palm")
+        np.testing.assert_allclose(meshes.first.nodes[palm].batched_positions, 0, atol=1e-7)
     server = open_server("127.0.0.1", 0)
     try:
         scene = LiveScene(server, {"right": hand}, simulated=True)
@@ -340,18 +341,18 @@ def test_a_player_has_both_in_one_place(root: Path, tmp_path: Path) -> None:
     server = open_server("127.0.0.1", 0)
     try:
         view = RobotView(server.scene, run, "/robot")
-        view.draw(3, np.zeros(4, bool))
+        view.draw(3)
         assert run.simple is not None
         assert view._simple is not None
         matrix = np.empty(9)
         mujoco.mju_quat2Mat(matrix, run.simple.wxyz)
         for joint in hand.joint_names:
             mine = view._simple.data.xpos[hand.model.joint(joint).bodyid[0]]
-            theirs = view._hand.data.xpos[run.model.joint(joint).bodyid[0]]
+            theirs = view.bodies.data.xpos[run.model.joint(joint).bodyid[0]]
             placed = matrix.reshape(3, 3) @ mine + run.simple.position
             np.testing.assert_allclose(placed, theirs, atol=1e-5)
         view.set_meshes(visible=False)
-        assert {n.visible for n in view._hand.nodes.values()} == {False}
+        assert {n.visible for n in view.bodies.nodes.values()} == {False}
         assert {n.visible for n in view._simple.nodes.values()} == {True}
     finally:
         close_server(server)

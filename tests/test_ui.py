@@ -34,7 +34,7 @@ from smooth_operator.teleop.pages.hand_view import (
     geom_mesh,
     linear,
 )
-from smooth_operator.teleop.pages.page_layout import FOV, plan, view_axes
+from smooth_operator.teleop.pages.page_layout import FOV, camera_for, plan, view_axes
 from smooth_operator.teleop.pages.playback import PlaybackClock
 from smooth_operator.teleop.pages.player_panel import (
     GapCurves,
@@ -287,9 +287,12 @@ def test_fingers_are_found_without_names(frames: int) -> None:
 
 
 @pytest.mark.parametrize("sign", [1, -1], ids=["right", "left"])
-@pytest.mark.parametrize(("aspect", "covered"), [(0.46, 0.44), (1.0, 0.0), (1.9, 0.0)])
+@pytest.mark.parametrize(
+    ("aspect", "covered", "above"),
+    [(0.46, 0.44, 0.0), (1.0, 0.0, 0.0), (1.9, 0.0, 0.0), (1.2, 0.1, 0.2)],
+)
 def test_the_camera_sees_both_hands_from_the_palm_side(
-    sign: int, aspect: float, covered: float
+    sign: int, aspect: float, covered: float, above: float
 ) -> None:
     playback = make_playback(sign=sign)
     layout = plan(playback, playback.robot_tips.reshape(-1, 3))
@@ -298,7 +301,9 @@ def test_the_camera_sees_both_hands_from_the_palm_side(
     assert np.linalg.det(axes) == pytest.approx(1.0)
     np.testing.assert_allclose(layout.toward, [0, -1, 0], atol=1e-9)  # where the fingers bend to
 
-    position, target = layout.camera(aspect, covered)
+    position, target = camera_for(axes, layout.centre, layout.half, aspect, covered, above)
+    if not above:
+        np.testing.assert_array_equal(position, layout.camera(aspect, covered)[0])
     forward = (target - position) / np.linalg.norm(target - position)
     right = np.cross(forward, layout.up)
     right /= np.linalg.norm(right)
@@ -313,6 +318,7 @@ def test_the_camera_sees_both_hands_from_the_palm_side(
         screen = np.stack([x / aspect, y]) / (depth * np.tan(FOV / 2))  # -1 .. 1 is the canvas
         assert np.abs(screen).max() <= 1.0
         assert screen[1].min() >= -1 + 2 * covered  # nothing behind the controls
+        assert screen[1].max() <= 1 - 2 * above
         low.append(screen[0].min())
         high.append(screen[0].max())
     assert high[0] < low[1]  # human left of robot, apart

@@ -72,6 +72,7 @@ def camera_for(
     half: tuple[float, float],
     aspect: float,
     covered: float = 0.0,
+    above: float = 0.0,
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
     """Position and look-at point of a camera that shows a whole picture.
 
@@ -81,14 +82,15 @@ def camera_for(
         half: its half width and half height [m].
         aspect: width / height of the canvas.
         covered: share of the canvas height, from below, that controls cover.
+        above: the same from above.
     """
     right, up, toward = axes
     tangent = np.tan(FOV / 2)
-    free = 1.0 - covered
+    free = 1.0 - covered - above
     width, height = half
     distance = _MARGIN * max(height / (free * tangent), width / (aspect * tangent))
-    # the free part's middle is covered / 2 of a canvas height above the canvas's middle
-    target = centre - up * covered * distance * tangent
+    # the free part's middle is half of this share of a canvas height above the canvas's middle
+    target = centre - up * (covered - above) * distance * tangent
     direction = toward + np.tan(_TILT) * (0.6 * right + up)
     return target + distance * direction / np.linalg.norm(direction), target
 
@@ -212,6 +214,7 @@ def _top(
 _PHONE = 0.75  # below this width / height, the panel is a sheet over the canvas's lower part
 _SHEET = 0.44  # share of a phone's screen that the sheet covers at first
 _MOST = 0.6  # share of a canvas that a panel may take from the picture
+_LEAST = 0.2  # and what lies above it
 
 _Aim = tuple[tuple[int, int], np.ndarray]  # canvas size [px], camera position [m]
 
@@ -225,7 +228,12 @@ class Aiming:
         centre: its middle [m].
         half: its half width and half height [m].
         below: height of a panel that covers the lower edge of a desktop's canvas [px].
+
+    Attributes:
+        above: height of what covers the upper edge of the canvas [px].
     """
+
+    above = 0.0
 
     def __init__(
         self,
@@ -248,9 +256,11 @@ class Aiming:
     def aim(self, client: viser.ClientHandle) -> None:
         """Point one browser's camera at both hands, whatever the shape of its window."""
         camera = client.camera
-        panel = min(self._below / max(camera.image_height, 1), _MOST)
+        height = max(camera.image_height, 1)
+        panel = min(self._below / height, _MOST)
         covered = _SHEET if camera.aspect < _PHONE else panel
-        position, target = self._camera(camera.aspect, covered)
+        above = min(self.above / height, _LEAST)
+        position, target = self._camera(camera.aspect, covered, above)
         with client.atomic():
             camera.up_direction = self._axes[1]
             camera.fov = FOV
@@ -286,6 +296,6 @@ class Aiming:
         self._aims.pop(client.client_id, None)
 
     def _camera(
-        self, aspect: float, covered: float
+        self, aspect: float, covered: float, above: float = 0.0
     ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-        return camera_for(self._axes, self.centre, self.half, aspect, covered)
+        return camera_for(self._axes, self.centre, self.half, aspect, covered, above)

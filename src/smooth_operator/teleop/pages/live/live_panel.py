@@ -136,7 +136,6 @@ class LivePanel:
         self._modes = gui.add_html(live_texts.modes({}))
         self._pause = gui.add_button("Pause (P)", icon=viser.Icon.PLAYER_PAUSE)
         self._record = gui.add_button("Record (R)", color="gray", icon=viser.Icon.PLAYER_RECORD)
-        self._take_text = gui.add_html("", visible=False)
         self._name = gui.add_text(
             "Name", "", visible=False, hint="of the take; Space and X stop the robot here, too"
         )
@@ -144,6 +143,7 @@ class LivePanel:
         self._discard = gui.add_button(
             "Discard", color="gray", icon=viser.Icon.TRASH, visible=False
         )
+        self._take_text = gui.add_html("", visible=False)
         self._summary = gui.add_html("")
         self._slow = gui.add_html("", visible=False)
         self._notice = gui.add_html("")

@@ -32,6 +32,7 @@ from smooth_operator.types import Side
 
 _LABEL: Final = 0.016  # from there to the label [m]
 _LEGEND: Final = 84.0  # height of what lies over the canvas's lower edge [px]
+_TRIAL: Final = 120.0  # height of what a trial's state takes above [px]
 _FONT: Final = 1.25  # size of the labels
 _FLOOR: Final = 1.6  # width and depth of the floor [m]
 _CELLS: Final[Rgb] = (82, 90, 102)
@@ -124,6 +125,7 @@ class LiveScene:
     def _aim(self) -> None:
         """Give the hands their places again, and have every browser look at them."""
         self.aiming.centre, self.aiming.half = self._arrange()
+        self.aiming.above = _TRIAL if self.has_task else 0.0
         for client in self._server.get_clients().values():
             self.aiming.aim(client)
 

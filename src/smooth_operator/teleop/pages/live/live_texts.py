@@ -71,11 +71,7 @@ def _wrist(state: Mapping[str, Any]) -> str:
     if wrist is None:
         return "not tracked"
     if wrist["engaged"]:
-        return (
-            "tracked; there is no arm here, the sinks get its target"
-            if state.get("arm") is None
-            else "moves the arm"
-        )
+        return "tracked, no arm here" if state.get("arm") is None else "moves the arm"
     if mode in ("stopped", "paused"):
         return f"held ({mode})"
     if wrist["released"]:
