@@ -437,7 +437,7 @@ def test_lines_and_bodies_can_be_sent_one_after_the_other() -> None:
         np.testing.assert_allclose(view._robot.command.data.qpos, hand.qpos(bent))
         marks = view._targets
         assert not np.any(marks._balls.batched_scales)  # a method without places
-        places = hand.tips(bent) + [0.0, 0.01, 0.0]
+        places = hand.tips(bent) + np.array([0.0, 0.01, 0.0])
         scene.draw_lines({"right": hands["right"] | {"targets": places.ravel().tolist()}})
         np.testing.assert_allclose(marks._balls.batched_positions, places, atol=1e-6)
         assert np.all(marks._balls.batched_scales)
