@@ -46,6 +46,7 @@ _TRIPOD: Final = 0.03  # the same of thumb, index and middle finger [m]
 _AWAY: Final = 0.65  # thumb to index finger, of the palm's length, of a thumb that is up
 _SMOOTH: Final = 5  # frames whose median counts: a tracker's single wrong frame is no pose
 _UNFOLDED: Final = 0.45  # extension from which a finger may pinch
+_HAND: Final = 0.19  # length of a human hand, as drawn [m]
 _TURN: Final = np.deg2rad(70.0)  # between the two views: no finger hides the others entirely
 _INK: Final = (40, 46, 52)
 _SOFT: Final = (110, 118, 126)
@@ -129,8 +130,8 @@ def contact_sheet(
 ) -> Image | None:
     """Draws poses in rows: the human, then each method, from the palm and from the thumb's side.
 
-    Each hand stands upright on its own wrist. All pictures of the robot have one scale, and all of
-    the human another.
+    Each hand stands upright on its own wrist. All pictures of the robot have one scale; all human
+    hands are drawn equally long.
 
     Args:
         panels: recordings on one robot hand.
@@ -213,7 +214,9 @@ class HandPicture:
 
     @classmethod
     def of_human(cls, points: Float[np.ndarray, "21 3"], side: Side) -> HandPicture:
-        """A human hand from its landmarks [m]."""
+        """A human hand from its landmarks [m], drawn as long as others' hands."""
+        middle = points[[WRIST, *range(BASES[2], BASES[2] + 4)]]
+        points = points * (_HAND / np.linalg.norm(np.diff(middle, axis=0), axis=-1).sum())
         up = points[list(BASES[1:])].mean(axis=0) - points[WRIST]
         up = up / np.linalg.norm(up)
         right = points[BASES[1]] - points[BASES[4]]
