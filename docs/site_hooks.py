@@ -16,6 +16,7 @@ from typing import Any
 
 SOURCE = Path(__file__).resolve().parents[1] / "src"
 ROOT = "smooth_operator"
+# A title counts a thousand times as much as text, and each name of the API is a title.
 _BOOST = {"tutorials": 4.0, "how-to": 4.0, "robots": 3.0, "explanation": 2.0}
 _LINE = re.compile(r"^\{\{ (public|modules) ([\w.]+) \}\}$", re.MULTILINE)
 
@@ -83,5 +84,5 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     """Called by mkdocs for each page: lists names; guides rank before the API in the search."""
     path = page.file.src_uri
     boost = _BOOST.get(path.split("/")[0], 1.0)
-    page.meta["search"] = {"boost": 0.2 if path.startswith("reference/api/") else boost}
+    page.meta["search"] = {"boost": 0.0005 if path.startswith("reference/api/") else boost}
     return _LINE.sub(_expanded, markdown)

@@ -279,6 +279,15 @@ def test_sentences_of_what_was_refused_have_minus_signs(tmp_path: Path) -> None:
     assert "correlation is estimated as −0." in success
 
 
+def test_a_summary_of_few_operators_says_that_little_can_be_shown(tmp_path: Path) -> None:
+    simulate(3, operators=range(3), retargeters=("dexpilot", "sbr")).write(tmp_path)
+    sentences = conclusion(analyze_study(read_study([tmp_path])))
+    assert "with 3 operators only very large differences can be shown" in sentences[-1].lower()
+    for text in sentences:
+        if "no difference shown" in text:  # a size in words would read as a result
+            assert not re.search("negligible|small|medium|large$", text)
+
+
 def test_bad_data_write_nothing_and_give_status_2(
     data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
