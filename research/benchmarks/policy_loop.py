@@ -13,8 +13,9 @@ worlds of the environment ``smooth_hand``, which begins an episode in the mean s
 demonstrations. What is finished in the output folder is kept, so that a run that was stopped goes
 on where it was; another size needs another folder.
 
-Success is a score of 1 without a reset. Intervals (95 %) are bootstraps: of persons or worlds for
-operators; of seeds and worlds, crossed, for policies. With one seed they are of the worlds alone.
+Success is a score of 1 without a reset. Intervals (95 %) are bootstraps, of persons or worlds for
+operators, of seeds and worlds, crossed, for policies, and at least as wide as Wilson's for as many
+persons or worlds. With one seed they are of the worlds alone.
 Needs ``lerobot[training,evaluation]`` and packages/lerobot_env_smooth_hand on Python 3.12 or later.
 """
 
@@ -54,6 +55,7 @@ from smooth_operator_research.demonstrations.perturbation import (
 )
 from smooth_operator_research.demonstrations.trial_loop import TrialTrace, run_trial
 from smooth_operator_research.physics.demonstrations import STAYS_S
+from smooth_operator_research.physics.results import wilson
 from smooth_operator_research.run_report import BenchmarkError, Report
 from smooth_operator_research.virtual_operator import draw_person, make_familiar, simulate_trial
 from smooth_operator_research.virtual_operator.trial import LOOKS_HZ
@@ -340,8 +342,23 @@ def policy_scores(
 # --- tables --------------------------------------------------------------------------------------
 
 
-def interval(values: np.ndarray) -> tuple[float, float]:
-    return float(np.percentile(values, 2.5)), float(np.percentile(values, 97.5))
+def interval(draws: np.ndarray, share: float, units: int) -> tuple[float, float]:
+    """Of a share: the bootstrap's and Wilson's for so many independent units, the wider ends.
+
+    Where all units agree the bootstrap alone has no width.
+    """
+    low, high = wilson(share * units, units)
+    return min(low, float(np.percentile(draws, 2.5))), max(high, float(np.percentile(draws, 97.5)))
+
+
+def interval_of_difference(
+    draws: np.ndarray, first: tuple[float, float, float], second: tuple[float, float, float]
+) -> tuple[float, float]:
+    """Of second minus first, each a share with its interval: likewise, with Newcombe's."""
+    (p, p_low, p_high), (q, q_low, q_high) = first, second
+    low = q - p - float(np.hypot(q - q_low, p_high - p))
+    high = q - p + float(np.hypot(q_high - q, p - p_low))
+    return min(low, float(np.percentile(draws, 2.5))), max(high, float(np.percentile(draws, 97.5)))
 
 
 def share_of_units(successes: list[list[int]]) -> tuple[float, float, float]:
@@ -349,7 +366,8 @@ def share_of_units(successes: list[list[int]]) -> tuple[float, float, float]:
     rates = np.array([np.mean(each) for each in successes])
     rng = np.random.default_rng(0)
     drawn = rates[rng.integers(len(rates), size=(RESAMPLES, len(rates)))].mean(axis=1)
-    return float(rates.mean()), *interval(drawn)
+    share = float(rates.mean())
+    return share, *interval(drawn, share, len(rates))
 
 
 def resampled(success: np.ndarray) -> np.ndarray:
@@ -378,7 +396,7 @@ def main(settings: Settings) -> None:
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(settings.workers, mp_context=context) as pool:
         for task in settings.tasks:
-            first: np.ndarray | None = None
+            first: tuple[np.ndarray, tuple[float, float, float]] | None = None
             for method in settings.methods:
                 clock = time.perf_counter()
                 trials = record(settings, pool, task, method)
@@ -401,15 +419,16 @@ def main(settings: Settings) -> None:
                 scores = np.array([future.result() for future in futures])
                 times["train and evaluate"] += time.perf_counter() - clock
                 success = (scores == 1.0).astype(float)
-                draws = resampled(success)
-                row[6] = percent(float(success.mean()), *interval(draws))
+                draws, share = resampled(success), float(success.mean())
+                whole = (share, *interval(draws, share, settings.worlds))
+                row[6] = percent(*whole)
                 row[7] = f"{scores.mean():.2f}"
-                report.add(key, {"success": success.mean(), "score": scores.mean()})
-                if first is None:
-                    first = success
-                elif method != settings.methods[0]:
-                    apart = interval(draws - resampled(first))
-                    row[8] = percent(float(success.mean() - first.mean()), *apart, "+")
+                report.add(key, {"success": share, "score": scores.mean()})
+                if method == settings.methods[0]:
+                    first = draws, whole
+                elif first is not None:
+                    apart = interval_of_difference(draws - first[0], first[1], whole)
+                    row[8] = percent(share - first[1][0], *apart, "+")
                 print(f"{key}: success {row[6]} %", flush=True)
     report.table(
         "Policies by the retargeter of their demonstrations",

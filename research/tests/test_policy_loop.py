@@ -50,15 +50,18 @@ def test_recorded_actions_do_the_task_in_the_environment(task: str, number: int)
 
 
 def test_intervals_are_of_seeds_and_worlds() -> None:
-    import policy_loop
+    import policy_loop as loop
 
-    low, high = policy_loop.interval(policy_loop.resampled(success))
+    success = np.array([[1.0] * 50 + [0.0] * 50] * 3)  # seeds agree: the worlds alone differ
+    low, high = loop.interval(loop.resampled(success), 0.5, 100)
     assert low == pytest.approx(0.40, abs=0.02)  # binomial, 100 worlds
     assert high == pytest.approx(0.60, abs=0.02)
     seeds = np.array([[1.0] * 100, [0.0] * 100, [0.5] * 100])
-    low, high = policy_loop.interval(policy_loop.resampled(seeds))
-    assert (low, high) == (pytest.approx(0.0, abs=0.01), pytest.approx(1.0, abs=0.01))
-    share, low, high = policy_loop.share_of_units([[1, 0], [1, 1], [0, 0]])
-    assert share == 0.5
-    assert low == 0.0
-    assert high == 1.0
+    assert loop.interval(loop.resampled(seeds), 0.5, 100) == (
+        pytest.approx(0.0, abs=0.01), pytest.approx(1.0, abs=0.01),
+    )  # fmt: skip
+    none = loop.interval(loop.resampled(np.zeros((3, 100))), 0.0, 100)
+    assert none == (0.0, pytest.approx(0.037, abs=0.001))  # Wilson's, of 0 in 100
+    assert loop.share_of_units([[1, 0], [1, 1], [0, 0]]) == (0.5, 0.0, 1.0)
+    low, high = loop.interval_of_difference(np.zeros(9), (0.0, 0.0, 0.04), (0.0, 0.0, 0.04))
+    assert (low, high) == (pytest.approx(-0.04), pytest.approx(0.04))
