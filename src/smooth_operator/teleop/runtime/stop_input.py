@@ -70,7 +70,7 @@ class StopInput:
 
 @contextlib.contextmanager
 def stopped_by(loop: TeleopLoop, stop: str | Callable[[], bool] | None) -> Iterator[None]:
-    """Lets an input stop the loop inside the block.
+    """Stops the loop by an input, while the block runs.
 
     After the input is released, the loop stays stopped until a release by page, key or message.
 
