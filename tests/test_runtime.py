@@ -525,7 +525,7 @@ def test_what_a_run_came_to(retargeter: Retargeter, motion: HandRecording) -> No
 
 
 def test_times_of_a_long_run_take_no_more_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(run_statistics, "_KEPT", 100)
+    monkeypatch.setattr(run_statistics, "_CAPACITY", 100)
     times = run_statistics._Times()
     assert len(times.newest()) == 0
     for i in range(90):

@@ -15,7 +15,7 @@ from typing import IO
 from smooth_operator.errors import OutputError
 from smooth_operator.formats.jsonable import to_json
 
-# What a person can do about it, by errno; strerror alone names the trouble but not the way out.
+# Advice by errno; strerror alone names the problem but not the remedy.
 _REMEDIES = {
     errno.ENOSPC: "no space is left on the device; free some, or write to another disk",
     errno.EDQUOT: "the disk quota is used up; free some space, or write to another disk",
@@ -60,20 +60,20 @@ def output_error(path: str | os.PathLike[str], cause: OSError) -> OutputError:
 
 @contextlib.contextmanager
 def atomic_write(path: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
-    """Write a file atomically: a temporary file in its folder takes its place when the block ends.
+    """Write a file atomically: a temporary file in its folder replaces it at the end of the block.
 
-    If the block raises, or the process dies, a file that stood at ``path`` is as it was. A symbolic
+    If the block raises, or the process dies, an existing file at ``path`` is unchanged. A symbolic
     link is followed, so its target is replaced and not the link.
 
     Args:
-        path: where the file shall stand; its folder must exist.
+        path: the file; its folder must exist.
 
     Yields:
         A binary file, open for writing (and seekable).
 
     Raises:
-        OutputError: no such folder, no permission, no space, or something other than a plain file
-            stands at ``path``.
+        OutputError: no such folder, no permission, no space, or ``path`` is something else than a
+            plain file.
 
     Example:
         >>> with atomic_write("result.json") as file:  # doctest: +SKIP
@@ -108,15 +108,15 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
 
 
 def write_json(path: Path, content: object, indent: int | None = None) -> None:
-    """Writes JSON, whole or not at all.
+    """Write a JSON file atomically.
 
     Args:
-        path: where the file shall stand; its folder must exist.
-        content: anything that ``to_json`` takes.
-        indent: spaces a level; None for one line.
+        path: the file; its folder must exist.
+        content: any value for ``to_json``.
+        indent: spaces per level; None for one line.
 
     Raises:
-        OutputError: it can't be written.
+        OutputError: the file can't be written.
         ConfigError: the content has no JSON form.
     """
     text = to_json(content, indent=indent)
@@ -125,7 +125,7 @@ def write_json(path: Path, content: object, indent: int | None = None) -> None:
 
 
 def file_name(readable: str, words: Iterable[str]) -> str:
-    """A name of a file that is readable, harmless anywhere, and differs where the words do."""
+    """A readable file name that is valid on every system and unique for the words."""
     unique = hashlib.sha256("\n".join(words).encode()).hexdigest()[:8]
     harmless = re.sub(r"[^A-Za-z0-9.]+", "-", readable).strip("-.")
     return f"{harmless[:100]}-{unique}"
@@ -133,10 +133,10 @@ def file_name(readable: str, words: Iterable[str]) -> str:
 
 @contextlib.contextmanager
 def claimed(folder: Path) -> Iterator[None]:
-    """Keeps a second run out of a folder; the system gives it free when this process ends.
+    """Locks a folder against a second run inside the block, or until the process ends.
 
-    Where folders can't be locked (Windows, some network disks) a second run is not noticed; it
-    would write the same bytes.
+    If folders can't be locked (Windows, some network disks), a second run is not noticed; it would
+    write the same bytes.
 
     Raises:
         OutputError: another run is at work there, or the folder can't be opened.

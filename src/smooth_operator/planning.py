@@ -1,4 +1,4 @@
-"""From what a user asks for to a plan: names looked up, scale and operator put in their place."""
+"""Requests of a user and their plans: resolves names, scale and operator."""
 
 from __future__ import annotations
 
@@ -27,26 +27,26 @@ PROGRAM: Final = "smooth-operator"
 """Value of ``program`` in every configuration that this program writes."""
 
 Scale: TypeAlias = float | Literal["frame", "calibrate"]
-"""Robot size over human size: a number, found in every frame, or once for the recording."""
+"""Robot size over human size: a number, by frame, or calibrated once on the recording."""
 
 
 @dataclass(frozen=True)
 class RetargetRequest:
-    """What is to be done to a recording, or to each of many; see ``make_request``.
+    """Request to retarget a recording, or each of several; see ``make_request``.
 
     Attributes:
         hand: name of the robot hand, or its description.
         method: name of the method.
         preset: name of its preset.
-        config: its configuration; that of the preset, so that workers need not know the name.
-        seed: of the random numbers; each recording starts from it.
-        scale: robot size over human size; None for the configuration's own.
-        side: which hand; None for what each recording says.
-        rate: frames a second of recordings without stamps [Hz].
+        config: configuration of the preset, so that workers do not need its name.
+        seed: seed of the random numbers of each recording.
+        scale: robot size over human size; None for that of the configuration.
+        side: side of the hand; None for that of each recording.
+        rate: frame rate of recordings without stamps [Hz].
         layout: order of the landmarks in plain arrays; None for the project's own.
-        frames: only these of each recording, as text.
-        fingers: robot finger -> human finger that drives it; None for all, each by its own.
-        operator: the calibrated operator; None for none.
+        frames: range of frames of each recording, as a text; None for all.
+        fingers: robot finger -> human finger that drives it; None for all, driven by their own.
+        operator: the calibrated operator; None without one.
     """
 
     hand: str | HandSpec
@@ -68,10 +68,10 @@ class RetargetRequest:
         return self.hand.name if isinstance(self.hand, HandSpec) else self.hand
 
     def read_recording(self, path: Path, rate: float | None) -> HandRecording:
-        """A recording of the side that is asked for.
+        """Read a recording of the requested side.
 
-        Where none is asked for, it is what the recording says; one that says nothing is taken for a
-        right hand, or for a left one if the robot hand is a left one only.
+        Without a request, the side is that of the recording; a recording without a side counts as a
+        right hand, or as a left one if the robot hand has only a left side.
 
         Args:
             path: file of the recording.
@@ -81,12 +81,12 @@ class RetargetRequest:
             RecordingError: it can't be read, or is of the other side by its shape.
         """
         if self.side is None and default_side(self.hand) == "left":
-            with suppress(RecordingError):  # it is a right hand, by what it says or by its shape
+            with suppress(RecordingError):  # it is a right hand, by its side or by its shape
                 return read_recording(path, rate=rate, side="left", layout=self.layout)
         return read_recording(path, rate=rate, side=self.side, layout=self.layout)
 
     def load_hand(self, side: Side) -> Hand:
-        """The robot hand of one side, with the fingers that are asked for.
+        """The robot hand of one side, with the requested fingers.
 
         Raises:
             UnknownNameError: there is no such hand, or it has no such finger.
@@ -112,11 +112,11 @@ def make_request(
     fingers: str | None = None,
     operator: Path | None = None,
 ) -> RetargetRequest:
-    """A request from what a user says: names looked up, texts read, the operator's file too.
+    """Make a request from a user's settings: resolves names, parses texts, reads the operator.
 
     Raises:
         UnknownNameError: there is no such method or preset.
-        HandModelError: the choice of fingers is none.
+        HandModelError: the choice of fingers is not valid.
         ConfigError: the operator's file can't be used.
     """
     return RetargetRequest(
@@ -137,17 +137,17 @@ def make_request(
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """What is to be done, every name looked up.
+    """A request with all names resolved, for one recording.
 
     Attributes:
         recording: the human hand.
-        hand: the robot hand.
+        hand: the robot hand, with the requested fingers.
         method: name of the method.
         preset: name of its preset.
-        config: its configuration, scale and operator filled in.
-        seed: of the random numbers.
-        fingers: robot finger -> human finger that drives it, as asked for; None for all. The hand
-            has them already; this is for the configuration of the result.
+        config: its configuration, with scale and operator.
+        seed: seed of the random numbers.
+        fingers: requested robot finger -> human finger that drives it, for the configuration of the
+            result; None for all.
     """
 
     recording: HandRecording
@@ -160,17 +160,16 @@ class Plan:
 
 
 def plan(recording: HandRecording, request: RetargetRequest) -> Plan:
-    """Looks up the hand for the recording's side, and puts scale and operator in their place.
+    """Plan a request for a recording: loads the hand of its side, resolves scale and operator.
 
     Args:
-        recording: the human hand, of the side, rate and frames that are asked for.
-        request: what is to be done.
+        recording: the human hand, with the requested side, rate and frames.
+        request: the request.
 
     Raises:
         UnknownNameError: there is no such hand, or it has no such finger.
-        HandModelError: the fingers can't be chosen so.
-        ConfigError: the scale is not a possible one, or the operator was calibrated for another
-            hand.
+        HandModelError: the choice of fingers is not valid.
+        ConfigError: the scale is not valid, or the operator was calibrated for another hand.
         RecordingError: the scale is to be calibrated on a recording without a usable palm.
     """
     robot, config = resolve(request, recording.side, recording)
@@ -182,12 +181,12 @@ def plan(recording: HandRecording, request: RetargetRequest) -> Plan:
 def resolve(
     request: RetargetRequest, side: Side, recording: HandRecording | None = None
 ) -> tuple[Hand, MethodConfig]:
-    """The hand and the configuration that are asked for, scale and operator in their place.
+    """The requested hand, and its configuration with scale and operator.
 
     Args:
-        request: what is to be done.
-        side: which hand.
-        recording: what a scale may be calibrated on; None where there is none, as in live use.
+        request: the request.
+        side: side of the hand.
+        recording: recording for the calibration of a scale; None in live use.
 
     Raises:
         UnknownNameError, HandModelError, ConfigError, RecordingError: as ``plan``.
@@ -199,7 +198,7 @@ def resolve(
 def resolve_config(
     request: RetargetRequest, robot: Hand, recording: HandRecording | None = None
 ) -> MethodConfig:
-    """The configuration that is asked for, scale and operator in their place, of a loaded hand.
+    """The requested configuration with scale and operator, for a loaded hand.
 
     Raises:
         ConfigError, RecordingError: as ``plan``.
@@ -220,7 +219,7 @@ def resolve_config(
         else:
             fixed = None if request.scale == "frame" else float(request.scale)
         operator = config.alignment.operator
-        # What the user says of the scale goes before what the calibration found.
+        # the user's scale has precedence over that of the calibration
         operator = None if operator is None else operator.without("scale")
         config = config.with_alignment(scale=fixed, operator=operator)
     return config
@@ -230,9 +229,9 @@ def configuration(command: str, todo: Plan, **more: Any) -> dict[str, Any]:
     """The resolved configuration, to be written with a result.
 
     Args:
-        command: which command made it.
+        command: name of the command.
         todo: its plan; the operator is in the configuration's alignment.
-        more: what only that command knows.
+        more: further entries.
     """
     recording = todo.recording
     return {
@@ -260,13 +259,13 @@ def configuration(command: str, todo: Plan, **more: Any) -> dict[str, Any]:
 def live_configuration(
     command: str, request: RetargetRequest, configs: Mapping[Side, MethodConfig], **more: Any
 ) -> dict[str, Any]:
-    """The same of a run without a recording.
+    """The resolved configuration of a run without a recording.
 
     Args:
-        command: which command made it.
-        request: what was asked for.
-        configs: side -> configuration of the method, as ``resolve`` gave it.
-        more: what only that command knows.
+        command: name of the command.
+        request: the request.
+        configs: side -> configuration of the method, from ``resolve``.
+        more: further entries.
     """
     return {
         "program": PROGRAM,

@@ -1,4 +1,4 @@
-"""Rigid poses of the wrist: their algebra, and the frames of trackers brought to the project's own.
+"""Rigid poses of the wrist: their algebra, and conversion from trackers' frames to the project's.
 
 A pose is seven numbers, x y z [m] and a unit quaternion w x y z; ``T_a_b`` maps points of frame b
 to frame a. All functions take (..., 7) arrays, return float64, and give NaN for a row with NaN,
@@ -20,10 +20,10 @@ from smooth_operator.errors import ConfigError, brief
 from smooth_operator.types import Side, unit_poses
 
 IDENTITY: Final[Float[np.ndarray, "7"]] = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
-"""The pose that moves nothing."""
+"""The identity."""
 
 _TINY: Final = 1e-12
-_RIGID: Final = 0.02  # of an entry of a matrix
+_RIGID: Final = 0.02  # tolerance of an entry of a matrix
 _NEXT: Final = np.array([1, 2, 0])
 _AFTER: Final = np.array([2, 0, 1])
 
@@ -32,15 +32,15 @@ def axes(x: str, y: str, z: str) -> Float[np.ndarray, "3 3"]:
     """A change of axes, from the names of our axes in the tracker's frame.
 
     Args:
-        x: what our x is there: ``x``, ``y`` or ``z``, with a minus sign where it is reversed.
-        y: our y.
-        z: our z.
+        x: name of our x there: ``x``, ``y`` or ``z``, with a minus sign for the reversed axis.
+        y: name of our y.
+        z: name of our z.
 
     Returns:
         (3, 3) matrix M with ours = M @ theirs; its determinant is -1 for a left-handed tracker.
 
     Raises:
-        ConfigError: these are no three different axes.
+        ConfigError: these are not three different axes.
     """
     rows = np.zeros((3, 3))
     for row, name in zip(rows, (x, y, z), strict=True):
@@ -90,11 +90,11 @@ def to_ours(
     world: Float[np.ndarray, "3 3"] = WORLD_AXES["openxr"],
     wrist: Float[np.ndarray, "3 3"] = WRIST_AXES["openxr"],
 ) -> Float[np.ndarray, "*n 7"]:
-    """Poses of a tracker's wrist in its world, as poses of our wrist frame in our z-up world.
+    """Convert poses of a tracker's wrist in its world to poses of our wrist in our z-up world.
 
     Args:
-        poses: (..., 7) x y z [m], quaternion w x y z, of any length; left-handed ones as the
-            tracker gives them.
+        poses: (..., 7) x y z [m], quaternion w x y z, of any length; left-handed ones as from the
+            tracker.
         world: the tracker's world axes, of ``WORLD_AXES`` or from ``axes``.
         wrist: its wrist axes, of ``WRIST_AXES`` or from ``axes``.
 
@@ -122,13 +122,13 @@ def wrist_from_landmarks(
     """The wrist frame of a hand without tracked orientation, from its palm's landmarks.
 
     Args:
-        landmarks: (..., 21, 3) in a z-up, right-handed world [m].
-        side: which hand.
+        landmarks: (..., 21, 3) landmarks in a z-up, right-handed world [m].
+        side: side of the hand.
 
     Returns:
-        (..., 7) poses; NaN where wrist, or index, middle or pinky MCP are missing or in line.
+        (..., 7) poses; NaN if wrist, or index, middle or pinky MCP are missing or in line.
     """
-    from smooth_operator.human.anatomical_axes import palm_axes  # not where a source is named: JAX
+    from smooth_operator.human.anatomical_axes import palm_axes  # here: it imports JAX
 
     distal, _, palmar = palm_axes(np.asarray(landmarks, np.float64), side)
     rotation = np.stack([distal, np.cross(-palmar, distal), -palmar], axis=-1)
@@ -138,7 +138,7 @@ def wrist_from_landmarks(
 
 
 def is_valid(poses: Float[np.ndarray, "*n 7"] | None) -> Bool[np.ndarray, "*n"]:
-    """Whether each pose is one; False for None, the pose of a tracker that has none."""
+    """True for each valid pose; False for None, the pose of a tracker without wrists."""
     return np.asarray(np.isfinite(np.full(7, np.nan) if poses is None else poses).all(axis=-1))
 
 
@@ -161,7 +161,7 @@ def relative(a: Float[np.ndarray, "*n 7"], b: Float[np.ndarray, "*n 7"]) -> np.n
 
 
 def separation(a: Float[np.ndarray, "*n 7"], b: Float[np.ndarray, "*n 7"]) -> np.ndarray:
-    """(..., 2) how far two poses are apart: distance [m], and angle from 0 to pi [rad]."""
+    """(..., 2) distance [m] and angle from 0 to pi [rad] between two poses."""
     distance = np.linalg.norm(b[..., :3] - a[..., :3], axis=-1)
     angle = np.linalg.norm(rotation_vectors(multiply(conjugate(a[..., 3:]), b[..., 3:])), axis=-1)
     return np.stack([distance, angle], axis=-1)
@@ -177,7 +177,7 @@ def matrices(poses: Float[np.ndarray, "*n 7"]) -> Float[np.ndarray, "*n 4 4"]:
 
 
 def is_rigid(matrix: Float[np.ndarray, "*n 4 4"]) -> Bool[np.ndarray, "*n"]:
-    """Whether each matrix is a proper rotation and a position, but for the rounding of float32."""
+    """True for each matrix that is a proper rotation and a position, up to rounding of float32."""
     rotation = matrix[..., :3, :3]
     with np.errstate(over="ignore", invalid="ignore"):  # of numbers beyond any transform
         gram = rotation @ np.swapaxes(rotation, -1, -2)
@@ -195,7 +195,7 @@ def from_matrices(matrix: Float[np.ndarray, "*n 4 4"]) -> Float[np.ndarray, "*n 
 
 def multiply(a: Float[np.ndarray, "*n 4"], b: Float[np.ndarray, "*n 4"]) -> np.ndarray:
     """Product of quaternions: first b, then a."""
-    if a.ndim == b.ndim == 1:  # in the loop; arrays would take five times as long for one pair
+    if a.ndim == b.ndim == 1:  # for the loop: arrays take five times as long for one pair
         w, x, y, z = a.tolist()
         e, f, g, h = b.tolist()
         return np.array(
@@ -218,7 +218,7 @@ def conjugate(q: Float[np.ndarray, "*n 4"]) -> np.ndarray:
 
 
 def rotate(q: Float[np.ndarray, "*n 4"], points: Float[np.ndarray, "*n 3"]) -> np.ndarray:
-    """Points turned by unit quaternions."""
+    """Points rotated by unit quaternions."""
     turn = 2.0 * _cross(q[..., 1:], points)
     turned: np.ndarray = points + q[..., :1] * turn + _cross(q[..., 1:], turn)
     return turned

@@ -12,7 +12,7 @@ RATE_RANGE_HZ: Final = (1.0, 2000.0)
 
 
 def check_frame_rate(rate: float | None) -> None:
-    """Refuses frames a second [Hz] that no tracker has; None passes.
+    """Refuse a frame rate [Hz] that no tracker has; None passes.
 
     Raises:
         ConfigError: the rate is outside ``RATE_RANGE_HZ``, or NaN.
@@ -34,16 +34,16 @@ def check_numbers(
     positive: Iterable[str] = (),
     not_negative: Iterable[str] = (),
 ) -> None:
-    """Checks fields of a configuration; traced values pass.
+    """Check fields of a configuration; traced values pass.
 
     Args:
-        config: has the fields.
-        prefix: put before a field's name in the message.
-        positive: fields that must be over 0.
-        not_negative: fields that must be 0 or more.
+        config: the configuration.
+        prefix: prefix of a field's name in the message.
+        positive: names of fields that must be positive.
+        not_negative: names of fields that must not be negative.
 
     Raises:
-        ConfigError: one is not, or is NaN; the message names it.
+        ConfigError: a field is not so, or is NaN; the message names it.
     """
     for name in positive:
         value = getattr(config, name)

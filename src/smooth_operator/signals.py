@@ -32,7 +32,7 @@ class Ending:
     cut off by the next: after the first only another Ctrl-C raises.
 
     Attributes:
-        came: whether there was a signal.
+        came: True once there was a signal.
         quit: called in place of the exception; None to raise.
     """
 
@@ -53,10 +53,10 @@ class Ending:
 
 @contextlib.contextmanager
 def ended_by_signals() -> Iterator[Ending]:
-    """Have ending signals handled while the block runs, if it runs on the main thread.
+    """Handles ending signals inside the block, if it runs on the main thread.
 
-    Those that the program was started with as ignored stay ignored (``nohup``), but for SIGINT. A
-    block within another one has the same handler.
+    Signals that are ignored since the start of the program (``nohup``) stay ignored, except SIGINT.
+    A nested block has the same handler.
     """
     ending = Ending()
     if threading.current_thread() is not threading.main_thread():  # which has its own way to end
@@ -84,14 +84,14 @@ def ended_by_signals() -> Iterator[Ending]:
 
 
 def leave_to_parent() -> None:
-    """In a child process: ignore what goes to all processes of a terminal; the parent decides."""
+    """Ignore a terminal's signals in a child process, since the parent handles them."""
     for number in ENDING:
         if number != signal.SIGTERM:
             signal.signal(number, signal.SIG_IGN)
 
 
 def _leave_closed_terminal() -> None:
-    """Writing to a terminal that is gone raises; from now on it is written to nothing."""
+    """Redirect the streams of a closed terminal, where writing raises, to the null device."""
     for stream in (0, 1, 2):
         with contextlib.suppress(OSError):
             if stat.S_ISCHR(os.fstat(stream).st_mode) and not os.isatty(stream):

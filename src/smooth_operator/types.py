@@ -36,7 +36,7 @@ def as_side(value: str) -> Side:
 
 
 class Status(enum.IntEnum):
-    """Why a command is what it is. Everything but ``OK`` repeats the last good command."""
+    """Status of a command. With every value except ``OK`` it repeats the last good command."""
 
     OK = 0
     INVALID_LANDMARKS = 1
@@ -73,21 +73,22 @@ class HandFrame:
     """One moment of a tracked human hand.
 
     Attributes:
-        landmarks: (21, 3) positions [m], ordered as ``LANDMARKS``, in
-            any right-handed frame (retargeting aligns it to the robot's palm).
-        stamp: time of the measurement [s]; None where the tracker gives none, which a live source
-            and a call of the retargeter take for the time when the frame came.
-        side: which hand.
-        valid: (21,) False where the tracker has no trustworthy value. Default: the
-            finite ones are valid.
-        metacarpals: (4, 3) metacarpal bases of index .. pinky [m], where the tracker has them.
-        orientations: (21, 4) landmark orientations, quaternion wxyz, where known.
-        T_world_wrist: (7,) the wrist in the world, x y z [m] and unit quaternion wxyz, axes as in
-            docs/reference/conventions.md; all NaN: not valid now; None: the tracker has none.
+        landmarks: (21, 3) positions [m], in the order of ``LANDMARKS``, in any right-handed frame
+            (retargeting aligns it to the robot's palm).
+        stamp: time of the measurement [s]; None for a tracker without stamps, for which a live
+            source and a call of the retargeter use the time of arrival.
+        side: side of the hand.
+        valid: (21,) False for landmarks without a trustworthy value. Default: finite landmarks are
+            valid.
+        metacarpals: (4, 3) metacarpal bases of index .. pinky [m], if the tracker has them.
+        orientations: (21, 4) landmark orientations, quaternion wxyz, if known.
+        T_world_wrist: (7,) pose of the wrist in the world, x y z [m] and unit quaternion wxyz, axes
+            as in docs/reference/conventions.md; all NaN if not valid now; None for a tracker
+            without it.
         world: name of that world frame.
 
     Raises:
-        RecordingError: if an array has the wrong shape.
+        RecordingError: an array has the wrong shape.
     """
 
     landmarks: Float[np.ndarray, "21 3"]
@@ -117,10 +118,10 @@ class HandFrame:
 
     @property
     def time(self) -> float:
-        """The stamp [s], where one is needed.
+        """The stamp [s], which the frame must have.
 
         Raises:
-            RecordingError: the frame has none.
+            RecordingError: the frame has no stamp.
         """
         if self.stamp is None:
             raise RecordingError(
@@ -137,13 +138,13 @@ class HandRecording:
     Attributes:
         landmarks: (T, 21, 3) positions [m].
         stamps: (T,) strictly increasing times [s].
-        side: which hand.
-        valid: (T, 21) False where a landmark is missing. Default: the finite ones are valid.
+        side: side of the hand.
+        valid: (T, 21) False for a missing landmark. Default: finite landmarks are valid.
         metacarpals: (T, 4, 3) metacarpal bases [m] or None.
         orientations: (T, 21, 4) quaternions wxyz or None.
         T_world_wrist: (T, 7) poses of the wrist or None, as in ``HandFrame``.
-        world: name of the frame that they are in.
-        name: where it came from, for reports.
+        world: name of their world frame.
+        name: origin of the recording, for reports.
     """
 
     landmarks: Float[np.ndarray, "T 21 3"]
@@ -217,7 +218,7 @@ class JointCommand:
     Attributes:
         positions: (n,) joint positions [rad] of all joints, coupled ones included.
         names: (n,) joint names, in the model's own order.
-        stamp: stamp of the hand frame that it answers [s].
+        stamp: stamp of the answered hand frame [s].
     """
 
     positions: Float[np.ndarray, " n"]
@@ -235,11 +236,11 @@ class JointCommand:
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """Answer to one hand frame.
+    """Result of retargeting one hand frame.
 
     Attributes:
         command: joint positions; the last good ones unless the status is OK.
-        status: whether the command answers the frame, and if not, why.
+        status: ``OK`` if the command answers the frame, else the reason.
         latency_ms: time from landmarks to command [ms].
         tracking_loss: weighted keyvector loss of the command, first term of Eq. (1).
         scale: robot size over human size in this frame's alignment.
@@ -260,11 +261,12 @@ class Result:
 
 @dataclass(frozen=True, eq=False)
 class CommandTrajectory:
-    """A sequence of joint commands with its book-keeping; what ``OUT.npz`` holds.
+    """A sequence of joint commands with stamps, latencies and status; the content of ``OUT.npz``.
 
     Attributes:
-        joint_positions: (T, n) [rad], all joints of the model in its order, coupled ones included.
-        joint_names: (n,) names.
+        joint_positions: (T, n) positions of all joints in the model's order, coupled ones included
+            [rad].
+        joint_names: (n,) joint names.
         stamps: (T,) stamps of the hand frames [s].
         latency_ms: (T,) time from landmarks to command [ms].
         status: (T,) ``Status`` values.

@@ -1,4 +1,4 @@
-"""Figures and HTML that the reports share. Needs the extra ``lab``."""
+"""Common figures and HTML of the reports. Needs the extra ``lab``."""
 
 from smooth_operator.errors import require
 

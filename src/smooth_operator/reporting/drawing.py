@@ -1,4 +1,4 @@
-"""Looks of plots: colours of methods, ink that fits light and dark, PNG and SVG of one figure."""
+"""Style of plots: colours of methods, ink for light and dark pages, PNG and SVG of a figure."""
 
 from __future__ import annotations
 
@@ -85,11 +85,11 @@ def styled() -> Iterator[None]:
 
 
 def series(name: str, label: str = "") -> str:
-    """The ``gid`` of what a plot draws of one series; a page dims the others while it is hovered.
+    """The ``gid`` of the parts of a series in a plot; a page dims the others while it is hovered.
 
     Args:
-        name: of the series, as the page's tables have it in ``data-series``.
-        label: what the pointer shows.
+        name: name of the series, as in ``data-series`` of the page's tables.
+        label: text at the pointer.
     """
     return f"series|{name.replace('|', ' ')}|{label}"
 
@@ -100,13 +100,13 @@ def name_points(
     avoid: Iterable[tuple[float, float]] = (),
     size: float = 9.0,
 ) -> None:
-    """A name next to each point, in free space; limits and layout must be final.
+    """Write a name next to each point, in free space; limits and layout must be final.
 
     Args:
-        ax: axes that the points are in.
-        points: name -> x and y, of the data.
-        avoid: other points that names are not to cover.
-        size: of the letters [points].
+        ax: axes of the points.
+        points: name -> x and y of the data.
+        avoid: other points that names must not cover.
+        size: size of the letters [points].
     """
     line, letter, aside = 1.22 * size, 0.62 * size, 0.8 * size
     scale = 72.0 / ax.figure.dpi
@@ -148,7 +148,7 @@ def _meet(one: tuple[float, ...], other: tuple[float, ...]) -> bool:
 
 
 def plain_logs(ax: Axes, both: bool = True) -> None:
-    """Numbers and not powers of ten, as many as there is room for; of axes that are logarithmic."""
+    """Label logarithmic axes with numbers rather than powers of ten, as many as have room."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     for axis in (ax.xaxis, ax.yaxis) if both else (ax.xaxis,):

@@ -8,11 +8,11 @@ from collections.abc import Iterable, Sequence
 from typing import NewType
 
 Html = NewType("Html", str)
-"""Text that is HTML already; everything else is escaped before it gets onto a page."""
+"""Text that is HTML; other text is escaped before it is put on a page."""
 
 
 def escape(text: object) -> Html:
-    """Text for an element or a quoted attribute; HTML is left as it is."""
+    """Escape text for an element or a quoted attribute."""
     return Html(html.escape(str(text), quote=True))
 
 
@@ -48,9 +48,9 @@ def table(
     """A table that scrolls by itself where it is too wide; the first column names its rows.
 
     Args:
-        headers: of the columns, either bare HTML or whole ``<th>`` elements.
+        headers: headers of the columns, either bare HTML or whole ``<th>`` elements.
         rows: cells, either bare HTML or whole ``<td>`` elements.
-        class_: of the table.
+        class_: class of the table.
         foot: rows below the others, as HTML.
         groups: titles above the columns after the first, each with its number of columns.
     """
@@ -83,7 +83,7 @@ def text_table(
 
 
 def failed_cell(reason: object, columns: int = 1) -> Html:
-    """A cell that says why there are no figures, over so many columns."""
+    """A cell over some columns with the reason for missing figures."""
     span = {"colspan": str(columns)} if columns > 1 else {}
     return element("td", escape(reason), class_="failed", **span)
 

@@ -1,4 +1,4 @@
-"""Distances between the parts of an arm, its hand, the table and a wall, as limits of velocity."""
+"""Velocity limits of an arm from the distances between its parts, its hand, table and wall."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from smooth_operator.simulation.arms.arm import BASE, FLANGE, ArmSpec
 from smooth_operator.simulation.arms.hand_mount import HandCapsules
 
 _POSES: Final = 400
-"""Random poses in which it is seen which parts can meet."""
+"""Number of random poses that determine which parts can meet."""
 
 _ROWS: Final = 16
-"""The nearest pairs that limit a step; each more costs time."""
+"""Number of nearest pairs that limit a step; each one costs time."""
 
 _BRAKING: Final = 0.3
-"""Share of what the joints can do to a distance that is counted on to stop before its end."""
+"""Share of the joints' effect on a distance that is used to stop before its end."""
 
 _FATTER: Final = 0.04
 """Width by which capsules exceed two links [m]."""
@@ -37,13 +37,13 @@ class ClearanceConfig:
     """Distances that parts keep.
 
     Attributes:
-        parts: between parts of the arm, and between arm and hand [m].
-        table: between the table and the arm or the palm [m].
-        fingers: between the table and the fingers, which may have to touch it [m].
-        wall: between the wall and anything [m].
-        horizon: pairs farther apart than this are free [m].
-        approach: a pair at a distance beyond its own least one comes nearer by this share of the
-            rest in a second, at most [1/s].
+        parts: smallest distance between parts of the arm, and between arm and hand [m].
+        table: smallest distance between the table and the arm or the palm [m].
+        fingers: smallest distance between the table and the fingers, which may touch it [m].
+        wall: smallest distance between the wall and any part [m].
+        horizon: distance from which on pairs are not limited [m].
+        approach: largest speed at which a pair approaches, as a share per second of its distance
+            above the smallest one [1/s].
     """
 
     parts: float = 0.02
@@ -55,25 +55,24 @@ class ClearanceConfig:
 
 
 class Clearance(mink.Limit):
-    """Velocity limits that keep capsules apart: arm and arm, arm and hand, all and planes.
+    """Velocity limits that keep capsules of arm and hand apart, and away from table and wall.
 
-    The time of a step does not depend on the pose: all distances are found in a few array
+    The time of a step does not depend on the pose: all distances follow from a few array
     operations, and the nearest pairs become rows of the program.
 
     Args:
         arm: the arm; its base frame is the world.
         model: model of the arm, with a body ``FLANGE``.
-        hand: capsules of the hand; None for none.
-        rest: (n,) pose in which nothing touches; pairs that overlap in it are left out [rad].
-        table: height of the table [m]; None for none.
-        wall: y of a wall that the arm stays on this side of, as seen from its base [m]; None for
-            none.
+        hand: capsules of the hand; None without a hand.
+        rest: (n,) pose without contacts [rad]; pairs that overlap in it are left out.
+        table: height of the table [m]; None without a table.
+        wall: y of a wall that the arm does not cross, in the base frame [m]; None without a wall.
         config: the distances.
 
     Attributes:
-        nearest: smallest distance at the last look [m], without fingers and table, which may touch.
-        low: (n,) least velocity of the joints in the next step [rad/s].
-        high: (n,) the most.
+        nearest: smallest distance at the last step [m], except that of fingers and table.
+        low: (n,) lowest velocity of the joints in the next step [rad/s].
+        high: (n,) highest velocity of the joints in the next step [rad/s].
     """
 
     def __init__(
@@ -141,8 +140,8 @@ class Clearance(mink.Limit):
         """Near pairs, for a model whose kinematics are up to date.
 
         Returns:
-            (k,) distance beyond the least one allowed [m], (k, n) its derivative by the joints
-            [m/rad] and (k,) the distance itself [m].
+            (k,) distance above the smallest allowed one [m], (k, n) its derivative with respect to
+            the joints [m/rad], and (k,) the distance itself [m].
         """
         middle, half = self._world(data)
         first, second = self._pairs.T
@@ -201,7 +200,7 @@ class Clearance(mink.Limit):
         bound = dt * np.minimum(
             min(self.config.approach, 0.5 / dt) * room, np.sqrt(2.0 * braking * room)
         )
-        # What no velocity within the joints' bounds can keep is braked for as hard as they let it.
+        # If no velocity within the joints' bounds keeps a distance, the arm brakes at its limits.
         least = np.minimum(-slope * self.low, -slope * self.high).sum(axis=1) * dt
         most = np.maximum(-slope * self.low, -slope * self.high).sum(axis=1) * dt
         return mink.limits.Constraint(
@@ -222,8 +221,9 @@ class Clearance(mink.Limit):
         return np.concatenate([middle, at]), np.concatenate([half, along])
 
     def _meeting(self, model: mujoco.MjModel, rest: np.ndarray) -> Int[np.ndarray, "p 2"]:
-        """Pairs of capsules that some pose within the limits brings near each other, and that do
-        not touch at rest; those of neighbours, which a joint joins, are none."""
+        """Pairs of capsules that can come near each other within the limits.
+
+        Pairs that touch at rest, and those of links that a joint connects, are left out."""
         level = self._level
         first, second = np.triu_indices(len(level), 1)
         # what is on one link, or on the next, is shaped not to collide; a wrist's three axes meet

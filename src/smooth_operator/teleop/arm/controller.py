@@ -1,4 +1,4 @@
-"""Controller of an arm: the pose that the hand's wrist is to have, to joint commands in limits."""
+"""Controller of an arm: converts target poses of the hand's wrist to joint commands in limits."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ from smooth_operator.types import Side
 _WRIST: Final = "wrist"
 
 _SMOOTHING_S: Final = 0.03
-"""Time constant of the estimate of how fast the target moves [s]."""
+"""Time constant of the estimate of the target's velocity [s]."""
 
 _JUMP: Final = 3.0
-"""A target that moves faster than this [m/s], or three times this [rad/s], has jumped."""
+"""Velocity from which on a target has jumped [m/s]; three times this for rotations [rad/s]."""
 
 _HOME_STEPS: Final = 1000
 _HOME_STEP_S: Final = 0.01
@@ -39,22 +39,22 @@ _HOME_NEAR: Final = (1e-3, 5e-3)
 
 @dataclass(frozen=True)
 class ArmControlConfig:
-    """Settings of an arm that follows.
+    """Settings of an arm's controller.
 
     Attributes:
-        speed: most of the wrist [m/s].
-        turn: most of the wrist [rad/s].
-        acceleration: with which the wrist comes to rest at its target [m/s^2].
-        turn_acceleration: the same for its orientation [rad/s^2].
+        speed: velocity limit of the wrist [m/s].
+        turn: angular velocity limit of the wrist [rad/s].
+        acceleration: acceleration with which the wrist stops at its target [m/s^2].
+        turn_acceleration: angular acceleration with which it stops [rad/s^2].
         velocity_share: share of the maker's joint velocities that is used.
-        joint_speed: most of any joint: above it an arm can't stop in front of what it sees [rad/s].
-        margin: kept clear of each end of a joint's range [rad].
-        orientation: weight of 1 rad against 1 m.
-        posture: weight of 1 rad away from the arm's preferred posture against 1 m.
+        joint_speed: velocity limit of every joint [rad/s], above which an arm can't stop in time.
+        margin: distance that is kept from each end of a joint's range [rad].
+        orientation: weight of 1 rad of rotation error against 1 m.
+        posture: weight of 1 rad from the arm's preferred posture against 1 m.
         damping: largest damping near a singular pose [m].
-        singular: below this smallest singular value of the Jacobian damping begins [m/rad].
-        collisions: whether parts are kept apart.
-        clearance: how far.
+        singular: smallest singular value of the Jacobian without damping [m/rad].
+        collisions: True to keep parts apart.
+        clearance: distances between parts.
     """
 
     speed: float = 1.0
@@ -90,21 +90,21 @@ class ArmController:
 
     Each step solves one quadratic program (mink, daqp) for joint velocities: the wrist's error,
     a preferred posture and damping near singular poses, within limits of position, velocity,
-    acceleration and clearance. ``JointLimiter`` has the last word, so the first three limits hold
-    whatever is asked for. Where the program has no solution the arm brakes.
+    acceleration and clearance. ``JointLimiter`` comes last, so the first three limits hold for any
+    target. If the program has no solution, the arm brakes.
 
     Not thread-safe: it belongs to the loop.
 
     Args:
         arm: the arm.
         mount: the hand on its flange.
-        config: how it follows.
-        table: height of the table in the base frame [m]; None for none.
-        wall: y of a wall in the base frame that the arm keeps to its side of [m]; None for none.
-        home: wrist pose at the start in the base frame, (4, 4); the arm's own if left out.
+        config: settings of the controller.
+        table: height of the table in the base frame [m]; None without a table.
+        wall: y of a wall in the base frame that the arm does not cross [m]; None without a wall.
+        home: (4, 4) wrist pose at the start in the base frame; by default that of the arm.
 
     Attributes:
-        limiter: what was last commanded.
+        limiter: limiter with the last command.
 
     Raises:
         ConfigError: the arm can't reach its home pose with this hand.
@@ -152,7 +152,7 @@ class ArmController:
 
     @property
     def pose(self) -> Float[np.ndarray, "7"]:
-        """(7,) of the hand's wrist at the last command, in the base frame."""
+        """(7,) pose of the hand's wrist at the last command, in the base frame."""
         return pose_of(self._wrist())
 
     @property
@@ -164,7 +164,7 @@ class ArmController:
         """Pose of the hand's wrist in the base frame.
 
         Args:
-            positions: (n,) of the arm's joints [rad].
+            positions: (n,) positions of the arm's joints [rad].
         """
         data = mujoco.MjData(self.model)
         data.qpos[:] = positions
@@ -172,7 +172,7 @@ class ArmController:
         return pose_of(rigid(data.site_xmat[self._site].reshape(3, 3), data.site_xpos[self._site]))
 
     def restart(self, positions: Float[np.ndarray, " n"]) -> None:
-        """Begin at rest from a measured position of the joints (n,) [rad]."""
+        """Reset to measured joint positions (n,) [rad], at rest."""
         self.limiter = self._limiter(positions)
         self._configuration.update(self.limiter.q)
         self._before = None
@@ -188,11 +188,11 @@ class ArmController:
         """The next command.
 
         Args:
-            target: wrist pose in the base frame: position [m], quaternion (w x y z); what is not
-                finite, or None, holds the arm.
+            target: wrist pose in the base frame: position [m], quaternion (w x y z). None, or a
+                pose that is not finite, holds the arm.
             dt: time since the last command [s].
-            hand: (h,) positions of all joints of the hand [rad]; as before if left out.
-            stop: brake as hard as the limits let it, and stand.
+            hand: (h,) positions of all joints of the hand [rad]; by default unchanged.
+            stop: True to brake as hard as the limits allow, and to stand.
         """
         if hand is not None and np.isfinite(hand).all():
             self._hand = hand
@@ -229,7 +229,7 @@ class ArmController:
         )
 
     def _solve(self, goal: Matrix, dt: float) -> tuple[Float[np.ndarray, " n"] | None, str]:
-        """Joint velocities [rad/s], None where there are none; what limits them."""
+        """Joint velocities [rad/s], None without a solution; and the reason of a limit."""
         self._clearance.place_hand(*self._capsules.at(self._hand))
         now = self._wrist()
         step = self._governed(now, goal, dt)
@@ -257,10 +257,10 @@ class ArmController:
         return velocity, ""
 
     def _governed(self, now: Matrix, goal: Matrix, dt: float) -> Float[np.ndarray, "6"]:
-        """The motion of this step: translation [m] and rotation vector [rad], in the base frame.
+        """Motion of this step: translation [m] and rotation vector [rad], in the base frame.
 
-        The target's own motion, and of the distance to it as much as lets the wrist come to rest
-        there.
+        It is the target's own motion plus a part of the distance to the target that still allows
+        the wrist to stop there.
         """
         config = self.config
         if self._before is not None:
@@ -280,7 +280,7 @@ class ArmController:
         )
 
     def _damping(self) -> float:
-        """Damping of the program [m^2]: none where the arm can move every way."""
+        """Damping of the program [m^2]; zero if the arm can move in every direction."""
         jacobian = self._configuration.get_frame_jacobian(_WRIST, "site")
         scaled = jacobian.copy()
         scaled[3:] *= self.config.orientation
@@ -345,9 +345,9 @@ def _target(pose: Float[np.ndarray, "7"] | None) -> Matrix | None:
 def _approach(
     error: np.ndarray, moving: np.ndarray, dt: float, acceleration: float, speed: float
 ) -> np.ndarray:
-    """A step [m or rad] that follows a moving target and comes to rest at a standing one."""
+    """A step [m or rad] that follows a moving target and stops at a resting one."""
     distance = float(np.linalg.norm(error))
-    # the step itself, and braking after it, are not to go past a standing target
+    # the step itself, and braking after it, must not overshoot a resting target
     late = acceleration * dt
     closing = min(np.sqrt(late**2 + 2.0 * acceleration * distance) - late, distance / dt)
     velocity = moving + (error * (closing / distance) if distance > 1e-12 else 0.0)
@@ -367,8 +367,8 @@ class ArmOfHand:
     """An arm with its hand.
 
     Attributes:
-        carried: what a simulation and a page build.
-        controller: what the loop asks.
+        carried: arm and hand for simulations and pages.
+        controller: controller for the loop.
     """
 
     carried: CarriedHand

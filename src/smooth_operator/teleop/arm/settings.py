@@ -1,4 +1,4 @@
-"""Settings of the arms, as the command line has them; light to import."""
+"""Settings of arms for the command line; light to import."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ from smooth_operator.types import Side
 
 @dataclass(frozen=True)
 class ArmSettings:
-    """Which arm carries the hand, and how it stands.
+    """Choice and placement of the arm that carries a hand.
 
     Attributes:
         name: ``panda``, ``ur5e``, ``xarm7`` or ``iiwa14``.
         adapter: thickness of the plate between flange and hand [m].
-        roll: roll of the hand about the flange's axis [degrees]; as suits the arm if left out.
-        spacing: between the bases of two arms [m]; each keeps to its side of the middle.
+        roll: roll of the hand about the flange's axis [degrees]; by default that of the arm.
+        spacing: distance between the bases of two arms [m]; each stays on its side of the middle.
         table: height of the table above the bases [m].
-        no_table: the arms stand free.
-        collisions: whether parts are kept apart.
+        no_table: True for arms without a table.
+        collisions: True to keep parts apart.
 
     Raises:
         ConfigError: a setting is out of its range.
@@ -57,7 +57,7 @@ class ArmSettings:
 
 
 def read_arm(text: str) -> ArmSettings:
-    """The settings that a text asks for, such as ``panda`` or ``panda:roll=90,adapter=0.03``.
+    """Parse settings such as ``panda`` or ``panda:roll=90,adapter=0.03``.
 
     Raises:
         ConfigError, UnknownNameError: a setting is unknown or can't be read.
@@ -69,7 +69,7 @@ def read_arm(text: str) -> ArmSettings:
 
 
 def place_arms(settings: ArmSettings, hands: Mapping[Side, Hand]) -> dict[Side, CarriedHand]:
-    """Each hand on its arm, in the arm's nominal posture; two arms stand next to each other.
+    """Place each hand on its arm, in the arm's nominal posture; two arms stand side by side.
 
     Args:
         settings: settings of all arms.

@@ -22,15 +22,15 @@ WORDS: Final = (
 def actions(
     loop: TeleopLoop, say: Callable[[str], None], more: Mapping[str, Callable[[], None]] = {}
 ) -> dict[str, Callable[[], None]]:
-    """Key -> what it does.
+    """Key -> action.
 
-    What the robot does may be changed from the page or by another program, too, so nothing is
-    remembered here: a stop is always asked for, and the rest asks the supervisors.
+    The page or another program may change the robot's mode, too, so no state is kept here: a stop
+    is always requested, and the other keys ask the supervisors.
 
     Args:
         loop: the running loop.
-        say: takes a line for the person at the keys.
-        more: other keys.
+        say: shows a line to the person at the keys.
+        more: further keys.
     """
     controls = loop.controls
     supervisors = [pipeline.supervisor for pipeline in loop.pipelines.values()]
@@ -83,9 +83,9 @@ def keyboard(
 
     Args:
         loop: the running loop.
-        reporter: where lines for the person at the keys go.
-        more: other keys.
-        words: what those do.
+        reporter: shows lines to the person at the keys.
+        more: further keys.
+        words: description of the further keys.
     """
     with keys(actions(loop, lambda text: reporter.note(text, matters=True), more)) as there:
         if there:
@@ -97,15 +97,15 @@ def keyboard(
 def keys(actions: Mapping[str, Callable[[], None]]) -> Iterator[bool]:
     """Runs actions as keys are pressed, without waiting for a line.
 
-    Arrows and other keys that send several characters count as Esc on POSIX systems, where they
-    begin with it; what comes with it is dropped.
+    On POSIX systems arrows and other keys that send several characters count as Esc, with which
+    they begin; their other characters are dropped.
 
     Args:
-        actions: key -> what to do, on a thread of this function's. An error of one is
-            printed on standard error, and listening goes on.
+        actions: key -> action, run on a thread of this function. An error of an action is printed
+            on standard error, and listening goes on.
 
     Yields:
-        whether there is a terminal to press keys on; the terminal is put back at the end.
+        True if there is a terminal; its mode is restored at the end.
     """
     if not sys.stdin or not sys.stdin.isatty():
         yield False
@@ -134,7 +134,7 @@ def keys(actions: Mapping[str, Callable[[], None]]) -> Iterator[bool]:
 
 
 def _nothing() -> None:
-    """Does nothing, for a key without meaning."""
+    """Action of a key without a meaning."""
 
 
 @contextlib.contextmanager

@@ -1,4 +1,4 @@
-"""Another method, preset or setting in a running loop, compiled on a thread of its own."""
+"""Switches method, preset or settings of a running loop, compiling on a thread of its own."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ from smooth_operator.teleop.sinks.tick import Driver
 from smooth_operator.types import Side
 
 _DEBOUNCE_S: Final = 0.4
-"""A slider that has not moved for so long was released [s]."""
+"""Time without a motion after which a slider counts as released [s]."""
 
 
 @dataclass(frozen=True, eq=False)
 class DriverSpec:
-    """Method and configurations that drive the hands, or are to drive them.
+    """Method and configurations for the hands.
 
     Attributes:
-        method: its name.
-        preset: and that of its preset, never empty.
-        base: the preset's own configuration, which sets the ranges of sliders.
-        configs: side -> configuration, with what has been changed.
+        method: name of the method.
+        preset: name of its preset, never empty.
+        base: configuration of the preset, which determines the ranges of sliders.
+        configs: side -> configuration, with all changes.
     """
 
     method: str
@@ -43,7 +43,7 @@ class DriverSpec:
 
     @property
     def shown(self) -> MethodConfig:
-        """The configuration of the first hand; the others' differ in their operators only."""
+        """Configuration of the first hand; those of others differ only in their operators."""
         return next(iter(self.configs.values()))
 
     def driver(self, side: Side) -> Driver:
@@ -54,19 +54,19 @@ class DriverSpec:
 class MethodSwitcher:
     """Builds retargeters on a separate thread; the robot holds while a method is compiled.
 
-    A method that was compiled in this process before (``compile_first`` of ``teleoperate``, or an
-    earlier switch) takes over without a hold. A request replaces the one before it: only the newest
-    is handed over.
+    A method that was compiled earlier in this process (by ``compile_first`` of ``teleoperate``, or
+    an earlier switch) takes over without a hold. A request replaces a pending one: only the newest
+    takes effect.
 
     Args:
-        loop: whose hands they are for.
-        request: the request that the run was begun with.
+        loop: the loop.
+        request: the request at the start of the run.
 
     Attributes:
-        used: what drives the hands.
-        target: the last request; ``used`` if nothing is under way.
-        error: why the last request failed; empty if it did not.
-        refused: how many requests failed, so that a page knows to show the old values again.
+        used: current method and configurations.
+        target: the last request; ``used`` if none is pending.
+        error: reason of the failure of the last request; empty if it did not fail.
+        refused: number of failed requests, at whose change a page shows the old values again.
     """
 
     def __init__(self, loop: TeleopLoop, request: RetargetRequest) -> None:
@@ -90,24 +90,24 @@ class MethodSwitcher:
         self._thread.start()
 
     def choose(self, method: str, preset: str | None = None) -> Future[DriverSpec]:
-        """Ask for a method; its default preset if none is named.
+        """Request a method, with its default preset if none is named.
 
         Returns:
-            what tells when the hands are driven by it, why they can't be, or that something else
-            was asked for meanwhile (``ConfigError``).
+            a future that is done when the method drives the hands, or has the error; a newer
+            request ends it with ``ConfigError``.
 
         Raises:
             UnknownNameError: there is no such method or preset.
-            ConfigError: the operator does not fit.
+            ConfigError: the operator was calibrated for another hand.
         """
         with self._changed:
             return self._want(self._settled(method, preset), 0.0)
 
     def adjust(self, change: Callable[[MethodConfig], MethodConfig]) -> Future[DriverSpec]:
-        """Ask for the same change of every hand's configuration; see ``choose``.
+        """Request a change of every hand's configuration; see ``choose``.
 
         Raises:
-            SmoothOperatorError: what ``change`` raises.
+            SmoothOperatorError: ``change`` raised it.
         """
         with self._changed:
             target = self.target
@@ -119,12 +119,12 @@ class MethodSwitcher:
             return self._want(replace(target, configs=configs), _DEBOUNCE_S)
 
     def operate(self, operators: Mapping[Side, OperatorProfile | None]) -> Future[DriverSpec]:
-        """Ask for calibrations to be used; see ``choose``.
+        """Request the use of calibrations; see ``choose``.
 
-        Changed settings go back to the preset's. Hands that are not named keep theirs.
+        Changed settings return to the preset's. Other hands keep their calibration.
 
         Raises:
-            ConfigError: one was made for another hand, or for one that is not driven.
+            ConfigError: a calibration is for another hand, or for one that is not driven.
         """
         for side in operators:
             if side not in self._hands:
@@ -139,7 +139,7 @@ class MethodSwitcher:
                 raise
 
     def close(self) -> None:
-        """End; what is being built is not waited for."""
+        """Stop, without waiting for a running build."""
         with self._changed:
             self._ending = True
             self._settle(ConfigError("the run has ended"))
@@ -164,7 +164,7 @@ class MethodSwitcher:
         return self._request
 
     def _settle(self, outcome: DriverSpec | Exception) -> None:
-        """Notify who waits; a request that is settled stays so."""
+        """Complete the future of the request, unless it is done."""
         _tell(self._request, outcome)
 
     def _run(self) -> None:
@@ -179,7 +179,7 @@ class MethodSwitcher:
                 self.building = f"compiling {spec.method} {spec.preset}"
             try:
                 built = self._build(spec, used)
-            except Exception as error:  # whatever it is, the old method goes on
+            except Exception as error:  # after any error the old method stays in use
                 expected = isinstance(error, SmoothOperatorError)
                 self._fail(spec, error if expected else ConfigError(_words(error)))
             else:

@@ -16,25 +16,25 @@ _LOG = logging.getLogger("smooth_operator.teleop")
 
 
 class Reporter(Protocol):
-    """Takes lines for a person."""
+    """Shows lines to a person."""
 
     def note(self, text: str, *, matters: bool = False) -> None:
-        """Shows a line, even to who wants to read little if it ``matters``."""
+        """Show a line; with ``matters`` also in quiet mode."""
 
     def waiting(self, text: str) -> AbstractContextManager[None]:
-        """Shows that something takes a while."""
+        """Show a message while the block runs."""
 
 
 class LoggingReporter:
-    """Lines go to the logger ``smooth_operator.teleop``: those that matter as warnings."""
+    """Writes lines to the logger ``smooth_operator.teleop``, important ones as warnings."""
 
     def note(self, text: str, *, matters: bool = False) -> None:
-        """Logs a line."""
+        """Log a line."""
         _LOG.log(logging.WARNING if matters else logging.INFO, "%s", text)
 
     @contextlib.contextmanager
     def waiting(self, text: str) -> Iterator[None]:
-        """Logs what takes a while."""
+        """Log a message at the start of the block."""
         self.note(text)
         yield
 
@@ -46,8 +46,8 @@ def summarise(
 
     Args:
         loop: the loop.
-        seconds: how long it ran [s].
-        reporter: takes what a person should know.
+        seconds: length of the run [s].
+        reporter: shows notes to a person.
         more: further entries.
 
     Returns:

@@ -1,4 +1,4 @@
-"""RPC handlers of ``teleop --control``: the commands that change what the hands are driven by.
+"""RPC handlers of ``teleop --control``: commands that change method, operator, rate and task.
 
 In addition to those of ``smooth_operator.teleop.runtime.rpc_server``:
 
@@ -71,9 +71,9 @@ class RpcHandlers:
 
     Args:
         loop: the loop.
-        switcher: builds its methods.
-        runner: the simulation's, or None where there is none; asked again each time.
-        blind: the operator is not to know the method; for the status.
+        switcher: switcher of its methods.
+        runner: returns the trial runner of the simulation, or None; called for every command.
+        blind: True if the operator must not know the method; for the status.
     """
 
     def __init__(
@@ -88,7 +88,7 @@ class RpcHandlers:
 
     @property
     def by_command(self) -> dict[str, RpcHandler]:
-        """Command -> what is done for it."""
+        """Command -> its handler."""
         return {
             "method": self._method,
             "calibration": self._calibration,
@@ -100,7 +100,7 @@ class RpcHandlers:
         }
 
     def status(self) -> dict[str, Any]:
-        """Status of the run, without asking the loop."""
+        """Status of the run, without a request to the loop."""
         loop, switcher, runner = self._loop, self._switcher, self._runner()
         used = switcher.used
         task = None if runner is None else runner.task
@@ -214,7 +214,7 @@ class RpcHandlers:
         return runner
 
     def _await(self, request: Future[DriverSpec]) -> DriverSpec:
-        """The driver that was requested, once it drives the hands."""
+        """Wait until the requested method drives the hands, and return it."""
         while True:
             try:
                 return request.result(_LOOK_S)

@@ -18,22 +18,22 @@ if TYPE_CHECKING:
 
 
 class TaskTrials:
-    """Trials on each hand that is driven, where there is a simulation.
+    """Trials on each driven hand of a simulation.
 
     Args:
-        sinks: among them the simulation, or not.
-        sides: that are driven.
-        reporter: takes the outcomes.
+        sinks: sinks of the run, perhaps with a simulation.
+        sides: sides of the driven hands.
+        reporter: shows the outcomes.
         task: name of the task; None for the hand alone.
-        folder: for a record of every trial; None for none.
-        controlled: another program may begin trials.
-        attended: a person may begin them with the keys. Where neither is so, the first trial
-            begins with the run.
-        about: what the hands are driven by now, for the records.
-        record: takes what happens to trials, for the record of the run.
+        folder: folder for a record of every trial; None for no records.
+        controlled: True if another program may begin trials.
+        attended: True if a person may begin trials with the keys. If neither is True, the first
+            trial begins with the run.
+        about: returns the current method and settings, for the records.
+        record: takes the events of trials, for the record of the run.
 
     Attributes:
-        runner: where trials are begun, once everything is open; None without a simulation.
+        runner: runner of the trials, once everything is open; None without a simulation.
     """
 
     def __init__(
@@ -57,7 +57,7 @@ class TaskTrials:
 
     @property
     def keys(self) -> dict[str, Callable[[], None]]:
-        """Key -> what it does."""
+        """Key -> action."""
         if self._task is None:
             return {}
         return {
@@ -68,7 +68,7 @@ class TaskTrials:
 
     @property
     def key_help(self) -> str:
-        """Key -> action."""
+        """Description of the keys."""
         return "   g: go   r: reset the object   d: done" if self.keys else ""
 
     def begin(self) -> None:
@@ -89,7 +89,7 @@ class TaskTrials:
             self._tried("go")
 
     def end(self) -> None:
-        """No trial any more."""
+        """End the trials."""
         if self.runner is not None:
             self.runner.end()
             for failed in self.runner.failures:
@@ -99,9 +99,9 @@ class TaskTrials:
         """The trial as the operator sees it, without its score. None without a task.
 
         Returns:
-            ``title`` and ``instruction`` of the task; ``number`` of the trial, as who began it
-            counts, and ``count`` of how many, where that is known; ``phase``, ``elapsed_s`` and
-            ``limit_s`` and ``paused``, see TaskSession; ``object``, whether there is one.
+            ``title`` and ``instruction`` of the task; ``number`` of the trial by the count of the
+            program that began it, and the total ``count`` if known; ``phase``, ``elapsed_s``,
+            ``limit_s`` and ``paused`` as in ``TaskSession``; ``object``, True if there is one.
         """
         runner = self.runner
         if runner is None or (task := runner.task) is None:
@@ -121,7 +121,7 @@ class TaskTrials:
         }
 
     def summary(self) -> dict[str, Any]:
-        """Outcomes of each hand, for ``--json``; nothing without a task and its trials."""
+        """Outcomes of each hand, for ``--json``; empty without trials."""
         if self.runner is None:
             return {}
         outcomes = self.runner.outcomes
@@ -153,7 +153,7 @@ def with_task(sinks: Sequence[str | Sink], task: str | None) -> tuple[str | Sink
     """The sinks of a run, the simulation with its task among them.
 
     Raises:
-        ConfigError: a simulation of something else is asked for, too.
+        ConfigError: a simulation of another task is requested, too.
     """
     if task is None:
         return tuple(sinks)

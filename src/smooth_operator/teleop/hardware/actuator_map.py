@@ -1,8 +1,8 @@
 """Maps between the joints of a hand's model and the commands of its real actuators.
 
-Each actuator follows a drive angle [rad], a weighted sum of model joints, through a monotonic
-piecewise-linear curve. The curve and its ends come from a table that was measured on the real hand
-or that the maker states; the limits of our model are not used.
+Each actuator follows a drive angle [rad], a weighted sum of model joints, by a monotonic
+piecewise-linear curve. The curve and its ends come from a table, measured on the real hand or by
+the maker; the limits of our model are not used.
 """
 
 from __future__ import annotations
@@ -39,10 +39,10 @@ class Actuator:
         points: (drive angle [rad], command) in rising order of the angle, two or more; commands
             rise strictly or fall strictly. In between, the map is linear; beyond, it goes on with
             the slope of the last piece, up to ``ends``.
-        ends: least and greatest command that is ever sent.
-        id: its number on the bus; None if it has none.
-        limit: most current [mA], or force, in the driver's unit; None for the table's.
-        settings: what else a driver needs to know of it.
+        ends: lowest and highest command.
+        id: number on the bus; None if it has none.
+        limit: limit of current [mA], or of force, in the driver's unit; None for the table's.
+        settings: further settings for the driver.
 
     Raises:
         ConfigError: the points are not monotonic, or the ends are not in order.
@@ -100,24 +100,24 @@ class Actuator:
 
 @dataclass(frozen=True)
 class ActuatorMap:
-    """The table of a real hand: its actuators, and what its maker advises.
+    """The table of a real hand: its actuators, limits and settings.
 
     Attributes:
         driver: name of the driver that speaks its protocol.
         hand: name of the robot hand whose joints the table maps.
         side: side of the hand.
         unit: unit of the commands, for people: ``deg``, ``0-1000``.
-        actuators: in the order in which a driver gets commands and answers.
-        limit: most current [mA], or force, in the driver's unit, for actuators without their own;
-            None to leave the device's as it is.
-        rate: cycles a second on the bus [Hz].
-        on_silence: what to do when no command has come for a while.
-        on_stop: what to do in an emergency stop.
-        on_end: what to do when the run ends.
-        hot: temperature [degrees Celsius] from which an actuator is reported.
-        settings: what else the driver needs, such as gains.
-        source: where the figures come from.
-        file: what messages call the table.
+        actuators: actuators in the order of a driver's commands and readings.
+        limit: limit of current [mA], or of force, in the driver's unit, for actuators without their
+            own; None to leave that of the device unchanged.
+        rate: cycles per second on the bus [Hz].
+        on_silence: rest after a time without commands.
+        on_stop: rest in an emergency stop.
+        on_end: rest at the end of a run.
+        hot: temperature [degrees Celsius] from which on an actuator is reported.
+        settings: further settings for the driver, such as gains.
+        source: source of the figures.
+        file: name of the table in messages.
 
     Raises:
         ConfigError: there is no actuator, two share a name or an id, or a setting is out of range.
@@ -166,7 +166,7 @@ class ActuatorMap:
 
     @property
     def limits(self) -> Float[np.ndarray, " a"]:
-        """(a,) most current or force of each; NaN where the device's own is left as it is."""
+        """(a,) limit of current or force of each; NaN to leave that of the device unchanged."""
         default = np.nan if self.limit is None else self.limit
         return np.array([default if a.limit is None else a.limit for a in self.actuators], float)
 
@@ -200,8 +200,8 @@ class BoundMap:
     Attributes:
         table: the table.
         names: (n,) names of the model's joints.
-        ends: (a, 2) least and greatest command.
-        determined: (n,) true where the actuators determine a joint, or one that it is coupled to.
+        ends: (a, 2) lowest and highest command.
+        determined: (n,) True for a joint that the actuators determine, directly or by a coupling.
 
     Raises:
         ConfigError: the table is that of another hand, with other joints.

@@ -1,4 +1,4 @@
-"""A lock on a bus, so that two programs never command one hand."""
+"""Lock of a bus, so that two programs never command one hand."""
 
 from __future__ import annotations
 
@@ -17,14 +17,15 @@ from smooth_operator.errors import MissingExtraError, SinkError
 from smooth_operator.terminal import printable
 
 _FLAGS: Final = sum(getattr(os, f"O_{name}", 0) for name in ("NOFOLLOW", "NONBLOCK", "BINARY"))
-"""In a folder that all users write to, a link could lead to any file, and a pipe could hang."""
+"""Flags of a lock file. In a folder that all users can write, a link could lead to any file, and
+opening a pipe could hang."""
 
 _SLOTS: Final = 1 << 16
-"""Bytes that a lock covers on Windows, one of them where it is shared."""
+"""Number of bytes that a lock covers on Windows; a shared lock covers one of them."""
 
 
 def bus_name(bus: str) -> str:
-    """The one name of a bus, however it is written.
+    """Canonical name of a bus.
 
     Args:
         bus: a serial port (links are followed); ``tcp:HOST:PORT``; ``can:INTERFACE:CHANNEL``; or
@@ -65,7 +66,7 @@ def _address(host: str) -> str:
 
 
 def lock_folder() -> Path:
-    """The folder of the locks: the same for all users, and whatever ``TMPDIR`` is."""
+    """Folder of the locks: the same for all users, independent of ``TMPDIR``."""
     if sys.platform == "win32":
         return Path(os.environ.get("PROGRAMDATA", r"C:\ProgramData"))
     shared = Path("/run/lock")  # which systemd's PrivateTmp leaves as it is
@@ -77,17 +78,17 @@ def lock_folder() -> Path:
 
 
 class BusLock:
-    """The right to use a bus, until ``release``; the system takes it back when the process dies.
+    """Lock of a bus until ``release``; the system releases it when the process dies.
 
-    It holds among programs of this package on this machine, for all users. Drivers open serial
-    ports exclusively, too, which keeps others out.
+    It works among programs of this package on this machine, for all users. Drivers also open
+    serial ports exclusively, which excludes other programs.
 
     Args:
-        bus: what is locked; see ``bus_name``. A kind without a place is locked against every place
-            of that kind.
+        bus: the bus; see ``bus_name``. A kind without a place is locked against every place of that
+            kind.
 
     Raises:
-        SinkError: another program, or this one, has it.
+        SinkError: another program, or this one, has the lock.
     """
 
     def __init__(self, bus: str) -> None:
@@ -104,7 +105,7 @@ class BusLock:
             raise
 
     def release(self) -> None:
-        """Give the bus back; a second call does nothing."""
+        """Release the lock; a second call does nothing."""
         while self._files:
             os.close(self._files.pop())  # the lock ends with it
 

@@ -1,7 +1,7 @@
-"""Base of the drivers of real robot hands, and the readings that they answer.
+"""Base class of the drivers of real robot hands, and their readings.
 
-A driver speaks the hand's own protocol in the hand's own unit, and nothing more: limits, slow
-approach, watchdog and retries are those of ``HardwareSink``, which is the same for every hand.
+A driver implements only the hand's protocol in the hand's unit: limits, slow approach, watchdog and
+retries are those of ``HardwareSink``, which is the same for every hand.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class DeviceLostError(SinkError):
 
 
 class WrongAnswerError(SinkError):
-    """One exchange failed: no answer in time, a wrong checksum, an answer that makes no sense.
+    """One exchange failed: no answer in time, a wrong checksum, an invalid answer.
 
     The next exchange may succeed. Many in a row count as a lost device.
     """
@@ -33,7 +33,7 @@ class WrongAnswerError(SinkError):
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """An answer of a hand, actuator by actuator, in the order of its table.
+    """Measurements of a hand, in the order of its table.
 
     Attributes:
         positions: (a,) measured positions in the actuators' unit, that of ``HandDevice.write``;
@@ -41,8 +41,8 @@ class Reading:
         velocities: (a,) measured velocities in that unit per second, or None.
         currents: (a,) current of the motors [mA], or force or effort in the driver's unit, the same
             as that of the table's ``limit``; the sign does not matter. None if there is none.
-        temperatures: (a,) [degrees Celsius], or None.
-        errors: what the actuators report, a few words each: ``thumb_cmc: overload``.
+        temperatures: (a,) temperatures [degrees Celsius], or None.
+        errors: reports of the actuators, a few words each: ``thumb_cmc: overload``.
         touch: (k,) touch or force sensors, in the driver's unit, or None.
     """
 
@@ -56,12 +56,12 @@ class Reading:
 
 @dataclass(frozen=True, eq=False)
 class Setting:
-    """A setting that a hand forgets when it restarts, as the hand reads it back.
+    """A volatile setting of a hand, read back from the hand.
 
     Attributes:
-        name: what it is, for messages: ``goal current``.
-        expected: (k,) what the driver wrote last, in the unit of the wire.
-        measured: (k,) what the hand answers.
+        name: name of the setting, for messages: ``goal current``.
+        expected: (k,) last written values, in the unit of the protocol.
+        measured: (k,) values from the hand.
     """
 
     name: str
@@ -137,17 +137,17 @@ class HandDevice(ABC):
         Called again after ``close`` when the device was lost.
 
         Raises:
-            SinkError: it can't be opened; the message says what to do.
+            SinkError: the hand can't be opened; the message has advice.
         """
 
     @abstractmethod
     def read(self) -> Reading:
-        """Ask where the hand is; once in every cycle, after ``write``.
+        """Read the state of the hand; once in every cycle, after ``write``.
 
-        What is slow to read (temperatures, error flags) may be read in turns and repeated between.
-        Positions may not: the next command relies on them. Where a hand reports them by itself, a
-        newest report that is older than a few periods is a ``WrongAnswerError``, and so is a value
-        by which the maker says that it has none; a single actuator without one is NaN.
+        Values that are slow to read (temperatures, error flags) may be read in turns and repeated.
+        Positions must not be repeated, since the next command relies on them. If a hand reports
+        them by itself, a report that is older than a few periods is a ``WrongAnswerError``, and so
+        is the maker's mark of a missing value; a single actuator without a value is NaN.
         """
 
     @abstractmethod
@@ -155,10 +155,10 @@ class HandDevice(ABC):
         """Send position commands, in the actuators' unit and the order of the table.
 
         They are finite and within the table's ends, or, during a slow approach, between the ends
-        and where the hand is. The first call after ``open`` or ``relax`` switches the motors on;
-        its commands are where the hand is. Whatever switches motors on writes the hand's limits
-        before: a hand that restarted has forgotten them. To hold, the same commands, where the hand
-        was, come in every cycle, so that a device with a watchdog of its own is kept alive.
+        and the hand's position. The first call after ``open`` or ``relax`` switches the motors on;
+        its commands are the hand's position. A driver must write the hand's limits before it
+        switches motors on, since a restart deletes them. To hold, the same commands come in every
+        cycle, so that a device with a watchdog of its own stays active.
         """
 
     def settings(self) -> Sequence[Setting]:
@@ -191,7 +191,7 @@ _READINGS: Final = 3
 
 
 def apart(first: Reading, second: Reading, table: ActuatorMap) -> list[int]:
-    """Indices of the actuators whose positions differ by more than a motion explains."""
+    """Indices of the actuators whose positions differ by more than ``_AGREE``."""
     one, other = (
         np.array([a.angle(v) for a, v in zip(table.actuators, reading.positions, strict=True)])
         for reading in (first, second)
@@ -201,14 +201,14 @@ def apart(first: Reading, second: Reading, table: ActuatorMap) -> list[int]:
 
 
 def agreed_reading(read: Callable[[], Reading], table: ActuatorMap) -> Reading:
-    """The position of the hand, by two readings within 0.15 rad; a third may decide.
+    """Reading of the hand that a second reading confirms within 0.15 rad; a third may decide.
 
     Args:
-        read: one exchange with the hand; takes some ms.
-        table: the hand's, for the angles and names of its actuators.
+        read: one exchange with the hand, of some ms.
+        table: table of the hand, for the angles and names of its actuators.
 
     Returns:
-        The later of the two.
+        the later of the two.
 
     Raises:
         DeviceLostError: no two of three readings agree.

@@ -1,6 +1,6 @@
-"""From the joints that the loop asks for to commands that a real hand can be given safely.
+"""Guard of a real hand: converts target joint positions to safe commands of the actuators.
 
-No clock, no thread, no bus: a function of what it is given, as the loop's limiter is.
+It has no clock, thread or bus: its commands follow from its arguments, as in the loop's limiter.
 """
 
 from __future__ import annotations
@@ -65,25 +65,25 @@ class GuardSettings:
 class CommandGuard:
     """Approaches slowly, keeps ends and speed, and stops joints that squeeze.
 
-    A command moves on from the last one only with a reading that is new, by at most ``speed`` times
-    the time of a step. A hand that does not answer keeps its command; after missed periods
-    ``start`` begins where it is. So no command is further from the last measured position than
-    ``speed`` times the reading's age, beyond what the hand was behind its command when it was
-    measured. An actuator without a position stands.
+    A command moves on from the last one only after a new reading, by at most ``speed`` times the
+    time of a step. A hand that does not answer keeps its command; after missed periods ``start``
+    begins at its position. Therefore no command is further from the last measured position than
+    ``speed`` times the reading's age plus the lag of the hand at the measurement. An actuator
+    without a position holds.
 
-    That distance itself has no bound. With ``speed`` 0.5 rad/s at 60 Hz it would be 0.008 rad,
-    five steps of a servo, which does not start for so little; and a finger that holds an object
-    stands behind its command for as long as it holds, in a hand without currents (Linker) by up to
-    its whole range. The contact guard bounds it to 0.1 rad where currents are measured.
+    The lag itself has no bound. A bound for ``speed`` 0.5 rad/s at 60 Hz would be 0.008 rad, five
+    steps of a servo, which does not start for so little; and a finger that holds an object lags
+    behind its command while it holds, in a hand without currents (Linker) by up to its whole range.
+    With measured currents the contact guard bounds the lag to 0.1 rad.
 
     Args:
         actuators: the map of the hand, of a actuators.
         settings: the limits.
 
     Attributes:
-        approaching: (a,) actuators that are on their way to what is asked for.
-        squeezing: (a,) direction in which an actuator may not go on; 0 where it is free.
-        contacts: how often one was stopped.
+        approaching: (a,) True for actuators in a slow approach to their target.
+        squeezing: (a,) direction in which an actuator must not move on; 0 if it is free.
+        contacts: number of stops of an actuator.
     """
 
     def __init__(self, actuators: BoundMap, settings: GuardSettings) -> None:
@@ -102,10 +102,10 @@ class CommandGuard:
         self._reading: Reading | None = None  # the last one that a step, or the start, was given
 
     def start(self, reading: Reading) -> None:
-        """Begin where the hand is, with a slow approach; the first command is that place.
+        """Begin a slow approach from the hand's position, which is the first command.
 
         Args:
-            reading: where the hand is, by two readings that agree.
+            reading: position of the hand, confirmed by two readings.
 
         Raises:
             SinkError: a position is not known, or more than 0.35 rad beyond the table's ends.
@@ -141,9 +141,9 @@ class CommandGuard:
         """The next commands.
 
         Args:
-            target_positions: (n,) joint positions [rad] that the loop asks for.
-            reading: the hand's last answer; the same object again while there is no new one.
-            seconds: since the last step [s].
+            target_positions: (n,) target joint positions [rad].
+            reading: last reading of the hand; the same object while there is no new one.
+            seconds: time since the last step [s].
 
         Returns:
             (a,) commands in the actuators' unit.
@@ -174,7 +174,7 @@ class CommandGuard:
         return commands
 
     def _feel(self, reading: Reading, seconds: float) -> None:
-        """Take note of currents that stay high."""
+        """Detect currents that stay high."""
         if reading.currents is None or self._at is None:
             return
         measured = self._map.drive_angles(reading.positions)

@@ -1,4 +1,4 @@
-"""The base class of sinks that move a real hand."""
+"""Base class of sinks that move a real hand."""
 
 from __future__ import annotations
 
@@ -22,26 +22,25 @@ from smooth_operator.types import Side
 
 @dataclass(frozen=True)
 class HardwareSink(Sink):
-    """Moves one real hand, through a driver for its protocol; safe whatever happens around it.
+    """Moves one real hand safely, through a driver of its protocol.
 
-    A thread of its own talks to the bus and takes the newest command. At the start, and after
-    silence, an emergency stop, missing answers or a lost device, it reads where the hand is, twice,
-    and approaches slowly.
-    When commands stop the hand rests as its table says.
+    A thread of its own uses the bus and takes the newest command. At the start, and after silence,
+    an emergency stop, missing answers or a lost device, it reads the position of the hand twice and
+    approaches the target slowly. Without commands the hand rests as its table says.
 
     A driver is a frozen dataclass that derives from this one, sets ``driver`` and implements
     ``device``; it may add settings, such as a baud rate.
 
     Attributes:
-        port: where the hand is: a serial port, a network address, a CAN channel.
+        port: port of the hand: a serial port, a network address, a CAN channel.
         table: table of its actuators: a file, or the name of one; empty for the driver's own.
-        side: which hand of the run it is; None for the only one.
-        rate: cycles a second on the bus [Hz]; None as the table says.
-        limit: most current [mA], or force, in the driver's unit; None as the table says.
+        side: side of the hand in the run; None for the only one.
+        rate: cycles per second on the bus [Hz]; None for that of the table.
+        limit: limit of current [mA], or of force, in the driver's unit; None for that of the table.
         approach: speed of a slow approach [rad/s].
-        speed: most speed of any actuator [rad/s].
-        contact: share of ``limit`` from which an actuator counts as squeezing and goes no further;
-            0 for no contact guard.
+        speed: speed limit of every actuator [rad/s].
+        contact: share of ``limit`` from which on an actuator counts as squeezing and stops; 0 for
+            no contact guard.
         silence_s: time without a command after which the hand rests [s].
         lost_s: time without a right answer after which the device is opened again [s].
 
@@ -86,7 +85,7 @@ class HardwareSink(Sink):
 
     @abstractmethod
     def device(self, actuators: ActuatorMap) -> HandDevice:
-        """The device, not yet open; ``actuators`` has the run's limit of current.
+        """Create the device, not yet open; ``actuators`` has the run's limit of current.
 
         Raises:
             MissingExtraError: its library is not installed.
@@ -95,7 +94,7 @@ class HardwareSink(Sink):
 
     @property
     def bus(self) -> str:
-        """The bus that one program may use at a time, in a form of ``bus_name``: here the port."""
+        """Bus that is locked for this program, in a form of ``bus_name``; by default the port."""
         return self.port or self.driver
 
     @property
@@ -105,7 +104,7 @@ class HardwareSink(Sink):
 
     @property
     def note(self) -> str:
-        """State of a hand that does not follow; errors, temperatures, counts."""
+        """Note on a hand that does not follow, on errors, temperatures and counts."""
         worker = self._worker
         return "" if worker is None else worker.note
 
@@ -150,12 +149,12 @@ class HardwareSink(Sink):
         return table if self.rate is None else replace(table, rate=self.rate)
 
     def check(self, hands: Mapping[Side, Hand]) -> None:
-        """Read table and settings, open the hand, ask where it is, and let go; nothing moves."""
+        """Check table and settings, open and read the hand, and close it; nothing moves."""
         self.open(hands, {})
         self.close()
 
     def open(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> None:
-        """Take the bus and find out where the hand is; see ``Sink``."""
+        """Lock the bus, and open and read the hand; see ``Sink``."""
         if self._worker is not None:
             raise SinkError(f"{self.label}: it is open already")
         side = self._side(hands)
@@ -188,7 +187,7 @@ class HardwareSink(Sink):
         return worker.state if worker is not None and worker.side == side else None
 
     def close(self) -> None:
-        """Bring the hand to rest as its table says, and give the bus back."""
+        """Bring the hand to rest as its table says, and close the bus."""
         worker = self._worker
         self._set(_worker=None)
         if worker is not None:
@@ -212,10 +211,10 @@ class HardwareSink(Sink):
 
 
 def real_hand(sink: object) -> HardwareSink | None:
-    """A sink if it moves a real hand; None for any other."""
+    """The sink if it moves a real hand, else None."""
     return sink if isinstance(sink, HardwareSink) else None
 
 
 def is_driver(kind: object) -> bool:
-    """True if something is a class of sinks that move a real hand."""
+    """True for a class of sinks that move a real hand."""
     return isinstance(kind, type) and issubclass(kind, HardwareSink)

@@ -1,4 +1,4 @@
-"""The dialogue that finds out how a real hand's actuators move, and makes its table."""
+"""Dialogue that measures the motion of a real hand's actuators, and makes its table."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ Keep the hand free on all sides, and a hand on its power switch. Ctrl-C relaxes 
 
 
 class TableCheck:
-    """Asks a person about each actuator, and gathers the answers in a table.
+    """Asks a person about each actuator, and collects the answers in a table.
 
     Args:
         mover: the hand.
-        hand: its model, whose joints the actuators move.
-        ask: shows a question, gives the answer; as ``input``.
+        hand: its model, with the joints that the actuators move.
+        ask: shows a question and returns the answer, like ``input``.
         say: shows a line.
     """
 
@@ -54,8 +54,8 @@ class TableCheck:
         """Go through the actuators of a table.
 
         Returns:
-            The table with what was found; None if nothing was changed or confirmed. Actuators that
-            were skipped stay as they were.
+            the table with the measurements; None if nothing was changed or confirmed. Skipped
+            actuators are unchanged.
 
         Raises:
             SinkError: the device was lost.
@@ -91,7 +91,7 @@ class TableCheck:
         return replace(actuator, joints=joints, points=points, ends=(low, high))
 
     def _joints(self, index: int, actuator: Actuator, start: float) -> dict[str, float] | str:
-        """Which joint it moves."""
+        """Ask for the joint that an actuator moves."""
         low, high = actuator.ends
         step = 0.12 * (high - low) * (1 if start < (low + high) / 2 else -1)
         now = " + ".join(f"{w:g} {j}" if w != 1 else j for j, w in actuator.joints.items())
@@ -114,7 +114,7 @@ class TableCheck:
     def _end(
         self, index: int, actuator: Actuator, start: float, way: int, unit: str
     ) -> float | None:
-        """The end of an actuator in one direction; None to quit."""
+        """Find the end of an actuator in one direction; None to quit."""
         low, high = actuator.ends
         step, stated = way * (high - low) / _STEPS, high if way > 0 else low
         side = "greatest" if way > 0 else "least"
@@ -143,7 +143,7 @@ class TableCheck:
     def _angles(
         self, actuator: Actuator, low: float, high: float, unit: str
     ) -> tuple[tuple[float, float], ...]:
-        """The joint's angle at both ends."""
+        """Ask for the joint's angle at both ends."""
         while True:
             pairs = []
             for command in (low, high):
@@ -184,8 +184,8 @@ def blank_table(
         hand: the hand's model.
         ids: ids of the actuators.
         unit: unit of the commands.
-        ends: from where to where an actuator may be tried.
-        limit: most current or force, in the driver's unit; None for the device's own.
+        ends: range in which an actuator may be moved.
+        limit: limit of current or force, in the driver's unit; None for that of the device.
     """
     joint = hand.actuated_names[0]
     return ActuatorMap(
@@ -218,16 +218,16 @@ _WAIT_S: Final = 60.0
 
 
 class ActuatorMover:
-    """A hand whose actuators stand where they are until one is asked to move.
+    """Moves single actuators of a hand, while the others hold.
 
-    A thread keeps talking to the device, whatever the person does meanwhile, since devices have
-    watchdogs of their own. An actuator whose current stays high stops where it is. Use as a context
-    manager: at the end, after an error and after a signal the hand is relaxed.
+    A thread exchanges messages with the device all the time, since devices have watchdogs of their
+    own. An actuator whose current stays high stops. Use as a context manager: at the end, after an
+    error and after a signal the hand is relaxed.
 
     Args:
         device: the hand.
-        actuators: its table; the commands are not limited to its ends, which are to be found.
-        seconds: how long a motion over the table's whole range of an actuator takes [s].
+        actuators: its table; commands are not limited to its ends, which are to be found.
+        seconds: time of a motion over the whole range of an actuator in the table [s].
 
     Attributes:
         names: names of the actuators.
@@ -274,10 +274,10 @@ class ActuatorMover:
         return float(self.reading.positions[index])
 
     def move(self, index: int, command: float) -> bool:
-        """Bring one actuator to a command, slowly, and wait until it is there.
+        """Move one actuator slowly to a command, and wait for it.
 
         Returns:
-            False if something blocks it: it then stands where it was stopped.
+            False if it was blocked; it then holds where it stopped.
 
         Raises:
             SinkError: the device was lost.

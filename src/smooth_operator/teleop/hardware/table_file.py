@@ -1,4 +1,4 @@
-"""Table files of real hands: read, written, found among the built-in ones and the user's."""
+"""Table files of real hands: reading, writing, search among the built-in ones and the user's."""
 
 from __future__ import annotations
 
@@ -234,17 +234,17 @@ _TOLERANCE: Final = 0.01
 
 
 class SettingsWatch:
-    """Reads a hand's volatile settings back, now and then, and compares them with what was written.
+    """Reads a hand's volatile settings periodically, and compares them with the written values.
 
-    No driver has been tried on a physical hand. So only a setting that the hand has once read back
-    as written counts; one that it never did is a warning, and no loss.
+    No driver has been tried on a physical hand. Therefore a difference counts as a loss only for a
+    setting that the hand has once returned as written; otherwise it is a warning.
 
     Args:
         device: the hand.
         names: the actuators' names, for messages.
 
     Attributes:
-        warnings: settings that the hand did not take as they were written, a few words each.
+        warnings: settings that the hand did not accept as written, a few words each.
     """
 
     def __init__(self, device: HandDevice, names: Sequence[str]) -> None:
@@ -255,11 +255,11 @@ class SettingsWatch:
         self._last = -np.inf
 
     def look(self) -> None:
-        """Read the settings, if it is time to.
+        """Read the settings, if they are due.
 
         Raises:
-            DeviceLostError: the hand had a setting and has it no longer, in two readings.
-            WrongAnswerError: it does not answer, or never did and fails.
+            DeviceLostError: the hand has lost a confirmed setting, by two readings.
+            WrongAnswerError: the hand does not answer.
         """
         now = time.perf_counter()
         useful = self._confirmed or self._readings < _TRIES

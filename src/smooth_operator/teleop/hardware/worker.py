@@ -1,4 +1,4 @@
-"""The thread that talks to a real hand: the newest command to the bus, and the answer back."""
+"""Thread that exchanges commands and readings with a real hand over its bus."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _MISSED: Final = 3
 to have moved: it is read, and approached."""
 
 _MISSED_S: Final = 0.05
-"""The same in seconds: at high rates a machine that is late for a moment is no reason."""
+"""Shortest outage that counts [s]: at high rates a few periods are normal jitter."""
 
 _TRIES: Final = 3
 """Least number of tries to open a device and get its first answer, if answers are wrong."""
@@ -60,9 +60,9 @@ class WorkerSettings:
     """Settings of a worker.
 
     Attributes:
-        period: period of a cycle, at least [s].
-        silence_s: how long a command counts [s].
-        lost_s: time without one right answer after which the device counts as lost [s].
+        period: shortest period of a cycle [s].
+        silence_s: time for which a command counts [s].
+        lost_s: time without a valid answer after which the device counts as lost [s].
         guard: limits of the commands.
     """
 
@@ -145,10 +145,10 @@ class HandWorker:
             raise self._error
 
     def post(self, tick: Tick) -> None:
-        """Leave a command; returns immediately, whatever the bus does.
+        """Leave a command for the thread; returns immediately, independent of the bus.
 
-        One that is not finite is counted, and the last finite one is held in its place; before
-        there is one nothing moves.
+        A command that is not finite is counted and replaced by the last finite one; before that
+        nothing moves.
 
         Raises:
             SinkError: the thread gave up, with its reason.
@@ -172,10 +172,10 @@ class HandWorker:
                 self._change.release()
 
     def end(self) -> None:
-        """Bring the hand to rest as its table says, and give the bus back.
+        """Bring the hand to rest as its table says, and close the bus.
 
         Raises:
-            SinkError: the bus hangs; it was left as it is.
+            SinkError: the bus hangs; it stays open.
         """
         with self._change:
             self._ending = True
@@ -237,7 +237,7 @@ class HandWorker:
             self._opened.set()
 
     def _lose(self, error: Exception) -> None:
-        """The device is gone: say so, and wait before it is opened again."""
+        """Report the loss of the device, and wait before the next opening."""
         expected = isinstance(error, SinkError)
         # Who sees the loss sees no measurement from before it.
         self.state = self.reading = None
@@ -248,7 +248,7 @@ class HandWorker:
             self._change.wait_for(lambda: self._ending, _RETRY_S)
 
     def _serve(self) -> None:
-        """From opening the device to the end, or until it is lost."""
+        """Open the device and run cycles until the end, or until the device is lost."""
         now, period = time.perf_counter, self._settings.period
         self._commands = self._place = None
         self._until_answered(self._open)
@@ -335,7 +335,7 @@ class HandWorker:
                 self._change.wait_for(lambda: self._ending or self._tick is not before, late)
 
     def _at_rest(self, newest: tuple[Tick, float] | None, now: float) -> Rest | None:
-        """The kind of rest, if no command counts; None while one does."""
+        """Kind of rest without a valid command; None while there is one."""
         if newest is None:
             return None
         if newest[0].mode is Mode.STOPPED:
@@ -359,10 +359,10 @@ class HandWorker:
             lock.release()
 
     def _rest(self, rest: Rest, reading: Reading) -> None:
-        """Stand where the hand is, or give way there.
+        """Hold the hand's position, or relax.
 
-        The place is one more reading, if it agrees with the one before. If it does not, or none
-        comes, the hand keeps its last command until the next cycle. Without power it stays so.
+        The position is another reading that agrees with the previous one. Without such a reading,
+        the hand keeps its last command until the next cycle. A hand without power stays so.
         """
         try:
             if self._commands is None:
@@ -400,7 +400,7 @@ class HandWorker:
         return reading
 
     def _call(self, action: Callable[..., _T], *arguments: object) -> _T:
-        """Something on the bus, with a note of when it began."""
+        """Call an action on the bus, and store the time of its start."""
         self._busy_since = time.perf_counter()
         try:
             return action(*arguments)
@@ -419,13 +419,13 @@ class BusStatistics:
     """Counts and times of a bus; its worker writes, any thread reads.
 
     Attributes:
-        cycles: how many there were.
-        wrong: exchanges that failed: no answer in time, wrong checksum, nonsense.
-        slow: cycles that took longer than their period.
-        lost: how often the device was gone.
-        silences: how often commands stopped.
-        not_finite: commands with a NaN or an infinity, in whose place the last one was held.
-        latest: the last failure, a sentence; empty if there was none.
+        cycles: number of cycles.
+        wrong: number of failed exchanges: no answer in time, wrong checksum, invalid answer.
+        slow: number of cycles that were longer than their period.
+        lost: number of losses of the device.
+        silences: number of silences of the commands.
+        not_finite: number of commands with a NaN or an infinity, replaced by the last finite one.
+        latest: the last failure in one sentence; empty if there was none.
     """
 
     def __init__(self) -> None:

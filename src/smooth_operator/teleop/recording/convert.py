@@ -1,4 +1,4 @@
-"""Episodes from files of any format, and into files of any other."""
+"""Reads episodes from files of any format, and writes them in any other."""
 
 from __future__ import annotations
 
@@ -40,13 +40,13 @@ SUFFIXES: Final[dict[str, Format]] = {
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """One episode that can be read.
+    """Source of one episode.
 
     Attributes:
         path: the file, or the folder of a LeRobot dataset.
-        relative: where it is within the folder that was named; its name, if the file itself was.
-        dataset: the dataset that it is an episode of, if any.
-        number: of the episode in it.
+        relative: path within the input folder; the name, for a file as input.
+        dataset: the dataset of the episode, if any.
+        number: number of the episode in the dataset.
     """
 
     path: Path
@@ -77,24 +77,23 @@ def read_episode(
     layout: str | None = None,
     episode: int = 0,
 ) -> Episode:
-    """Reads an episode: whatever hand and commands a file of any format holds.
+    """Read an episode, with the hand and the commands of a file of any format.
 
     Args:
-        path: a recording (see ``read_recording``), the ``OUT.npz``
-            of a retargeting, a log, an HDF5 file or the folder of a LeRobot dataset, recognised by
-            content.
-        rate: frames a second [Hz], needed where the file has no stamps.
-        side: which hand; needed where the file does not say and it is a left one.
-        layout: the order of the landmarks in a plain array of 21, as of ``read_recording``, or in
-            a LeRobot dataset of another tool.
-        episode: which one of a LeRobot dataset.
+        path: a recording (see ``read_recording``), the ``OUT.npz`` of a retargeting, a log, an HDF5
+            file or the folder of a LeRobot dataset, recognised by content.
+        rate: frame rate [Hz], for a file without stamps.
+        side: side of the hand, for a file without one; by default right.
+        layout: order of the landmarks in a plain array of 21, as in ``read_recording``, or in a
+            LeRobot dataset of another tool.
+        episode: number of the episode in a LeRobot dataset.
 
     Returns:
-        The episode; its ``notes`` say what a person should know.
+        the episode; its ``notes`` are messages for a person.
 
     Raises:
         RecordingError: as ``read_recording``.
-        ConfigError: ``rate`` or ``side`` is not a possible one; there is no such ``episode``.
+        ConfigError: ``rate`` or ``side`` is not valid, or there is no such ``episode``.
         UnknownNameError: there is no such ``layout``.
         MissingExtraError: the format needs an extra that is not installed.
     """
@@ -121,18 +120,18 @@ def read_episode(
 
 
 def write_episode(path: str | os.PathLike[str], episode: Episode, to: Format | None = None) -> None:
-    """Writes an episode as a file; one that stands there is replaced when the new one is whole.
+    """Write an episode to a file atomically.
 
     Args:
         path: the file; its folder must exist.
-        episode: what to write.
-        to: its format; None for that of the suffix. A LeRobot dataset is written by
-            ``write_dataset``.
+        episode: the episode.
+        to: format of the file; None for that of the suffix. ``write_dataset`` writes LeRobot
+            datasets.
 
     Raises:
-        ConfigError: the suffix names no format of a file.
+        ConfigError: the suffix is that of no format.
         MissingExtraError: the format needs an extra that is not installed.
-        OutputError: it can't be written.
+        OutputError: the file can't be written.
     """
     path = Path(path)
     kind = format_of(path, to)
@@ -182,17 +181,17 @@ def format_of(path: Path, to: Format | None) -> Format:
 def find_sources(
     inputs: Sequence[Path], *, episode: int | None = None, leave: Sequence[Path] = ()
 ) -> tuple[list[Source], list[str]]:
-    """All episodes that the inputs hold.
+    """Find all episodes in the inputs.
 
     Args:
-        inputs: files, datasets, and folders of these, which are searched to any depth, hidden files
-            left out.
-        episode: of a dataset, only this one.
-        leave: files and folders that are no inputs, though they may lie among them.
+        inputs: files, datasets, and folders of these, which are searched to any depth, without
+            hidden files.
+        episode: number of the only episode of a dataset to use; None for all.
+        leave: files and folders to ignore.
 
     Returns:
-        The sources, in the order of the inputs and of names; and notes on files that were passed
-        over, because they are no recordings.
+        the sources, in the order of the inputs and of names; and notes on ignored files that are no
+        recordings.
 
     Raises:
         RecordingError: an input does not exist, or a folder holds no recording.
@@ -237,11 +236,11 @@ def find_sources(
 
 
 def check_target(path: Path, to: Format, inputs: Sequence[Path], overwrite: bool) -> None:
-    """Looks whether an output may be written; writes nothing.
+    """Check that an output can be written, without writing.
 
     Raises:
-        OutputError: something stands there and ``overwrite`` is not said, or it was not written by
-            this program, or is one of the inputs.
+        OutputError: the output exists and ``overwrite`` is False, or it was not written by this
+            program, or is one of the inputs.
     """
     if not os.path.lexists(path):
         return

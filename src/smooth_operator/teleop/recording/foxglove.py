@@ -1,7 +1,6 @@
-"""Hand, robot and joints as Foxglove's own messages, so that a log opens in its 3D panel.
+"""Hand, robot and joints as Foxglove's messages, so that a log opens in its 3D panel.
 
-They are written in addition to the project's own messages, at a bounded rate, and are not read
-back.
+They are written in addition to the project's own messages, at a bounded rate, and never read.
 """
 
 from __future__ import annotations
@@ -66,10 +65,10 @@ class Message(NamedTuple):
 class FoxgloveMessages:
     """Foxglove's messages of one hand and one robot, at most ``RATE_HZ`` a second.
 
-    They are gathered, and the skeletons of many frames and commands made in one call.
+    They are collected, and the skeletons of many frames and commands are made in one call.
 
     Args:
-        keypoints: the robot's landmarks from its joint positions; None draws no robot.
+        keypoints: computes the robot's landmarks from its joint positions; None draws no robot.
     """
 
     def __init__(self, keypoints: Keypoints | None) -> None:
@@ -83,11 +82,11 @@ class FoxgloveMessages:
         self._scenes: dict[tuple[str, bytes], _Scene] = {}
 
     def hand(self, frame: HandFrame, at: int) -> None:
-        """Take a hand frame, unless the last one was just now.
+        """Add a hand frame, if the rate allows.
 
         Args:
             frame: the hand.
-            at: its time [ns].
+            at: time of the frame [ns].
         """
         assert frame.valid is not None  # filled in by HandFrame
         wrist = frame.T_world_wrist
@@ -107,12 +106,12 @@ class FoxgloveMessages:
         self._hands.append((at, frame.landmarks.copy(), frame.valid.tobytes()))
 
     def wrist(self, wrist: WristCommand, at: int) -> None:
-        """Take a commanded wrist; see ``hand``."""
+        """Add a wrist command; see ``hand``."""
         if self._is_due(WRIST_TARGET, at):
             self._add_pose(WRIST_TARGET, at, wrist.pose, wrist.world)
 
     def command(self, names: tuple[str, ...], positions: Float[np.ndarray, " n"], at: int) -> None:
-        """Take a command; see ``hand``.
+        """Add a command; see ``hand``.
 
         Args:
             names: joint names.

@@ -1,7 +1,7 @@
-"""Writing the project's own log: an MCAP file that grows chunk by chunk.
+"""Writer of the project's own log: an MCAP file that grows chunk by chunk.
 
-MCAP was chosen because it is append-only, keeps many topics, opens in Foxglove, and can be read
-from the front without its index; so what a crash leaves is a recording and not debris.
+MCAP was chosen because it is append-only, has many topics, opens in Foxglove, and can be read from
+the front without its index, so a crash leaves a readable recording.
 """
 
 from __future__ import annotations
@@ -57,9 +57,9 @@ _HEAD_BYTES: Final = 31
 class LogWriter:
     """A crash-safe log of hand frames, commands, their status and timing, and the configuration.
 
-    Messages are gathered into chunks; a chunk goes to the operating system when it is full, when it
-    is older than ``flush_seconds`` at the next write, on ``flush`` and on ``close``. If the
-    process dies, ``read_log`` reads every chunk that was ended.
+    Messages are collected in chunks; a chunk goes to the operating system when it is full, when it
+    is older than ``flush_seconds`` at the next write, on ``flush`` and on ``close``. After a crash,
+    ``read_log`` reads every complete chunk.
 
     One log holds one hand and one robot. Use as a context manager; not thread-safe.
 
@@ -68,16 +68,16 @@ class LogWriter:
         commands_flushed: commands in the chunks that have reached the operating system.
 
     Args:
-        path: where to write; the folder must exist.
-        overwrite: replace a file that stands there.
-        compression: of each chunk.
-        chunk_bytes: size of a chunk before compression, and so the bound on what is in memory.
-        flush_seconds: how long a message may wait for the disk while others come.
-        keypoints: where the robot's landmarks are, to be drawn by Foxglove; None draws none.
+        path: the file; its folder must exist.
+        overwrite: replace an existing file.
+        compression: compression of each chunk.
+        chunk_bytes: size of a chunk before compression, which bounds the memory.
+        flush_seconds: longest time that a message waits for the disk while others come [s].
+        keypoints: computes the robot's landmarks, which Foxglove draws; None draws none.
 
     Raises:
-        OutputError: no folder, no permission, no space, or a file stands there already. After an
-            error in writing the log takes no more; what was written before stays readable.
+        OutputError: no folder, no permission, no space, or the file exists. After an error in
+            writing, the log takes no more messages; earlier ones stay readable.
         ConfigError: an unknown compression, or a size or time that is not positive.
 
     Example:
@@ -142,11 +142,11 @@ class LogWriter:
 
         Args:
             frame: the hand.
-            stamp: what it is stamped with in the log [s]; None for its own.
+            stamp: stamp in the log [s]; None for that of the frame.
 
         Raises:
-            RecordingError: it has no stamp, or one that is not finite or not after the last one's,
-                or it is of the other hand.
+            RecordingError: the frame has no stamp, or one that is not finite or not after the last
+                one, or it is of the other hand.
             OutputError: as for the class.
         """
         stamp = frame.time if stamp is None else stamp
@@ -182,16 +182,16 @@ class LogWriter:
         """Append a command and how long it took.
 
         Args:
-            command: what was sent.
-            status: why it is what it is.
-            latency_ms: from landmarks to command [ms].
-            stages: parts of that time [ms] by name.
-            loop: what the live loop did, where one sent it.
-            wrist: where the wrist of the hand was sent with it, if it was.
-            arm: where the arm that carries it was sent, if there is one.
+            command: the command.
+            status: its status.
+            latency_ms: time from landmarks to command [ms].
+            stages: name of a stage -> its part of that time [ms].
+            loop: state of the live loop, if one sent the command.
+            wrist: command of the wrist with it, if any.
+            arm: command of the arm that carries the hand, if any.
 
         Raises:
-            RecordingError: the joints differ from those of the command before, their number from
+            RecordingError: the joints differ from those of the previous command, their number from
                 that of the positions, or the stamp is not finite.
             OutputError: as for the class.
         """
@@ -235,7 +235,7 @@ class LogWriter:
         self._names = names
 
     def write_state(self, state: HandState) -> None:
-        """Append where the robot hand was measured to be.
+        """Append a measured state of the robot hand.
 
         Raises:
             OutputError: as for the class.
@@ -246,11 +246,11 @@ class LogWriter:
     def write_config(self, config: Mapping[str, Any]) -> None:
         """Append the resolved configuration, once.
 
-        It takes the time of the first frame that follows (or came before), since viewers draw the
-        time line from the first message on.
+        It gets the time of the first frame, since viewers draw the time line from the first message
+        on.
 
         Raises:
-            ConfigError: it was written already, or holds what JSON can't.
+            ConfigError: it was written already, or has no JSON form.
             OutputError: as for the class.
         """
         if self._config is not None or self._config_written:
@@ -261,11 +261,11 @@ class LogWriter:
                 self._add_config()
 
     def write_origin(self, origin: Mapping[str, str]) -> None:
-        """Append where the log came from, as a metadata record.
+        """Append the origin of the log, as a metadata record.
 
         Args:
-            origin: texts by name; ``name``, ``task`` and ``meta`` (JSON) are those that
-                ``smooth-operator convert`` writes.
+            origin: texts by name; ``smooth-operator convert`` writes ``name``, ``task`` and
+                ``meta`` (JSON).
 
         Raises:
             OutputError: as for the class.
@@ -273,16 +273,16 @@ class LogWriter:
         self._metadata(ORIGIN, origin)
 
     def write_method(self, stamp: float, method: str, preset: str, config: Any) -> None:
-        """Append what drives the hand from now on, as a metadata record.
+        """Append the method that drives the hand from now on, as a metadata record.
 
         Args:
-            stamp: of the first command that it gives [s].
-            method: its name.
-            preset: that of its preset.
+            stamp: stamp of its first command [s].
+            method: name of the method.
+            preset: name of its preset.
             config: its configuration.
 
         Raises:
-            ConfigError: the configuration holds what JSON can't.
+            ConfigError: the configuration has no JSON form.
             OutputError: as for the class.
         """
         self._metadata(
@@ -296,10 +296,10 @@ class LogWriter:
         )
 
     def flush(self, *, sync: bool = False) -> None:
-        """Hand everything written so far to the operating system, as a separate chunk.
+        """Pass all messages so far to the operating system, as a separate chunk.
 
         Args:
-            sync: also wait until it is on the disk, against a power cut (milliseconds).
+            sync: also wait until they are on the disk, against a power cut (milliseconds).
 
         Raises:
             OutputError: as for the class.
@@ -308,7 +308,7 @@ class LogWriter:
             self._end_chunk(sync=sync)
 
     def close(self) -> None:
-        """Write what is pending and the index, and close the file. A second call does nothing.
+        """Write pending messages and the index, and close the file; a second call does nothing.
 
         Raises:
             OutputError: as for the class.

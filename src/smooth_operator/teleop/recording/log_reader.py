@@ -80,10 +80,10 @@ class MethodUse:
     """The method that drove a hand from some time on.
 
     Attributes:
-        stamp: of the first command that it gave [s].
-        method: its name.
-        preset: that of its preset.
-        config: its configuration, as JSON has it.
+        stamp: stamp of its first command [s].
+        method: name of the method.
+        preset: name of its preset.
+        config: its configuration, as JSON values.
     """
 
     stamp: float
@@ -100,15 +100,15 @@ class Log:
         recording: the hand frames, or None if there are none.
         commands: the commands with their latencies and status, or None.
         config: the resolved configuration, or None.
-        truncated: the end is missing or damaged, and what is here is what came before.
+        truncated: True if the end is missing or damaged; the content is that before it.
         stages_ms: (T,) time of each stage of the loop [ms] by name, one value per command, NaN
-            where a command did not have the stage.
-        origin: what the log says of where it came from: ``name``, ``task``, ``meta`` (JSON).
-        loop: mode, events and more of each command, where a live loop wrote the log.
-        states: the measured joints of the robot hand, where a live loop had them.
-        wrist: the commanded wrist, with each of the commands, where there was one.
-        arm: the same of the arm.
-        methods: what drove the hand, in order, each until the next one's stamp, in a live log.
+            for a command without the stage.
+        origin: origin of the log: ``name``, ``task``, ``meta`` (JSON).
+        loop: mode, events and more of each command, in the log of a live loop.
+        states: measured joints of the robot hand, if there are any.
+        wrist: wrist command with each of the commands, if there is one.
+        arm: arm command with each of the commands, if there is one.
+        methods: methods of the hand in order, each until the next one's stamp, in a live log.
     """
 
     recording: HandRecording | None
@@ -131,14 +131,14 @@ class Log:
 def read_log(path: str | os.PathLike[str]) -> Log:
     """Read a log that ``LogWriter`` wrote.
 
-    The file is read from the front, so that one whose end is missing (a crash, a full disk) gives
-    every chunk that was completed. Landmarks come back bit for bit, NaN where they were not finite.
+    The file is read from the front, so a file without its end (a crash, a full disk) gives every
+    complete chunk. Landmarks are exact, or NaN if they were not finite.
 
     Args:
         path: the log.
 
     Returns:
-        What it holds; units are not checked here (``read_recording`` does).
+        its content; units are not checked here (``read_recording`` does).
 
     Raises:
         RecordingError: no such file, not an MCAP log, one of another program or version, or
@@ -555,7 +555,7 @@ def _read_wrist_track(commands: Sequence[int], table: _Table) -> WristTrack | No
 
     Args:
         commands: sequence numbers of the commands.
-        table: of ``/wrist``.
+        table: table of the topic ``/wrist``.
     """
     if not table:
         return None

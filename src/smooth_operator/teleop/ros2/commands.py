@@ -33,7 +33,7 @@ from smooth_operator.teleop.ros2.messages import (
 )
 
 Kind: TypeAlias = Literal["joint_state", "trajectory", "array"]
-"""The message: ``sensor_msgs/JointState``, ``trajectory_msgs/JointTrajectory`` or
+"""Type of the message: ``sensor_msgs/JointState``, ``trajectory_msgs/JointTrajectory`` or
 ``std_msgs/Float64MultiArray``."""
 
 KINDS: Final[dict[Kind, type[Message]]] = {
@@ -51,15 +51,15 @@ def joint_message(
     velocities: list[float],
     duration: float,
 ) -> Message:
-    """A command to joints.
+    """Message with a command to joints.
 
     Args:
-        kind: the message.
-        stamp: time of a joint state.
-        names: (k,) of the joints.
-        positions: (k,) in the driver's unit.
-        velocities: (k,) of a joint state; empty for none.
-        duration: from the start to the point of a trajectory [s].
+        kind: type of the message.
+        stamp: stamp of a joint state.
+        names: (k,) names of the joints.
+        positions: (k,) positions in the driver's unit.
+        velocities: (k,) velocities of a joint state; may be empty.
+        duration: time from the start to the point of a trajectory [s].
 
     Raises:
         SinkError: a position is not finite.
@@ -86,13 +86,13 @@ UNITS: Final[dict[Unit, float]] = {"rad": 1.0, "deg": 180.0 / math.pi}
 
 @dataclass(frozen=True)
 class JointLayout:
-    """Joints of a hand as a driver wants them: value = gain · position [rad] + offset.
+    """Order, names and unit of a hand's joints in a driver: value = gain · position [rad] + offset.
 
     Attributes:
-        names: (k,) what the driver calls them.
-        indices: (k,) their places among the joints of the hand.
+        names: (k,) the driver's names of the joints.
+        indices: (k,) indices of the joints in the hand.
         gain: factor to the driver's unit.
-        offset: in the driver's unit.
+        offset: offset in the driver's unit.
     """
 
     names: tuple[str, ...]
@@ -101,22 +101,22 @@ class JointLayout:
     offset: float = 0.0
 
     def values(self, positions: Float[np.ndarray, " n"]) -> list[float]:
-        """(k,) what is sent for joint positions [rad]."""
+        """(k,) values for joint positions [rad]."""
         picked: list[float] = (self.gain * positions[list(self.indices)] + self.offset).tolist()
         return picked
 
     def rates(self, velocities: Float[np.ndarray, " n"]) -> list[float]:
-        """(k,) what is sent for joint velocities [rad/s]."""
+        """(k,) values for joint velocities [rad/s]."""
         picked: list[float] = (self.gain * velocities[list(self.indices)]).tolist()
         return picked
 
 
 @dataclass(frozen=True)
 class TableLayout:
-    """Actuators of a table, which maps joints to them one by one, within their ends.
+    """Actuators of a table, which maps joints to them within their ends.
 
     Attributes:
-        table: for the joints of the hand.
+        table: the table, bound to the joints of the hand.
     """
 
     table: BoundMap
@@ -133,13 +133,13 @@ class TableLayout:
         return within
 
     def rates(self, velocities: Float[np.ndarray, " n"]) -> list[float]:
-        """None: drivers with a unit of their own take ``velocity`` for something else."""
+        """Empty: drivers with a unit of their own use ``velocity`` for another quantity."""
         del velocities
         return []
 
 
 Layout: TypeAlias = JointLayout | TableLayout
-"""Joints as a driver wants them."""
+"""Order, names and unit of joints in a driver."""
 
 
 def table_layout(hand: Hand, table: str) -> TableLayout:

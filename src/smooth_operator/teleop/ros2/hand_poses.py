@@ -24,7 +24,7 @@ from smooth_operator.teleop.sources.payload import Reading, hand_frame, read_pay
 from smooth_operator.types import HandFrame, Side
 
 Kind: TypeAlias = Literal["pose_array", "json", "manus_glove"]
-"""The message: ``geometry_msgs/PoseArray``, ``std_msgs/String`` with JSON, or
+"""Type of the message: ``geometry_msgs/PoseArray``, ``std_msgs/String`` with JSON, or
 ``manus_ros2_msgs/ManusGlove``."""
 Frame: TypeAlias = Literal["world", "wrist", "camera"]
 """Frame of the poses: ``world``, fixed and z up; ``wrist``, which moves with the hand; or
@@ -37,7 +37,7 @@ KINDS: Final[Mapping[Kind, type[Message]]] = {
 }
 
 MATCH_S: Final = 0.1
-"""A pose of the wrist goes with poses of the joints that are no further away in time [s]."""
+"""Largest difference of the times of a wrist's pose and of the joints in one frame [s]."""
 
 _GLOVE_WORDS: Final = (b'"nodes"', b'"raw_nodes"', b'"gloves"')
 
@@ -53,12 +53,12 @@ class _WristPose:
 
 
 class HandPoseReader:
-    """Makes hand frames of messages, and puts wrist poses to them.
+    """Converts messages to hand frames, and adds the poses of wrists.
 
     Args:
-        topics: topic of hands -> side, None where each message says it.
+        topics: topic of hands -> side, None if each message has it.
         wrists: topic of wrist poses -> side.
-        frame: what the poses of a ``PoseArray`` are relative to.
+        frame: frame of the poses of a ``PoseArray``.
         layout: order of the landmarks in a message of 21.
         gloves: id of a MANUS glove -> side.
     """
@@ -78,10 +78,10 @@ class HandPoseReader:
     def read(
         self, topic: str, message: Message | RecordingError, received: float
     ) -> Sequence[Reading]:
-        """The hands of a message; none for a pose of a wrist.
+        """Hands of a message; empty for the pose of a wrist.
 
         Raises:
-            RecordingError: it can't be read.
+            RecordingError: the message can't be read.
         """
         if isinstance(message, RecordingError):
             raise message
@@ -119,7 +119,7 @@ class HandPoseReader:
         return Reading(frame, stamped=bool(stamp))
 
     def _with_wrist(self, reading: Reading, header: Header, received: float) -> HandFrame:
-        """The frame with the pose of its wrist in the world."""
+        """Add the pose of the wrist in the world to a frame."""
         frame = reading.frame
         assert frame.valid is not None
         points = np.where(frame.valid[:, None], frame.landmarks, np.nan)
@@ -146,7 +146,7 @@ def _matches(wrist: _WristPose, reading: Reading, received: float) -> bool:
 
 
 def _as_json(message: ManusGlove) -> dict[str, object]:
-    """A glove as in the JSON of bridges; it has no stamp."""
+    """A glove's message in the JSON form of bridges, without a stamp."""
     places = pose_rows([node.pose for node in message.raw_nodes])
     nodes = [
         {"id": node.node_id, "pos": row[:3].tolist(), "quat": row[3:].tolist()}

@@ -1,4 +1,4 @@
-"""ROS 2 messages that are sent and read here, as classes of CycloneDDS; they need no ROS 2.
+"""ROS 2 messages as classes of CycloneDDS, without a ROS 2 installation.
 
 Fields are those of the public interface definitions (builtin_interfaces, std_msgs, geometry_msgs,
 sensor_msgs, trajectory_msgs, tf2_msgs), the same from Humble to Rolling, and of manus_ros2_msgs.
@@ -54,7 +54,7 @@ class Time(IdlStruct, typename="builtin_interfaces.msg.dds_.Time_"):
 
     @staticmethod
     def of(nanoseconds: int) -> "Time":
-        """The time so many nanoseconds after 1970."""
+        """The time of a number of nanoseconds since 1970."""
         return Time(*divmod(nanoseconds, 1_000_000_000))
 
 
@@ -68,7 +68,7 @@ class Duration(IdlStruct, typename="builtin_interfaces.msg.dds_.Duration_"):
 
 @_message
 class Header(IdlStruct, typename="std_msgs.msg.dds_.Header_"):
-    """Stamp, and name of the frame that positions are in."""
+    """Stamp, and name of the reference frame."""
 
     stamp: Time = field(default_factory=Time)
     frame_id: str = ""
@@ -160,7 +160,7 @@ class PoseArray(IdlStruct, typename="geometry_msgs.msg.dds_.PoseArray_"):
 
 @_message
 class Transform(IdlStruct, typename="geometry_msgs.msg.dds_.Transform_"):
-    """From a child's frame to its parent's."""
+    """A transform from a child's frame to its parent's."""
 
     translation: Vector3 = field(default_factory=Vector3)
     rotation: Quaternion = field(default_factory=Quaternion)
@@ -195,7 +195,7 @@ class JointState(IdlStruct, typename="sensor_msgs.msg.dds_.JointState_"):
 
 @_message
 class JointTrajectoryPoint(IdlStruct, typename="trajectory_msgs.msg.dds_.JointTrajectoryPoint_"):
-    """Targets of joints at a time after the begin."""
+    """Targets of joints at a time after the start."""
 
     positions: sequence[float64] = field(default_factory=list)
     velocities: sequence[float64] = field(default_factory=list)

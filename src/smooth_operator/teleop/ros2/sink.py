@@ -49,9 +49,9 @@ from smooth_operator.types import Side
 class Ros2Sink(ThreadedSink):
     """Publishes commands on ROS 2 topics.
 
-    ``std_msgs/String`` on ``<topic>_mode`` says what the loop does, whenever that changes:
-    ``tracking``, ``holding``, ..., ``stalled`` when no commands come, ``ended``. A driver stops its
-    robot when either goes quiet or says so. All messages of one command have one stamp, the time of
+    ``std_msgs/String`` on ``<topic>_mode`` has the mode of the loop at each change: ``tracking``,
+    ``holding``, ..., ``stalled`` without commands, ``ended``. A driver stops its robot at these two
+    modes, or when a topic falls silent. All messages of one command have one stamp, the time of
     publishing.
 
     Attributes:
@@ -64,23 +64,23 @@ class Ros2Sink(ThreadedSink):
         table: a table of actuators, as real hands have them: names, order, and a map from angle to
             command for each; ``{side}`` stands for the side. In place of ``joints``, ``prefix``,
             ``unit``, ``scale`` and ``offset``.
-        prefix: put before each joint's name.
+        prefix: prefix of each joint's name.
         unit: ``rad`` or ``deg``.
         scale: factor on each value, after the unit.
-        offset: added to each value, after the scale.
+        offset: offset of each value, after the scale.
         velocity: send velocities in a ``joint_state``; never with a table.
-        rate: most commands in a second [Hz]; 0 for as many as the loop gives.
+        rate: largest rate of commands [Hz]; 0 for the rate of the loop.
         duration: time from start of the point of a ``trajectory`` [s].
-        wrist: topic of the wrist's target, ``geometry_msgs/PoseStamped``, where the run has one;
+        wrist: topic of the wrist's target, ``geometry_msgs/PoseStamped``, if the run has one;
             ``none`` for no topic.
         human_wrist: topic of the operator's wrist, as tracked; ``none`` for no topic.
-        arm: topic of the joints of the arm that carries the hand, where the run has one; ``none``
+        arm: topic of the joints of the arm that carries the hand, if the run has one; ``none``
             for no topic.
-        arm_message: as ``message``.
-        measured: topic of the measured joints [rad], ``sensor_msgs/JointState``, where a sink
+        arm_message: message of the arm; as ``message``.
+        measured: topic of the measured joints [rad], ``sensor_msgs/JointState``, if a sink
             measures them; ``none`` for no topic.
         tf: send both wrists as transforms on ``/tf``, too.
-        base: name of the frame that the target is in; default: the one that the command names.
+        base: name of the frame of the target; default: the one in the command.
         frame: name of the frame of the target on ``/tf``.
         domain: ROS domain, 0 to 232; default: ``ROS_DOMAIN_ID``.
         network: ``localhost`` or ``subnet``; default: what ROS 2's variables say,
@@ -219,7 +219,7 @@ class _Publisher:
         }
 
     def deliver(self, tick: Tick) -> None:
-        """Publish a command, the mode if it is new, and the measured joints if they are."""
+        """Publish a command, and the mode and the measured joints if they are new."""
         new_mode = self._say(tick.side, tick.mode.value)
         stamp = self._transport.now()
         self._state(tick, stamp)
@@ -236,7 +236,7 @@ class _Publisher:
             self._say(side, "stalled")
 
     def close(self) -> None:
-        """Say that it ends, and give the transport back."""
+        """Publish the mode ``ended``, and close the transport."""
         try:
             for side in self._publish:
                 self._say(side, "ended")
@@ -304,7 +304,7 @@ class _Publisher:
         return True
 
     def _say(self, side: Side, mode: str) -> bool:
-        """Publish a mode that is new; whether it is."""
+        """Publish a new mode; True if it is new."""
         if self._modes.get(side) == mode:
             return False
         self._modes[side] = mode

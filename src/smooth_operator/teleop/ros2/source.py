@@ -23,22 +23,22 @@ from smooth_operator.types import Side
 
 @dataclass(frozen=True)
 class Ros2Source(StreamSource):
-    """Each message a hand: from a publisher of any kind, reliable or best effort.
+    """Source of hands from ROS 2 topics, of reliable and best-effort publishers.
 
     Attributes:
-        topic: topic of the hands; ``{side}`` stands for right and left; several names may stand
-            there, separated by blanks.
-        side: the hands that are taken. ``both`` needs ``{side}`` in the topic, or messages that
-            say it (``json``, ``manus_glove``).
+        topic: topic of the hands, or several, separated by blanks; ``{side}`` stands for right and
+            left.
+        side: hands to use. ``both`` needs ``{side}`` in the topic, or messages with the side
+            (``json``, ``manus_glove``).
         message: ``pose_array``: ``geometry_msgs/PoseArray`` of 21, 25 or 26 poses; ``json``:
             ``std_msgs/String`` with landmarks, or a MANUS glove, as ``udp`` and ``manus`` read
             them; ``manus_glove``: ``manus_ros2_msgs/ManusGlove``.
-        frame: what poses of a ``pose_array`` are relative to. ``world``: a fixed frame with z up
+        frame: reference frame of the poses of a ``pose_array``. ``world``: a fixed frame with z up
             (REP 103), so the pose of the wrist follows from them; ``wrist``: the frame of the topic
             ``wrist``; ``camera``: another, so the wrist has no pose in the world.
         wrist: topic of the wrist's pose in the world, ``geometry_msgs/PoseStamped``.
         layout: order of the landmarks in a message of 21, by its name in ``LAYOUTS``.
-        right_glove: id of the right MANUS glove, where messages do not say which hand is which.
+        right_glove: id of the right MANUS glove, for messages without a side.
         left_glove: id of the left one.
         domain: ROS domain, 0 to 232; default: ``ROS_DOMAIN_ID``.
         network: ``localhost`` or ``subnet``; default: what ROS 2's variables say,
@@ -105,7 +105,7 @@ class Ros2Source(StreamSource):
         return Endpoint("the source 'ros2'", SourceError, self.domain, self.network)
 
     def _topics(self) -> dict[str, Side | None]:
-        """Topic -> side of its hands, None where a message says it."""
+        """Topic -> side of its hands, None if messages have it."""
         topics: dict[str, Side | None] = {}
         names = self.topic.split() or [self.topic]
         for name in names:
@@ -124,8 +124,8 @@ class Ros2Inbox(Inbox):
     """Open subscriptions: the newest messages of each topic.
 
     Args:
-        transport: with the subscriptions.
-        address: what is listened to, for people.
+        transport: transport with the subscriptions.
+        address: description of the topics, for messages.
     """
 
     def __init__(self, transport: Transport, address: str) -> None:

@@ -33,23 +33,23 @@ from smooth_operator.errors import ConfigError, RecordingError, SinkError, Sourc
 from smooth_operator.teleop.ros2.messages import M, Message, Time, type_name
 
 Network: TypeAlias = Literal["localhost", "subnet"]
-"""Who can be heard and hears: programs on this machine, or on the whole network."""
+"""Reach of a participant: programs on this machine, or on the whole network."""
 
 Received: TypeAlias = tuple[str, Message | RecordingError]
-"""A topic, and a message that came on it, or why that can't be read."""
+"""A topic, and a message on it or the error of reading it."""
 
 LARGEST_DOMAIN: Final = 232
 """Domains above need ports above 65535."""
 DEPTH: Final = 10
-"""Messages that are kept for a slow subscriber, as ROS 2 does by default."""
+"""Number of messages that are kept for a slow subscriber, as in ROS 2 by default."""
 MANY: Final = 256
-"""Messages that are taken in one go, so that a flood can't keep a source from stopping."""
+"""Largest number of messages per call, so that a flood can't keep a source from stopping."""
 TF_DEPTH: Final = 100
 """Messages that are kept on ``/tf``."""
 
 _TOPIC = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 Reach: TypeAlias = Literal["localhost", "subnet", "own"]
-"""``own``: what the user's file of settings for CycloneDDS says (``CYCLONEDDS_URI``)."""
+"""``own``: as in the user's settings file for CycloneDDS (``CYCLONEDDS_URI``)."""
 
 _CONFIG: Final = """<CycloneDDS><Domain id="any"><General>{general}</General><Discovery>
 <ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>32</MaxAutoParticipantIndex>
@@ -134,7 +134,7 @@ class Transport:
         return Time.of(time.time_ns())
 
     def close(self) -> None:
-        """Gives everything back."""
+        """Close the participant."""
         self._readers.clear()
         del self._waitset, self._participant
         _Domains.leave(self._number)
@@ -144,10 +144,10 @@ class Transport:
 
 
 def reach_of(endpoint: Endpoint) -> Reach:
-    """Whom a participant reaches: its setting, else what the environment says, else localhost.
+    """Reach of a participant: its setting, else that of the environment, else localhost.
 
     Raises:
-        ConfigError: a variable of ROS 2 has a value that it does not know.
+        ConfigError: a variable of ROS 2 has an unknown value.
     """
     if endpoint.network is not None:
         return endpoint.network
@@ -231,10 +231,10 @@ class Endpoint:
     """Settings of a transport.
 
     Attributes:
-        feature: what needs it, for messages of errors: ``the ros2 sink``.
+        feature: name of the user in messages of errors: ``the ros2 sink``.
         error: class of its errors.
         domain: ROS domain; None for ``ROS_DOMAIN_ID``, or 0.
-        network: whom it reaches; None for what the variables of the environment say.
+        network: its reach; None for that of the variables of the environment.
 
     Raises:
         ConfigError: a setting is outside its range.
@@ -269,12 +269,12 @@ def topic_name(template: str, feature: str, **words: str) -> str:
     """A topic from its template.
 
     Args:
-        template: the name, in which ``{word}`` stands for a word.
-        feature: what has the setting, for the error.
-        words: word -> what it stands for.
+        template: the name, with ``{word}`` for a word.
+        feature: owner of the setting, for the error.
+        words: word -> its text.
 
     Raises:
-        ConfigError: it can't be the name of a topic.
+        ConfigError: the result can't be the name of a topic.
     """
     try:
         topic = template.format(**{k: re.sub(r"\W+|__+", "_", word) for k, word in words.items()})

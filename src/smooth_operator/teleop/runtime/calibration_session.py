@@ -14,7 +14,7 @@ from smooth_operator.teleop.sources.live import Arrival
 from smooth_operator.types import HandRecording, Side
 
 SIGHT_S = 0.3
-"""A hand that was not seen for so long is out of sight, and the prompt waits [s]."""
+"""Time without a frame after which the hand is out of sight and the prompt waits [s]."""
 
 
 @dataclass(frozen=True)
@@ -22,10 +22,10 @@ class Moment:
     """The prompt to show an operator now.
 
     Attributes:
-        prompt: what is asked.
-        number: which of the prompts, from 0.
-        phase: ``settle``, get there; ``hold``, keep it; ``wait``, no hand is seen.
-        done: share of the whole calibration that is done, 0 to 1.
+        prompt: the prompt.
+        number: number of the prompt, from 0.
+        phase: ``settle``, reach the pose; ``hold``, hold it; ``wait``, no hand is in sight.
+        done: completed share of the calibration, 0 to 1.
         left_s: time left of this phase [s].
     """
 
@@ -37,10 +37,10 @@ class Moment:
 
 
 class CalibrationSession:
-    """Goes through prompts while frames come; time stands still while no hand is seen.
+    """Shows prompts in order while frames come; its time stops while no hand is in sight.
 
     Args:
-        side: which hand.
+        side: side of the hand.
         prompts: the prompts, in order.
     """
 
@@ -54,7 +54,7 @@ class CalibrationSession:
         self._last: float | None = None
 
     def see(self, arrival: Arrival) -> None:
-        """Take in a frame; one of the other hand, or no later than the last, is left out."""
+        """Add a frame; ignores one of the other hand, or not later than the last one."""
         newest = self._frames[-1].received if self._frames else -np.inf
         if arrival.frame.side == self.side and arrival.received > newest:
             self._frames.append(arrival)
@@ -64,10 +64,10 @@ class CalibrationSession:
         """The prompt to show.
 
         Args:
-            now: by the clock of the arrivals; never earlier than at the last call [s].
+            now: time by the clock of the arrivals, not earlier than at the last call [s].
 
         Returns:
-            None when all is done.
+            None after the last prompt.
         """
         in_sight = bool(self._frames) and now - self._frames[-1].received <= SIGHT_S
         if self._last is not None and in_sight:
@@ -91,7 +91,7 @@ class CalibrationSession:
         return Moment(prompt, number, phase if in_sight else "wait", self._spent / total, left)
 
     def recording(self) -> HandRecording:
-        """All frames, with the times at which they came for stamps.
+        """All frames, stamped with their times of arrival.
 
         Raises:
             RecordingError: none came.

@@ -1,5 +1,4 @@
-"""Clutch of the wrist: the operator's wrist moves that of the robot, from where both were when it
-was engaged."""
+"""Clutch of the wrist: while engaged, the robot's wrist follows the motion of the operator's."""
 
 from __future__ import annotations
 
@@ -19,8 +18,7 @@ from smooth_operator.teleop.sources.live import Arrival
 
 JUMP_M: Final = 0.08
 JUMP_RAD: Final = 0.8
-"""A wrist that goes farther than this from one frame to the next, and faster than ``FASTEST``, has
-not moved: its tracker jumped."""
+"""Change between two frames that, if faster than ``FASTEST``, is a jump of the tracker."""
 FASTEST_MPS: Final = 4.0
 FASTEST_RPS: Final = 25.0
 
@@ -30,16 +28,16 @@ NEAR_RAD: Final = 0.1
 _APPROACH: Final = 0.2
 """Share of the velocity limits with which the command goes to an arm that is farther away."""
 _AHEAD_S: Final = 0.05
-"""Longest time for which the wrist is taken to move on between two frames [s]."""
+"""Longest time for which the motion of the wrist is extrapolated between two frames [s]."""
 _SHORTEST_GAP_S: Final = 1e-3
-"""Stamps that are nearer to each other give no velocity [s]."""
+"""Shortest difference of two stamps that gives a velocity [s]."""
 _SMOOTH: Final = 0.5
 """Share of the newest difference in the velocity of the wrist."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Wrist:
-    """A valid wrist: its pose turned to the robot's axes, its times and its velocity."""
+    """A valid wrist: pose in the robot's axes, times and velocity."""
 
     pose: Float[np.ndarray, "7"]
     stamp: float
@@ -51,24 +49,24 @@ class _Wrist:
 
 
 class Clutch:
-    """Wrist of one robot hand, from the wrists of frames and the loop's modes; without a clock.
+    """Wrist command of one robot hand, from the wrists of frames and the loop's modes.
 
-    While it is engaged the target is ``home`` moved as the operator's wrist has moved since then,
-    both in axes that are fixed to the room (x forward, y left, z up): the translation times
-    ``scale``, the rotation as it is. It engages when the operator moves the robot, the wrist is
-    valid and the robot's wrist stands; both poses are latched then, so the first command after it
-    is the last one before. It lets go and holds on a pause, a stop, a loss of tracker or wrist, a
-    jump of the wrist, another start of the tracker, and when it is released.
+    While engaged, the target is ``home`` moved like the operator's wrist since then, both in axes
+    that are fixed to the room (x forward, y left, z up): the translation times ``scale``, the
+    rotation unchanged. The clutch engages when the operator moves the robot, the wrist is valid and
+    the robot's wrist is at rest. It then latches both poses, so the command does not change. It
+    disengages and holds on a pause, a stop, a loss of tracker or wrist, a jump of the wrist, a
+    restart of the tracker, and when it is released. It has no clock of its own.
 
     Args:
-        config: limits, scale, and how long a wrist counts.
+        config: limits, scale, and the time for which a wrist is valid.
 
     Attributes:
-        limiter: what was last commanded.
-        measured: where the arm has the wrist of the hand now, in its base; None where none is
-            known. Asked on the loop's thread, so it must be quick. The first command is there, and
-            before it engages the command goes to it slowly if it is not near.
-        released: whether the operator has released the wrist while the fingers go on.
+        limiter: limiter with the last command.
+        measured: returns the current pose of the hand's wrist in the base of the arm, or None if
+            unknown. Called on the loop's thread, so it must be quick. The first command is this
+            pose; before the clutch engages, the command approaches it slowly.
+        released: True if the operator released the wrist while the fingers go on.
     """
 
     def __init__(self, config: LoopConfig) -> None:
@@ -83,15 +81,15 @@ class Clutch:
 
     @property
     def engaged(self) -> bool:
-        """True if the operator's wrist moves that of the robot; safe from any thread."""
+        """True while the operator's wrist moves the robot's; safe from any thread."""
         return self._engaged
 
     def follow(self, on: bool) -> None:
-        """Let the operator's wrist move the robot's, or hold that while the fingers go on."""
+        """Let the operator's wrist move the robot's, or hold the robot's wrist."""
         self.released = not on
 
     def configure(self, config: LoopConfig) -> None:
-        """Go on with other limits, from the last command; with another scale from a new latch."""
+        """Change the limits, from the last command on; another scale needs a new latch."""
         old, new = self.config.wrist, config.wrist
         if (old.scale, old.yaw) != (new.scale, new.yaw):
             self._let_go("other settings")
@@ -99,7 +97,7 @@ class Clutch:
         self.config, self.limiter.config = config, new
 
     def events(self) -> list[str]:
-        """Events since the last call, a sentence each."""
+        """Events since the last call, one sentence each."""
         events_now, self._events = self._events, []
         return events_now
 
@@ -109,10 +107,10 @@ class Clutch:
         """The next command.
 
         Args:
-            mode: what the loop is doing with the hand.
+            mode: mode of the loop.
             at: time of the command [s].
             dt: time since the last one [s].
-            arrival: the frame that it answers, if there is one.
+            arrival: the frame that the command answers, if any.
 
         Returns:
             the command; None until there is a wrist, or an arm that is measured.
@@ -144,7 +142,7 @@ class Clutch:
         return WristCommand(limiter.pose, self._engaged, valid)
 
     def _see(self, arrival: Arrival) -> None:
-        """Take note of a valid wrist; lets go where it does not continue the one before."""
+        """Store a valid wrist; disengage if it does not continue the previous one."""
         frame, yaw, last = arrival.frame, self.config.wrist.yaw, self._last
         assert frame.T_world_wrist is not None
         turn = np.array([0, 0, 0, math.cos(yaw / 2), 0, 0, math.sin(yaw / 2)])
@@ -176,7 +174,7 @@ class Clutch:
         target = np.concatenate(
             [self._home[:3] + scale * moved, poses.multiply(turned, self._home[3:])]
         )
-        if since > 1.5 * lead:  # the next frame is late: do not go on without it
+        if since > 1.5 * lead:  # the next frame is late: stop extrapolating
             return target, None
         return target, arrival.moving * np.array([scale, scale, scale, 1, 1, 1])
 

@@ -14,18 +14,17 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.teleop.runtime.settings import LimitsConfig, WristConfig
 
 MAX_STEP_S: Final = 0.1
-"""Longest time that counts between two commands [s]: after a pause the robot does not catch up."""
+"""Longest time that counts between two commands [s], so that a pause is not caught up."""
 
 SHORTEST_S: Final = 1e-9
-"""Steps are not divided by less than this [s]; the clock does not resolve shorter ones."""
+"""Smallest divisor for steps [s]; the clock does not resolve shorter ones."""
 
 USUAL_S: Final = 0.005
-"""Step that a joint may count on to stop at its target [s]; few are shorter. It is no guarantee:
-the end of a range is kept without it."""
+"""Assumed step for stopping at a target [s]; few are shorter. Limits do not depend on it."""
 
 
 class JointLimiter:
-    """Follows a target within limits of joints; holds what was last commanded.
+    """Follows a target within limits of joints, and holds the last command.
 
     The limits hold between the stamps of consecutive commands, however uneven these are. With
     positions ``q[k]`` at times ``t[k]``, steps ``dt[k] = t[k] - t[k-1]`` and velocities
@@ -39,8 +38,8 @@ class JointLimiter:
 
     A joint is always slow enough to stop before the end of its range, whatever steps follow. Any
     step may change the velocity by half of the acceleration limit times its length, whatever the
-    step before it was. So the square of the velocity is kept below the acceleration limit times
-    the distance that is left, and braking at that rate keeps it there in short and long steps.
+    previous step was. Therefore the square of the velocity is kept below the acceleration limit
+    times the remaining distance, and braking at that rate keeps it there in short and long steps.
 
     A target is no limit. A speed that one step of 5 ms can stop is allowed up to the target itself,
     so that a target that moves well within the limits is followed exactly, without lag. Above that
@@ -48,10 +47,10 @@ class JointLimiter:
 
     Args:
         ends: (m, 2) limits of the positions [rad].
-        velocity: (m,) of the velocities [rad/s].
-        acceleration: (m,) of the accelerations [rad/s^2].
-        start: (m,) where the joints stand [rad].
-        margin: kept clear of each end of a range [rad].
+        velocity: (m,) limits of the velocities [rad/s].
+        acceleration: (m,) limits of the accelerations [rad/s^2].
+        start: (m,) first positions [rad].
+        margin: distance that is kept from each end of a range [rad].
 
     Attributes:
         q: (m,) last command [rad].
@@ -71,7 +70,7 @@ class JointLimiter:
         self._low, self._high = self._start + margin, self._end - margin
         self.q: Float[np.ndarray, " m"] = np.clip(start, self._low, self._high)
         self.velocity: Float[np.ndarray, " m"] = np.zeros_like(self.q)
-        self._last_dt = math.inf  # it has stood still until now
+        self._last_dt = math.inf  # at rest until now
 
     def step(
         self,
@@ -82,7 +81,7 @@ class JointLimiter:
         """The next command.
 
         Args:
-            target: (m,) where to go [rad]; what is not finite stays where it is.
+            target: (m,) target [rad]; a joint whose target is not finite stays where it is.
             dt: time since the last command [s].
             max_velocity: a lower limit of velocity for this step [rad/s].
 
@@ -132,13 +131,13 @@ class JointLimiter:
         return self._go(np.where(np.isfinite(velocity), velocity, 0.0), max(dt, SHORTEST_S))
 
     def succeed(self, other: JointLimiter) -> None:
-        """Go on from where another one of the same joints has brought them."""
+        """Continue from the last command of another limiter of the same joints."""
         self.q, self.velocity, self._last_dt = other.q, other.velocity, other._last_dt
 
     def _room(
         self, dt: float
     ) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
-        """Highest speeds down and up, and the most that a velocity may change, in a step."""
+        """Highest speeds down and up, and largest change of velocity, in a step."""
         # Limits may have become stricter in mid-motion. Where the new acceleration can no longer
         # stop a joint within its range, it brakes as hard as that takes; no harder than before.
         ahead = np.where(self.velocity > 0, self._end - self.q, self.q - self._start)
@@ -203,7 +202,7 @@ def stoppable_speed(
     the acceleration down to ``w``.
 
     Args:
-        distance: (m,) to the end [rad]; none is left where it is negative.
+        distance: (m,) distance to the end [rad]; a negative one counts as 0.
         dt: length of the step [s].
         acceleration: (m,) limit [rad/s^2].
         stopped_by_one: w, a speed that the step after this one can stop [rad/s].
@@ -219,11 +218,11 @@ def stoppable_speed(
 
 _STILL: Final = np.zeros(3)
 _AXIS_SHARE: Final = 1 / math.sqrt(3.0)
-"""Share of the acceleration that each axis may count on when all three brake together."""
+"""Share of the acceleration for each axis, so that all three can brake together."""
 
 
 class PoseLimiter:
-    """Follows a pose within limits; holds what was last commanded.
+    """Follows a pose within limits, and holds the last command.
 
     The limits hold between the stamps of consecutive poses, however uneven these are. Velocities
     ``v[k] = (p[k] - p[k-1]) / dt[k]`` and ``w[k]``, the rotation vector from the one orientation to
@@ -434,7 +433,7 @@ EXTRA: Final = 1 + BORROWED + KEPT
 
 
 class RateLimiter:
-    """When the commands of one hand leave.
+    """Schedule of the commands of one hand.
 
     Commands have turns, a period apart. A frame may take one early and a command may take one late,
     within bounds that don't add up: in any time t there are at most ``t / period + EXTRA``
@@ -454,7 +453,7 @@ class RateLimiter:
         self._turn = -math.inf  # when the next one does, at an even pace
 
     def begin(self, now: float) -> None:
-        """The loop starts: a frame may be answered now."""
+        """Start the schedule: a frame may be answered now."""
         self._turn = now + BORROWED * self.period
 
     @property
@@ -464,16 +463,16 @@ class RateLimiter:
         return max(self._turn - BORROWED * period, self._last + SHORTEST * period)
 
     def answers(self, received: float, following: float | None) -> float:
-        """When a frame is to be answered, if no newer one comes until then [s].
+        """Time at which a frame is to be answered, if no newer one comes before [s].
 
         A frame that comes after the turn has begun is answered as it comes. One that came before,
         by more than ``WAITS``, is replaced by the next frame if that comes so soon after the
         beginning that no turn is lost.
-        So of a tracker that is faster than the pace, the frames that are answered are fresh.
+        With a tracker that is faster than the pace, the answered frames are therefore fresh.
 
         Args:
-            received: when it came [s].
-            following: when the next frame is expected [s]; None if unknown.
+            received: time of arrival [s].
+            following: expected arrival of the next frame [s]; None if unknown.
         """
         opens, latest = self.opens, self._last + LONGEST * self.period
         if received >= opens:
@@ -488,11 +487,11 @@ class RateLimiter:
         return min(following + patience, latest) if following <= latest else opens
 
     def keeps(self, following: float | None) -> float:
-        """When a command is due though no frame has come [s].
+        """Time at which a command is due without a frame [s].
 
         Args:
-            following: when the next frame is expected [s]; None if unknown. If that is about
-                now the command waits for it a little, rather than leave just before it.
+            following: expected arrival of the next frame [s]; None if unknown. The command waits
+                a little for a frame that is expected about now.
         """
         period, at = self.period, self._turn
         if following is not None and at - SHORTEST * period <= following <= at + KEPT * period:
@@ -501,7 +500,7 @@ class RateLimiter:
         return max(at, self.opens)
 
     def take(self, now: float) -> None:
-        """A command leaves now [s]."""
+        """Register a command at a time [s]."""
         period = self.period
         turn = max(self._turn, now - KEPT * period) + period
         # An emergency stop, which waits for no turn, delays what comes after it only so far.

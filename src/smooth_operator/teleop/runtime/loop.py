@@ -1,4 +1,4 @@
-"""The loop: one thread, one clock, the newest frame of each hand to a command for the sinks."""
+"""The teleoperation loop: turns the newest frame of each hand into a command for the sinks."""
 
 from __future__ import annotations
 
@@ -29,23 +29,22 @@ if TYPE_CHECKING:
 class TeleopLoop:
     """Drives robot hands from a source until stopped.
 
-    A frame is answered as soon as it comes, so that nothing is added to its age; where none comes,
-    commands go out at the loop's pace, held or easing as the policies say. Commands of
-    a hand never exceed the rate (``RateLimiter``), but for the first
-    one of an emergency stop, which waits for nothing.
+    A frame is answered on arrival, so that nothing is added to its age. Without frames, commands
+    leave at the loop's pace and hold or ease by the policies. The commands of a hand never exceed
+    the rate (``RateLimiter``), except for the first one of an emergency stop.
 
     Args:
-        pipelines: side -> hand.
-        source: where frames come from.
-        sinks: where commands go.
+        pipelines: side -> pipeline of the hand.
+        source: source of the frames.
+        sinks: sinks of the commands.
         config: pace and policies.
-        mailbox: between source and loop; has the clock.
-        watch: called with every tick after the sinks have it, such as for a page; must be quick.
+        mailbox: mailbox between source and loop, with the clock.
+        watch: called with every tick after the sinks, for example by a page; must be quick.
 
     Attributes:
         controls: switches, for any thread.
-        statistics: what the run came to.
-        watch: as given; to be set before ``run``.
+        statistics: statistics of the run.
+        watch: the argument; may be set before ``run``.
     """
 
     def __init__(
@@ -79,16 +78,16 @@ class TeleopLoop:
         configuration: Mapping[str, Any] = {},
         started: Callable[[], None] = lambda: None,
     ) -> None:
-        """Open the sinks, start the source, and loop.
+        """Open the sinks, start the source, and run the loop.
 
         Args:
-            duration: [s]; None until ``Controls.quit`` or the source's end.
-            configuration: resolved, for sinks that keep it.
+            duration: length of the run [s]; None until ``Controls.quit`` or the source's end.
+            configuration: resolved configuration, for sinks that store it.
             started: called once, when everything is open and before anything moves.
 
         Raises:
-            SourceError, SinkError, OutputError, MissingExtraError: something can't be opened; what
-                was opened before is closed again.
+            SourceError, SinkError, OutputError, MissingExtraError: a part can't be opened; the open
+                ones are closed.
         """
         hands = {side: pipeline.retargeter.hand for side, pipeline in self.pipelines.items()}
         self.sinks.open(hands, configuration)
@@ -107,7 +106,7 @@ class TeleopLoop:
         """Change policies and limits, before the next command; the pace stays as it is.
 
         Raises:
-            ConfigError: the limits don't fit a hand; then nothing changes.
+            ConfigError: the limits don't suit a hand; nothing is changed.
         """
         config = replace(config, rate=self.config.rate)
         for pipeline in self.pipelines.values():
@@ -116,13 +115,13 @@ class TeleopLoop:
         self.controls.change(lambda hand: hand.configure(config))
 
     def pace(self, rate: float) -> None:
-        """Go on at another rate, before the next command.
+        """Change the rate, before the next command.
 
         Args:
             rate: commands per second and hand [Hz].
 
         Raises:
-            ConfigError: it is out of its range.
+            ConfigError: the rate is out of its range.
         """
         self.config = replace(self.config, rate=rate)
         config = self.config
@@ -147,8 +146,8 @@ class TeleopLoop:
             if duration is not None and now - start >= duration:
                 return
             if self.source.health().state == "ended":
-                # As a recording does: the policies for silence run their course first. One that
-                # failed is silence and no end.
+                # Only a recording ends so, after the policies for silence; a source that failed
+                # is silent.
                 ended = now if ended is None else ended
                 if now - ended > self.config.safety.lost_s:
                     return
@@ -158,7 +157,7 @@ class TeleopLoop:
                 self._serve(side)
 
     def _wait(self, sides: Sequence[Side]) -> None:
-        """Sleep until something is to be done."""
+        """Sleep until the next command, frame or change is due."""
         if self.controls.waiting:
             return
         count, now = self.mailbox.received, self.mailbox.clock()
@@ -170,16 +169,16 @@ class TeleopLoop:
         self.mailbox.sleep(until - now, count if min(opens) <= now else None)
 
     def _change(self) -> None:
-        """Do what the switches ask for."""
+        """Carry out the pending changes of the switches."""
         free = {side for side, hand in self.pipelines.items() if not hand.supervisor.stopped}
         for change in self.controls.drain():
             for side, pipeline in self.pipelines.items():
                 change(pipeline)
-                self._changed_sides.add(side)  # the sinks are to know as soon as the pace lets them
+                self._changed_sides.add(side)  # informs the sinks as soon as the pace allows
         self._stopped |= {side for side in free if self.pipelines[side].supervisor.stopped}
 
     def _due(self, side: Side, now: float) -> float:
-        """When the next command of a hand is due, as things are now [s]."""
+        """Time at which the next command of a hand is due [s]."""
         pace, following = self._rate_limiters[side], self.mailbox.following(side)
         if side in self._stopped:
             return now
@@ -191,7 +190,7 @@ class TeleopLoop:
         return pace.answers(arrival.received, following)
 
     def _serve(self, side: Side) -> None:
-        """Answer the newest frame of a hand, or keep its pace."""
+        """Send a command for the newest frame of a hand, or to keep the pace."""
         now, pace = self.mailbox.clock(), self._rate_limiters[side]
         if now < pace.opens and side not in self._stopped:
             return
@@ -219,7 +218,7 @@ class TeleopLoop:
             self.watch(tick)
 
     def _measured_wrist(self, side: Side) -> Float[np.ndarray, "7"] | None:
-        """Pose of the arm of a hand: as a sink measures it, or as it was last commanded."""
+        """Pose of a hand's wrist on its arm: measured by a sink, else the last command."""
         measured, arm = self.sinks.measured_wrist(side), self.pipelines[side].arm
         return arm.pose if measured is None and arm is not None else measured
 
@@ -245,22 +244,22 @@ class TeleopLoop:
 
 
 Change: TypeAlias = Callable[["HandPipeline"], None]
-"""Something to be done to every hand, between two of its steps."""
+"""A change of every hand, between two of its steps."""
 
 
 class Controls:
     """Switches of a loop; safe to use from any thread and from a signal handler.
 
-    Each takes effect before the loop's next command, and wakes the loop for it.
+    Each takes effect before the loop's next command, and wakes the loop.
 
     Args:
-        mailbox: what the loop sleeps on.
+        mailbox: mailbox on which the loop waits.
     """
 
     def __init__(self, mailbox: Mailbox) -> None:
         self._mailbox = mailbox
         self._pending: deque[Change] = deque()
-        self._stops = 0  # how many there were: a release ends those that came before it, only
+        self._stops = 0  # number of stops: a release ends only the earlier ones
         self._quit = threading.Event()
 
     def pause(self) -> None:
@@ -268,22 +267,22 @@ class Controls:
         self.change(lambda hand: hand.supervisor.pause())
 
     def resume(self) -> None:
-        """Take the clutch: the robot goes over to where the operator's hand is now."""
+        """Engage the clutch: the robot moves to the operator's current hand."""
         self.change(lambda hand: hand.supervisor.resume())
 
     def follow(self, on: bool) -> None:
-        """Take the clutch of the wrist, or release it: fingers go on, the wrist holds."""
+        """Engage or release the clutch of the wrist; fingers go on in any case."""
         self.change(lambda hand: hand.clutch.follow(on))
 
     def stop(self) -> None:
-        """Emergency stop: the robot stands until a ``release`` that comes later."""
+        """Emergency stop: the robot stands until a later ``release``."""
         self._stops += 1
         # before whatever else is waiting
         self._pending.appendleft(lambda hand: hand.supervisor.stop())
         self._mailbox.wake()
 
     def release(self) -> None:
-        """End an emergency stop; one that comes before this has been done stays."""
+        """End an emergency stop, but not one that comes before the release takes effect."""
         stops = self._stops
 
         def release(hand: HandPipeline) -> None:
@@ -293,7 +292,7 @@ class Controls:
         self.change(release)
 
     def change(self, change: Change) -> None:
-        """Have something done to every hand, on the loop's thread; it must be quick."""
+        """Apply a change to every hand, on the loop's thread; it must be quick."""
         self._pending.append(change)
         self._mailbox.wake()
 
@@ -314,7 +313,7 @@ class Controls:
         return bool(self._pending) or self.quitting
 
     def drain(self) -> list[Change]:
-        """The changes to make now, in order; for the loop alone."""
+        """Pending changes in order; for the loop alone."""
         changes = []
         while self._pending:
             changes.append(self._pending.popleft())

@@ -1,4 +1,4 @@
-"""Delay from a command to the motion of the hand, found by cross-correlation."""
+"""Delay from a command to the motion of the hand, by cross-correlation."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from smooth_operator.teleop.sources.live import Arrival
 
 _WINDOW_S: Final = 10.0
 _LEAST_S: Final = 2.0
-"""Shortest motion from which a delay is found [s]."""
+"""Shortest motion that gives a delay [s]."""
 
 _SPACING_S: Final = 0.008
-"""Between two commands, or states, that are kept: commands come up to a thousand times a second."""
+"""Time between two stored commands, or states; there are up to a thousand commands a second [s]."""
 
 _KEPT: Final = int(_WINDOW_S / _SPACING_S)
 _GRID_S: Final = 0.01
 _LONGEST_S: Final = 0.5
-"""Longest delay that is looked for [s]."""
+"""Longest delay in the search [s]."""
 
 _MOVES: Final = 0.05
 """Standard deviation of the velocity from which a joint counts as moving [rad/s]."""
 
 _TRUSTED: Final = 0.7
-"""Correlation from which a delay is believed."""
+"""Smallest correlation of a valid delay."""
 
 _AGAIN_S: Final = 1.0
 
@@ -37,7 +37,7 @@ class Delay(NamedTuple):
     """Delay between a command and the measured motion of a hand.
 
     Attributes:
-        seconds: from the command's time to the measured motion [s].
+        seconds: time from the command to the measured motion [s].
         correlation: correlation of the velocities at that delay, 0 to 1.
     """
 
@@ -46,7 +46,7 @@ class Delay(NamedTuple):
 
 
 class _Track:
-    """The newest joint positions with their times, in memory that is taken once."""
+    """Ring buffer of the newest joint positions with their times."""
 
     def __init__(self, joints: int) -> None:
         self._times = np.full(_KEPT, np.nan)
@@ -83,7 +83,7 @@ class MotionDelay:
         self._newest: tuple[float, Delay | None] = (-np.inf, None)
 
     def add(self, tick: Tick) -> None:
-        """Take note of a command, and of where the hand was measured; microseconds."""
+        """Store a command and a measured state; takes microseconds."""
         if tick.state is None:
             return
         if self._commands is None or self._states is None:
@@ -98,8 +98,8 @@ class MotionDelay:
         """The delay over the last ten seconds, computed at most once a second.
 
         Returns:
-            None without a measured state, without motion, or where the measured motion does not
-            resemble the command.
+            None without a measured state, without motion, or if the measured motion does not
+            correlate with the command.
         """
         at, delay = self._newest
         if time.monotonic() - at > _AGAIN_S:
@@ -158,10 +158,10 @@ _STATE_WINDOW_S = 10.0
 class TrackerDelay:
     """Delay of each frame above the fastest of the last seconds.
 
-    Two clocks that were never compared show only how the delay varies: the difference of arrival
-    and stamp is the delay and a constant, whose smallest value lately stands for the fastest way.
-    The window is short enough to follow clocks that drift apart. Stamps of a recording that is
-    played at another speed are scaled to ours.
+    Two clocks that are not synchronised show only the variation of the delay: the difference of
+    arrival and stamp is the delay plus a constant, and its smallest recent value stands for the
+    fastest transmission. The window is short enough to follow the drift of the clocks. Stamps of a
+    recording that is played at another speed are scaled to ours.
     """
 
     def __init__(self) -> None:
@@ -169,7 +169,7 @@ class TrackerDelay:
         self._lowest: deque[tuple[float, float]] = deque()  # (received, difference), both rising
 
     def see(self, arrival: Arrival) -> None:
-        """Take note of a frame."""
+        """Add a frame."""
         if arrival.session != self._session:
             self._session = arrival.session
             self._lowest.clear()
@@ -181,10 +181,10 @@ class TrackerDelay:
             self._lowest.popleft()
 
     def above_fastest(self, arrival: Arrival) -> float:
-        """[s]; of a frame that was seen."""
+        """Delay of an added frame above the fastest one [s]."""
         return _difference(arrival) - self._lowest[0][1]
 
 
 def _difference(arrival: Arrival) -> float:
-    """Difference of the two clocks at an arrival, and the delay [s]."""
+    """Delay of an arrival plus the difference of the two clocks [s]."""
     return arrival.received - arrival.stamp / arrival.speed

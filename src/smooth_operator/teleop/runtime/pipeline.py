@@ -1,4 +1,4 @@
-"""Pipeline of one hand: the newest frame, or none, to the next command."""
+"""Pipeline of one hand: turns the newest frame, or its absence, into the next command."""
 
 from __future__ import annotations
 
@@ -23,31 +23,30 @@ if TYPE_CHECKING:  # which needs the extra arm
     from smooth_operator.teleop.arm.controller import ArmController
 
 SWITCHED: Final = "another method, or other settings"
-"""Event of the first tick after a switch; which they are is in its driver, for the record alone."""
+"""Event of the first tick after a switch; the tick's driver has the details."""
 COMPILING: Final = "the method is compiled first; the robot holds"
 COMPILED: Final = "the method is compiled"
-"""Events of the first tick of a hold for the compiler, and after it."""
+"""Event of the first tick after a hold for the compiler."""
 
 
 class HandPipeline:
     """Frames of one hand to commands of one robot hand.
 
-    Not thread-safe: the loop owns it; other users ask
-    the loop (``Controls``).
+    Not thread-safe: it belongs to the loop; other threads use ``Controls``.
 
     Args:
         retargeter: method and hand.
         config: policies and limits.
-        clock: measures the stages; the time of a step is given.
-        driver: what the retargeter is, by name, for the record.
+        clock: clock for the times of the stages; the time of a step is an argument.
+        driver: names and settings of the method, for the record.
         arm: controller of the arm that carries the hand; None without an arm.
-        compiling: the method is not compiled yet: the robot holds until ``go_on``.
+        compiling: True if the method is not compiled yet: the robot holds until ``go_on``.
 
     Attributes:
         supervisor: mode and policies.
-        limiter: what was last commanded.
-        clutch: moves the wrist, where the tracker has one.
-        latest: the last frame that was not refused, in a pause or an emergency stop, too.
+        limiter: limiter with the last command.
+        clutch: clutch of the wrist.
+        latest: the last frame that was not refused, also in a pause or an emergency stop.
     """
 
     def __init__(
@@ -86,9 +85,9 @@ class HandPipeline:
         return self.supervisor.preview(self._clock())
 
     def switch(self, retargeter: Retargeter, driver: Driver | None = None) -> None:
-        """Go on with another method, or other settings of it; it must be compiled.
+        """Switch to another method, or other settings, which must be compiled.
 
-        The robot goes over from its last command as the limits let it.
+        The robot moves on from its last command within the limits.
         """
         self.retargeter, self.driver = retargeter, driver
         self.note(SWITCHED)
@@ -104,20 +103,20 @@ class HandPipeline:
             self.note(COMPILING)
 
     def go_on(self) -> None:
-        """End the hold, if there is one; the robot goes over to the operator's hand."""
+        """End a hold; the robot moves to the operator's hand."""
         if self.supervisor.compiling:
             self.supervisor.compiling = False
             self.note(COMPILED)
 
     def note(self, text: str) -> None:
-        """Have something stand among the events of the next step, and so in the record."""
+        """Add an event to the next step, and so to the record."""
         self._next_events.append(text)
 
     def configure(self, config: LoopConfig) -> None:
-        """Go on with other policies and limits, from the last command.
+        """Change policies and limits, from the last command on.
 
         Raises:
-            ConfigError: the limits leave nothing of a joint's range; then nothing has changed.
+            ConfigError: the limits leave nothing of a joint's range; nothing is changed.
         """
         limiter = Limiter(self.retargeter.hand, config.limits)
         limiter.succeed(self.limiter)
@@ -126,8 +125,9 @@ class HandPipeline:
 
     @property
     def latched(self) -> tuple[str, ...] | None:
-        """Fingers that the method holds to the thumb; None where it has no latches. Safe from any
-        thread, and costs the loop nothing, since a state is replaced and never changed."""
+        """Fingers that the method has latched to the thumb; None for a method without latches.
+
+        Safe from any thread without a lock, since a state is replaced and never changed."""
         latched = self.retargeter.method.latched(self._state.method)
         if latched is None:
             return None
@@ -222,7 +222,7 @@ class HandPipeline:
         return tick
 
     def _answer(self, arrival: Arrival, now: float) -> tuple[Result, dict[str, float]]:
-        """The method's answer to a frame, and how long its stages took [ms]."""
+        """Result of the method for a frame, and the times of its stages [ms]."""
         start = self._clock()
         if self.supervisor.starts_again:
             self._state = self.retargeter.init()

@@ -13,17 +13,17 @@ from smooth_operator.teleop.sources.live import LATEST_STAMP_S, Arrival
 from smooth_operator.types import HandFrame, Side
 
 REACH_M = 0.5
-"""No landmark of a hand is farther than this from its wrist, by any axis [m]."""
+"""Largest distance of a landmark from the wrist, along any axis [m]."""
 _FAR = (
     f"a landmark more than {REACH_M:g} m from the wrist is no human's; landmarks must be in metres"
 )
 
 CURL = -0.6
-"""Least curl of a hand, as share of its fingers' length.
+"""Smallest curl of a hand, as a share of its fingers' length.
 
-Over four real recordings and the built-in operator, hands bent back as far as they go reach -0.51.
-A mirrored hand has the negative of its curl: it is refused with its first frame near a fist, and
-otherwise by ``SessionCheck``, whose rule is sharper and needs several frames.
+In four real recordings and the synthetic operator, fingers bent back to their limit reach -0.51. A
+mirrored hand has the negative curl: it is refused at its first frame near a fist, or else by
+``SessionCheck``, whose rule is stricter and needs several frames.
 """
 
 _PALM: Final = "a palm outside {} to {} m is no human's; landmarks must be in metres".format(
@@ -34,10 +34,10 @@ _MIDDLE: Final = BASES[2]
 
 @np.errstate(all="ignore")  # numbers of any size may come
 def implausible(frame: HandFrame) -> str | None:
-    """Why a frame can't be a human hand of its side; None if it may be one.
+    """Reason why a frame can't be a human hand of its side; None if it can.
 
-    What is missing is not judged: the method says whether it needs it. The reasons are few and
-    have no figures in them, so that frames can be counted by reason.
+    Missing landmarks are not judged, since not every method needs them. The reasons are few and
+    without figures, so that frames can be counted by reason.
     """
     if frame.stamp is not None and not abs(frame.stamp) < LATEST_STAMP_S:
         return "a stamp that is no time in seconds"
@@ -57,12 +57,12 @@ def implausible(frame: HandFrame) -> str | None:
 
 
 class SessionCheck:
-    """True if the frames of a tracker are of the side and in the order that they should be.
+    """Checks that a tracker's frames have the right side and order of landmarks.
 
-    Each start of a tracker is judged by itself: over its first frames, and then occasionally.
+    Each start of a tracker is checked separately: over its first frames, and then occasionally.
 
     Args:
-        side: side of the hand that is driven.
+        side: side of the robot hand.
     """
 
     def __init__(self, side: Side) -> None:
@@ -71,7 +71,7 @@ class SessionCheck:
         self._check = HandCheck(side)
 
     def doubt(self, arrival: Arrival) -> Doubt | None:
-        """The doubt about the frames up to this one; None without any."""
+        """The doubt about the frames up to this one; None if there is none."""
         if arrival.session != self._session:
             self._session, self._check = arrival.session, HandCheck(self._side)
         frame = arrival.frame
@@ -80,18 +80,17 @@ class SessionCheck:
 
 
 def finger_curl(landmarks: Float[np.ndarray, "21 3"], side: Side) -> float:
-    """Distance of the fingertips in front of the palm, as share of the fingers' length.
+    """Distance of the fingertips in front of the palm, as a share of the fingers' length.
 
-    A rule for a single frame, where ``chirality`` of
-    ``smooth_operator.io.anatomy`` needs the mean of several.
+    It judges a single frame, while ``chirality`` of ``smooth_operator.io.anatomy`` needs several.
 
     Args:
         landmarks: positions in the project's order, in any right-handed frame.
-        side: which hand they are said to be of.
+        side: declared side of the hand.
 
     Returns:
         mean over the four fingers: 0 for a flat hand, towards 1 for a fist, negative for fingers
-        bent back; NaN where a landmark is missing.
+        bent back; NaN with a missing landmark.
     """
     wrist, bases, tips = landmarks[0], landmarks[5::4], landmarks[8::4]
     normal = np.cross(bases[0] - wrist, bases[3] - wrist) * (1.0 if side == "right" else -1.0)

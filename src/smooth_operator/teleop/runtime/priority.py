@@ -1,9 +1,9 @@
-"""Real-time priority of the loop, where the system allows it.
+"""Real-time priority of the loop, if the system allows it.
 
-On a machine that is busy, such as with a browser that draws without a graphics card, a thread that
-wakes waits for its turn: with a fair scheduler that is some milliseconds, which are the loop's
-whole budget. Linux has real-time scheduling for this; it needs a right (root, ``CAP_SYS_NICE``, or
-an ``rtprio`` line in ``limits.conf``).
+On a busy machine, for example with a browser that draws without a graphics card, a thread that
+wakes waits some milliseconds for a fair scheduler, which is the loop's whole budget. Linux has
+real-time scheduling for this; it needs a right (root, ``CAP_SYS_NICE``, or an ``rtprio`` line in
+``limits.conf``).
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from typing import Final, Literal, TypeAlias
 
 Priority: TypeAlias = Literal["real-time", "normal"]
 
-# Low among real-time priorities: threads of the kernel are at 50. None of the process's threads can
-# stay behind: one that has lost its turn while it holds the interpreter, or does a part of the
-# retargeter's program, makes the loop wait for it.
+# Low among real-time priorities: threads of the kernel have 50. All threads of the process need
+# one: a thread that is preempted while it holds the GIL, or runs a part of the retargeter's
+# program, makes the loop wait.
 _LOOP: Final = 3
 _PYTHON: Final = 2
 """Sources, sinks, and other holders of the interpreter."""
@@ -33,10 +33,10 @@ _SWITCH_S: Final = 5e-4
 
 @contextlib.contextmanager
 def low_jitter() -> Iterator[None]:
-    """The loop before the rest of this process: short turns for other threads, few collections.
+    """Gives the loop precedence in this process: short turns for other threads, few collections.
 
-    What exists now is left out of garbage collection meanwhile: a compiled model is a great many
-    objects, which each collection would visit.
+    Existing objects are excluded from garbage collection inside the block: a compiled model has
+    very many objects, which each collection would visit.
     """
     # nor at the end of the process, when it would delay the end by seconds after Ctrl-C
     atexit.unregister(gc.freeze)
@@ -54,13 +54,13 @@ def low_jitter() -> Iterator[None]:
 
 @contextlib.contextmanager
 def going_first() -> Iterator[Priority]:
-    """The threads of this process go before those of others; use it on the loop's thread.
+    """Gives the threads of this process real-time priority; use it on the loop's thread.
 
-    Threads and processes that start later are not concerned: what compiles, or draws, stays behind.
-    The kernel keeps a twentieth of each core for the others whatever happens.
+    Threads and processes that start later, such as for compiling or drawing, do not get it. The
+    kernel reserves a twentieth of each core for other processes.
 
     Yields:
-        what the system granted.
+        the priority that the system granted.
     """
     if sys.platform != "linux" or not _set(0, _LOOP):
         yield "normal"
@@ -79,7 +79,7 @@ def going_first() -> Iterator[Priority]:
 if sys.platform == "linux":
 
     def _set(task: int, priority: int | None) -> bool:
-        """Real-time priority of a thread, None for none; whether it was granted."""
+        """Set the real-time priority of a thread, None for none; True if the system granted it."""
         # the flag: children start as usual
         policy = os.SCHED_RR | os.SCHED_RESET_ON_FORK if priority else os.SCHED_OTHER
         try:

@@ -1,10 +1,10 @@
-"""Client of ``teleop --control``: a console that commands a running teleoperation.
+"""Client of ``teleop --control``: commands a running teleoperation.
 
     teleop = RemoteTeleop("tcp://127.0.0.1:5558")
     teleop.request("method", method="dexpilot", preset="default")
     teleop.request("status")["method"]
 
-The words, and what each answers, are in ``smooth_operator.teleop.runtime.rpc_server``.
+``smooth_operator.teleop.runtime.rpc_server`` describes the commands and their answers.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from smooth_operator.errors import ConfigError, MissingExtraError, RemoteError, 
 from smooth_operator.io.documents import json_object
 
 LONGEST_S: Final = 600.0
-"""Whatever the far side is busy with, after so long it is given up [s]."""
+"""Longest time to wait for a busy teleoperation [s]."""
 
 _LOOK_MS: Final = 100
 _BUSY: Final = json.dumps({"do": "status"}).encode()
@@ -28,17 +28,17 @@ _BUSY: Final = json.dumps({"do": "status"}).encode()
 class RemoteTeleop:
     """A running ``smooth-operator teleop --control ADDRESS``. Safe from any thread.
 
-    Every request has its own connection, so that a teleoperation may end and be started again
-    between two of them, and none waits for another: a stop is not held up by a method that is
-    being compiled.
+    Every request has its own connection. A teleoperation may therefore end and start between two
+    requests, and a stop does not wait for the answer to another request, such as a method that is
+    compiled.
 
     Args:
-        address: where it listens, such as ``tcp://127.0.0.1:5558``.
-        timeout_s: longest silence [s]. A word that takes longer, as compiling a method does, is
-            waited for as long as the teleoperation says that it is busy.
+        address: address of the teleoperation, such as ``tcp://127.0.0.1:5558``.
+        timeout_s: longest silence [s]. For a longer command, such as compiling a method, the
+            client waits while the teleoperation reports that it is busy.
 
     Raises:
-        ConfigError: that is no ZeroMQ address, or the time is not positive.
+        ConfigError: the text is no ZeroMQ address, or the time is not positive.
         MissingExtraError: pyzmq is not installed.
     """
 
@@ -58,19 +58,19 @@ class RemoteTeleop:
         self._zmq: Any = zmq
 
     def request(self, do: str, **fields: Any) -> dict[str, Any]:
-        """Have something done.
+        """Send a command and wait for its answer.
 
         Args:
-            do: a word: ``status``, ``stop``, ``method``, ``task``, ...
-            fields: what belongs to it, as JSON has it.
+            do: the command: ``status``, ``stop``, ``method``, ``task``, ...
+            fields: its fields, as JSON values.
 
         Returns:
             the answer, in which ``ok`` is true.
 
         Raises:
-            RemoteRefusedError: it can't be done; the message is the teleoperation's.
-            RemoteError: nobody answers there, or something else than a teleoperation.
-            ConfigError: a field is nothing that JSON can hold, or nothing can be at the address.
+            RemoteRefusedError: the teleoperation refuses, with its message.
+            RemoteError: there is no answer, or none of a teleoperation.
+            ConfigError: a field has no JSON form, or the address is not valid.
         """
         try:
             message = json.dumps({**fields, "do": do}, allow_nan=False).encode()
@@ -83,16 +83,16 @@ class RemoteTeleop:
         return answer
 
     def _still_busy(self) -> bool:
-        """True if a teleoperation is there, and says that something takes long."""
+        """True if the teleoperation reports that it is busy."""
         return bool(self._exchange(_BUSY, lambda: False).get("busy"))
 
     def _exchange(self, message: bytes, patient: Callable[[], bool]) -> dict[str, Any]:
-        """Send a message and take its answer; ``patient`` is asked after each silence."""
+        """Send a message and return its answer; ``patient`` decides after each silence."""
         zmq = self._zmq
         context = zmq.Context()
         try:
             socket = context.socket(zmq.REQ)
-            socket.setsockopt(zmq.LINGER, 0)  # what nobody took is not kept for a later program
+            socket.setsockopt(zmq.LINGER, 0)  # drop a message that was not received
             try:
                 socket.connect(self.address)
                 socket.send(message)

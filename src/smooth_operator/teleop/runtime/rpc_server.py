@@ -22,17 +22,17 @@ from smooth_operator.teleop.runtime.loop import TeleopLoop
 from smooth_operator.terminal import print_note
 
 RpcHandler: TypeAlias = Callable[[Mapping[str, Any]], Mapping[str, Any]]
-"""Carries out a command: from the message's fields to the answer's; errors of the family are
-answered, too."""
+"""Carries out a command: takes the fields of the message and returns those of the answer; its
+``SmoothOperatorError`` becomes the answer."""
 Reply: TypeAlias = Callable[[bytes], None]
 """Takes an answer, from any thread."""
 
 _PATIENCE_S: Final = 0.5
-"""Time that an answer waits for the loop to have carried out a command [s]."""
-_AT_ONCE: Final = 16
-"""Commands that may be under way; more are refused."""
-_QUEUED: Final = 4096
-"""Messages that may wait; more are refused."""
+"""Longest time that an answer waits for the loop to carry out a command [s]."""
+_MOST_RUNNING: Final = 16
+"""Largest number of running commands; more are refused."""
+_MOST_QUEUED: Final = 4096
+"""Largest number of waiting messages; more are refused."""
 _SILENT: Final = {"ok": False, "error": "the loop does not answer: it just starts, or hangs"}
 _TOO_MUCH: Final = {"ok": False, "error": "too many messages wait or are under way"}
 _ENDED: Final = {"ok": False, "error": "the run has ended"}
@@ -41,7 +41,7 @@ _OVERTAKEN: Final = {"ok": False, "error": "an emergency stop came meanwhile; re
 
 @dataclass(frozen=True)
 class _Message:
-    """A message that waits for its turn."""
+    """A message in the queue."""
 
     command: str
     fields: Mapping[str, Any]
@@ -58,15 +58,15 @@ class _Switched:
 
 
 class RpcServer:
-    """Does what messages say. For one thread; replies may come from others.
+    """Carries out the commands in messages. For one thread; replies may come from others.
 
-    A stop is done as soon as it is heard, before all messages that wait; a release that waits
-    while a stop comes is refused, since it was meant for an earlier one.
+    A stop is carried out on receipt, before all waiting messages. A release that waits while a stop
+    comes is refused, since it was meant for an earlier stop.
 
     Args:
-        loop: what is switched.
-        handlers: more commands than the loop's own -> what is done for each.
-        status: more fields of the status; must be quick.
+        loop: the loop.
+        handlers: further command -> its handler.
+        status: returns further fields of the status; must be quick.
     """
 
     def __init__(
@@ -89,7 +89,7 @@ class RpcServer:
 
     @property
     def commands(self) -> tuple[str, ...]:
-        """All commands that it answers."""
+        """All commands."""
         return (*self._switches, "quit", "status", *self._handlers)
 
     @property
@@ -99,15 +99,15 @@ class RpcServer:
 
     @property
     def idle(self) -> bool:
-        """True if nothing waits, neither a message nor the answer to a switch."""
+        """True if neither a message nor the answer to a switch waits."""
         return not self._waiting and not self._unconfirmed
 
     def hear(self, message: bytes, reply: Reply) -> None:
-        """Take a message: a stop is done now, others wait for ``turn``.
+        """Receive a message: a stop is carried out now, others wait for ``turn``.
 
         Args:
             message: a command, or a JSON object with ``do``.
-            reply: called once with the answer, from this thread or from another, now or later.
+            reply: called once with the answer, from any thread, now or later.
         """
         read = _read(message)
         if read is None or read[0] not in self.commands:
@@ -121,13 +121,13 @@ class RpcServer:
             for late in [waiting for waiting in self._waiting if waiting.command == "release"]:
                 self._waiting.remove(late)
                 late.reply(_encoded(_OVERTAKEN))
-        elif len(self._waiting) >= _QUEUED:
+        elif len(self._waiting) >= _MOST_QUEUED:
             reply(_encoded(_TOO_MUCH))
         else:
             self._waiting.append(heard)
 
     def turn(self) -> None:
-        """Do what the message says that waits longest, and answer switches that are confirmed."""
+        """Carry out the oldest waiting message, and answer confirmed switches."""
         if self._waiting:
             message = self._waiting.popleft()
             try:
@@ -137,7 +137,7 @@ class RpcServer:
         self._confirm(time.monotonic())
 
     def finish(self) -> None:
-        """The run has ended: answer all that still wait."""
+        """Answer all waiting messages at the end of the run."""
         while self._waiting:
             self._waiting.popleft().reply(_encoded(_ENDED))
         self._confirm(math.inf)
@@ -155,10 +155,10 @@ class RpcServer:
             self._loop.controls.quit()
             message.reply(_encoded(self._modes()))
         elif message.command == "status":
-            # The loop is not asked: each question would make it send a command.
+            # Without the loop's own thread, which would have to send a command for it.
             silent = self._loop.silent_s > max(_PATIENCE_S, 3 * self._loop.config.period)
             message.reply(_encoded(_SILENT if silent else self._whole_status()))
-        elif len(self._under_way) >= _AT_ONCE:
+        elif len(self._under_way) >= _MOST_RUNNING:
             message.reply(_encoded(_TOO_MUCH))
         else:
             self._under_way.append(message.command)
@@ -169,7 +169,7 @@ class RpcServer:
             ).start()
 
     def _switch(self, message: _Message) -> None:
-        """One of the switches, which the loop does first in, first out, but for a stop."""
+        """Carry out a switch; the loop does them in order, except for a stop."""
         self._switches[message.command]()
         done = threading.Event()
         self._loop.controls.change(lambda hand: done.set())
@@ -184,7 +184,7 @@ class RpcServer:
         return {**self._modes(), **self._status(), "busy": list(self._under_way)}
 
     def _done(self, message: _Message) -> bytes:
-        """One of the others, on its own thread."""
+        """Carry out another command, on its own thread."""
         try:
             return _encoded({"ok": True, **self._handlers[message.command](message.fields)})
         except SmoothOperatorError as error:
@@ -220,8 +220,8 @@ _SOON_MS: Final = 1  # while an answer waits for the loop
 _LARGEST: Final = 1 << 16  # [bytes]
 _FRAMES: Final = 8
 """Most parts of a message: an address for each relay, an empty one, the command."""
-_GULP: Final = 256
-"""Messages that are heard before the next one is done."""
+_BATCH: Final = 256
+"""Messages that are received before the next one is carried out."""
 _END_S: Final = 2.0
 
 
@@ -235,12 +235,11 @@ def remote(
     """Listen for commands of other programs while the loop runs.
 
     Args:
-        loop: what they are said to.
-        address: where to listen, such as ``tcp://127.0.0.1:5558``; ``tcp://127.0.0.1:*`` takes any
-            free port.
-        handlers: more commands than the loop's own -> what is done for each, on a thread of its
-            own.
-        status: more fields of the status; must be quick.
+        loop: the loop.
+        address: address on which to listen, such as ``tcp://127.0.0.1:5558``;
+            ``tcp://127.0.0.1:*`` uses any free port.
+        handlers: further command -> its handler, which runs on a thread of its own.
+        status: returns further fields of the status; must be quick.
 
     Yields:
         the address.
@@ -264,8 +263,8 @@ def remote(
         return lambda text: answers.put([*envelope, text])
 
     def hear() -> None:
-        """Take what has come, so that a stop is done before what came ahead of it."""
-        for _ in range(_GULP):
+        """Receive pending messages, so that a stop overtakes earlier messages."""
+        for _ in range(_BATCH):
             if not socket.poll(0):
                 return
             frames = socket.recv_multipart()
@@ -303,7 +302,7 @@ def remote(
 
 
 def check_address(address: str) -> None:
-    """Find out whether ``remote`` can listen there, before anything slow is done.
+    """Check that ``remote`` can listen on an address, before anything slow is done.
 
     Raises:
         MissingExtraError, SourceError: as ``remote``.
@@ -320,7 +319,7 @@ def _listening(address: str) -> tuple[Any, Any]:
     except ImportError:
         raise MissingExtraError("listening for switches (--control)", "zmq") from None
     context = zmq.Context()
-    # Not REP, which would have a stop wait for the answer to whatever was asked before.
+    # ROUTER, since with REP a stop would wait for the answer to the previous message.
     socket = context.socket(zmq.ROUTER)
     socket.setsockopt(zmq.LINGER, 200)
     socket.setsockopt(zmq.MAXMSGSIZE, _LARGEST)

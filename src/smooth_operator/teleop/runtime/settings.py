@@ -15,14 +15,14 @@ class SafetyConfig:
     """Behaviour when the tracker fails, and when the operator comes back.
 
     Attributes:
-        stale_s: A hand whose last usable frame is older than this is held [s].
-        lost_s: After this long without one it goes to its safe pose [s].
-        on_loss: What then: ease to the neutral pose, or hold the last command for ever.
+        stale_s: Age of the last usable frame from which on the hand holds [s].
+        lost_s: Age of the last usable frame from which on the hand goes to its safe pose [s].
+        on_loss: Safe pose: ease to the neutral pose, or hold the last command.
         ease_velocity: Speed of the fastest joint on the way to the safe pose [rad/s].
         blend_s: Time to go over to the operator after a loss or a pause [s]; after a gap that is
             shorter than this, as long as the gap.
-        restart_s: Stamps that go back by more than this are a tracker that was started again; by
-            less, frames out of order, which are refused [s].
+        restart_s: Step back of the stamps from which on the tracker was restarted; frames with a
+            smaller step are out of order and refused [s].
         watchdog_s: Silence of the loop after which sinks are notified [s].
     """
 
@@ -49,12 +49,12 @@ class SafetyConfig:
 
 @dataclass(frozen=True)
 class LimitsConfig:
-    """Limits of what leaves the loop, whatever the method asks for.
+    """Limits on velocity, acceleration and range of the commands of every method.
 
     Attributes:
         velocity: Largest velocity of any joint, coupled ones included [rad/s].
         acceleration: Largest acceleration of any joint [rad/s^2].
-        margin: Kept clear of each end of a joint's range [rad].
+        margin: Distance that is kept from each end of a joint's range [rad].
     """
 
     velocity: float = 15.0
@@ -77,7 +77,7 @@ class WristConfig:
 
     Attributes:
         scale: Metres of the robot for a metre of the operator's wrist; turns are never scaled.
-        yaw: Where the operator's forward points in the robot's base, counterclockwise from its
+        yaw: Direction of the operator's forward in the robot's base, counterclockwise from its
             x [rad].
         velocity: Largest speed of the wrist [m/s].
         acceleration: Largest acceleration of the wrist [m/s^2].
@@ -85,7 +85,7 @@ class WristConfig:
         turn_acceleration: Largest angular acceleration of the wrist [rad/s^2].
         low: Lowest x, y and z of the workspace [m].
         high: Highest x, y and z of the workspace [m].
-        home: Where the wrist starts without an arm that measures it: x y z [m], quaternion w x y z.
+        home: Start of the wrist without an arm that measures it: x y z [m], quaternion w x y z.
     """
 
     scale: float = 1.0
@@ -122,11 +122,10 @@ class LoopConfig:
     """Pace of the loop.
 
     Attributes:
-        rate: commands per second and hand; never more, and that many where frames come too slowly
-            or not at all [Hz].
-        safety: what happens when the tracker fails.
-        limits: limits of what leaves the loop.
-        wrist: how the wrist follows the operator's.
+        rate: commands per second and hand [Hz]: the largest rate, and the rate without frames.
+        safety: behaviour when the tracker fails.
+        limits: limits on the commands.
+        wrist: settings of the wrist's clutch.
     """
 
     rate: float = 100.0
@@ -140,5 +139,5 @@ class LoopConfig:
 
     @property
     def period(self) -> float:
-        """[s]."""
+        """Time between two commands [s]."""
         return 1.0 / self.rate

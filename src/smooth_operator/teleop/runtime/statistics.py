@@ -18,25 +18,25 @@ if TYPE_CHECKING:
     from smooth_operator.teleop.recording.log_reader import Log
 
 _PERCENTILES: Final = (50.0, 95.0, 99.0)
-_KEPT: Final = 200_000
-"""Frames whose times are kept, over 30 minutes at 100 Hz; older ones make room."""
+_CAPACITY: Final = 200_000
+"""Number of frames whose times are stored: over 30 minutes at 100 Hz."""
 
 
 class _Times:
-    """The newest times of a stage [ms], in memory that is taken once: a run lasts for hours."""
+    """Ring buffer of the newest times of a stage [ms]."""
 
     def __init__(self) -> None:
-        self._ring = np.full(_KEPT, np.nan, np.float32)
+        self._ring = np.full(_CAPACITY, np.nan, np.float32)
         self._count = 0
 
     def append(self, ms: float) -> None:
-        self._ring[self._count % _KEPT] = ms
+        self._ring[self._count % _CAPACITY] = ms
         self._count += 1
 
-    def newest(self, count: int = _KEPT) -> Float32[np.ndarray, " n"]:
-        """A copy, in no order."""
-        there = min(self._count, count, _KEPT)
-        return self._ring[np.arange(self._count - there, self._count) % _KEPT]
+    def newest(self, count: int = _CAPACITY) -> Float32[np.ndarray, " n"]:
+        """Copy of the newest times, unordered."""
+        there = min(self._count, count, _CAPACITY)
+        return self._ring[np.arange(self._count - there, self._count) % _CAPACITY]
 
 
 class LoopStatistics:
@@ -46,7 +46,7 @@ class LoopStatistics:
         period: period of the loop [s].
 
     Attributes:
-        motion: side -> delay from command to motion, of the hands that are measured.
+        motion: side -> delay from command to motion, for hands with measurements.
     """
 
     def __init__(self, period: float) -> None:
@@ -64,13 +64,12 @@ class LoopStatistics:
         self.motion: dict[Side, MotionDelay] = {}
 
     def add(self, tick: Tick, due: float, sent: float) -> None:
-        """A command that left.
+        """Add a command.
 
         Args:
-            tick: the command, ``send`` among its stages.
-            due: when it should have been made: at the arrival of its frame, or when the pace of
-                the loop asked for it [s].
-            sent: when all sinks had it [s].
+            tick: the command, with the stage ``send``.
+            due: time at which it was due: the arrival of its frame, or by the pace of the loop [s].
+            sent: time at which all sinks had it [s].
         """
         self._first = sent if self._first is None else self._first
         self._latest = sent
@@ -104,7 +103,7 @@ class LoopStatistics:
 
     @property
     def unusable(self) -> int:
-        """Frames that the method could not use."""
+        """Number of frames that the method could not use."""
         return sum(self._unusable.copy().values())
 
     @property
@@ -115,7 +114,7 @@ class LoopStatistics:
         return count / hands / length if hands and length > 0 else 0.0
 
     def summary(self) -> dict[str, Any]:
-        """The whole run, JSON-serialisable; times in ms."""
+        """Statistics of the whole run, JSON-serialisable; times in ms."""
         total = sum(self._modes.values())
         return {
             "commands": dict(self._commands),
@@ -136,7 +135,7 @@ class LoopStatistics:
 
 
 def percentiles(values: Any) -> dict[str, float]:
-    """p50, p95, p99 and the largest; empty of nothing."""
+    """p50, p95, p99 and the largest value; empty without values."""
     array = np.asarray(values, float)
     array = array[np.isfinite(array)]
     if not len(array):
@@ -163,7 +162,7 @@ def added_latency(log: Log) -> Float[np.ndarray, " F"]:
 
 
 def log_timing(log: Log) -> dict[str, Any]:
-    """Every stage, pace, modes and events of a log, JSON-serialisable; times in ms.
+    """Statistics of stages, pace, modes and events of a log, JSON-serialisable; times in ms.
 
     Raises:
         RecordingError: the log holds no commands.

@@ -1,7 +1,7 @@
-"""An emergency stop from outside: a button on a line of this machine, or a heartbeat.
+"""External emergency stop: a button on a line of this machine, or a heartbeat.
 
-All inputs fail safe: a broken wire, a missing file, an unplugged adapter or a heartbeat that ends
-are a stop. What is pressed is asked for two hundred times a second, on a thread of its own.
+All inputs fail safe: a broken wire, a missing file, an unplugged adapter or the end of a heartbeat
+are a stop. The input is read two hundred times a second, on a thread of its own.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ FORMS: Final = "file:PATH, serial:PORT or udp:PORT"
 
 
 class StopInput:
-    """An input that says whether the stop is pressed.
+    """Input of an emergency stop.
 
     Args:
         text: ``file:PATH``: released while the file's first character is 1, as the value of a GPIO
@@ -56,26 +56,28 @@ class StopInput:
             raise ConfigError(f"an emergency stop is {FORMS}, not {text!r}")
 
     def __call__(self) -> bool:
-        """True if it is pressed, or can't be asked."""
+        """True if the stop is pressed, or can't be read."""
         try:
             return not self._released()
         except Exception:  # of a file or adapter that is gone
             return True
 
     def close(self) -> None:
-        """Give port or socket back."""
+        """Close port or socket."""
         with contextlib.suppress(Exception):
             self._close()
 
 
 @contextlib.contextmanager
 def stopped_by(loop: TeleopLoop, stop: str | Callable[[], bool] | None) -> Iterator[None]:
-    """While the block runs, an input stops the loop; released, it stays stopped until somebody
-    releases it on the page, by key or by message.
+    """Stops the loop by an input, while the block runs.
+
+    After the input is released, the loop stays stopped until a release by page, key or message.
 
     Args:
-        loop: that is stopped.
-        stop: text of a ``StopInput``, or what says whether it is pressed; None for no input.
+        loop: the loop.
+        stop: text of a ``StopInput``, or a function that returns True while the stop is pressed;
+            None for no input.
 
     Raises:
         ConfigError, SourceError, MissingExtraError: as ``StopInput``.
@@ -91,7 +93,7 @@ def stopped_by(loop: TeleopLoop, stop: str | Callable[[], bool] | None) -> Itera
         while not over.wait(_POLL_S):
             try:
                 now = bool(pressed())
-            except Exception:  # of the caller's own function: as a broken wire
+            except Exception:  # an error of the caller's function counts as a broken wire
                 now = True
             running = any(not hand.supervisor.stopped for hand in loop.pipelines.values())
             if now and (running or not was):

@@ -1,4 +1,4 @@
-"""Supervisor of a hand: a state machine over frames and silence, without a clock."""
+"""Supervisor of a hand: a state machine over frames and silence; times are arguments."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ class Supervisor:
 
     Attributes:
         config: the policies.
-        mode: what the loop is doing with the hand.
-        refused: why -> number of frames that were refused.
-        compiling: the method is being compiled: the robot holds, and frames are only shown.
+        mode: mode of the loop for the hand.
+        refused: reason -> number of refused frames.
+        compiling: True while the method is compiled: the robot holds, and frames are only shown.
     """
 
     config: SafetyConfig
@@ -33,7 +33,7 @@ class Supervisor:
     _stopped: bool = False
 
     def admits(self, arrival: Arrival, now: float) -> str | None:
-        """True if a frame is newer than all before it; if not, why it is refused."""
+        """Reason to refuse a frame that is not newer than the last one; None if it is newer."""
         stamp, session = arrival.stamp, arrival.session
         if now - arrival.received > self.config.stale_s:
             return self.refuse("too late")
@@ -47,17 +47,17 @@ class Supervisor:
         return None
 
     def refuse(self, why: str) -> str:
-        """Count a frame that is not used, by its reason; returns the reason."""
+        """Count a refused frame by its reason, and return the reason."""
         self.refused[why] = self.refused.get(why, 0) + 1
         return why
 
     @property
     def starts_again(self) -> bool:
-        """True if the operator is new to the robot: what a method remembers means nothing then."""
+        """True if the operator takes over again, so that the state of the method must be reset."""
         return not self.mode.moves and self.mode is not Mode.HOLDING
 
     def usable(self, now: float) -> None:
-        """A frame was answered; one that ends a silence begins a blend."""
+        """Register an answered frame; after a silence it begins a blend."""
         if not self.mode.moves:
             gap = self.config.blend_s
             if self.mode is Mode.HOLDING and self._last_good is not None and not self._held:
@@ -66,11 +66,11 @@ class Supervisor:
         self._last_good, self._held = now, False
 
     def hold(self) -> None:
-        """Begin a hold while a method is compiled; it lasts until a frame after ``compiling``."""
+        """Begin a hold for the compiler; it lasts until a frame after ``compiling``."""
         self.compiling = self._held = True
 
     def restart_blend(self, now: float | None) -> None:
-        """Something else asks for commands from now on: go over to it smoothly."""
+        """Begin a blend, since the origin of the commands changes."""
         if now is not None and self.mode.moves:
             self._blend_start, self._blend_length = now, self.config.blend_s
 
@@ -80,7 +80,7 @@ class Supervisor:
         return self.mode
 
     def preview(self, now: float) -> Mode:
-        """The mode at a time, without going there."""
+        """The mode at a time, without a change of state."""
         return replace(self)._mode(now)
 
     def blend(self, now: float) -> float:
@@ -95,7 +95,7 @@ class Supervisor:
         self._paused = True
 
     def resume(self) -> None:
-        """Take the clutch: the robot goes over to where the operator's hand is now."""
+        """Engage the clutch: the robot moves to the operator's current hand."""
         self._paused = False
 
     def stop(self) -> None:
@@ -108,17 +108,17 @@ class Supervisor:
 
     @property
     def stopped(self) -> bool:
-        """True if an emergency stop holds the robot; safe from any thread."""
+        """True while an emergency stop holds the robot; safe from any thread."""
         return self._stopped
 
     @property
     def paused(self) -> bool:
-        """True if the clutch is released, in an emergency stop, too; safe from any thread."""
+        """True while the clutch is released, also in an emergency stop; safe from any thread."""
         return self._paused
 
     @property
     def listens(self) -> bool:
-        """Frames move the robot."""
+        """True if frames move the robot."""
         return not (self._paused or self._stopped or self.compiling)
 
     def _mode(self, now: float) -> Mode:
@@ -127,7 +127,7 @@ class Supervisor:
         if self._paused:
             return Mode.PAUSED
         if self.mode in (Mode.STOPPED, Mode.PAUSED):
-            # The hand stays put until a frame comes, and then goes over to it.
+            # The hand holds until a frame comes, and then blends to it.
             self._last_good = None
             return Mode.WAITING
         if self._last_good is None:

@@ -1,4 +1,4 @@
-"""Recording a session: every tick into the project's own MCAP log, one for each hand."""
+"""Recorder of a session: writes every tick to MCAP logs, one for each hand."""
 
 from __future__ import annotations
 
@@ -29,19 +29,19 @@ from smooth_operator.types import JointCommand, Side, Status
 class RecordSink(Sink):
     """An MCAP log of a session: frames, commands, modes, events, timing of every tick.
 
-    One file for each hand: ``NAME.mcap``, or ``NAME.right.mcap`` and ``NAME.left.mcap`` where there
-    are two. The file is whole up to the last flush, whatever becomes of the process. Its stamps are
-    by the loop's clock, so that commands between two frames have their place; the tracker's own
-    stamp of each frame is recorded too.
+    One file for each hand: ``NAME.mcap``, or ``NAME.right.mcap`` and ``NAME.left.mcap`` for two.
+    The file is complete up to the last flush, also after a crash. Its stamps are by the loop's
+    clock, so that commands between two frames have their place; the tracker's own stamp of each
+    frame is recorded, too.
 
-    Opened again after a failure, it goes on in a new file and touches no earlier one.
+    After a failure, the recording continues in a new file and leaves earlier ones unchanged.
 
     Attributes:
         path: a file that ends in ``.mcap``, or a folder, in which recordings are numbered
             ``take-001.mcap``, ``take-002.mcap``, ...
-        overwrite: replace a named file that stands there already.
-        flush_s: how long a tick may wait for the disk [s].
-        buffer: ticks that wait while the disk is slow; those beyond are dropped, and counted.
+        overwrite: replace an existing file of that name.
+        flush_s: longest time that a tick waits for the disk [s].
+        buffer: number of ticks that wait for a slow disk; more are dropped and counted.
 
     Raises:
         ConfigError: a setting is out of its range, or the file is no ``.mcap``.
@@ -69,7 +69,7 @@ class RecordSink(Sink):
 
     @property
     def label(self) -> str:
-        """``record`` and where to."""
+        """``record`` and the target."""
         return f"record {self.path}"
 
     @property
@@ -161,7 +161,7 @@ _AT_ONCE: Final = 200
 _TURN: Final = 4
 """Ticks that are encoded before the loop gets the interpreter, should it wait: 0.6 ms."""
 _END_S: Final = 20.0
-"""Time that the end of a recording may take: a buffer to write, two files to end [s]."""
+"""Longest end of a recording: a buffer to write, two files to close [s]."""
 
 
 class Recorder:
@@ -419,15 +419,15 @@ def is_folder(path: Path) -> bool:
 
 
 def take_paths(path: Path, sides: Sequence[Side], *, overwrite: bool) -> dict[Side, Path]:
-    """Which files a new recording is written to; a folder is made if there is none.
+    """Files of a new recording; creates the folder if necessary.
 
     Args:
         path: see ``is_folder``. In a folder a recording is ``take-001.mcap`` and so on.
         sides: hands that are recorded. Two have a file each, as in ``take-001.right.mcap``.
-        overwrite: a named file may stand there already.
+        overwrite: True if a named file may exist.
 
     Raises:
-        OutputError: a named file stands there, or the folder can't be made.
+        OutputError: a named file exists, or the folder can't be created.
     """
     if not is_folder(path):
         files = _files(path, sides)
@@ -447,7 +447,7 @@ def take_paths(path: Path, sides: Sequence[Side], *, overwrite: bool) -> dict[Si
 
 
 def next_part(path: Path, sides: Sequence[Side]) -> dict[Side, Path]:
-    """Files in which a recording goes on that broke off: the next take, or ``NAME.part2.mcap``."""
+    """Files that continue a broken recording: the next take, or ``NAME.part2.mcap``."""
     if is_folder(path):
         return take_paths(path, sides, overwrite=False)
     return _first_free(path.with_name(f"{path.stem}.part{{}}{path.suffix}"), sides, 2)

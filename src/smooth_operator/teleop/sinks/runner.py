@@ -1,8 +1,8 @@
 """Runs the sinks of a loop: each gets every tick, and a fault of one does not affect the others.
 
-A sink that raises is closed, its error kept for the report at the end, and opened again after a
-while. Closing and opening may take long (a model to compile, a file to finish), so both happen on a
-separate thread, and the loop never waits for them.
+A sink that raises is closed, its error stored for the report at the end, and opened again later.
+Closing and opening may take long (compiling a model, finishing a file), so both happen on a
+separate thread, and the loop does not wait for them.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from smooth_operator.teleop.sources.live import Clock
 from smooth_operator.types import Side
 
 SinkState: TypeAlias = Literal["closed", "open", "failed"]
-"""``failed``: it raised, and is opened again after a while."""
+"""State of a sink; ``failed``: it raised, and will be opened again."""
 
 _PATIENCE: Final = 1.0
 """Time that closing waits for a call that is still inside the sink [s]."""
@@ -36,13 +36,13 @@ class SinkHealth:
     """Health of a sink, now or at its end.
 
     Attributes:
-        label: what it is.
+        label: name of the sink.
         state: see ``SinkState``.
-        detail: the last error, or what else a person should know; empty if all is well.
-        sent: ticks that it took.
-        failed: how often it raised, opening again included.
-        missed: ticks that went by while it was not open.
-        figures: further counts and times of its own (``Sink.figures``).
+        detail: the last error, or a note for a person; empty if there is none.
+        sent: number of ticks that it got.
+        failed: number of errors, including those of opening again.
+        missed: number of ticks while it was not open.
+        figures: further counts and times (``Sink.figures``).
     """
 
     label: str
@@ -60,9 +60,9 @@ class SinkRunner:
     ``send`` is for one thread, the loop's; all else may be called from any.
 
     Args:
-        sinks: where ticks go; opened by ``open``.
-        retry_s: how long after a failure a sink is opened again [s].
-        clock: what the time is measured by [s].
+        sinks: the sinks; ``open`` opens them.
+        retry_s: time between a failure and the next opening of a sink [s].
+        clock: clock of the times [s].
 
     Raises:
         ConfigError: ``retry_s`` is not positive.
@@ -90,9 +90,7 @@ class SinkRunner:
             entry.sink.use_arms(arms)
 
     def check(self, hands: Mapping[Side, Hand]) -> None:
-        """Find out what would keep a sink from opening, before anything slow is done.
-
-        Each sink is asked (``Sink.check``); nothing stays open.
+        """Check that every sink can be opened (``Sink.check``), before anything slow is done.
 
         Raises:
             SmoothOperatorError: as ``open``.
@@ -126,9 +124,9 @@ class SinkRunner:
         self._hand_over(tick, observing=False)
 
     def observe(self, tick: Tick) -> None:
-        """The same for the sinks that only look on (``Sink.observes``), afterwards.
+        """Hand a tick to the observing sinks (``Sink.observes``), after the others.
 
-        They get the tick with how long sending took among its stages.
+        They get the tick with the time of sending among its stages.
         """
         self._hand_over(tick, observing=True)
 
@@ -152,10 +150,7 @@ class SinkRunner:
         return first
 
     def stalled(self, seconds: float) -> None:
-        """Notify every open sink that no command has come for so long.
-
-        It does not wait for a ``send`` that hangs.
-        """
+        """Notify every open sink of a time without commands [s], also while a ``send`` hangs."""
         for entry in self._entries:
             entry.call(lambda sink: sink.stalled(seconds))
 
@@ -176,10 +171,10 @@ class SinkRunner:
         return None
 
     def add(self, sink: Sink) -> None:
-        """Take in another sink; it is opened here and now if the others are open.
+        """Add a sink; it is opened if the others are open.
 
         Raises:
-            SmoothOperatorError: as ``Sink.open``; then it is not taken in.
+            SmoothOperatorError: as ``Sink.open``; the sink is not added.
         """
         entry = self._entry(sink)
         if self._opened is not None:
@@ -188,7 +183,7 @@ class SinkRunner:
             self._entries = (*self._entries, entry)
 
     def remove(self, sink: Sink) -> None:
-        """Close a sink and let it go; its errors stay in ``report``. No such sink: nothing."""
+        """Close and remove a sink, if it is one of these; its errors stay in ``report``."""
         with self._changed:
             entries = [entry for entry in self._entries if entry.sink is sink]
             self._entries = tuple(entry for entry in self._entries if entry.sink is not sink)
@@ -212,7 +207,7 @@ class SinkRunner:
         return [entry.health() for entry in self._entries]
 
     def report(self) -> list[SinkHealth]:
-        """The same with the sinks that were removed, which come first: for the end of a run."""
+        """Health of the removed sinks and of the others, for the end of a run."""
         return [entry.health() for entry in (*self._gone, *self._entries)]
 
     def _entry(self, sink: Sink) -> _Entry:
@@ -232,7 +227,7 @@ class SinkRunner:
 
 
 class _Entry:
-    """A sink, and how it fares."""
+    """A sink and its state."""
 
     def __init__(self, sink: Sink, retry_s: float, clock: Clock) -> None:
         self.sink = sink
@@ -253,10 +248,10 @@ class _Entry:
             self.state, self._closed = "open", False
 
     def call(self, action: Callable[[Sink], None]) -> bool:
-        """Do something with the sink if it is open.
+        """Call an action with the sink if it is open.
 
         Returns:
-            whether it was done.
+            True if the action was called and did not raise.
         """
         with self._change:
             if self.state != "open":

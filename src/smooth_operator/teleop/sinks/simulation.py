@@ -29,14 +29,14 @@ from smooth_operator.types import Side
 class Simulation(Sink):
     """Each hand on a fixture, or on its arm, in MuJoCo, on position servos, in real time.
 
-    The physics runs on its own thread. When commands stop, the hands stay where they are. The
-    page draws ``state`` with the command.
+    The physics runs on its own thread. Without commands, the hands hold their positions. The page
+    draws ``state`` and the command.
 
     Attributes:
         rate: steps of the physics per second [Hz].
         bandwidth: bandwidth of the servos [Hz]; higher follows faster and pushes harder.
         gravity: pull along -z of the model's world, wherever that points in it.
-        task: what the hands work on, each on its own; gravity is on then.
+        task: task of each hand; it switches gravity on.
 
     Raises:
         ConfigError: a setting is out of its range.
@@ -82,7 +82,7 @@ class Simulation(Sink):
 
     @property
     def task_now(self) -> str:
-        """The task that the hands work on now, or ``none``."""
+        """Name of the current task, or ``none``."""
         return self.task if self._task is None else self._task
 
     @property
@@ -99,9 +99,9 @@ class Simulation(Sink):
         self._set("_world", World(physics, self._events, self._arms))
 
     def change_task(self, task: str) -> None:
-        """Go on with another scene, or with none, once it is built; commands go on meanwhile.
+        """Build another scene, or none, and switch to it; commands go on meanwhile.
 
-        Whoever watched the scene before sees no more of it.
+        A watcher of the previous scene gets no more states.
 
         Args:
             task: as ``task``.
@@ -134,7 +134,7 @@ class Simulation(Sink):
         self._world.command(tick.side, tick.command.positions, arm)
 
     def stalled(self, seconds: float) -> None:
-        """Have the hands stay where they are."""
+        """Let the hands hold their positions."""
         if self._world is not None:
             self._world.hold()
 
@@ -204,7 +204,7 @@ class Simulation(Sink):
         return None if world is None else world.scenes.get(side)
 
     def watch(self, side: Side, watcher: Watcher | None) -> None:
-        """Have every new state of a scene given to one watcher; None takes it away.
+        """Pass every new state of a scene to one watcher; None removes it.
 
         Raises:
             SinkError: as ``scene_of``.
@@ -212,7 +212,7 @@ class Simulation(Sink):
         self._open_world(side).watch(side, watcher)
 
     def reset_object(self, side: Side) -> int:
-        """Have the object put back to its start, with the next step; raises as ``scene_of``.
+        """Put the object back to its start, with the next step; raises as ``scene_of``.
 
         Returns:
             ``SceneState.starts`` of the states that come after it.
@@ -220,13 +220,13 @@ class Simulation(Sink):
         return self._open_world(side).reset_object(side, self._scene(side))
 
     def put_away(self, side: Side) -> None:
-        """Have no object from the next step on, until it is put back; raises as ``scene_of``."""
+        """Take the object out, from the next step on; raises as ``scene_of``."""
         self._open_world(side).put_away(side)
 
     def freeze(self, side: Side, frozen: bool) -> None:
-        """Have hand and scene stand still, their clock included, or go on; raises as ``scene_of``.
+        """Stop hand and scene with their clock, or let them go on; raises as ``scene_of``.
 
-        Commands are heard meanwhile; the hand goes to the newest one when it goes on.
+        The hand then goes to the newest command.
         """
         self._open_world(side).freeze(side, frozen)
 
@@ -336,7 +336,7 @@ class World:
             self._targets[side] = positions, arm
 
     def hold(self) -> None:
-        """Have the hands stay where they are."""
+        """Let the hands hold their positions."""
         with self._changed:
             for side in self.physics:
                 self._targets[side] = None  # stands for: where it is
@@ -385,7 +385,7 @@ class World:
             self._error = error
 
     def _take(self, held: set[Side]) -> None:
-        """The newest commands; ``held`` are the hands that stay where they are."""
+        """The newest commands; ``held`` are the hands that hold their positions."""
         with self._changed:
             targets, self._targets = self._targets, {}
         for side, target in targets.items():

@@ -1,4 +1,4 @@
-"""The base class of sinks: where the joint commands of a running loop go."""
+"""Base class of sinks, which take the joint commands of a running loop."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ if TYPE_CHECKING:
 
 
 class Sink(ABC):
-    """Takes commands: a robot, a simulation, a file, a bus.
+    """Destination of commands: a robot, a simulation, a file, a bus.
 
-    Subclasses are dataclasses of settings. The loop calls ``send`` from one thread and never waits
-    for the far side: a sink that may have to wait keeps the newest command for its own thread.
-    A sink that raises is closed, opened again after a while, and does not stop the others.
+    Subclasses are dataclasses of settings. The loop calls ``send`` from one thread and must not
+    wait: a sink that may have to wait leaves the newest command to its own thread. A sink that
+    raises is closed and opened again later, and does not stop the others.
     """
 
     observes: ClassVar[bool] = False
-    """True if the sink only looks on and moves nothing, as a log or a table. It then gets its ticks
-    after the others, with the time that those took among the stages."""
+    """True for a sink that moves nothing, such as a log or a table. It gets its ticks after the
+    others, with their time among the stages."""
 
     @property
     @abstractmethod
@@ -55,7 +55,7 @@ class Sink(ABC):
 
     @property
     def measures(self) -> bool:
-        """Whether ``state`` has something once the sink is open; as a simulation does."""
+        """True if ``state`` returns measurements while the sink is open; so for a simulation."""
         return self.simulation is not None
 
     def state(self, side: Side) -> HandState | None:
@@ -85,16 +85,16 @@ class Sink(ABC):
         return None
 
     def use_arms(self, arms: Mapping[Side, CarriedHand]) -> None:
-        """Take note of the arms that carry the hands, before ``check`` and ``open``.
+        """Set the arms that carry the hands, before ``check`` and ``open``.
 
-        By default nothing happens: ticks have the arms' commands.
+        By default does nothing: ticks have the arms' commands.
         """
         del arms
 
     def check(self, hands: Mapping[Side, Hand]) -> None:
-        """Find out what would keep the sink from opening, before anything slow is done.
+        """Check that the sink can be opened, before anything slow is done.
 
-        Nothing stays open. Without its own check, a sink fails when it is opened.
+        It leaves nothing open. By default checks nothing.
 
         Raises:
             SmoothOperatorError: as ``open``.
@@ -103,7 +103,7 @@ class Sink(ABC):
 
     @abstractmethod
     def open(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> None:
-        """Get ready for the commands of these hands; may be called again after ``close``.
+        """Open the sink for the commands of some hands; may be called again after ``close``.
 
         Args:
             hands: side -> robot hand.
@@ -126,15 +126,15 @@ class Sink(ABC):
         """
 
     def stalled(self, seconds: float) -> None:
-        """No command has come for so long [s]; called from the watchdog's thread.
+        """React to a time without commands [s]; called from the watchdog's thread.
 
-        Called again and again while the silence lasts. By default nothing happens.
+        Called repeatedly while the silence lasts. By default does nothing.
         """
         del seconds
 
     @abstractmethod
     def close(self) -> None:
-        """Write what is pending and give everything back; a second call does nothing."""
+        """Write pending data and close everything; a second call does nothing."""
 
 
 def simulated_hands(sinks: Iterable[Sink]) -> LiveSimulation | None:
@@ -147,23 +147,23 @@ _PATIENCE: Final = 3.0
 
 
 class Link(Protocol):
-    """An open way to the far side; everything here is called on the sink's own thread."""
+    """An open connection to the far side; all methods are called on the sink's own thread."""
 
     def deliver(self, tick: Tick) -> None:
-        """Pass a command on."""
+        """Send a command."""
 
     def stalled(self, seconds: float) -> None:
-        """Say that no command has come for so long [s]."""
+        """Report a time without commands [s]."""
 
     def close(self) -> None:
-        """Give everything back."""
+        """Close the connection."""
 
 
 class ThreadedSink(Sink):
     """A sink that hands the newest command of each hand to a link, on its own thread.
 
-    A command that the link has not yet taken when the next one comes is overwritten: a robot gets
-    the newest or nothing, never a queue. Subclasses are frozen dataclasses of settings.
+    A command that the link has not yet taken is overwritten by the next one: there is no queue.
+    Subclasses are frozen dataclasses of settings.
     """
 
     @property
@@ -173,7 +173,7 @@ class ThreadedSink(Sink):
 
     @abstractmethod
     def connect(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> Link:
-        """Open the way to the far side; errors reach the caller that opens the sink."""
+        """Open the connection; its errors reach the caller of ``open``."""
 
     def check(self, hands: Mapping[Side, Hand]) -> None:
         """Open the way to the far side and close it again; see
@@ -181,10 +181,10 @@ class ThreadedSink(Sink):
         self.connect(hands, {}).close()
 
     def open(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> None:
-        """Get ready; see ``Sink``."""
+        """Open the sink; see ``Sink``."""
         if self._sender() is not None:
             raise SinkError(f"{self.label}: it is open already")
-        # The settings are frozen, but a sink that is open is not its settings alone.
+        # The settings are frozen, the state of an open sink is not.
         object.__setattr__(self, "_now", _Sender(self.connect(hands, config), self.label))
 
     def send(self, tick: Tick) -> None:
@@ -199,13 +199,13 @@ class ThreadedSink(Sink):
         sender.post(tick)
 
     def stalled(self, seconds: float) -> None:
-        """Leave word for the thread that no command has come for so long [s]."""
+        """Pass a time without commands [s] to the thread."""
         sender = self._sender()
         if sender is not None:
             sender.silence(seconds)
 
     def close(self) -> None:
-        """Pass on what is left, and close the link; a second call does nothing."""
+        """Send a pending command, and close the link; a second call does nothing."""
         sender = self._sender()
         object.__setattr__(self, "_now", None)
         if sender is not None:
@@ -217,7 +217,7 @@ class ThreadedSink(Sink):
 
 
 class _Sender:
-    """The thread, and what lies ready for it."""
+    """The thread of a sink, and its pending commands."""
 
     def __init__(self, link: Link, label: str) -> None:
         self._link, self._label = link, label

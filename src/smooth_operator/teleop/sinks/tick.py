@@ -20,9 +20,9 @@ class Driver:
     """The method that drives a hand.
 
     Attributes:
-        method: its name.
-        preset: that of its preset.
-        config: the configuration, all that was changed and the operator included.
+        method: name of the method.
+        preset: name of its preset.
+        config: its configuration, with all changes and the operator.
     """
 
     method: str
@@ -38,7 +38,7 @@ class Mode(enum.Enum):
     TRACKING = "tracking"
     """The robot follows the operator."""
     BLENDING = "blending"
-    """The operator is back, or takes over: the robot goes over to them smoothly."""
+    """The operator returns or takes over: the robot moves to them smoothly."""
     HOLDING = "holding"
     """The tracker is late, or its frames are no use: the last command is held."""
     EASING = "easing"
@@ -59,11 +59,11 @@ class WristCommand:
     """Target of a robot hand's wrist, after the clutch.
 
     Attributes:
-        pose: (7,) of the robot hand's wrist frame in ``world``: x y z [m], unit quaternion w x y z;
-            within all limits, and held while it is not engaged.
-        engaged: whether the operator's wrist moves it.
-        valid: whether the frame that it answers had a wrist that counts.
-        world: name of the frame that it is in, the base of the robot.
+        pose: (7,) pose of the robot hand's wrist frame in ``world``: x y z [m], unit quaternion
+            w x y z; within all limits, and held while not engaged.
+        engaged: True while the operator's wrist moves it.
+        valid: True if the frame that it answers had a valid wrist.
+        world: name of the frame of ``pose``, the base of the robot.
     """
 
     pose: Float[np.ndarray, "7"]
@@ -78,19 +78,19 @@ class ArmCommand:
 
     Attributes:
         name: name of the arm.
-        joint_names: (n,) from the base.
-        positions: (n,) within all limits [rad].
-        velocity: (n,) from the command before [rad/s].
-        pose: (7,) of the hand's wrist at these positions, in the arm's base frame: x y z [m] and a
-            unit quaternion w x y z.
-        position_error: from there to the wanted pose [m]; NaN where none is wanted.
-        rotation_error: the same [rad].
-        clearance: smallest distance between parts, or to table and wall, fingers over the table
-            left out [m].
+        joint_names: (n,) names of the joints, from the base.
+        positions: (n,) positions within all limits [rad].
+        velocity: (n,) velocities since the previous command [rad/s].
+        pose: (7,) pose of the hand's wrist at these positions, in the arm's base frame: x y z [m]
+            and a unit quaternion w x y z.
+        position_error: distance from there to the target pose [m]; NaN without a target.
+        rotation_error: angle from there to the target pose [rad]; NaN without a target.
+        clearance: smallest distance between parts, or to table and wall, except between fingers and
+            table [m].
         state: ``following``, ``holding``, ``braking`` (no motion keeps all distances) or
             ``stopped``.
-        measured: (n,) where the joints were when a sink last measured them [rad]; None where none
-            does.
+        measured: (n,) positions of the joints at the last measurement by a sink [rad]; None without
+            one.
     """
 
     name: str
@@ -110,27 +110,25 @@ class Tick:
     """One command to one robot hand.
 
     Attributes:
-        side: which hand.
+        side: side of the hand.
         hand: name of the robot hand.
-        command: within all limits; its stamp is that of the frame that it answers, by the
-            tracker's clock, or the time of the tick where no frame is answered.
+        command: joint positions within all limits. Its stamp is that of the frame that it answers,
+            by the tracker's clock, or the time of the tick without a frame.
         velocity: (n,) velocity of all joints [rad/s], for drivers that feed it forward.
-        mode: what the loop is doing.
+        mode: mode of the loop.
         time: time of the command, by the loop's clock [s]; the limits hold from one such time to
             the next.
         number: number of the tick, counted from 0 for each hand.
-        status: status of the frame that it answers; None where it answers none.
+        status: status of the frame that it answers; None without a frame.
         arrival: that frame.
-        stages: name -> how long it took [ms], in order; empty where no frame is answered.
-        tracking_loss: loss of the frame; NaN where none is answered.
-        scale: robot size over human size in the frame; NaN where none is answered.
-        events: what happened at this tick, a sentence each: a mode that changed, frames refused.
-        driver: what the hand is driven by, if the loop knows; the same object until it
-            changes.
-        state: where the hand was when that was last measured, if a sink measures it; the same
-            object until there is a newer one.
-        wrist: the target of the hand's wrist, with the same stamp; None where the loop moves
-            fingers only.
+        stages: name of a stage -> its time [ms], in order; empty without a frame.
+        tracking_loss: loss of the frame; NaN without a frame.
+        scale: robot size over human size in the frame; NaN without a frame.
+        events: events of this tick, one sentence each, such as a change of mode or refused frames.
+        driver: method of the hand, if the loop knows it; the same object until it changes.
+        state: last measured state of the hand, if a sink measures it; the same object until there
+            is a newer one.
+        wrist: target of the hand's wrist, with the same stamp; None if the loop moves fingers only.
         arm: the command to the arm that carries the hand, with the same stamp; None without an
             arm.
     """

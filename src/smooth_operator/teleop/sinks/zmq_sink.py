@@ -21,22 +21,22 @@ FORMAT: Final = 1
 """Version of the messages."""
 
 _WAITING_MESSAGES: Final = 4
-"""Messages that wait for a subscriber that does not keep up; older ones would do it no good."""
+"""Largest number of messages that wait for a slow subscriber; older ones are outdated."""
 
 _LINGER_MS: Final = 1000
-"""Time that closing waits for what a subscriber has not got yet, such as the message of the end."""
+"""Time that closing waits for pending messages, such as that of the end."""
 
 
 @dataclass(frozen=True)
 class ZmqSink(ThreadedSink):
     """Publishes commands on a ZeroMQ socket (PUB); see ``docs/how-to/robot-driver.md``.
 
-    Nobody need listen, and a subscriber may come and go. Each message says how long it is valid:
-    a driver that hears nothing for longer than that stops its robot.
+    It needs no subscriber, and subscribers may come and go. Each message has the time for which it
+    is valid; a driver without a newer one stops its robot.
 
     Attributes:
-        address: where to listen for subscribers; the default is reached from this machine only.
-        valid_for_s: how long a command may be acted upon [s].
+        address: address for subscribers; the default can be reached from this machine only.
+        valid_for_s: time for which a command is valid [s].
 
     Raises:
         ConfigError: a setting is out of its range.
@@ -83,7 +83,7 @@ class ZmqSink(ThreadedSink):
 
 
 def command_message(tick: Tick, valid_for_s: float) -> dict[str, Any]:
-    """A command as the far side gets it; ``side`` is first, so that it can be filtered for."""
+    """Message of a command; ``side`` comes first, so that subscribers can filter for it."""
     frame, wrist = None if tick.arrival is None else tick.arrival.frame, tick.wrist
     message: dict[str, Any] = {
         "side": tick.side,
@@ -116,7 +116,7 @@ def command_message(tick: Tick, valid_for_s: float) -> dict[str, Any]:
 
 
 def arm_message(arm: ArmCommand) -> dict[str, Any]:
-    """The part of a command that is for the arm; with where the arm is, if that is measured."""
+    """The arm's part of a command, with the arm's measured positions if there are any."""
     message: dict[str, Any] = {
         "name": arm.name,
         "names": list(arm.joint_names),
@@ -187,7 +187,7 @@ class _Publisher:
         self._tell("stalled", seconds=seconds)
 
     def close(self) -> None:
-        """Say that this was the last command, and close the socket."""
+        """Publish the end, and close the socket."""
         try:
             self._tell("end")
         finally:

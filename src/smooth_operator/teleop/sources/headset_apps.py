@@ -40,14 +40,16 @@ TCP_PORT: Final = 8000
 class HtsSource(StreamSource):
     """Both hands from the Quest app Hand Tracking Streamer, over Wi-Fi or a cable.
 
-    Whoever can send to the ports moves the hand; the app knows no passwords. So it listens on this
-    machine alone by default, which is enough for a cable (``adb reverse tcp:8000 tcp:8000``).
+    Everybody who can send to the ports moves the hand, since the app has no passwords. By default
+    the source therefore listens on this machine only, which is enough for a cable (``adb reverse
+    tcp:8000 tcp:8000``).
 
     Attributes:
         host: address to listen on; ``0.0.0.0`` for the whole network, which Wi-Fi needs.
-        port: to listen on; the app's own if None: 9000 for UDP, 8000 for TCP. 0 for any free one.
+        port: port to listen on; None for those of the app: 9000 for UDP, 8000 for TCP. 0 for any
+            free one.
         transport: ``udp``, ``tcp``, or ``both``.
-        side: the hands that are taken.
+        side: hands to use.
 
     Raises:
         ConfigError: a setting is outside its range.
@@ -96,7 +98,7 @@ class HtsSource(StreamSource):
 
         def read(message: Message, received: float) -> Sequence[Reading]:
             data, host, *connection = message
-            line = hts_lines.parse_line(data)  # what is no line does not choose the sender
+            line = hts_lines.parse_line(data)  # only a valid line chooses the sender
             sender.check(host, received)
             frame = hands.add(line, received)
             if frame is None:
@@ -126,14 +128,14 @@ class _UdpLines(UdpInbox):
 class PicoSource(StreamSource):
     """Both hands from the PICO app XRoboToolkit, which connects to this program as to its service.
 
-    The app's PC service must not run on this computer at the same time: both take one port.
-    Whoever can connect moves the hand; the app knows no passwords. So it listens on this machine
-    alone by default.
+    The app's PC service must not run on this computer at the same time, since both use one port.
+    Everybody who can connect moves the hand, since the app has no passwords. By default the source
+    therefore listens on this machine only.
 
     Attributes:
         host: address to listen on; ``0.0.0.0`` for the whole network, which a headset needs.
-        port: TCP port; the app connects to 63901 and to no other.
-        side: the hands that are taken.
+        port: TCP port; the app connects only to 63901.
+        side: hands to use.
         axes: axes of the joints: ``openxr``, right-handed, or ``unity``, left-handed, for an app
             that sends them so.
 
@@ -189,15 +191,15 @@ class PicoSource(StreamSource):
 class AvpSource(StreamSource):
     """Both hands from a Vision Pro with the app Tracking Streamer, over Wi-Fi.
 
-    This program connects to the headset, and again when the headset was asleep. The app says
-    neither when a hand was measured nor whether it is seen: a stamp is the time of receipt, and a
-    hand that is sent again unchanged is no new frame, so that a lost hand falls silent. A wrist
-    that is sent again unchanged while the fingers move is not valid.
+    This program connects to the headset, and reconnects after the headset was asleep. The app sends
+    neither the time of a measurement nor the visibility of a hand: a stamp is the time of receipt,
+    and an unchanged hand is no new frame, so that a lost hand falls silent. An unchanged wrist
+    is not valid while the fingers move.
 
     Attributes:
         address: address of the headset, as the app shows it.
         port: port of the app.
-        side: the hands that are taken.
+        side: hands to use.
 
     Raises:
         ConfigError: a setting is outside its range.

@@ -1,7 +1,7 @@
-"""Sockets that sources receive messages from: UDP, TCP, ZeroMQ and gRPC.
+"""Sockets for the messages of sources: UDP, TCP, ZeroMQ and gRPC.
 
-A web page may connect to any port of its user's computer and send what it likes after the header of
-an HTTP request, so a TCP connection whose first bytes are not of the protocol is closed.
+A web page may connect to any port of its user's computer and send arbitrary data after the header
+of an HTTP request, so a TCP connection whose first bytes are not of the protocol is closed.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from smooth_operator.teleop.sources.payload import MAX_BYTES
 from smooth_operator.web.listening import listen
 
 Message: TypeAlias = tuple[Any, ...]
-"""A message as it came, in one part or several: bytes, or what its library makes of them. Or an
-error alone, for a connection that the inbox has closed since it speaks another protocol."""
+"""A received message in one part or several: bytes, or objects of its library. Or a single error,
+for a connection that the inbox has closed since it uses another protocol."""
 
 NEWEST: Final = 8
-"""Messages that are read when more have come together, the newest. Two hands, their both
-alternating, and a broken one between, leave each hand its newest frame."""
+"""Number of newest messages that are read of those that came together. With two hands that
+alternate, and a broken message between, each hand still gets its newest frame."""
 
 _AT_ONCE: Final = 10_000
 """Messages that are emptied in one go, so that a flood can't keep a source from stopping."""
@@ -36,20 +36,20 @@ class Inbox(ABC):
     """An open socket.
 
     Attributes:
-        address: where it listens or what it is connected to; an asked-for port 0 is the real one.
-        problem: why nothing can come, for an inbox that connects; empty where nothing is wrong.
+        address: address to which it listens or is connected, with the real port for a port 0.
+        problem: reason why nothing can come, for an inbox that connects; empty without a problem.
     """
 
     address: str
     problem = ""
 
     def sockets(self) -> list[socket.socket]:
-        """The sockets that ``receive`` waits for, where they can be waited for with others."""
+        """Sockets for which ``receive`` waits, if one can wait for them together with others."""
         return []
 
     @abstractmethod
     def receive(self, timeout: float) -> list[Message]:
-        """Waits for messages up to ``timeout`` [s]; of all that are here, the newest few in order.
+        """Wait for messages up to ``timeout`` [s], and return the newest few in order.
 
         Raises:
             SourceError: the socket gave up.
@@ -57,19 +57,19 @@ class Inbox(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Gives the socket back."""
+        """Close the socket."""
 
 
 class UdpInbox(Inbox):
-    """A bound UDP socket. A message is its bytes and the address that it came from.
+    """A bound UDP socket. A message is its bytes and the address of its sender.
 
     Args:
         host: address to listen on.
-        port: to listen on; 0 for any free one.
-        choose: how to name another port, for messages.
+        port: port to listen on; 0 for any free one.
+        choose: advice on naming another port, for messages.
 
     Raises:
-        SourceError: the port is taken, or the address is not of this machine.
+        SourceError: the port is in use, or the address is not of this machine.
     """
 
     def __init__(self, host: str, port: int, choose: str = "udp:PORT") -> None:
@@ -120,32 +120,33 @@ class UdpInbox(Inbox):
 
 
 Split: TypeAlias = Callable[[bytearray], Sequence[bytes]]
-"""Takes whole messages from the front of a buffer, which keeps the rest."""
+"""Removes complete messages from the front of a buffer, which keeps the rest."""
 Begins: TypeAlias = Callable[[bytearray], bool]
-"""True where what has come on a connection so far can be the begin of its first message."""
+"""True if the data on a connection so far can be the beginning of its first message."""
 
 _CONNECTIONS: Final = 8  # at a time; beyond, the one that has been silent for the longest is closed
 _CHUNK: Final = 65_536
 _READS: Final = 64  # reads of one connection in one go, so that a flood can't hold the others up
 _NEWEST_PARTS: Final = 16
-"""Messages that are read when more have come together: both hands of a few frames, in parts."""
+"""Number of newest messages that are read of those that came together: both hands of a few
+frames, in parts."""
 
 
 class TcpInbox(Inbox):
     """A listening socket and the connections to it.
 
-    A message is its bytes, the address that it came from, and the number of the connection; or, for
-    a connection that was closed since it speaks another protocol, the error that says so.
+    A message is its bytes, the address of its sender, and the number of the connection; or the
+    error, for a connection that was closed since it uses another protocol.
 
     Args:
         host: address to listen on.
-        port: to listen on; 0 for any free one.
-        split: takes messages out of what came.
-        begins: tells the protocol from others by the first bytes of a connection, however few.
-        source: the word of the source, for messages.
+        port: port to listen on; 0 for any free one.
+        split: splits received data into messages.
+        begins: recognises the protocol by the first bytes of a connection.
+        source: name of the source, for messages.
 
     Raises:
-        SourceError: the port is taken, or the address is not of this machine.
+        SourceError: the port is in use, or the address is not of this machine.
     """
 
     def __init__(self, host: str, port: int, split: Split, begins: Begins, source: str) -> None:
@@ -185,7 +186,7 @@ class TcpInbox(Inbox):
         return [*refusals, *newest]
 
     def close(self) -> None:
-        """Closes all connections and gives the port back."""
+        """Close all connections and the port."""
         for connection in list(self._clients):
             self._drop(connection)
         self._listening.close()
@@ -238,7 +239,7 @@ class TcpInbox(Inbox):
 
 
 class _Client:
-    """A connection: where it is from, its next message so far, and whether that is the first."""
+    """A connection: its address, the data of its next message, and True before the first one."""
 
     def __init__(self, host: str, number: int) -> None:
         self.mark = (host.encode(), str(number).encode())
@@ -290,11 +291,12 @@ class ZmqInbox(Inbox):
     Connecting needs no publisher: it may start later, and start again.
 
     Args:
-        feature: what needs it, for the message where pyzmq is missing.
-        address: such as ``tcp://127.0.0.1:5557``; ``tcp://127.0.0.1:*`` binds any free port.
-        bind: listen there, in place of connecting.
+        feature: name of the user, for the message if pyzmq is missing.
+        address: address such as ``tcp://127.0.0.1:5557``; ``tcp://127.0.0.1:*`` binds any free
+            port.
+        bind: True to listen at the address, False to connect to it.
         pattern: kind of socket.
-        topic: what messages start with, for ``sub``.
+        topic: first bytes of the messages, for ``sub``.
 
     Raises:
         MissingExtraError: pyzmq is not installed.
@@ -332,7 +334,7 @@ class ZmqInbox(Inbox):
         self._socket.setsockopt(zmq.MAXMSGSIZE, _LARGEST)
         self._socket.setsockopt(zmq.RECONNECT_IVL, _RECONNECT_MS[0])
         self._socket.setsockopt(zmq.RECONNECT_IVL_MAX, _RECONNECT_MS[1])
-        # Without this a publisher whose machine or cable died is waited for in vain.
+        # Without this, the socket would wait endlessly after the publisher's machine or cable died.
         self._socket.setsockopt(zmq.TCP_KEEPALIVE, 1)
         if pattern == "sub":
             self._socket.setsockopt_string(zmq.SUBSCRIBE, topic)
@@ -383,15 +385,15 @@ class GrpcInbox(Inbox):
     code is needed.
 
     Args:
-        feature: what needs it, for the message where grpcio is missing.
-        extra: the extra that has grpcio.
-        address: HOST:PORT of the server, which need not be there yet.
+        feature: name of the user, for the message if grpcio is missing.
+        extra: the extra with grpcio.
+        address: HOST:PORT of the server, which may start later.
         method: path of the method: ``/package.Service/Method``.
-        longest: messages beyond are refused [bytes].
+        longest: size of the longest accepted message [bytes].
 
     Attributes:
-        address: as it was given.
-        problem: why there is no stream; empty while there is one.
+        address: the argument.
+        problem: reason why there is no stream; empty while there is one.
 
     Raises:
         MissingExtraError: grpcio is not installed.

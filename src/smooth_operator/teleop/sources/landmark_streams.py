@@ -25,16 +25,16 @@ from smooth_operator.teleop.sources.stream import (
 
 @dataclass(frozen=True)
 class LandmarkStream(StreamSource):
-    """Each message a hand, as ``smooth_operator.teleop.sources.payload`` says.
+    """Source with one hand per message, in the forms of ``smooth_operator.teleop.sources.payload``.
 
     Attributes:
-        side: the hand of a message that does not say, and the only one that is taken; with
-            ``both`` each message must say.
+        side: side of messages without one, and the only one in use; with ``both`` each message
+            must have its side.
         layout: order of the landmarks in a message of 21, by its name in ``LAYOUTS``.
         stamp_unit: unit of the stamps in JSON.
         quaternion: order of the quaternion in rows of 7.
-        matrix: how 4 x 4 matrices are written: row by row or column by column; ``auto`` decides
-            by where 0 0 0 1 stands.
+        matrix: order of 4 x 4 matrices: row by row or column by column; ``auto`` decides by the
+            place of 0 0 0 1.
 
     Raises:
         ConfigError: a setting is outside its range.
@@ -66,13 +66,13 @@ class LandmarkStream(StreamSource):
 
 @dataclass(frozen=True)
 class UdpSource(LandmarkStream):
-    """Each datagram a hand; see ``LandmarkStream``.
+    """Source with one hand per datagram; see ``LandmarkStream``.
 
-    Whoever can send to the port moves the hand; UDP knows no passwords. So it listens on this
-    machine alone by default.
+    Everybody who can send to the port moves the hand, since UDP has no passwords. By default the
+    source therefore listens on this machine only.
 
     Attributes:
-        port: to listen on; 0 for any free one, see ``endpoint``.
+        port: port to listen on; 0 for any free one, see ``endpoint``.
         host: address to listen on; ``0.0.0.0`` for the whole network.
     """
 
@@ -95,14 +95,14 @@ class UdpSource(LandmarkStream):
 
 @dataclass(frozen=True)
 class ZmqSource(LandmarkStream):
-    """Each message a hand; see ``LandmarkStream``.
+    """Source with one hand per ZeroMQ message; see ``LandmarkStream``.
 
-    A message may have a topic before it, as a separate part or as the words that ``topic`` gives.
+    A message may begin with a topic, as a separate part or as the text ``topic``.
 
     Attributes:
-        address: address of the publisher; it need not be there yet.
+        address: address of the publisher, which may start later.
         bind: listen on the address, for publishers that connect.
-        topic: take messages that start with this only.
+        topic: use only messages that start with this text.
         pattern: ``sub`` for a publisher, ``pull`` for a pusher.
     """
 

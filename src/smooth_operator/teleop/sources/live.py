@@ -1,8 +1,8 @@
-"""Base of live sources: frames with stamps, the newest one only.
+"""Base of live sources, and the mailbox with the newest frame of each hand.
 
-A source runs on its own thread and posts what it receives into a mailbox with one place per
-hand. A frame that nobody has taken when the next one comes is overwritten, so nothing ever queues
-up, and the loop always answers the newest.
+A source runs on its own thread and posts received frames into a mailbox with one place per hand. A
+frame that was not taken is overwritten by the next one, so there is no queue, and the loop always
+answers the newest.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ LATEST_STAMP_S: Final = 1e11
 """Stamps are seconds and below this, the year 5138 of Unix time [s]; larger ones are of another
 unit."""
 JUMP_S: Final = 1.0
-"""Stamps that jump by more than this are of a tracker that was started again, or set its clock [s]:
-back from the newest one, or ahead of the time that went by since that one was received."""
+"""Jump of the stamps from which on the tracker was restarted or set its clock [s]: back from the
+newest stamp, or ahead of the time since its reception."""
 
 
 _GAPS: Final = 5
@@ -39,16 +39,16 @@ _GAPS: Final = 5
 
 @dataclass(frozen=True, eq=False)
 class Arrival:
-    """A frame that has come in.
+    """A received frame.
 
     Attributes:
-        frame: the hand; its stamp is by the tracker's clock, or ``received`` where it had none.
-        received: when its last byte was here, by the loop's clock [s].
-        session: which start of the tracker it belongs to; stamps of another session may restart.
-            It goes up by one with each start that the source knows of, and with each jump of the
-            stamps (``JUMP_S``).
-        speed: seconds of its stamps in a second of the loop's clock; a recording may be played
-            slower or faster than it was made.
+        frame: the hand; its stamp is by the tracker's clock, or ``received`` if it had none.
+        received: time of reception of its last byte, by the loop's clock [s].
+        session: number of the tracker's start; stamps of another session may restart. It
+            increases with each start that the source reports, and with each jump of the stamps
+            (``JUMP_S``).
+        speed: seconds of its stamps per second of the loop's clock, which differ for a recording
+            that is played slower or faster.
     """
 
     frame: HandFrame
@@ -70,9 +70,9 @@ class Mailbox:
     """The newest frame of each hand; safe for several threads.
 
     Attributes:
-        received: frames that were posted.
-        received_of: the same, of each hand.
-        overwritten: those among them that a newer one replaced before they were taken.
+        received: number of posted frames.
+        received_of: side -> number of posted frames.
+        overwritten: number of frames that were replaced before they were taken.
     """
 
     def __init__(self, clock: Clock = time.perf_counter) -> None:
@@ -95,16 +95,16 @@ class Mailbox:
         session: int = 0,
         speed: float = 1.0,
     ) -> Arrival:
-        """Put in a frame.
+        """Post a frame.
 
         Args:
             frame: the hand.
-            received: when it was received; now if left out.
-            session: which start of the tracker, as far as the source knows.
+            received: time of reception [s]; by default now.
+            session: number of the tracker's start, as far as the source knows.
             speed: see ``Arrival``.
 
         Returns:
-            it, as it waits now.
+            the arrival in the mailbox.
         """
         at = self.clock() if received is None else received
         with self._arrived:
@@ -123,28 +123,28 @@ class Mailbox:
         return arrival
 
     def take(self, side: Side) -> Arrival | None:
-        """The newest frame of a hand, once; None if none came since the last call."""
+        """Take the newest frame of a hand; None if none came since the last call."""
         with self._arrived:
             return self._newest.pop(side, None)
 
     def newest(self, side: Side) -> Arrival | None:
-        """The arrival that ``take`` would give; it stays there."""
+        """The arrival that ``take`` would return, left in the mailbox."""
         with self._arrived:
             return self._newest.get(side)
 
     def following(self, side: Side) -> float | None:
-        """When the next frame of a hand is expected, by the last few [s]; None before there are
+        """Expected time of the next frame of a hand, from the last few [s]; None before there are
         two."""
         with self._arrived:
             gaps = self._gaps.get(side)
             return self._latest[side] + median(gaps) if gaps else None
 
     def sleep(self, timeout: float, received: int | None = None) -> None:
-        """Sleep for so many seconds at most, until ``wake``, or until a frame is posted.
+        """Sleep up to a timeout, until ``wake``, or until a frame is posted.
 
         Args:
-            timeout: [s].
-            received: ``received`` at a time from which on frames end it; None if none does.
+            timeout: longest time [s].
+            received: value of ``received`` above which a frame ends the sleep; None for no frame.
         """
         with self._arrived:
             self._arrived.wait_for(
@@ -154,10 +154,10 @@ class Mailbox:
             self._woken = False
 
     def wait(self, sides: Collection[Side], timeout: float) -> bool:
-        """Sleep until a frame of one of these hands is here, or for so many seconds at most.
+        """Sleep until a frame of one of some hands is here, up to a timeout [s].
 
         Returns:
-            whether one is here.
+            True if there is a frame.
         """
         with self._arrived:
             self._arrived.wait_for(lambda: self._woken or self._has(sides), timeout)
@@ -165,7 +165,7 @@ class Mailbox:
             return self._has(sides)
 
     def wake(self) -> None:
-        """End a ``wait`` or ``sleep``, or the next one, though no frame is here."""
+        """End the current or the next ``wait`` or ``sleep`` without a frame."""
         with self._arrived:
             self._woken = True
             self._arrived.notify_all()
@@ -204,9 +204,9 @@ class SourceHealth:
     """Health of a source.
 
     Attributes:
-        state: ``waiting`` for its tracker; ``running``; ``ended``, there is nothing more to come;
-            ``failed``, it gave up.
-        detail: a sentence for a person: the address that it listens on, what went wrong.
+        state: ``waiting`` for its tracker; ``running``; ``ended`` without further frames;
+            ``failed`` with an error.
+        detail: a sentence for a person: the address on which it listens, or the error.
     """
 
     state: Literal["waiting", "running", "ended", "failed"]
@@ -221,7 +221,7 @@ class LiveSource(Protocol):
         """Name for a person, in a few words."""
 
     def prepare(self) -> None:
-        """Get hold of all that ``start`` needs, before anything slow is done; may be left out.
+        """Open everything that ``start`` needs, before anything slow is done; optional.
 
         Raises:
             SourceError, RecordingError, MissingExtraError, ConfigError: as ``start``.
@@ -231,21 +231,21 @@ class LiveSource(Protocol):
         """Begin to post frames, and return immediately.
 
         Raises:
-            SourceError: it can't be opened: no such camera, a port that is taken.
+            SourceError: it can't be opened: no such camera, a port in use.
             MissingExtraError: a library that it needs is not installed.
         """
 
     def stop(self) -> None:
-        """Post nothing more and give everything back; a second call does nothing."""
+        """Stop posting and close everything; a second call does nothing."""
 
     def health(self) -> SourceHealth:
         """Health of the source, at any time, from any thread."""
 
 
 class ThreadedSource(ABC):
-    """A source with its own thread; subclasses say what runs on it.
+    """A source with its own thread, on which a subclass's ``run`` runs.
 
-    Subclasses are frozen dataclasses of settings, and keep what changes in ``Running``.
+    Subclasses are frozen dataclasses of settings; their state is in ``Running``.
     """
 
     @property
@@ -257,7 +257,7 @@ class ThreadedSource(ABC):
     def run(self, running: Running) -> None:
         """Post frames until ``running.stopping`` is set, or there are no more.
 
-        Whatever it raises becomes the health ``failed``, with the error as the detail.
+        An exception becomes the health ``failed``, with the error as the detail.
         """
 
     def open(self) -> None:  # noqa: B027  (most sources need nothing before their thread)
@@ -273,7 +273,7 @@ class ThreadedSource(ABC):
         if not self.__dict__.pop("_prepared", False):
             self.open()
         running = Running(mailbox, self.label)
-        # The settings are frozen, but a source that runs is not its settings alone.
+        # The settings are frozen, the state of a running source is not.
         object.__setattr__(self, "_running", running)
         running.begin(self.run)
 
@@ -293,8 +293,8 @@ class Running:
     """A started source: its thread, its mailbox, its health.
 
     Attributes:
-        mailbox: where frames go.
-        stopping: set when it is to end; ``stopping.wait(seconds)`` is the way to sleep.
+        mailbox: mailbox of the frames.
+        stopping: event that ends the source; ``stopping.wait(seconds)`` sleeps.
         health: may be replaced by the thread at any time.
     """
 
@@ -327,7 +327,7 @@ class Running:
         self._thread.start()
 
     def end(self, timeout: float = 5.0) -> None:
-        """Ask it to end, and wait for that a while."""
+        """Request the end, and wait for it up to a timeout [s]."""
         self.stopping.set()
         if self._thread is not None and self._thread is not threading.current_thread():
             self._thread.join(timeout)
@@ -339,16 +339,15 @@ _Item = TypeVar("_Item")
 def on_time(
     due: Iterable[tuple[float, _Item]], clock: Clock, stopping: threading.Event
 ) -> Iterator[tuple[float, _Item]]:
-    """Items when they are due; those that are late already come immediately, in order.
+    """Yield items when they are due; late ones immediately, in order.
 
     Args:
         due: (time since the start [s], item), times not decreasing.
-        clock: seconds that never go back. It starts when the first item has been made, which may
-            take a while.
-        stopping: ends it.
+        clock: monotonic clock [s]. The start is the time of the first item, which may take a while.
+        stopping: event that ends the iteration.
 
     Yields:
-        How late the item is [s], and the item.
+        delay of the item [s], and the item.
     """
     items = iter(due)
     first = list(itertools.islice(items, 1))

@@ -1,12 +1,12 @@
-"""Messages of MANUS glove bridges: the 25 nodes of a raw skeleton, in the forms that are about.
+"""Messages of MANUS glove bridges: the 25 nodes of a raw skeleton, in several forms.
 
-Read is what ``ManusZmqBridge`` publishes (the program that the MANUS recordings were
-made with), with three fields more::
+The main form is that of ``ManusZmqBridge`` (the program of the MANUS recordings), with three more
+fields::
 
     RIGHT {"glove_id": 3064964832, "side": "right", "session": "a1", "stamp": 12.505,
            "nodes": [{"id": 0, "pos": [x, y, z], "quat": [w, x, y, z]}, ...]}
 
-Read are also, since other bridges send them: both hands in one message; nodes as 25 rows of x y z
+Other bridges send these forms: both hands in one message; nodes as 25 rows of x y z
 and a quaternion; the ROS 2 message ``ManusGlove`` as JSON (``raw_nodes`` with a ``pose`` each); and
 lines of ``glove id, 25 x (x, y, z, qx, qy, qz, qw)`` separated by commas, of one hand or two, as
 the Bidex bridge pushes them. ``docs/how-to/manus.md`` has an example of each.
@@ -59,17 +59,16 @@ def read_manus(
     """Read a message.
 
     Args:
-        data: the message; of several parts, joined with spaces.
-        gloves: glove id -> side, for bridges that do not say; ids as they print them.
-        side: the hand of a message that says neither side nor a glove in ``gloves``; None refuses
-            it.
-        received: when it came, the stamp where it has none [s].
+        data: the message; several parts are joined with spaces.
+        gloves: glove id, as the bridge prints it -> side, for bridges that send no sides.
+        side: side of a message with neither a side nor a glove in ``gloves``; None refuses it.
+        received: time of receipt [s], the stamp of a message without one.
 
     Returns:
-        The hands of the message, none for one of joint angles alone.
+        hands of the message; empty for one of joint angles alone.
 
     Raises:
-        RecordingError: it can't be read, with the reason.
+        RecordingError: the message can't be read, with the reason.
     """
     check_size(data)
     topic_match = _TOPIC.match(data)
@@ -82,7 +81,7 @@ def read_manus(
 
 
 def _hands(message: Any) -> list[Mapping[str, Any]]:
-    """The hands of a message, each with what the message says of both."""
+    """Hands of a message, each with the common fields of the message."""
     hands: Any = message
     if isinstance(message, dict):
         shared = {k: message[k] for k in ("stamp", "timestamp", "session", "world") if k in message}
@@ -250,13 +249,12 @@ def glove_sides(right: str | None, left: str | None) -> dict[str, Side]:
 
 @dataclass(frozen=True)
 class ManusStream(StreamSource):
-    """Each message a hand or two, as ``smooth_operator.teleop.sources.manus_gloves`` says.
+    """Source with one or two hands per message of a MANUS glove bridge.
 
     Attributes:
-        address: address of the bridge; it need not be running yet.
-        side: the hands that are taken. With one hand alone, messages that do not say which hand
-            they are of are taken for it.
-        right_glove: id of the right glove, for a bridge that does not say which hand is which.
+        address: address of the bridge, which may start later.
+        side: hands to use. With one hand, messages without a side count as that hand.
+        right_glove: id of the right glove, for a bridge that sends no sides.
         left_glove: id of the left glove.
         pattern: ``sub`` for bridges that publish, ``pull`` for those that push (Bidex).
         bind: listen on the address, for a bridge that connects.

@@ -1,4 +1,4 @@
-"""Messages of hand landmarks from anywhere: numbers as bytes, or JSON.
+"""Messages of hand landmarks from other programs: numbers as bytes, or JSON.
 
 A message is one of
 
@@ -10,8 +10,8 @@ A message is one of
 In place of 21 landmarks there may be 25 (MANUS, WebXR) or 26 (OpenXR), which are mapped; in place
 of a row x y z, an object, a row with a quaternion or a 4 x 4 matrix (``point_forms``). ``wrist`` is
 the pose of the wrist in the frame ``world``; 26 rows with quaternions hold one, in OpenXR's axes
-(y up), which is converted. Nothing here waits, keeps state or unpickles: bytes
-in, hand frames out, or an error that says why not.
+(y up), which is converted. Nothing here waits, has state or unpickles: bytes become hand frames, or
+an error with the reason.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from smooth_operator.teleop.sources.live import LATEST_STAMP_S
 from smooth_operator.types import HandFrame, Side, as_side
 
 MAX_BYTES: Final = 65_536
-"""Longest message that is read. Both hands of the wordiest bridge need a third of it."""
+"""Longest accepted message; both hands of the most verbose bridge need a third of it."""
 
 _BINARY: Final = {
     count * 3 * size: (count, f"<f{size}") for count in schema.NODE_LAYOUTS for size in (4, 8)
@@ -53,9 +53,9 @@ class Reading:
     """One hand of a message.
 
     Attributes:
-        frame: the hand; its stamp is the time of receipt where the message has none.
-        stamped: whether the stamp is the tracker's own.
-        session: what the tracker calls its present start, if it says so.
+        frame: the hand; its stamp is the time of receipt if the message has none.
+        stamped: True if the stamp is the tracker's own.
+        session: the tracker's name of its current start, if it sends one.
     """
 
     frame: HandFrame
@@ -65,13 +65,13 @@ class Reading:
 
 @dataclass(frozen=True)
 class Forms:
-    """Format of a message, as far as it can't say so itself.
+    """Format of messages, as far as it does not follow from them.
 
     Attributes:
         layout: order of the landmarks in a message of 21; None for the project's own.
         stamp_unit: unit of its stamps.
-        quaternion: order in rows of 7.
-        matrix: how 4 x 4 matrices are written; ``auto`` decides by their row or column 0 0 0 1.
+        quaternion: order of the quaternion in rows of 7.
+        matrix: order of 4 x 4 matrices; ``auto`` decides by their row or column 0 0 0 1.
     """
 
     layout: str | None = None
@@ -84,8 +84,8 @@ class PayloadReader:
     """Reads the messages of one stream.
 
     Args:
-        side: as ``read_payload``.
-        forms: what the messages can't say.
+        side: side, as in ``read_payload``.
+        forms: format of the messages.
     """
 
     def __init__(self, side: Side | None, forms: Forms) -> None:
@@ -93,7 +93,7 @@ class PayloadReader:
         self._pace = StampPace(forms.stamp_unit)
 
     def read(self, data: bytes, received: float) -> tuple[Reading, ...]:
-        """The hands of the next message.
+        """Hands of the next message.
 
         Raises:
             RecordingError: as ``read_payload``, or the stamps are in another unit by their pace.
@@ -118,13 +118,14 @@ def read_payload(
 
     Args:
         data: the message.
-        side: which hand it is where it does not say; None refuses a message that does not say.
-        received: when it came, the stamp where it has none [s].
-        forms: the fields of ``Forms``.
+        side: side of a message without one; None refuses such a message.
+        received: time of receipt [s], the stamp of a message without one.
+        forms: format of the message.
 
     Raises:
-        RecordingError: it can't be read: too long, of no known size, broken JSON, a wrong shape,
-            an impossible stamp, no side, landmarks in another unit (with the likely factor).
+        RecordingError: the message can't be read: it is too long or of an unknown size, has broken
+            JSON, a wrong shape, an impossible stamp, no side, or landmarks in another unit (with
+            the likely factor).
     """
     check_size(data)
     settings = Forms(**forms)
@@ -185,16 +186,16 @@ def hand_frame(
     wrist: Float[np.ndarray, "7"] | None = None,
     world: str | None = None,
 ) -> HandFrame:
-    """A hand frame from a tracker's own points.
+    """Hand frame from a tracker's points.
 
     Args:
-        points: (n, 3) positions [m], n being 21, 25, 26 or 27; NaN where missing. All exactly zero
-            is a tracker's "no hand".
-        stamp: [s].
-        side: which hand.
+        points: (n, 3) positions [m], n being 21, 25, 26 or 27; NaN for a missing one. All zeros
+            are a tracker's "no hand".
+        stamp: stamp of the frame [s].
+        side: side of the hand.
         valid: flags of the points, or of the 21 landmarks.
-        orientations: quaternions wxyz of the points; made unit quaternions.
-        metacarpals: where the points do not hold them.
+        orientations: quaternions wxyz of the points, of any length.
+        metacarpals: metacarpal bases, if they are not among the points.
         layout: order of 21 points; None for the project's own.
         wrist, world: ``HandFrame.T_world_wrist`` and its world frame.
 
@@ -229,10 +230,10 @@ def hand_frame(
 
 
 def read_side(label: Any, otherwise: Side | None) -> Side:
-    """The side that a message names, or the one that is known otherwise.
+    """Side in a message, or else the known side.
 
     Raises:
-        RecordingError: it names another, or none where none is known.
+        RecordingError: the message names something else, or neither side is known.
     """
     if label is None:
         return _checked_side(otherwise)
@@ -243,7 +244,7 @@ def read_side(label: Any, otherwise: Side | None) -> Side:
 
 
 def read_session(message: Mapping[str, Any]) -> str | None:
-    """A message's name for the tracker's present start."""
+    """Name of the tracker's current start in a message."""
     session = message.get("session")
     return None if session is None else str(session)[:64]
 
@@ -292,7 +293,7 @@ def _read_hand(
 
 
 def read_wrist(message: Mapping[str, Any]) -> dict[str, Any]:
-    """``wrist`` and ``world`` of a message, for ``hand_frame``; empty where there is no wrist.
+    """``wrist`` and ``world`` of a message, for ``hand_frame``; empty without a wrist.
 
     Raises:
         RecordingError: the wrist is not 7 numbers.
@@ -356,21 +357,21 @@ def read_points(
     quaternion: QuaternionOrder = "wxyz",
     matrix: MatrixOrder = "auto",
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 4"] | None]:
-    """Points and, where the form has them, their orientations.
+    """Points, and their orientations if the form has them.
 
     Args:
         value: JSON value: n rows of x y z; objects ``{"x": , "y": , "z": }`` (MediaPipe; other keys
             are left alone); rows of x y z and a quaternion; 4 x 4 matrices, as rows of rows or 16
             numbers each; or all numbers of x y z in one row. A row that is null is missing.
-        what: its name, for messages.
-        quaternion: order in rows of 7.
-        matrix: how matrices are written.
+        what: name of the value, for messages.
+        quaternion: order of the quaternion in rows of 7.
+        matrix: order of matrices.
 
     Returns:
-        (n, 3) positions [m], NaN where missing, and (n, 4) quaternions wxyz or None.
+        (n, 3) positions [m], NaN for a missing one, and (n, 4) quaternions wxyz or None.
 
     Raises:
-        RecordingError: none of these forms, or matrices that are no rigid transforms.
+        RecordingError: the value has none of these forms, or a matrix is no rigid transform.
     """
     if isinstance(value, list) and any(isinstance(row, dict) for row in value):
         return _of_objects(value, what), None
@@ -398,8 +399,8 @@ def points_of_matrices(
     """Positions and quaternions wxyz of transforms; NaN where a matrix has NaN.
 
     Raises:
-        RecordingError: 0 0 0 1 does not stand where ``order`` has it (with ``auto``, in neither
-            place), or an upper left part is no rotation.
+        RecordingError: 0 0 0 1 is not at the place for ``order`` (with ``auto``, at neither place),
+            or an upper left part is no rotation.
     """
     whole = np.isfinite(matrices).all(axis=(1, 2))
     complete = matrices[whole]
@@ -438,7 +439,7 @@ def read_numbers(value: Any, what: str) -> Float[np.ndarray, "..."]:
     """Numbers of a JSON value as an array; null is NaN.
 
     Raises:
-        RecordingError: there is something else in it, or its rows differ in length.
+        RecordingError: the value has something else than numbers, or rows of different lengths.
     """
     try:
         return np.array(value, np.float64)
@@ -447,7 +448,7 @@ def read_numbers(value: Any, what: str) -> Float[np.ndarray, "..."]:
 
 
 def short(value: Any) -> str:
-    """A value for a message, 60 characters at most."""
+    """A value as a text of up to 60 characters, for messages."""
     text = repr(value)
     return text if len(text) <= 60 else f"{text[:57]}..."
 
@@ -467,7 +468,7 @@ def _of_objects(value: list[Any], what: str) -> Float[np.ndarray, "n 3"]:
 
 
 def _with_missing(value: Any) -> Any:
-    """The same with rows that are null as rows of null, as long as the others."""
+    """The value with each null row replaced by a row of nulls."""
     if not (isinstance(value, list) and None in value):
         return value
     model = next((row for row in value if isinstance(row, list)), None)
@@ -488,15 +489,15 @@ _NAMES: Final = {"s": "seconds", "ms": "milliseconds", "us": "microseconds", "ns
 
 
 def read_stamp(message: Mapping[str, Any], unit: StampUnit = "s") -> float | None:
-    """The stamp of a message [s], None where it has none.
+    """Stamp of a message [s]; None if it has none.
 
     Args:
-        message: it is under ``stamp`` or ``timestamp``.
-        unit: what it is in.
+        message: the message, with ``stamp`` or ``timestamp``.
+        unit: unit of the stamp.
 
     Raises:
-        RecordingError: it is no finite number, or far beyond any clock in this unit; the message
-            names the setting ``stamp_unit``.
+        RecordingError: the stamp is no finite number, or far above any clock in this unit; the
+            error names the setting ``stamp_unit``.
     """
     stamp = message.get("stamp", message.get("timestamp"))
     if stamp is None:
@@ -525,10 +526,10 @@ def _finite(value: int | float) -> bool:
 
 
 class StampPace:
-    """Finds a wrong unit by the pace of the stamps: seconds that look like a year pass any bound.
+    """Detects a wrong unit of stamps by their pace, since no bound on their values can.
 
     Args:
-        unit: what the stamps are said to be in.
+        unit: declared unit of the stamps.
     """
 
     WINDOW_S: Final = 1.0
@@ -541,12 +542,12 @@ class StampPace:
         self._wrong: dict[Side, str] = {}
 
     def check(self, side: Side, stamp: float, received: float) -> None:
-        """Take note of a stamp.
+        """Check a stamp.
 
         Args:
-            side: which hand it is of.
-            stamp: as it was read [s].
-            received: when it came [s].
+            side: side of the hand.
+            stamp: the stamp [s].
+            received: time of receipt [s].
 
         Raises:
             RecordingError: over the last window the stamps ran about 10^3, 10^6 or 10^9 times too

@@ -22,17 +22,17 @@ _DEFAULT_PERIOD_S = 0.01  # between the rounds of a recording of a single frame
 class Replay(ThreadedSource):
     """Plays a recording at its own pace.
 
-    Stamps are the recording's own, also at another speed. In a loop each round is a session of its
-    own, since the hand jumps from the last frame to the first, but stamps go on increasing: a round
-    starts one frame period after the last one's end.
+    Stamps are those of the recording, also at another speed. In a loop each round is a session of
+    its own, since the hand jumps from the last frame to the first, but stamps keep increasing: a
+    round starts one frame period after the end of the previous one.
 
     Attributes:
         path: any file that ``smooth-operator retarget`` reads.
         speed: 1 is the recording's own pace, 2 is twice as fast.
-        loop: start again at the end, for ever.
-        rate: frames a second, for a file without stamps [Hz].
-        side: which hand, for a file that does not say.
-        layout: order of the landmarks in a plain array, where it is not the project's own.
+        loop: repeat the recording without end.
+        rate: frame rate of a file without stamps [Hz].
+        side: side of the hand, for a file without one.
+        layout: order of the landmarks in a plain array; None for the project's own.
 
     Raises:
         ConfigError: a setting is outside its range.
@@ -72,7 +72,7 @@ class Replay(ThreadedSource):
             running.mailbox.post(frame, session=session, speed=self.speed)
 
     def _due(self, recording: HandRecording) -> Iterator[tuple[float, tuple[HandFrame, int]]]:
-        """When each frame is due [s], the frame and its round."""
+        """Time at which each frame is due [s], the frame and its round."""
         first = float(recording.stamps[0])
         single = len(recording) < 2
         period = recording.duration + (_DEFAULT_PERIOD_S if single else 1.0 / recording.rate_hz)

@@ -13,16 +13,16 @@ from smooth_operator.teleop.sources.payload import Reading
 from smooth_operator.types import Side
 
 Hands: TypeAlias = Literal["right", "left", "both"]
-"""Which hands a source takes."""
+"""Hands that a source uses."""
 
 Reader: TypeAlias = Callable[[Message, float], Sequence[Reading]]
 """Reads the hands of a message that came at a time by the loop's clock [s]."""
 
 SILENCE_S: Final = 1.0
-"""Without a message for so long, a source waits for its tracker again [s]."""
+"""Time without a message after which a source waits for its tracker [s]."""
 _MAX_REASON = 300
 _APART_S = 1e-6
-_POLL_S = 0.1  # how long a source that hears nothing needs to notice that it is to stop
+_POLL_S = 0.1  # longest time until a silent source notices a request to stop
 _SIDES: Final[dict[str, tuple[Side, ...]]] = {
     "right": ("right",),
     "left": ("left",),
@@ -48,10 +48,10 @@ def only_side(hands: str) -> Side | None:
 
 
 def check_port(port: int | None) -> None:
-    """Refuse a port that is none; None stands for a default.
+    """Refuse an invalid port; None stands for a default.
 
     Raises:
-        ConfigError: it is outside 0 to 65535.
+        ConfigError: the port is outside 0 to 65535.
     """
     if port is not None and not 0 <= port <= 65_535:
         raise ConfigError(f"port must be 0 to 65535, not {port}")
@@ -61,7 +61,7 @@ class StreamSource(ThreadedSource):
     """A source with an inbox; subclasses open it and read its messages.
 
     Attributes:
-        side: the hands that are taken.
+        side: hands to use.
     """
 
     side: Hands
@@ -81,17 +81,17 @@ class StreamSource(ThreadedSource):
 
     @property
     def sides(self) -> Collection[Side]:
-        """The hands that it takes."""
+        """Sides of the hands in use."""
         return sides_of(self.side)
 
     @property
     def hint(self) -> str:
-        """Advice while nothing has come: a clause that begins with a sign, or nothing."""
+        """Advice before the first message: a clause that begins with a sign, or empty."""
         return ""
 
     @property
     def endpoint(self) -> str | None:
-        """The address that it listens to, with the real port; None before its start."""
+        """Address on which it listens, with the real port; None before the start."""
         inbox: Inbox | None = getattr(self, "_inbox", None)
         return None if inbox is None else inbox.address
 
@@ -100,7 +100,7 @@ class StreamSource(ThreadedSource):
         object.__setattr__(self, "_inbox", self.connect())
 
     def run(self, running: Running) -> None:
-        """Takes messages until it is to stop."""
+        """Receive messages until the end."""
         inbox: Inbox = getattr(self, "_inbox")  # noqa: B009  (set in open(), past the frozen fields)
         read = self.reader()
         try:
@@ -119,19 +119,19 @@ class StreamSource(ThreadedSource):
 
 
 class MessageReceiver:
-    """Reads messages and posts what is in them.
+    """Reads messages and posts their hands.
 
-    A message that can't be read is counted, and the health has the last reason; it never ends
-    the source. A hand's session goes up by one when its tracker was started again: it says a new
-    ``session``, or it begins or ceases to stamp. The mailbox finds jumps of the stamps, and the
-    loop refuses stamps that repeat or go back a little.
+    A message that can't be read is counted, and the health has the last reason; it does not end the
+    source. A hand's session increases when its tracker was restarted: the tracker sends a new
+    ``session``, or begins or ceases to stamp. The mailbox detects jumps of the stamps, and the loop
+    refuses stamps that repeat or go back a little.
 
     Args:
         running: the started source.
-        where: what it listens to, for the health.
-        sides: the hands that are wanted.
+        where: address of the source, for the health.
+        sides: sides of the hands in use.
         read: reads a message.
-        hint: what to look at while nothing has come, for the health.
+        hint: advice before the first message, for the health.
     """
 
     def __init__(
@@ -161,8 +161,8 @@ class MessageReceiver:
         """Reads a message and posts its hands.
 
         Args:
-            message: as it came.
-            received: when, by the loop's clock [s].
+            message: the received message.
+            received: time of receipt, by the loop's clock [s].
         """
         if isinstance(message[0], RecordingError):
             self.refused += 1
@@ -185,7 +185,7 @@ class MessageReceiver:
         )
 
     def silent(self, problem: str = "") -> None:
-        """Reports if no message has come for a while, or why none can come."""
+        """Report a time without messages, or the reason why none can come."""
         if problem:
             self._running.health = SourceHealth("waiting", problem)
             return
@@ -228,9 +228,9 @@ class MessageReceiver:
 
 
 class OneSender:
-    """The first address that sends is listened to, until it has been silent for a second.
+    """Accepts only the first address that sends, until it has been silent for a second.
 
-    Programs at one address count as one sender: an app may open a socket for each hand.
+    Programs at one address count as one sender, since an app may open a socket for each hand.
     """
 
     def __init__(self) -> None:
@@ -238,14 +238,14 @@ class OneSender:
         self._last = 0.0
 
     def check(self, host: bytes, received: float) -> None:
-        """Notes the sender of a message.
+        """Check the sender of a message.
 
         Args:
-            host: the address that it came from.
-            received: when it came [s].
+            host: address of the sender.
+            received: time of receipt [s].
 
         Raises:
-            RecordingError: it is from another address than the one that is listened to.
+            RecordingError: it is another address than the accepted one.
         """
         if self._host not in (None, host) and received - self._last <= SILENCE_S:
             heard = (self._host or b"").decode()

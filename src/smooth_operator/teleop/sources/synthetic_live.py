@@ -1,4 +1,4 @@
-"""The built-in operator as a live source: ``synthetic``."""
+"""The synthetic operator as a live source: ``synthetic``."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ _HANDS_AT: Final[dict[Side, np.ndarray]] = {
 
 @dataclass(frozen=True)
 class SyntheticSource(ThreadedSource):
-    """A person in front of a tracker, without either.
+    """Live source with a synthetic person in front of a synthetic tracker.
 
-    Both hands are those of one person and mirror each other; what their trackers lose differs.
+    Both hands belong to one person and mirror each other; their trackers lose different frames.
 
     Attributes:
-        seed: the person, what they do and what the tracker loses.
-        rate: frames a second of each hand [Hz].
+        seed: seed of the person, the motion and the tracker's losses.
+        rate: frame rate of each hand [Hz].
         side: ``right``, ``left`` or ``both``.
-        gestures: names joined by ``+``, as ``pinch_index+spread``; all of them if left out.
+        gestures: names joined by ``+``, as ``pinch_index+spread``; by default all of them.
         speed: tempo of the operator, 1 is natural.
         noise: standard deviation of each coordinate [mm].
         frame_loss: share of frames that never come, in bursts.
         landmark_loss: share of landmarks that are missing, in bursts.
         rate_jitter: standard deviation of a frame's time over the period.
-        duration: how long it moves [s]; None for ever.
+        duration: length of the motion [s]; None for an endless one.
         wrist: standard deviation of each coordinate of the wrist in the room [m], 1 m up and 0.4 m
             ahead; 0 is a tracker without a wrist. The landmarks do not move with it.
 

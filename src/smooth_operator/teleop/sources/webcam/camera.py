@@ -1,4 +1,4 @@
-"""A camera: its newest picture, and only that; opened again when it goes away."""
+"""Reader of cameras (newest picture only, with reconnection) and of video files."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ Capture: TypeAlias = Any
 
 @dataclass(frozen=True)
 class CameraMode:
-    """Mode that a camera is asked for; it may give another.
+    """Requested mode of a camera; the camera may use another.
 
     Attributes:
-        width: [pixels].
-        height: [pixels].
-        rate: [Hz].
+        width: width of the pictures [pixels].
+        height: height of the pictures [pixels].
+        rate: picture rate [Hz].
     """
 
     width: int = 640
@@ -45,8 +45,8 @@ class Picture:
 
     Attributes:
         pixels: blue, green, red.
-        time: when it was read, by the loop's clock [s].
-        session: how often the camera had been opened again.
+        time: time of reading, by the loop's clock [s].
+        session: number of reconnections of the camera before.
     """
 
     pixels: UInt8[ndarray, "h w 3"]
@@ -55,18 +55,18 @@ class Picture:
 
 
 class Camera:
-    """Reads a camera on its own thread, so that none of its pictures grows old in a queue.
+    """Reads a camera on its own thread, so that no picture waits in a queue.
 
     Args:
         name: number, device or address of the camera.
-        mode: what it is asked for.
+        mode: requested mode.
 
     Raises:
         MissingExtraError: OpenCV is not installed.
         SourceError: there is no such camera, or it gives no picture.
 
     Attributes:
-        lost: it went away, and is being opened again and again.
+        lost: True while the camera is lost and its reconnection is tried.
     """
 
     def __init__(self, name: int | str, mode: CameraMode) -> None:
@@ -82,7 +82,7 @@ class Camera:
         self._thread.start()
 
     def newest(self, timeout: float) -> Picture | None:
-        """The newest picture, once; None if none comes within so many seconds."""
+        """Take the newest picture; None if none comes within a timeout [s]."""
         with self._came:
             self._came.wait_for(lambda: self._newest is not None, timeout)
             picture, self._newest = self._newest, None
@@ -186,8 +186,8 @@ class VideoFile:
         SourceError: there is no such file, or it holds no video.
 
     Attributes:
-        rate: pictures per second, as the file says.
-        count: how many there are, as the file says; 0 where it does not.
+        rate: pictures per second, by the file.
+        count: number of pictures, by the file; 0 if unknown.
     """
 
     def __init__(self, path: Path) -> None:
@@ -224,10 +224,10 @@ class VideoFile:
         return time
 
     def picture(self) -> UInt8[ndarray, "h w 3"] | None:
-        """The picture that was gone to, blue, green, red; None if it is damaged."""
+        """The current picture, blue, green, red; None if it is damaged."""
         there, pixels = self._capture.retrieve()
         return pixels if there else None
 
     def close(self) -> None:
-        """Give it back; a second call does nothing."""
+        """Close the file; a second call does nothing."""
         self._capture.release()

@@ -1,4 +1,4 @@
-"""Pictures in, hand frames out: what camera and video have in common."""
+"""Tracker of hands in pictures, for cameras and videos: hand frames from pictures."""
 
 from __future__ import annotations
 
@@ -37,14 +37,13 @@ class PictureConfig:
     """Settings of the search for hands in pictures.
 
     Attributes:
-        mirrored: the pictures are mirrored, as selfie views are; they are turned back first.
-        max_hands: how many hands are looked for, 1 or 2.
-        confidence: how sure the tracker must be that there is a hand, 0 to 1.
-        points: ``world``, the tracker's own positions in metres; ``picture``, what it sees in the
-            picture, brought to the size of those.
-        smoothing: cutoff of a filter for a hand at rest [Hz]; 0 filters nothing. It follows a hand
-            that moves, see ``smooth_operator.teleop.sources.webcam.picture_tracker``.
-        model: the hand-landmarker file; None for the published one, fetched once.
+        mirrored: True for mirrored pictures, such as selfie views; they are turned back first.
+        max_hands: largest number of hands, 1 or 2.
+        confidence: smallest confidence of the tracker in a hand, 0 to 1.
+        points: ``world``, the tracker's own positions in metres; ``picture``, its positions in the
+            picture, scaled to the size of those.
+        smoothing: cutoff of a One Euro filter for a hand at rest [Hz]; 0 for no filter.
+        model: the hand-landmarker file; None for the published one, downloaded once.
     """
 
     mirrored: bool = False
@@ -71,11 +70,11 @@ class PictureTracker:
     """Finds the hands in one picture after the other.
 
     Args:
-        config: how.
+        config: the settings.
 
     Raises:
         MissingExtraError: MediaPipe is not installed.
-        SourceError: the model can't be had or loaded.
+        SourceError: the model can't be downloaded or loaded.
     """
 
     def __init__(self, config: PictureConfig) -> None:
@@ -89,7 +88,7 @@ class PictureTracker:
         self._filtered: dict[Side, OneEuroState] = {}
 
     def frames(self, pixels: UInt8[np.ndarray, "h w 3"], time: float) -> list[HandFrame]:
-        """The hands of a picture, at most one of each side.
+        """Hands of a picture, at most one of each side.
 
         Args:
             pixels: blue, green, red.
@@ -126,8 +125,8 @@ def landmarks_of(hand: SeenHand, points: Points) -> Float[np.ndarray, "21 3"]:
     x points to the right in the picture, y down and z away from the camera.
 
     Args:
-        hand: as the tracker has it.
-        points: see ``PictureConfig``. In the picture fingertips are placed more finely, so
+        hand: the detected hand.
+        points: see ``PictureConfig``. In the picture, fingertips are placed more precisely, so
             touching ones come closer; but depth is flattened, so bones change their length more.
     """
     if points == "world":
@@ -143,7 +142,7 @@ class OneEuroConfig:
     """Settings of the One Euro filter.
 
     Attributes:
-        cutoff: cutoff of a point at rest [Hz]; lower is smoother, and later.
+        cutoff: cutoff of a point at rest [Hz]; lower is smoother, with more delay.
         gain: by how much the cutoff rises with speed [Hz per m/s].
         speed_cutoff: cutoff of the low-pass on the speed [Hz].
         gap: after a longer gap in the stamps the filter restarts [s].
@@ -187,12 +186,12 @@ def one_euro(
 
     Args:
         state: state of the last frame; None at the start.
-        points: (N, 3) [m]; one that is not finite stays so, and restarts when it is back.
-        stamp: time of the frame [s]; if it stands or goes back, the filter restarts.
-        config: how strongly.
+        points: (N, 3) points [m]; one that is not finite stays so, and restarts afterwards.
+        stamp: time of the frame [s]; if it does not increase, the filter restarts.
+        config: settings of the filter.
 
     Returns:
-        the new state; its ``points`` are the answer.
+        the new state; its ``points`` are the filtered ones.
     """
     step = math.inf if state is None else stamp - state.stamp
     if state is None or not 0.0 < step <= config.gap:
@@ -216,25 +215,25 @@ MEMORY_S: Final = 0.3
 REACH: Final = 1.5
 """Distance that a hand may have moved since, in lengths of its palm."""
 PATIENCE: Final = 8
-"""So many pictures on end a label must contradict the continuity before it is believed."""
+"""Number of successive pictures in which a label must contradict the continuity to be believed."""
 SAME: Final = 0.5
-"""Hands that are closer than this are one hand, found twice; in lengths of the palm."""
+"""Distance below which two detections are one hand, in lengths of the palm."""
 
 _PALM: Final = (WRIST, *BASES[1:])
 
 
 @dataclass(frozen=True, eq=False)
 class SeenHand:
-    """One hand in one picture, as the tracker has it.
+    """A detected hand in a picture.
 
     Attributes:
-        label: the side that the tracker takes it for.
-        score: how sure it is of that, 0 to 1.
+        label: side by the tracker.
+        score: confidence in the side, 0 to 1.
         world: (21, 3) positions about the hand's centre [m]; x to the right in the picture, y
             down, z away from the camera, which is a right-handed frame.
         picture: (21, 3) positions in the picture, as shares of its width, width and width; y is
             down, z away from the camera and about the wrist.
-        inside: (21,) whether a landmark lies within the picture.
+        inside: (21,) True for a landmark within the picture.
     """
 
     label: Side
@@ -251,7 +250,7 @@ class SeenHand:
 
     @property
     def size(self) -> float:
-        """Length of the palm in the picture; of a palm seen edge-on, its depth counts."""
+        """Length of the palm in the picture, with its depth for a palm seen edge-on."""
         return float(np.linalg.norm(self.picture[BASES[2]] - self.picture[WRIST]))
 
 
@@ -261,8 +260,8 @@ class Track:
 
     Attributes:
         centre: (2,) middle of the palm in the picture.
-        time: when [s].
-        doubts: pictures on end whose label contradicted.
+        time: time of the picture [s].
+        doubts: number of successive pictures with a contradicting label.
     """
 
     centre: Float[np.ndarray, "2"]
@@ -280,12 +279,12 @@ class Tracks:
 def assign_sides(
     detections: Iterable[SeenHand], tracks: Tracks, time: float
 ) -> tuple[dict[Side, SeenHand], Tracks]:
-    """Say which hand is which.
+    """Assign sides to the hands of a picture.
 
     Args:
         detections: the hands of one picture.
-        tracks: where they were before; ``Tracks()`` at the start.
-        time: time of the picture [s]; if it goes back, what was before is forgotten.
+        tracks: their last places; ``Tracks()`` at the start.
+        time: time of the picture [s]; if it goes back, the tracks are discarded.
 
     Returns:
         side -> hand, at most one of each; and the new tracks.
@@ -312,7 +311,7 @@ def _without_duplicates(detections: Iterable[SeenHand]) -> list[SeenHand]:
 
 
 def _side_of(hand: SeenHand, recent: Mapping[Side, Track]) -> tuple[Side, int]:
-    """The side of a hand, and for how many pictures its label has said otherwise."""
+    """Side of a hand, and number of successive pictures with a contradicting label."""
     other: Side = "left" if hand.label == "right" else "right"
     was = recent.get(other)
     own = recent.get(hand.label)
@@ -327,13 +326,13 @@ def _side_of(hand: SeenHand, recent: Mapping[Side, Track]) -> tuple[Side, int]:
 
 
 def _rank(hand: SeenHand, side: Side, recent: Mapping[Side, Track]) -> tuple[bool, float]:
-    """Rank of a hand for a side: one that was there before, then the surer one."""
+    """Rank of a hand for a side: a known hand first, then by confidence."""
     was = recent.get(side)
     return was is not None and _distance(hand, was.centre) <= REACH, hand.score
 
 
 def _distance(hand: SeenHand, centre: Float[np.ndarray, "2"]) -> float:
-    """In lengths of the hand's palm."""
+    """Distance of a hand from a point, in lengths of its palm."""
     return float(np.linalg.norm(hand.centre - centre)) / max(hand.size, 1e-6)
 
 
@@ -342,14 +341,14 @@ _stderr = threading.Lock()
 
 
 class HandLandmarker:
-    """The landmarker for a stream of pictures; it follows hands from one to the next.
+    """MediaPipe's landmarker for a stream of pictures, which follows hands between pictures.
 
-    To be used by one thread at a time.
+    For one thread at a time.
 
     Args:
         model: the ``.task`` file.
-        max_hands: how many hands are looked for, 1 or 2.
-        confidence: how sure it must be that there is a hand, 0 to 1.
+        max_hands: largest number of hands, 1 or 2.
+        confidence: smallest confidence in a hand, 0 to 1.
 
     Raises:
         MissingExtraError: MediaPipe is not installed.
@@ -435,9 +434,9 @@ def _mediapipe() -> tuple[Any, Any, Any]:
 
 @contextlib.contextmanager
 def _without_noise() -> Iterator[None]:
-    """Around MediaPipe's start: what its native code always writes to standard error is left out.
+    """Suppresses the messages of MediaPipe's native code on standard error inside the block.
 
-    Everything else that is written meanwhile is passed on afterwards.
+    Other output on standard error is written after the block.
     """
     with _stderr:
         with contextlib.suppress(Exception):  # it may be closed, or None
@@ -483,11 +482,11 @@ _CHUNK: Final = 2**16
 _NETWORK: Final = "hand_landmarks_detector.tflite"
 
 Progress: TypeAlias = Callable[[int, int | None], None]
-"""Called with the bytes that are here, and those that there are, if that is known."""
+"""Called with the downloaded bytes, and the total bytes if known."""
 
 
 def model_cache() -> Path:
-    """Path of the fetched model; it need not exist."""
+    """Path of the downloaded model; it need not exist."""
     return user_cache() / "models" / "hand_landmarker.task"
 
 
@@ -498,21 +497,21 @@ def hand_model(
     sha256: str = MODEL_SHA256,
     progress: Progress | None = None,
 ) -> Path:
-    """The model file: the one that is given, the one of ``SWITCH``, or the published one.
+    """Path of the model: the file of the user, that of ``SWITCH``, or the published one.
 
-    A file that is given need only be a hand landmarker; what is fetched must have the hash, and so
-    must what lies in the cache, each time. A damaged one there is fetched again.
+    A file of the user must be a hand landmarker. A downloaded file must have the hash, also later
+    in the cache; a damaged one there is downloaded again.
 
     Args:
-        file: a path that the user named.
-        url: where it is fetched from.
-        sha256: of the published file.
+        file: path of the user's file.
+        url: address of the published file.
+        sha256: hash of the published file.
         progress: called in a download; by default a line on standard error, if that is a terminal.
 
     Raises:
-        SourceError: there is no such file, or it is no hand landmarker; it can't be fetched, or
-            what came is not the published file.
-        OutputError: it can't be kept.
+        SourceError: there is no such file, or it is no hand landmarker; it can't be downloaded, or
+            the download is not the published file.
+        OutputError: the download can't be stored.
     """
     named = file or Path(os.environ.get(SWITCH, "").strip())
     if str(named) not in ("", "."):
@@ -524,7 +523,7 @@ def hand_model(
 
 
 def _checked(path: Path, origin: str) -> Path:
-    """A file that the user named."""
+    """A file of the user, checked to be a hand landmarker."""
     if not path.is_file():
         raise SourceError(
             f"{origin}: there is no file {str(path)!r}; give the path of a hand_landmarker.task, "
@@ -552,7 +551,7 @@ def _sha256_of(path: Path) -> str | None:
 
 
 def _fetch(url: str, sha256: str, target: Path, progress: Progress) -> None:
-    """Download a file whole, or leave nothing."""
+    """Download a file atomically."""
     try:
         make_private(target.parent)
     except OSError as error:

@@ -87,11 +87,11 @@ class LinkState:
 
 
 class Link:
-    """The one headset that is listened to; a newer one takes its place.
+    """Connection to a headset; a newer connection replaces it.
 
     Args:
-        mailbox: where frames go.
-        pairing: who may come in.
+        mailbox: mailbox of the frames.
+        pairing: check of pairing codes.
     """
 
     def __init__(self, mailbox: Mailbox, pairing: Pairing) -> None:
@@ -125,7 +125,7 @@ class Link:
         )
 
     async def serve(self, connection: ServerConnection) -> None:
-        """Talk to one page until it leaves or is sent away."""
+        """Serve one page until it leaves or is closed."""
         from websockets.exceptions import ConnectionClosed
 
         address = str((connection.remote_address or ("unknown",))[0])
@@ -321,14 +321,14 @@ IN_ALL: Final = 30
 
 
 class Pairing:
-    """Compares codes, and does so only so often.
+    """Compares pairing codes, with limits on wrong ones.
 
     Args:
-        code: letters and digits; a random one of six digits if left out.
-        clock: seconds that never go back.
+        code: letters and digits; by default six random digits.
+        clock: monotonic clock [s].
 
     Raises:
-        ConfigError: the code is too short, or holds other characters.
+        ConfigError: the code is too short, or has other characters.
     """
 
     def __init__(self, code: str | None, clock: Callable[[], float] = time.monotonic) -> None:
@@ -344,7 +344,7 @@ class Pairing:
         return " ".join(self.code[i : i + 3] for i in range(0, len(self.code), 3))
 
     def check(self, code: str, address: str) -> Verdict:
-        """True if a client at this address may try."""
+        """Check the code of a client, and the number of wrong ones from its address."""
         now = self._clock()
         while self._wrong and now - self._wrong[0][0] > WINDOW:
             self._wrong.popleft()
@@ -368,7 +368,7 @@ def check_code(code: str) -> None:
     """Refuse a code that is too easy to guess, or hard to type.
 
     Raises:
-        ConfigError: saying what a code is made of.
+        ConfigError: the code is refused; the message has the rule.
     """
     code = plain(code)
     if not (DIGITS <= len(code) <= 64 and code.isascii() and code.isalnum()):
@@ -376,5 +376,5 @@ def check_code(code: str) -> None:
 
 
 def plain(code: str) -> str:
-    """Without the spaces and dashes that people put in."""
+    """A code without spaces and dashes."""
     return "".join(code.split()).replace("-", "").lower()

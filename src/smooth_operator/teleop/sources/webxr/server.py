@@ -45,7 +45,7 @@ _LOOK_EVERY: Final = 0.05  # [s]
 
 
 def listen(host: str, port: int) -> LimitedListener:
-    """A socket that listens.
+    """Open the listening socket.
 
     Raises:
         SourceError: the address is not one of this machine's, or the port is taken.
@@ -68,13 +68,13 @@ async def serve(
     link: Link,
     watch: Callable[[], bool],
 ) -> None:
-    """Serve the page and the link until it is time to go.
+    """Serve the page and the link until ``watch`` returns False.
 
     Args:
         listening: the socket.
-        certificate: its public part is offered for download.
-        context: with the certificate loaded.
-        link: what is said over the WebSocket.
+        certificate: the certificate; its public part is offered for download.
+        context: TLS context with the certificate.
+        link: handler of the WebSocket.
         watch: called 20 times a second; False ends the serving.
 
     Raises:
@@ -130,7 +130,7 @@ def _websockets() -> type:
 
 
 def secure_context(certificate: Certificate) -> ssl.SSLContext:
-    """For a server with this certificate."""
+    """TLS context of a server with a certificate."""
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.minimum_version = ssl.TLSVersion.TLSv1_2
     context.load_cert_chain(certificate.file)
@@ -149,7 +149,7 @@ class Certificate:
     Attributes:
         file: key and certificate, PEM; only this user may read it.
         public: the certificate alone, PEM.
-        expires: when it runs out.
+        expires: time of its expiry.
         fingerprint: SHA-256, as browsers show it.
     """
 
@@ -169,15 +169,15 @@ def certificate_folder() -> Path | None:
 def get_certificate(
     names: Sequence[str], folder: Path | None, now: datetime.datetime | None = None
 ) -> Certificate:
-    """The certificate for these names: the one that was kept, or a new one.
+    """Certificate for some names: the stored one, or a new one.
 
-    Each set of names has its own file, so that a laptop that alternates between two
-    networks doesn't have its headset ask each time.
+    Each set of names has its own file, so that a headset does not ask again when a laptop
+    alternates between two networks.
 
     Args:
         names: host names and addresses.
-        folder: where it is kept; None for a folder of this run.
-        now: the time, with time zone; now if left out.
+        folder: folder of the certificates; None for a folder of this run.
+        now: time with time zone; by default the current one.
 
     Raises:
         MissingExtraError: cryptography is not installed.
@@ -220,7 +220,7 @@ def _make_private(folder: Path) -> None:
 
 
 def _read(file: Path, now: datetime.datetime) -> Certificate | None:
-    """None if there is none, it is damaged, others may read it, or it is about to run out."""
+    """Stored certificate; None if missing, damaged, readable by others or about to expire."""
     from cryptography import x509
     from cryptography.hazmat.primitives import hashes, serialization
 

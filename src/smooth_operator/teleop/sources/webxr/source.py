@@ -63,12 +63,6 @@ class WebXr(ThreadedSource):
         return () if opened is None else opened.addresses
 
     @property
-    def pairing_code(self) -> str:
-        """The code of this run; empty before ``start``."""
-        opened: _Opened | None = getattr(self, "_opened", None)
-        return "" if opened is None else opened.pairing.code
-
-    @property
     def link(self) -> LinkState:
         """State of the link, at any time, from any thread."""
         link: Link | None = getattr(self, "_link", None)
