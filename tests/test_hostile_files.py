@@ -229,35 +229,6 @@ def test_hdf5_links_to_other_files_are_refused(tmp_path: Path) -> None:
         read_episode(path)
 
 
-@limited
-def test_a_reader_of_hdf5_that_hangs_or_dies_is_ended(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from smooth_operator.episode_files import hdf5_process, hdf5_tree
-
-    path = good(tmp_path, "a.h5")
-    first = read_episode(path)
-    code = Path(hdf5_process.__file__).read_text()
-    for fault, said in (
-        ("while True: pass", "not read within"),
-        ("os.kill(os.getpid(), 11)", "reading it ended with -11"),
-        ("time.sleep(1000)", "not read within"),
-    ):
-        script = tmp_path / "process.py"
-        script.write_text(code.replace("    import h5py\n", f"    import time\n    {fault}\n", 1))
-        with monkeypatch.context() as patch:
-            patch.setattr(hdf5_process, "__file__", str(script))
-            patch.setattr(hdf5_tree, "_reader", None)
-            patch.setattr(hdf5_tree, "_SECONDS", 0)
-            patch.setattr(hdf5_tree, "_WAIT_S", 30.0 if "sleep" not in fault else 2.0)
-            with pytest.raises(RecordingError, match=said):
-                read_episode(path)
-    again = read_episode(path)
-    assert again.recording is not None
-    assert first.recording is not None
-    np.testing.assert_array_equal(again.recording.landmarks, first.recording.landmarks)
-
-
 # --- JSON and TOML -------------------------------------------------------------------------------
 
 
