@@ -27,8 +27,8 @@ from smooth_operator.formats.bounds import ARRAYS_RATIO, FREE_BYTES, Allowance
 from smooth_operator.formats.commands import encode_commands, read_commands, write_encoded_commands
 from smooth_operator.formats.readers import read_recording
 from smooth_operator.io.documents import json_object, parse_json, parse_toml, read_text
-from smooth_operator.lab.offline.discovery import find_recordings
 from smooth_operator.lab.offline.finished import identity
+from smooth_operator.lab.offline.folder import find_recordings
 from smooth_operator.methods.presets import method_config
 from smooth_operator.study.data.reading import read_study
 from smooth_operator.teleop.recording import read_log

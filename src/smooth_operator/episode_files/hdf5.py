@@ -46,7 +46,6 @@ from smooth_operator.episode_files.egodex import read_egodex
 from smooth_operator.episode_files.hdf5_tree import Hdf5Array, Hdf5Group, h5py_of, read_tree
 from smooth_operator.episode_files.staging import staged_file
 from smooth_operator.errors import UPGRADE, DocumentError, RecordingError, brief
-from smooth_operator.formats.arm_track import ArmTrack
 from smooth_operator.formats.checks import (
     check_rate,
     check_recording,
@@ -55,10 +54,8 @@ from smooth_operator.formats.checks import (
     stamps_from_rate,
 )
 from smooth_operator.formats.commands import translate_status
-from smooth_operator.formats.episode import Episode
+from smooth_operator.formats.episode import BASE, ArmTrack, Episode, StateTrajectory, WristTrack
 from smooth_operator.formats.jsonable import to_json
-from smooth_operator.formats.states import StateTrajectory
-from smooth_operator.formats.wrist_track import BASE, WristTrack
 from smooth_operator.io.documents import parse_json
 from smooth_operator.landmarks import LANDMARKS
 from smooth_operator.types import CommandTrajectory, HandRecording, Side, Status
