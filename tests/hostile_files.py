@@ -65,7 +65,7 @@ def commands(path: Path) -> None:
 
 def scan(path: Path) -> None:
     """A folder that holds the file beside a good one: both are found."""
-    from smooth_operator.lab.offline.discovery import find_recordings
+    from smooth_operator.lab.offline.folder import find_recordings
 
     good = Path(__file__).with_name("test_architecture.py")
     folder = path.parent / "scanned"

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from smooth_operator.errors import RecordingError
-from smooth_operator.formats.arm_track import ArmTrack
+from smooth_operator.formats.episode import ArmTrack
 from smooth_operator.teleop.recording.log import LogWriter
 from smooth_operator.teleop.recording.log_episode import read_log_episode
 from smooth_operator.teleop.recording.log_reader import read_log

@@ -25,7 +25,7 @@ from smooth_operator.hands.straight_pose import straight_pose
 from smooth_operator.human.alignment import palm_alignment
 from smooth_operator.human.operator import COMPONENTS, tip_frames
 from smooth_operator.human.palm_axes import human_palm_axes
-from smooth_operator.lab.offline.dataset import survey
+from smooth_operator.lab.offline.folder import survey
 from smooth_operator.landmarks import FINGERS, TIPS
 from smooth_operator.metrics import evaluate
 from smooth_operator.metrics.assemble import assemble_trace

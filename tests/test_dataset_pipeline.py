@@ -20,13 +20,18 @@ from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError, OutputError, RecordingError
 from smooth_operator.lab.datasets.clip import CAMERA, SIDES, Clip
 from smooth_operator.lab.datasets.filters import NO_LIMITS, Dropped, Limits, select
-from smooth_operator.lab.datasets.manifest import is_manifest
 from smooth_operator.lab.datasets.parts import in_frame
 from smooth_operator.lab.datasets.pipeline import DatasetRequest, Progress, make_dataset
 from smooth_operator.lab.datasets.registry import ClipRef, ReadingOptions
 from smooth_operator.lab.datasets.retargeting import Recipe, retarget_clip
 from smooth_operator.lab.datasets.robot_clip import RobotClip
-from smooth_operator.lab.datasets.sources import Found, find_items, in_shard, parse_shard
+from smooth_operator.lab.datasets.sources import (
+    Found,
+    find_items,
+    in_shard,
+    is_manifest,
+    parse_shard,
+)
 from smooth_operator.lab.datasets.store import Store
 from smooth_operator.lab.datasets.writing import Summary
 from smooth_operator.lab.offline.finished import digest

@@ -13,8 +13,7 @@ from protobuf_log import decoded, plain
 from ticks import make_tick
 
 from smooth_operator.errors import RecordingError
-from smooth_operator.formats.episode import Episode
-from smooth_operator.formats.states import StateTrajectory
+from smooth_operator.formats.episode import Episode, StateTrajectory
 from smooth_operator.hands.hand import Hand
 from smooth_operator.teleop.components import build_sink
 from smooth_operator.teleop.recording import read_episode, write_episode

@@ -27,8 +27,8 @@ from smooth_operator.formats.bounds import ARRAYS_RATIO, FREE_BYTES, Allowance
 from smooth_operator.formats.commands import encode_commands, read_commands, write_encoded_commands
 from smooth_operator.formats.readers import read_recording
 from smooth_operator.io.documents import json_object, parse_json, parse_toml, read_text
-from smooth_operator.lab.offline.discovery import find_recordings
 from smooth_operator.lab.offline.finished import identity
+from smooth_operator.lab.offline.folder import find_recordings
 from smooth_operator.methods.presets import method_config
 from smooth_operator.study.data.reading import read_study
 from smooth_operator.teleop.recording import read_log
@@ -227,35 +227,6 @@ def test_hdf5_links_to_other_files_are_refused(tmp_path: Path) -> None:
         file["hand"].create_dataset("stamps", shape, "f8", external=[("/etc/hostname", 0, 96)])
     with pytest.raises(RecordingError, match="stand in other files"):
         read_episode(path)
-
-
-@limited
-def test_a_reader_of_hdf5_that_hangs_or_dies_is_ended(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from smooth_operator.episode_files import hdf5_process, hdf5_tree
-
-    path = good(tmp_path, "a.h5")
-    first = read_episode(path)
-    code = Path(hdf5_process.__file__).read_text()
-    for fault, said in (
-        ("while True: pass", "not read within"),
-        ("os.kill(os.getpid(), 11)", "reading it ended with -11"),
-        ("time.sleep(1000)", "not read within"),
-    ):
-        script = tmp_path / "process.py"
-        script.write_text(code.replace("    import h5py\n", f"    import time\n    {fault}\n", 1))
-        with monkeypatch.context() as patch:
-            patch.setattr(hdf5_process, "__file__", str(script))
-            patch.setattr(hdf5_tree, "_reader", None)
-            patch.setattr(hdf5_tree, "_SECONDS", 0)
-            patch.setattr(hdf5_tree, "_WAIT_S", 30.0 if "sleep" not in fault else 2.0)
-            with pytest.raises(RecordingError, match=said):
-                read_episode(path)
-    again = read_episode(path)
-    assert again.recording is not None
-    assert first.recording is not None
-    np.testing.assert_array_equal(again.recording.landmarks, first.recording.landmarks)
 
 
 # --- JSON and TOML -------------------------------------------------------------------------------

@@ -31,7 +31,7 @@ from smooth_operator.lab.benchmark.cells import Cell, fingerprint
 from smooth_operator.lab.benchmark.quality import Task, measure_cell
 from smooth_operator.lab.benchmark.ranking import columns
 from smooth_operator.lab.benchmark.settings import Settings, method_label, select_methods
-from smooth_operator.lab.offline.discovery import find_recordings
+from smooth_operator.lab.offline.folder import find_recordings
 from smooth_operator.methods.presets import (
     PRESETS,
     default_preset,

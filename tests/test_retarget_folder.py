@@ -23,11 +23,17 @@ from smooth_operator.compilation.batching import BLOCK
 from smooth_operator.errors import ConfigError, OutputError, RecordingError, UnknownNameError
 from smooth_operator.formats.commands import read_commands
 from smooth_operator.formats.readers import read_recording
-from smooth_operator.lab.offline import dataset, jobs
-from smooth_operator.lab.offline.dataset import Survey, retarget_all, survey
-from smooth_operator.lab.offline.discovery import find_recordings
+from smooth_operator.lab.offline import folder as pipeline
 from smooth_operator.lab.offline.finished import claimed
-from smooth_operator.lab.offline.jobs import Entry, Job, checked
+from smooth_operator.lab.offline.folder import (
+    Entry,
+    Job,
+    Survey,
+    checked,
+    find_recordings,
+    retarget_all,
+    survey,
+)
 from smooth_operator.methods.presets import PRESETS
 from smooth_operator.methods.sbr import SbrConfig
 from smooth_operator.planning import RetargetRequest, make_request
@@ -157,16 +163,16 @@ def killed_once(group: Sequence[Job]) -> tuple[Entry, ...]:
             mark.touch()
             os.kill(os.getpid(), signal.SIGKILL)
 
-        jobs.write_encoded_commands = half
-    return jobs.retarget_group(group)
+        pipeline.write_encoded_commands = half
+    return pipeline.retarget_group(group)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGKILL")
 def test_a_killed_worker_loses_nothing(
     folder: Path, expected: Bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(dataset, "MOST", 1)  # each recording is a task
-    monkeypatch.setattr(dataset, "retarget_group", killed_once)
+    monkeypatch.setattr(pipeline, "MOST", 1)  # each recording is a task
+    monkeypatch.setattr(pipeline, "retarget_group", killed_once)
     todo = survey(folder, tmp_path / "out", ASKED)
     entries = list(retarget_all(todo.jobs, workers=2))
     assert {entry.state for entry in entries} == {"done"}
@@ -180,20 +186,20 @@ def not_the_last(group: Sequence[Job]) -> tuple[Entry, ...]:
     """``retarget_group``, but ``e`` does not end."""
     if group[0].found.name == "e.npz":
         time.sleep(600)
-    return jobs.retarget_group(group)
+    return pipeline.retarget_group(group)
 
 
 RUN = """
 import sys
 from pathlib import Path
 sys.path.insert(0, sys.argv[1])
-from smooth_operator.lab.offline import dataset
-from smooth_operator.lab.offline.dataset import retarget_all, survey
+from smooth_operator.lab.offline import folder
+from smooth_operator.lab.offline.folder import retarget_all, survey
 from test_retarget_folder import ASKED, not_the_last
 
 if __name__ == "__main__":
-    dataset.MOST = 2
-    dataset.retarget_group = not_the_last
+    folder.MOST = 2
+    folder.retarget_group = not_the_last
     todo = survey(Path(sys.argv[2]), Path(sys.argv[3]), ASKED)
     for entry in retarget_all(todo.jobs, workers=1):
         print(entry.name, flush=True)

@@ -27,7 +27,7 @@ import tyro
 from timing import peak_memory_mib
 
 from smooth_operator import HandRecording, Retargeter, SmoothOperatorError
-from smooth_operator.lab.offline.dataset import retarget_all, survey
+from smooth_operator.lab.offline.folder import retarget_all, survey
 from smooth_operator.landmarks import BASES, WRIST
 from smooth_operator.parallel import usable_cores
 from smooth_operator.planning import make_request

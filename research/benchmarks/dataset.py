@@ -21,7 +21,7 @@ import tyro
 
 from smooth_operator import SmoothOperatorError
 from smooth_operator.errors import MissingExtraError
-from smooth_operator.lab.offline.dataset import retarget_all, survey
+from smooth_operator.lab.offline.folder import retarget_all, survey
 from smooth_operator.parallel import usable_cores as cores
 from smooth_operator.planning import make_request
 from smooth_operator.synthetic import SyntheticOperator

@@ -158,7 +158,7 @@ def _write_dataset(
 ) -> None:
     from smooth_operator.cli.outputs import folder_for
     from smooth_operator.episode_files.lerobot import write_dataset
-    from smooth_operator.formats.sniff import is_dataset
+    from smooth_operator.formats.registry import is_dataset
     from smooth_operator.teleop.recording.convert import check_target
 
     check_target(options.output, "lerobot", options.inputs, options.overwrite)

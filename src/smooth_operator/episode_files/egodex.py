@@ -14,8 +14,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.episode_files.hdf5_process import EGODEX_JOINTS
-from smooth_operator.episode_files.hdf5_tree import Hdf5Group
+from smooth_operator.episode_files.hdf5_tree import EGODEX_JOINTS, Hdf5Group
 from smooth_operator.errors import RecordingError
 from smooth_operator.formats.checks import check_recording, check_side, stamps_from_rate
 from smooth_operator.landmarks import FROM_WEBXR_25, METACARPALS_WEBXR_25

@@ -38,32 +38,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 
 from smooth_operator.episode_files.egodex import read_egodex
-from smooth_operator.episode_files.hdf5_arrays import (
-    POSE_UNITS,
-    Group,
-    array_of,
-    data_of,
-    numbers,
-    text_of,
-    write_array,
-)
-from smooth_operator.episode_files.hdf5_tracks import (
-    read_arm,
-    read_states,
-    read_wrist,
-    write_arm,
-    write_states,
-    write_wrist,
-)
-from smooth_operator.episode_files.hdf5_tree import Hdf5Group, h5py_of, read_tree
+from smooth_operator.episode_files.hdf5_tree import Hdf5Array, Hdf5Group, h5py_of, read_tree
 from smooth_operator.episode_files.staging import staged_file
 from smooth_operator.errors import UPGRADE, DocumentError, RecordingError, brief
-from smooth_operator.formats.arm_track import ArmTrack
 from smooth_operator.formats.checks import (
     check_rate,
     check_recording,
@@ -72,15 +54,19 @@ from smooth_operator.formats.checks import (
     stamps_from_rate,
 )
 from smooth_operator.formats.commands import translate_status
-from smooth_operator.formats.episode import Episode
+from smooth_operator.formats.episode import BASE, ArmTrack, Episode, StateTrajectory, WristTrack
 from smooth_operator.formats.jsonable import to_json
-from smooth_operator.formats.wrist_track import WristTrack
 from smooth_operator.io.documents import parse_json
 from smooth_operator.landmarks import LANDMARKS
 from smooth_operator.types import CommandTrajectory, HandRecording, Side, Status
 
 FORMAT: Final = "smooth-operator"
 VERSION: Final = 1
+
+POSE_UNITS: Final = "m, quaternion wxyz"
+
+Group: TypeAlias = Any
+"""A group of h5py, which comes without types."""
 
 _OPTIONAL: Final = {"metacarpals": (4, 3), "orientations": (21, 4), "T_world_wrist": (7,)}
 
@@ -105,11 +91,11 @@ def write_hdf5_episode(path: Path, episode: Episode) -> None:
             group = file.create_group("commands")
             _write_commands(group, episode.commands, episode.stages_ms)
             if episode.wrist is not None:
-                write_wrist(group, episode.wrist)
+                _write_wrist(group, episode.wrist)
             if episode.arm is not None:
-                write_arm(group, episode.arm)
+                _write_arm(group, episode.arm)
         if episode.states is not None:
-            write_states(file.create_group("state"), episode.states)
+            _write_states(file.create_group("state"), episode.states)
         if episode.config is not None:  # not an attribute, since these end at 64 KiB
             file.create_dataset("configuration", data=to_json(episode.config))
 
@@ -142,7 +128,7 @@ def read_hdf5_episode(
             f"{top.describe()}. Save its landmarks with numpy.savez, or in a group 'hand' as "
             "'landmarks' (T, 21, 3) [m] and 'stamps' (T,) [s]"
         )
-    name = text_of(top.attributes.get("name")) or path.stem
+    name = _text_of(top.attributes.get("name")) or path.stem
     recording: HandRecording | None = None
     notes: tuple[str, ...] = ()
     if hand is not None:
@@ -156,15 +142,15 @@ def read_hdf5_episode(
     stages: dict[str, np.ndarray] = {}
     if commands is not None:
         trajectory, stages = _read_commands(commands, tree.get("commands/stages_ms"), path)
-        wrist = read_wrist(commands, len(trajectory), path)
-        arm = read_arm(commands, len(trajectory), path)
+        wrist = _read_wrist(commands, len(trajectory), path)
+        arm = _read_arm(commands, len(trajectory), path)
     config = None
     if "configuration" in top.arrays:
         texts = top.arrays["configuration"].texts
         config = _object(texts[0] if texts else None, f"{path}: 'configuration'")
-    task = text_of(top.attributes.get("task"))
+    task = _text_of(top.attributes.get("task"))
     group = tree.get("state")
-    states = None if group is None else read_states(group, path)
+    states = None if group is None else _read_states(group, path)
     return Episode(recording, trajectory, config, stages, task, name, notes, states, wrist, arm)
 
 
@@ -204,18 +190,18 @@ def _write_hand(group: Group, recording: HandRecording, meta: dict[str, Any]) ->
     ):
         value = getattr(recording, name)
         if value is not None:
-            write_array(group, name, value, units)
+            _write_array(group, name, value, units)
     if recording.world is not None:
         group.attrs["world"] = recording.world
 
 
 def _write_commands(group: Group, commands: CommandTrajectory, stages: Any) -> None:
-    write_array(group, "joint_positions", np.asarray(commands.joint_positions, np.float64), "rad")
+    _write_array(group, "joint_positions", np.asarray(commands.joint_positions, np.float64), "rad")
     names = h5py_of().string_dtype()
     group.create_dataset("joint_names", data=list(commands.joint_names), dtype=names)
-    write_array(group, "stamps", np.asarray(commands.stamps, np.float64), "s")
-    write_array(group, "latency_ms", np.asarray(commands.latency_ms, np.float64), "ms")
-    write_array(group, "status", np.asarray(commands.status, np.int8), None)
+    _write_array(group, "stamps", np.asarray(commands.stamps, np.float64), "s")
+    _write_array(group, "latency_ms", np.asarray(commands.latency_ms, np.float64), "ms")
+    _write_array(group, "status", np.asarray(commands.status, np.int8), None)
     codes = {int(status): status.name for status in Status}
     group["status"].attrs["status_names"] = [codes.get(i, "") for i in range(max(codes) + 1)]
     for stage, times in stages.items():
@@ -232,23 +218,23 @@ def _write_commands(group: Group, commands: CommandTrajectory, stages: Any) -> N
 def _read_hand(
     group: Hdf5Group, path: Path, name: str, rate: float | None, side: Side | None
 ) -> HandRecording:
-    landmarks = numbers(group, "landmarks", (None, 21, 3), path)
+    landmarks = _numbers(group, "landmarks", (None, 21, 3), path)
     count = len(landmarks)
     if "stamps" in group.arrays:
-        stamps = numbers(group, "stamps", (count,), path)
+        stamps = _numbers(group, "stamps", (count,), path)
     else:
         stamps = stamps_from_rate(count, rate, str(path))
     check_stamps(stamps, str(path))
     check_rate(stamps, rate, str(path))
     optional: dict[str, Any] = {
-        key: numbers(group, key, (count, *shape), path) if key in group.arrays else None
+        key: _numbers(group, key, (count, *shape), path) if key in group.arrays else None
         for key, shape in _OPTIONAL.items()
     }
-    optional["world"] = text_of(group.attributes.get("world"))
-    valid = array_of(group, "valid", (count, 21), "b", path) if "valid" in group.arrays else None
-    label = text_of(group.attributes.get("side"))
+    optional["world"] = _text_of(group.attributes.get("world"))
+    valid = _array_of(group, "valid", (count, 21), "b", path) if "valid" in group.arrays else None
+    label = _text_of(group.attributes.get("side"))
     recorded_side, assumed = check_side([] if label is None else [label], side, str(path))
-    meta = _object(text_of(group.attributes.get("meta")) or "{}", f"{path}: meta of 'hand'")
+    meta = _object(_text_of(group.attributes.get("meta")) or "{}", f"{path}: meta of 'hand'")
     meta |= {"format": "hdf5", "side_assumed": assumed}
     return HandRecording(
         landmarks, stamps, recorded_side, valid=valid, name=name, meta=meta, **optional
@@ -258,9 +244,9 @@ def _read_hand(
 def _read_commands(
     group: Hdf5Group, timed: Hdf5Group | None, path: Path
 ) -> tuple[CommandTrajectory, dict[str, np.ndarray]]:
-    positions = numbers(group, "joint_positions", (None, None), path)
+    positions = _numbers(group, "joint_positions", (None, None), path)
     count, joints = positions.shape
-    names = data_of(group, "joint_names", path)
+    names = _data_of(group, "joint_names", path)
     if names.shape != (joints,):
         raise RecordingError(
             f"{path}: joint_names must have shape {(joints,)} to fit joint_positions "
@@ -268,21 +254,21 @@ def _read_commands(
         )
     if names.texts is None or None in names.texts:
         raise RecordingError(f"{path}: {names.name} must hold text, not {names.type[:80]}")
-    status = array_of(group, "status", (count,), "iu", path)
+    status = _array_of(group, "status", (count,), "iu", path)
     labels = group.arrays["status"].attributes.get("status_names")
     labels = [str(label) for label in labels] if isinstance(labels, list) else None
     commands = CommandTrajectory(
         joint_positions=positions,
         joint_names=tuple(map(str, names.texts)),
-        stamps=numbers(group, "stamps", (count,), path),
-        latency_ms=numbers(group, "latency_ms", (count,), path),
+        stamps=_numbers(group, "stamps", (count,), path),
+        latency_ms=_numbers(group, "latency_ms", (count,), path),
         status=translate_status(status, labels, str(path)),
     )
     stages: dict[str, np.ndarray] = {}
     for key in () if timed is None else timed.arrays:
         assert timed is not None
-        stage = text_of(timed.arrays[key].attributes.get("stage")) or key
-        stages[stage] = numbers(timed, key, (count,), path)
+        stage = _text_of(timed.arrays[key].attributes.get("stage")) or key
+        stages[stage] = _numbers(timed, key, (count,), path)
     return commands, stages
 
 
@@ -300,3 +286,146 @@ def _notes(recording: HandRecording, path: Path) -> tuple[str, ...]:
     if not recording.meta["side_assumed"]:
         return ()
     return (f"{path} does not say which hand it is: taken for a right one; else say --side left",)
+
+
+def _write_wrist(group: Group, wrist: WristTrack) -> None:
+    """Add the commanded wrist to the commands."""
+    _write_array(group, "wrist", wrist.poses, POSE_UNITS)
+    group["wrist"].attrs["world"] = wrist.world
+    _write_array(group, "wrist_engaged", np.asarray(wrist.engaged, bool), None)
+    _write_array(group, "wrist_valid", np.asarray(wrist.valid, bool), None)
+
+
+def _read_wrist(group: Hdf5Group, count: int, path: Path) -> WristTrack | None:
+    """The commanded wrist of as many commands; None where there is none."""
+    if "wrist" not in group.arrays:
+        return None
+    poses = _numbers(group, "wrist", (count, 7), path)
+    engaged = _array_of(group, "wrist_engaged", (count,), "b", path)
+    valid = _array_of(group, "wrist_valid", (count,), "b", path)
+    world = _text_of(group.arrays["wrist"].attributes.get("world"))
+    return WristTrack(poses, engaged, valid, BASE if world is None else world)
+
+
+def _write_arm(group: Group, arm: ArmTrack) -> None:
+    """Add the arm to the commands."""
+    _write_array(group, "arm", arm.positions, "rad")
+    _write_array(group, "arm_measured", arm.measured, "rad")
+    _write_array(group, "arm_wrist", arm.poses, POSE_UNITS)
+    group["arm"].attrs["name"] = arm.name
+    group["arm"].attrs["joint_names"] = ",".join(arm.joint_names)
+
+
+def _read_arm(group: Hdf5Group, count: int, path: Path) -> ArmTrack | None:
+    """The arm of as many commands; None where there is none."""
+    if "arm" not in group.arrays:
+        return None
+    attributes = group.arrays["arm"].attributes
+    names = tuple((_text_of(attributes.get("joint_names")) or "").split(","))
+    shape = (count, len(names))
+    return ArmTrack(
+        _text_of(attributes.get("name")) or "arm",
+        names,
+        _numbers(group, "arm", shape, path),
+        _numbers(group, "arm_measured", shape, path),
+        _numbers(group, "arm_wrist", (count, 7), path),
+    )
+
+
+def _write_states(group: Group, states: StateTrajectory) -> None:
+    """Add the measured states of a robot hand."""
+    _write_array(group, "joint_positions", np.asarray(states.positions, np.float64), "rad")
+    _write_array(group, "stamps", np.asarray(states.stamps, np.float64), "s")
+    texts = h5py_of().string_dtype()
+    group.create_dataset("joint_names", data=list(states.names), dtype=texts)
+    if states.actuators:
+        group.create_dataset("actuator_names", data=list(states.actuators), dtype=texts)
+    for name in ("currents", "touch"):
+        values = getattr(states, name)
+        if values is not None:
+            _write_array(group, name, np.asarray(values, np.float64), None)
+
+
+def _read_states(group: Hdf5Group, path: Path) -> StateTrajectory:
+    """The measured states of a robot hand.
+
+    Raises:
+        RecordingError: an array is missing or does not fit.
+    """
+    positions = _numbers(group, "joint_positions", (None, None), path)
+    count = len(positions)
+    optional: dict[str, Any] = {
+        name: _numbers(group, name, (count, None), path) if name in group.arrays else None
+        for name in ("currents", "touch")
+    }
+    names, actuators = (
+        tuple(map(str, group.arrays[key].texts or ())) if key in group.arrays else ()
+        for key in ("joint_names", "actuator_names")
+    )
+    stamps = _numbers(group, "stamps", (count,), path)
+    try:
+        return StateTrajectory(stamps, positions, names, actuators, **optional)
+    except RecordingError as error:
+        raise RecordingError(f"{path}: {group.name}: {error}") from error
+
+
+def _write_array(group: Group, name: str, value: np.ndarray, units: str | None) -> None:
+    """Add an array to a group, packed.
+
+    Args:
+        group: of an open h5py file.
+        name: of the array.
+        value: the array.
+        units: its attribute; None for none.
+    """
+    # Shuffled bytes of neighbouring samples compress far better than the samples themselves.
+    packed = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if value.size else {}
+    data = group.create_dataset(name, data=value, **packed)
+    if units is not None:
+        data.attrs["units"] = units
+
+
+def _numbers(group: Hdf5Group, name: str, shape: tuple[int | None, ...], path: Path) -> np.ndarray:
+    """An array of numbers as float64; see ``_array_of``."""
+    return _array_of(group, name, shape, "fiu", path).astype(np.float64, copy=False)
+
+
+def _array_of(
+    group: Hdf5Group, name: str, shape: tuple[int | None, ...], kinds: str, path: Path
+) -> np.ndarray:
+    """An array of numbers of the shape and kinds that are expected.
+
+    Raises:
+        RecordingError: it is missing, or of another shape or kind.
+    """
+    array = _data_of(group, name, path)
+    fits = len(array.shape) == len(shape) and all(
+        expected in (None, size) for expected, size in zip(shape, array.shape, strict=True)
+    )
+    if not fits:
+        expected = ", ".join("any" if size is None else str(size) for size in shape)
+        raise RecordingError(
+            f"{path}: {array.name} must have shape ({expected}), not {tuple(array.shape)}"
+        )
+    if array.kind not in kinds or array.data is None:
+        what = "true or false" if kinds == "b" else "numbers"
+        raise RecordingError(f"{path}: {array.name} must hold {what}, not {array.type[:80]}")
+    return array.data
+
+
+def _data_of(group: Hdf5Group, name: str, path: Path) -> Hdf5Array:
+    """An array as it is.
+
+    Raises:
+        RecordingError: the group has none of that name.
+    """
+    if name not in group.arrays:
+        raise RecordingError(
+            f"{path}: it lacks the array {group.name}/{name}; the group holds {group.describe()}"
+        )
+    return group.arrays[name]
+
+
+def _text_of(value: Any) -> str | None:
+    """A value if it is a text."""
+    return value if isinstance(value, str) else None

@@ -1,32 +1,57 @@
-"""The groups and arrays of an HDF5 file, read by a separate process."""
+"""The groups and arrays of an HDF5 file, within bounds."""
 
 from __future__ import annotations
 
-import atexit
-import json
-import os
-import subprocess
-import sys
-import threading
+import contextlib
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any, Final
+from typing import Any
 
 import numpy as np
 
-from smooth_operator.episode_files import hdf5_process
 from smooth_operator.errors import DocumentError, MissingExtraError, RecordingError, listed
 from smooth_operator.formats.arrays import damaged
 from smooth_operator.formats.bounds import Allowance
-from smooth_operator.io.documents import check_plain_file, parse_json
+from smooth_operator.io.documents import check_plain_file
 
-_SECONDS: Final = 3
-"""Seconds of processor time that reading may take, and"""
-_BYTES_PER_SECOND: Final = 20_000_000
-"""a second more for so many bytes of the file; a laptop reads five times as many."""
-_WAIT_S: Final = 30.0
-"""How long it may take by the clock, at least: the only limit on Windows."""
-_MOST_TEXT: Final = 8_000_000
+_BONES = ("Knuckle", "IntermediateBase", "IntermediateTip", "Tip")
+_FINGERS = ("Index", "Middle", "Ring", "Little")
+EGODEX_JOINTS = {
+    side: (
+        f"{side}Hand",
+        *(f"{side}Thumb{bone}" for bone in _BONES),
+        *(f"{side}{name}Finger{bone}" for name in _FINGERS for bone in ("Metacarpal", *_BONES)),
+    )
+    for side in ("right", "left")
+}
+"""Side -> the 25 joints of a hand in EgoDex, in WebXR's order."""
+
+GROUPS = (
+    *("hand", "commands", "commands/stages_ms", "state"),
+    *("transforms", "confidences", "camera"),
+)
+ARRAYS = {
+    "transforms": (*EGODEX_JOINTS["right"], *EGODEX_JOINTS["left"], "camera"),
+    "confidences": EGODEX_JOINTS["right"] + EGODEX_JOINTS["left"],
+    "camera": ("intrinsic",),
+    "/": ("configuration",),
+    "hand": ("landmarks", "stamps", "valid", "metacarpals", "orientations", "T_world_wrist"),
+    "commands": (
+        *("joint_positions", "joint_names", "stamps", "latency_ms", "status"),
+        *("wrist", "wrist_engaged", "wrist_valid"),
+        *("arm", "arm_measured", "arm_wrist"),
+    ),
+    "state": ("joint_positions", "joint_names", "stamps", "actuator_names", "currents", "touch"),
+}
+"""Of the groups; all arrays of ``stages_ms`` are read."""
+
+_MOST_STAGES = 64
+_MOST_NAMES = 100
+_MOST_ATTRIBUTES = 100
+_MOST_WORDS = 4096
+_TEXT_BYTES = 64
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,167 +108,127 @@ def read_tree(path: Path, *, head: bool = False) -> dict[str, Hdf5Group]:
     Raises:
         MissingExtraError: h5py is not installed.
         RecordingError: the file is damaged, links to others, or takes more memory than a file of
-            its size may, or longer.
+            its size may.
     """
-    h5py_of()
+    h5py = h5py_of()
     try:
-        size = check_plain_file(path)
+        most = Allowance.of(path, check_plain_file(path)).most
     except (OSError, DocumentError) as error:
         raise RecordingError(f"{path}: can't be read: {error}") from error
-    most = Allowance.of(path, size).most
-    seconds = _SECONDS + size // _BYTES_PER_SECOND
-    if not sys.executable or getattr(sys, "frozen", False):  # nothing to start a process with
-        return _in_process(path, most, head)
-    with _LOCK:
-        global _reader
-        try:
-            if _reader is None or not _reader.serves():
-                _reader = _Reader()
-            return _reader.read(path, most, seconds, head)
-        except RecordingError:
-            raise
-        except BaseException:  # Ctrl-C: its answer is not read
-            if _reader is not None:
-                _reader.end()
-            _reader = None
-            raise
-
-
-class _Reader:
-    """The process, kept for the next file: to start it takes as long as to read many."""
-
-    def __init__(self) -> None:
-        # -P: the modules of this package are not those of the standard library.
-        self._process = subprocess.Popen(
-            [sys.executable, "-P", hdf5_process.__file__],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
-            env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
-        )  # fmt: skip
-        self._owner = os.getpid()
-        atexit.register(self.end)
-
-    def serves(self) -> bool:
-        """Whether it can be asked: it has not ended, and is no copy in a forked process."""
-        return self._owner == os.getpid() and self._process.poll() is None
-
-    def end(self) -> None:
-        if self._owner != os.getpid():
-            return
-        atexit.unregister(self.end)
-        self._process.kill()
-        self._process.communicate()
-
-    def read(self, path: Path, most: int, seconds: int, head: bool) -> dict[str, Hdf5Group]:
-        process = self._process
-        assert process.stdin is not None
-        assert process.stdout is not None
-        late = threading.Event()
-
-        def end() -> None:
-            late.set()
-            process.kill()
-
-        timer = threading.Timer(_WAIT_S + 2 * seconds, end)
-        timer.daemon = True
-        timer.start()
-        try:
-            process.stdin.write(json.dumps([str(path), most, seconds, head]).encode() + b"\n")
-            process.stdin.flush()
-            return _answer(process.stdout, path, most)
-        except (EOFError, BrokenPipeError):
-            code = process.wait()
-            self.end()
-            if code == 0:  # it ended in the very moment that it was asked, having been idle
-                return _Reader().read(path, most, seconds, head)
-            if late.is_set() or code == -_SIGXCPU:
-                raise damaged(path, f"HDF5: not read within {seconds} s") from None
-            raise damaged(path, f"HDF5: reading it ended with {code}") from None
-        except RecordingError:  # an answer
-            raise
-        except (ValueError, KeyError, TypeError, MemoryError) as error:
-            self.end()  # the file has damaged its memory, too
-            raise damaged(path, f"HDF5: {error}") from error
-        finally:
-            timer.cancel()
-
-
-_LOCK: Final = threading.Lock()
-_reader: _Reader | None = None
-_SIGXCPU: Final = 24  # a limit of the processor's time was reached; signal lacks it on Windows
-
-
-def _answer(stream: IO[bytes], path: Path, most: int) -> dict[str, Hdf5Group]:
-    length = int.from_bytes(_exactly(stream, 8), "little")
-    if length > _MOST_TEXT:
-        raise ValueError("too long a description")
-    answer = parse_json(bytes(_exactly(stream, length)), most_bytes=_MOST_TEXT)
-    _raise_if_refused(path, answer)
-    entries = [
-        entry for group in answer["tree"].values() for entry in group["arrays"].values()
-        if "index" in entry
-    ]  # fmt: skip
-    arrays: dict[int, np.ndarray] = {}
-    for entry in sorted(entries, key=lambda entry: int(entry["index"])):
-        kind, shape = np.dtype(entry["stored"]), tuple(entry["shape"])
-        count = int(np.prod(shape, dtype=object)) * kind.itemsize
-        if count > most:
-            raise ValueError(f"an array of {count} bytes")
-        content = _exactly(stream, count)
-        arrays[entry["index"]] = np.frombuffer(content, kind).reshape(shape)
-    return _tree(answer["tree"], arrays)
-
-
-def _in_process(path: Path, most: int, head: bool) -> dict[str, Hdf5Group]:
     try:
-        tree, arrays = hdf5_process.read(str(path), most, head=head)
-    except hdf5_process.RefusedError as error:
-        raise RecordingError(f"{path}: {error}") from error
-    except Exception as error:  # h5py promises no list of what damaged bytes raise
-        raise damaged(path, f"HDF5: {error}") from error
-    return _tree(tree, dict(enumerate(arrays)))
-
-
-def _raise_if_refused(path: Path, answer: dict[str, Any]) -> None:
-    if "refused" in answer:
+        with h5py.File(path, "r", locking=False) as file:
+            return dict(_groups(file, most, head, h5py))
+    except _RefusedError as error:
         raise RecordingError(
-            f"{path}: {answer['refused']}; save it again with its data within it, or as .npz"
+            f"{path}: {error}; save it again with its data within it, or as .npz"
+        ) from error
+    except Exception as error:  # h5py promises no list of what damaged bytes raise
+        raise damaged(path, f"HDF5: {str(error)[:300] or type(error).__name__}") from error
+
+
+class _RefusedError(Exception):
+    """The file holds what is not read; the message follows its name."""
+
+
+def _groups(file: Any, most: int, head: bool, h5py: Any) -> Iterator[tuple[str, Hdf5Group]]:
+    """Groups by name. ``most`` is the number of bytes that all arrays may take."""
+    left = [most]
+    yield "/", _group(file, () if head else ARRAYS["/"], left, h5py)
+    groups = {"": file}
+    for name in () if head else GROUPS:
+        above, _, last = name.rpartition("/")
+        if above not in groups or last not in groups[above]:
+            continue
+        group = _linked(groups[above], last, h5py)
+        if isinstance(group, h5py.Group):
+            groups[name] = group
+            arrays = ARRAYS.get(name) or tuple(_names(group, _MOST_STAGES + 1))
+            if len(arrays) > _MOST_STAGES:
+                raise _RefusedError(f"its group {name} holds more than {_MOST_STAGES} arrays")
+            yield name, _group(group, arrays, left, h5py)
+
+
+def _group(group: Any, arrays: tuple[str, ...], left: list[int], h5py: Any) -> Hdf5Group:
+    held = {}
+    for name in arrays:
+        if name in group:
+            data = _linked(group, name, h5py)
+            if isinstance(data, h5py.Dataset):
+                held[name] = _array(data, left, h5py)
+    return Hdf5Group(group.name, _names(group, _MOST_NAMES), _attributes(group, h5py), held)
+
+
+def _names(group: Any, most: int) -> list[str]:
+    names: list[str] = []
+    for name in group:
+        if len(names) == most:
+            break
+        names.append(name)
+    return names
+
+
+def _linked(group: Any, name: str, h5py: Any) -> Any:
+    link = group.get(name, getlink=True)
+    if not isinstance(link, h5py.HardLink):
+        raise _RefusedError(f"its {name!r} is a link to another place, which is not followed")
+    return group[name]
+
+
+def _array(data: Any, left: list[int], h5py: Any) -> Hdf5Array:
+    dtype, shape = data.dtype, data.shape  # h5py asks the file each time
+    if shape is None:  # an array without a space
+        raise _RefusedError(f"its array {data.name} is empty")
+    if data.external or data.is_virtual:
+        raise _RefusedError(f"the data of {data.name} stand in other files, which are not read")
+    words = h5py.check_string_dtype(dtype) is not None
+    each = max(dtype.itemsize, _TEXT_BYTES if words else 8)
+    takes = max(math.prod(shape), math.prod(data.chunks or ())) * each
+    if takes > left[0]:
+        raise _RefusedError(
+            f"it would take {takes / 1e6:,.0f} MB of memory to read {data.name}, more than is "
+            f"allowed for a file of this size ({left[0] / 1e6:,.0f} MB are left)"
         )
-    if "damaged" in answer:
-        raise damaged(path, f"HDF5: {answer['damaged']}")
+    numbers: np.ndarray | None = None
+    texts: list[str | None] | None = None
+    if words:
+        if math.prod(shape) > _MOST_WORDS:
+            raise _RefusedError(f"its array {data.name} holds more than {_MOST_WORDS} texts")
+        texts = [_text(item) for item in np.ravel(data[()])]
+    elif dtype.kind in "fiub":
+        kind = {"f": "<f8", "b": "|b1", "i": "<i8", "u": "<i8"}[dtype.kind]
+        with np.errstate(all="ignore"):
+            numbers = np.ascontiguousarray(data[()], kind)
+        left[0] -= numbers.nbytes
+    return Hdf5Array(
+        data.name, tuple(shape), dtype.kind, str(dtype), _attributes(data, h5py), numbers, texts
+    )
 
 
-def _tree(tree: dict[str, Any], arrays: dict[int, np.ndarray]) -> dict[str, Hdf5Group]:
-    return {
-        key: Hdf5Group(
-            group["name"],
-            group["names"],
-            group["attributes"],
-            {
-                name: Hdf5Array(
-                    f"{group['name'].rstrip('/')}/{name}",
-                    tuple(entry["shape"]),
-                    entry["kind"],
-                    entry["type"],
-                    entry["attributes"],
-                    arrays[entry["index"]] if "index" in entry else None,
-                    entry.get("texts"),
-                )
-                for name, entry in group["arrays"].items()
-            },
-        )
-        for key, group in tree.items()
-    }
+def _attributes(item: Any, h5py: Any) -> dict[str, Any]:
+    held: dict[str, Any] = {}
+    for name in list(item.attrs)[:_MOST_ATTRIBUTES]:
+        with contextlib.suppress(KeyError):
+            about = item.attrs.get_id(name)
+            count = math.prod(about.shape)
+            if count > _MOST_WORDS or count * about.dtype.itemsize > 1 << 20:
+                continue
+            value = item.attrs[name]
+            if isinstance(value, h5py.Empty):
+                continue
+            flat = [_plain(x) for x in np.ravel(np.asarray(value, object)).tolist()]
+            held[name] = flat if np.ndim(value) else flat[0]
+    return held
 
 
-def _exactly(stream: IO[bytes], count: int) -> bytearray:
-    buffer = bytearray(count)
-    view, at = memoryview(buffer), 0
-    while at < count:
-        got = stream.readinto(view[at:])  # type: ignore[attr-defined]
-        if not got:
-            raise EOFError
-        at += got
-    return buffer
+def _plain(value: Any) -> Any:
+    value = value.item() if hasattr(value, "item") else value  # of NumPy
+    return value if isinstance(value, bool | int | float) else _text(value)
+
+
+def _text(value: Any) -> str | None:
+    if isinstance(value, bytes):
+        return value.decode("utf-8", "replace")
+    return value.encode("utf-8", "replace").decode() if isinstance(value, str) else None
 
 
 def h5py_of() -> Any:

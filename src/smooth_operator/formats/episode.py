@@ -7,13 +7,148 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from smooth_operator.errors import UPGRADE, RecordingError, brief, listed
-from smooth_operator.formats.arm_track import ArmTrack
-from smooth_operator.formats.states import StateTrajectory
-from smooth_operator.formats.wrist_track import WristTrack
-from smooth_operator.types import CommandTrajectory, HandRecording, Status
+from smooth_operator.types import CommandTrajectory, HandRecording, Status, unit_poses
+
+
+@dataclass(frozen=True, eq=False)
+class StateTrajectory:
+    """Where a robot hand was, real or simulated, and what its actuators felt.
+
+    Attributes:
+        stamps: (S,) rising times of the measurements [s], on the clock of the episode's commands.
+        positions: (S, n) measured joint positions [rad]; NaN where the hand measures none.
+        names: (n,) joint names.
+        actuators: (a,) names of the actuators; empty where there are none of their own.
+        currents: (S, a) current or force of the actuators, in the driver's unit, or None.
+        touch: (S, k) touch or force sensors, in the driver's unit, or None.
+
+    Raises:
+        RecordingError: the arrays do not fit each other.
+    """
+
+    stamps: Float[np.ndarray, " S"]
+    positions: Float[np.ndarray, "S n"]
+    names: tuple[str, ...]
+    actuators: tuple[str, ...] = ()
+    currents: Float[np.ndarray, "S a"] | None = None
+    touch: Float[np.ndarray, "S k"] | None = None
+
+    def __post_init__(self) -> None:
+        count = len(self.stamps)
+        shapes = {
+            "positions": (self.positions, (count, len(self.names))),
+            "currents": (self.currents, (count, len(self.actuators))),
+        }
+        for name, (values, shape) in shapes.items():
+            if values is not None and np.shape(values) != shape:
+                raise RecordingError(
+                    f"measured {name} must have shape {shape}, not {np.shape(values)}"
+                )
+        if self.touch is not None and len(self.touch) != count:
+            raise RecordingError(f"touch must have {count} rows, not {len(self.touch)}")
+        if not (np.isfinite(self.stamps).all() and (np.diff(self.stamps) >= 0).all()):
+            raise RecordingError("the stamps of measured joints must be finite, and never go back")
+
+    def __len__(self) -> int:
+        return len(self.stamps)
+
+    def at(self, stamps: Float[np.ndarray, " T"]) -> tuple[np.ndarray, np.ndarray]:
+        """The newest measurement at each of some times, or the first one.
+
+        Returns:
+            (T, n) positions [rad] and (T,) stamps [s]; NaN without any measurement.
+        """
+        if not len(self):
+            empty = np.full(len(stamps), np.nan)
+            return np.full((len(stamps), len(self.names)), np.nan), empty
+        rows = np.searchsorted(self.stamps, stamps, side="right") - 1
+        rows = np.maximum(rows, 0)
+        return self.positions[rows], self.stamps[rows]
+
+
+@dataclass(frozen=True, eq=False)
+class ArmTrack:
+    """Where an arm was sent, and where it was: one row for each command of the hand's fingers.
+
+    Attributes:
+        name: of the arm.
+        joint_names: (n,) from the base.
+        positions: (C, n) commanded [rad]; NaN where a command had none.
+        measured: (C, n) measured when the command was sent [rad]; NaN where nothing was.
+        poses: (C, 7) of the hand's wrist at the commanded positions, in the arm's base: x y z [m]
+            and unit quaternion w x y z; NaN where a command had none.
+
+    Raises:
+        RecordingError: the arrays do not fit each other.
+    """
+
+    name: str
+    joint_names: tuple[str, ...]
+    positions: Float[np.ndarray, "C n"]
+    measured: Float[np.ndarray, "C n"]
+    poses: Float[np.ndarray, "C 7"]
+
+    def __post_init__(self) -> None:
+        count, joints = len(self.positions), len(self.joint_names)
+        shapes = {"positions": (count, joints), "measured": (count, joints), "poses": (count, 7)}
+        for name, shape in shapes.items():
+            actual = np.shape(getattr(self, name))
+            if actual != shape:
+                raise RecordingError(f"{name} of the arm must have shape {shape}, not {actual}")
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    def __getitem__(self, rows: slice | Bool[np.ndarray, " C"]) -> ArmTrack:
+        """Those of some commands."""
+        parts = self.positions[rows], self.measured[rows], self.poses[rows]
+        return ArmTrack(self.name, self.joint_names, *parts)
+
+
+BASE = "base"
+"""Name of the frame of commands that name none: the robot's base."""
+
+
+@dataclass(frozen=True, eq=False)
+class WristTrack:
+    """Where the wrist of a robot hand was sent, one row for each command of its fingers.
+
+    Attributes:
+        poses: (C, 7) x y z [m] and unit quaternion w x y z in ``world``; NaN where a command had
+            none.
+        engaged: (C,) whether the operator's wrist moved it.
+        valid: (C,) whether the operator's wrist was known.
+        world: name of the frame.
+
+    Raises:
+        RecordingError: the arrays do not fit each other.
+    """
+
+    poses: Float[np.ndarray, "C 7"]
+    engaged: Bool[np.ndarray, " C"]
+    valid: Bool[np.ndarray, " C"]
+    world: str = BASE
+
+    def __post_init__(self) -> None:
+        count = len(self.poses)
+        for name, shape in (("poses", (count, 7)), ("engaged", (count,)), ("valid", (count,))):
+            actual = np.shape(getattr(self, name))
+            if actual != shape:
+                raise RecordingError(
+                    f"{name} of the commanded wrist must have shape {shape}, not {actual}"
+                )
+        object.__setattr__(self, "poses", unit_poses(np.asarray(self.poses, np.float64)))
+
+    def __len__(self) -> int:
+        return len(self.poses)
+
+    def __getitem__(self, rows: slice | Bool[np.ndarray, " C"]) -> WristTrack:
+        """Those of some commands."""
+        return WristTrack(self.poses[rows], self.engaged[rows], self.valid[rows], self.world)
+
 
 STAMP_TOLERANCE_S: Final = 1e-6
 """How far the stamp of a command may be from that of the frame it answers [s].

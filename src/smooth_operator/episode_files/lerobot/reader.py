@@ -21,7 +21,6 @@ from smooth_operator.errors import (
     listed,
     reason,
 )
-from smooth_operator.formats.arm_track import ArmTrack
 from smooth_operator.formats.checks import (
     check_rate,
     check_recording,
@@ -29,11 +28,9 @@ from smooth_operator.formats.checks import (
     check_stamps,
     without_outliers,
 )
-from smooth_operator.formats.episode import Episode
+from smooth_operator.formats.episode import BASE, ArmTrack, Episode, StateTrajectory, WristTrack
 from smooth_operator.formats.readers import check_anatomy
-from smooth_operator.formats.sniff import is_dataset
-from smooth_operator.formats.states import StateTrajectory
-from smooth_operator.formats.wrist_track import BASE, WristTrack
+from smooth_operator.formats.registry import is_dataset
 from smooth_operator.io.anatomy import in_our_order, layout_order
 from smooth_operator.io.documents import parse_json, read_json
 from smooth_operator.types import CommandTrajectory, HandRecording, Side, Status

@@ -22,7 +22,7 @@ from smooth_operator.errors import ConfigError, RecordingError, SmoothOperatorEr
 from smooth_operator.formats.frames import frame_slice
 from smooth_operator.formats.readers import rated_if_unstamped, read_recording
 from smooth_operator.formats.registry import recording_suffixes
-from smooth_operator.lab.offline.discovery import find_recordings
+from smooth_operator.lab.offline.folder import find_recordings
 from smooth_operator.landmarks import LAYOUTS
 from smooth_operator.synthetic import SyntheticOperator, TrackerModel
 from smooth_operator.types import HandRecording, Side, as_side

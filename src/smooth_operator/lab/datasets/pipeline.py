@@ -29,7 +29,7 @@ from smooth_operator.lab.datasets.work import Entry, Job, do_job, unchanged
 from smooth_operator.lab.datasets.writers.registry import WritingOptions
 from smooth_operator.lab.datasets.writing import Order, Summary, write_episodes
 from smooth_operator.lab.offline.finished import claimed
-from smooth_operator.lab.offline.jobs import checked
+from smooth_operator.lab.offline.folder import checked
 from smooth_operator.parallel import run_groups, usable_cores
 
 WORK: Final = "work"

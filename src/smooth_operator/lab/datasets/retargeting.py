@@ -18,7 +18,7 @@ from smooth_operator.lab.datasets.parts import Frame, in_frame, with_side
 from smooth_operator.lab.datasets.quality import Tracks, quality_tracks
 from smooth_operator.lab.datasets.registry import RESEARCH_PACKAGE, ReadingOptions
 from smooth_operator.lab.datasets.robot_clip import RobotClip
-from smooth_operator.lab.offline.answers import answers
+from smooth_operator.lab.offline.execution import answers
 from smooth_operator.lab.offline.finished import digest
 from smooth_operator.methods.method import MethodConfig, TrajectoryMethodConfig
 from smooth_operator.planning import PROGRAM, Plan, RetargetRequest, plan

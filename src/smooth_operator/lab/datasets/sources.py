@@ -2,17 +2,31 @@
 
 from __future__ import annotations
 
+import contextlib
+import csv
 import glob
 import hashlib
+import io
 import os
-from collections.abc import Iterable, Iterator, Sequence
+import tempfile
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
-from typing import Final, TypeAlias
+from pathlib import Path, PurePosixPath
+from typing import Any, Final, TypeAlias
+from urllib.parse import unquote, urlsplit
 
-from smooth_operator.errors import ConfigError, RecordingError, SmoothOperatorError
+from smooth_operator.errors import (
 from smooth_operator.formats.frames import frame_slice
-from smooth_operator.lab.datasets.manifest import Row, is_manifest, read_manifest
+    ConfigError,
+    DocumentError,
+    MissingExtraError,
+    RecordingError,
+    SmoothOperatorError,
+    brief,
+    reason,
+    require,
+)
+from smooth_operator.io.documents import check_plain_file, parse_json, read_text
 from smooth_operator.lab.datasets.registry import (
     DATASETS,
     RESEARCH_LAYOUTS,
@@ -21,10 +35,231 @@ from smooth_operator.lab.datasets.registry import (
     DatasetReader,
     readers,
 )
-from smooth_operator.lab.datasets.remote import is_address, list_remote, local_path
 from smooth_operator.parallel.tasks import describe
 from smooth_operator.result_cache import key_digest
-from smooth_operator.types import Side
+from smooth_operator.types import Side, as_side
+
+EXTRA: Final = "datasets"
+_DATES: Final = ("ETag", "etag", "md5Hash", "content_md5", "LastModified", "last_modified")
+_MORE_DATES: Final = ("updated", "mtime", "created")
+"""What storages call the mark that changes with a file."""
+
+
+@dataclass(frozen=True)
+class RemoteFile:
+    """A file of object storage.
+
+    Attributes:
+        name: its path below what was asked for.
+        address: of it.
+        bytes: its size.
+        changed: what changes when it is written again; empty if the storage has nothing.
+    """
+
+    name: str
+    address: str
+    bytes: int
+    changed: str
+
+
+def is_address(text: str) -> bool:
+    """Whether a text is an address, such as ``s3://bucket/folder``, and no path."""
+    scheme, sign, _ = text.partition("://")
+    return bool(sign) and scheme.replace("+", "").replace("-", "").isalnum()
+
+
+def local_path(address: str) -> Path | None:
+    """The path of a ``file://`` address; None for others."""
+    if not is_address(address) or urlsplit(address).scheme not in ("file", "local"):
+        return None
+    return Path(unquote(urlsplit(address).path))
+
+
+def list_remote(address: str) -> Iterator[RemoteFile]:
+    """The files at an address: those of a folder and its folders, of a pattern, or the one.
+
+    Raises:
+        MissingExtraError: fsspec, or its library for this storage, is not installed.
+        RecordingError: the address can't be listed, or nothing is there.
+    """
+    system, path = _system(address)
+    root = path.rstrip("/")
+    with _about(address):
+        wild = any(sign in path for sign in "*?[")
+        listing: dict[str, Any] = system.glob(path, detail=True) if wild else {}
+        if wild:
+            root = str(PurePosixPath(path.split("*")[0].split("?")[0].split("[")[0] + "x").parent)
+        else:
+            listing = system.find(path, detail=True)
+        files = {name: info for name, info in listing.items() if info.get("type") == "file"}
+    if not files:
+        raise RecordingError(f"{address}: no files are there")
+    for name, info in sorted(files.items()):
+        below = name.removeprefix(root).strip("/") or PurePosixPath(name).name
+        dates = [info[each] for each in (*_DATES, *_MORE_DATES) if info.get(each)]
+        yield RemoteFile(
+            below, system.unstrip_protocol(name), int(info.get("size") or 0), str(*dates[:1])
+        )
+
+
+@contextlib.contextmanager
+def fetched(address: str) -> Iterator[Path]:
+    """A copy of a file on this machine, while the block lasts.
+
+    Raises:
+        MissingExtraError, RecordingError: as ``list_remote``.
+    """
+    system, path = _system(address)
+    with tempfile.TemporaryDirectory(prefix="smooth-operator-") as folder:
+        local = Path(folder) / PurePosixPath(path).name
+        with _about(address):
+            system.get_file(path, str(local))
+        yield local
+
+
+def _system(address: str) -> tuple[Any, str]:
+    require(f"reading {address}", EXTRA, "fsspec")
+    import fsspec
+
+    scheme = urlsplit(address).scheme
+    try:
+        system, path = fsspec.core.url_to_fs(address)
+    except ImportError as error:
+        raise RecordingError(
+            f"{address}: fsspec needs a library for {scheme}:// that is not installed ({error})"
+        ) from error
+    except ValueError as error:
+        raise RecordingError(f"{address}: {error}") from error
+    return system, path
+
+
+@contextlib.contextmanager
+def _about(address: str) -> Iterator[None]:
+    """What a storage raises, with the address."""
+    try:
+        yield
+    except (RecordingError, MissingExtraError):
+        raise
+    except FileNotFoundError as error:
+        raise RecordingError(f"{address}: nothing is there") from error
+    except Exception as error:  # of libraries of storages: anything
+        reason = " ".join(str(error).split())
+        raise RecordingError(
+            f"{address}: can't be read: {type(error).__name__}: {reason}; look at the address, the "
+            "network and your credentials"
+        ) from error
+
+
+_MOST_BYTES: Final = 2_000_000_000
+_COLUMNS: Final = ("path", "task", "side", "layout", "rate")
+_FIRST: Final = 65_536
+
+
+@dataclass(frozen=True)
+class Row:
+    """A line of a list.
+
+    Attributes:
+        path: of a file or folder, relative to the list; or an address.
+        task: what is done, in words.
+        side: which hand.
+        layout: name of the reader.
+        rate: frames a second [Hz].
+        frames: range of frames ``A:B`` of the file; empty for all.
+    """
+
+    path: str
+    task: str | None = None
+    side: Side | None = None
+    layout: str | None = None
+    rate: float | None = None
+    frames: str = ""
+
+
+def is_manifest(path: Path) -> bool:
+    """Whether a file is a list: ``.txt``; ``.csv``; ``.jsonl`` whose first line has a ``path``."""
+    suffix = path.suffix.lower()
+    if suffix in (".txt", ".csv"):
+        return True
+    if suffix != ".jsonl":
+        return False
+    try:
+        check_plain_file(path)
+        with path.open("rb") as file:
+            line = next(
+                (line for line in iter(lambda: file.readline(_FIRST), b"") if line.strip()), b""
+            )
+        first = parse_json(line)
+    except (OSError, DocumentError):
+        return False
+    return isinstance(first, dict) and isinstance(first.get("path"), str)
+
+
+def read_manifest(path: Path) -> Iterator[Row]:
+    """The lines of a list.
+
+    Raises:
+        RecordingError: it can't be read, or a line is not one; says which.
+    """
+    try:
+        text = read_text(path, most_bytes=_MOST_BYTES)
+    except (OSError, DocumentError) as error:
+        raise RecordingError(f"{path}: the list can't be read: {error}") from error
+    suffix = path.suffix.lower()
+    if suffix == ".csv":
+        yield from _of_csv(text, path)
+        return
+    for number, line in enumerate(text.split("\n"), 1):
+        line = line.strip()
+        if not line or (suffix == ".txt" and line.startswith("#")):
+            continue
+        if suffix == ".txt":
+            yield Row(line)
+            continue
+        where = f"{path}, line {number}"
+        try:
+            values = parse_json(line)
+        except DocumentError as error:
+            raise RecordingError(f"{where}: {error}; expected a JSON object a line") from error
+        yield _row(values, where)
+
+
+def _of_csv(text: str, path: Path) -> Iterator[Row]:
+    table = csv.DictReader(io.StringIO(text))
+    if "path" not in (table.fieldnames or ()):
+        raise RecordingError(
+            f"{path}: a list needs the column 'path' in its first line, and may have "
+            f"{', '.join(_COLUMNS[1:])}; found {brief(', '.join(table.fieldnames or ()))}"
+        )
+    try:
+        for values in table:
+            filled = {name: value for name, value in values.items() if name and value}
+            if filled:
+                yield _row(filled, f"{path}, line {table.line_num}")
+    except csv.Error as error:
+        raise RecordingError(
+            f"{path}, line {table.line_num}: {reason(error)}; expected a table"
+        ) from error
+
+
+def _row(values: Any, where: str) -> Row:
+    if not isinstance(values, Mapping) or not isinstance(values.get("path"), str):
+        raise RecordingError(f"{where}: expected an object with the text 'path'")
+    for name in ("task", "layout"):
+        if not isinstance(values.get(name, ""), str | None):
+            raise RecordingError(f"{where}: {name} must be a text, not {brief(values[name])}")
+    rate, side = values.get("rate"), values.get("side")
+    try:
+        return Row(
+            values["path"],
+            values.get("task") or None,
+            None if side is None else as_side(side),
+            values.get("layout") or None,
+            None if rate is None else float(rate),
+        )
+    except (ConfigError, TypeError, ValueError) as error:
+        raise RecordingError(f"{where}: {reason(error)}") from error
+
 
 _WILD: Final = ("*", "?", "[")
 _NO_DATA: Final = frozenset(

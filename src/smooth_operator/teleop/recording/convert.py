@@ -23,7 +23,7 @@ from smooth_operator.formats.checks import reading_notes
 from smooth_operator.formats.commands import config_path
 from smooth_operator.formats.episode import Episode
 from smooth_operator.formats.readers import read_recording
-from smooth_operator.formats.sniff import file_kind, is_dataset
+from smooth_operator.formats.registry import file_kind, is_dataset
 from smooth_operator.types import Side, as_side
 
 Format: TypeAlias = Literal["mcap", "npz", "hdf5", "lerobot"]

@@ -9,12 +9,9 @@ import numpy as np
 
 from smooth_operator.episode_files.staging import staged_file
 from smooth_operator.errors import DocumentError, RecordingError
-from smooth_operator.formats.arm_track import ArmTrack
 from smooth_operator.formats.checks import check_rate, check_side, check_stamps
-from smooth_operator.formats.episode import Episode
+from smooth_operator.formats.episode import ArmTrack, Episode, StateTrajectory, WristTrack
 from smooth_operator.formats.jsonable import to_json
-from smooth_operator.formats.states import StateTrajectory
-from smooth_operator.formats.wrist_track import WristTrack
 from smooth_operator.io.documents import parse_json
 from smooth_operator.teleop.recording.log import LogWriter
 from smooth_operator.teleop.recording.log_reader import Log, log_topics, read_log

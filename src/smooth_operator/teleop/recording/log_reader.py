@@ -16,13 +16,10 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from smooth_operator.errors import UPGRADE, RecordingError, brief, listed
-from smooth_operator.formats.arm_track import ArmTrack
 from smooth_operator.formats.bounds import ARRAYS_RATIO, FREE_BYTES, LOG_RATIO, Allowance
 from smooth_operator.formats.checks import check_side
-from smooth_operator.formats.registry import readable
-from smooth_operator.formats.sniff import file_kind
-from smooth_operator.formats.states import StateTrajectory
-from smooth_operator.formats.wrist_track import WristTrack
+from smooth_operator.formats.episode import ArmTrack, StateTrajectory, WristTrack
+from smooth_operator.formats.registry import file_kind, readable
 from smooth_operator.io.documents import parse_json
 from smooth_operator.landmarks import NUM_LANDMARKS
 from smooth_operator.teleop.recording.log_types import (

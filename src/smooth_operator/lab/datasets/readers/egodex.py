@@ -17,8 +17,7 @@ from smooth_operator.episode_files.egodex import (
     egodex_confidences,
     egodex_hand,
 )
-from smooth_operator.episode_files.hdf5_process import EGODEX_JOINTS
-from smooth_operator.episode_files.hdf5_tree import Hdf5Group, read_tree
+from smooth_operator.episode_files.hdf5_tree import EGODEX_JOINTS, Hdf5Group, read_tree
 from smooth_operator.errors import MissingExtraError, RecordingError
 from smooth_operator.lab.datasets.clip import SIDES, Clip
 from smooth_operator.lab.datasets.readers.both_hands import checked_hands, first_video, shares
