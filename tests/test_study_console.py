@@ -101,32 +101,18 @@ def test_a_token_of_another_command_is_refused(store: StudyStore) -> None:
     assert kinds(store) == ["calibrated"]
 
 
-def test_what_two_tabs_do_at_once_is_done_once_and_told(store: StudyStore) -> None:
-    service = SessionService(store, operator="P01")
-    walk(service, store, "start_trial")
-    before = store.progress("P01")
-    one, other = command(before, "start_trial"), command(before, "start_trial")
-    service.carry_out(one, "experimenter")
-    with pytest.raises(StudyError, match=r"another page.*trial started"):
-        service.carry_out(other, "experimenter")
-    during = store.progress("P01")
-    service.carry_out(command(during, "score", line="done"), "experimenter")
-    with pytest.raises(StudyError, match="another page"):
-        service.carry_out(command(during, "score", line="failed"), "experimenter")
-    assert store.progress("P01").trials[-1].line == "done"
-
-
-def test_two_tabs_that_reset_at_once_reset_once(tmp_path: Path) -> None:
+def test_of_two_tabs_that_do_the_same_one_is_refused(tmp_path: Path) -> None:
     with open_study(tmp_path, console_plan(resets=2)) as store:
         service = SessionService(store, operator="P01")
-        walk(service, store, "trial")
-        seen = store.progress("P01")
-        service.carry_out(command(seen, "reset"), "experimenter")
-        with pytest.raises(StudyError, match="another page"):
-            service.carry_out(command(seen, "reset"), "experimenter")
-        running = store.progress("P01").running
-        assert running is not None
-        assert running.resets == 1
+        walk(service, store, "start_trial")
+        for do, other in (("start_trial", "start_trial"), ("reset", "reset"), ("score", "void")):
+            fields = {"score": {"line": "done"}, "void": {"reason": "x"}}
+            seen = store.progress("P01")
+            service.carry_out(command(seen, do, **fields.get(do, {})), "experimenter")
+            with pytest.raises(StudyError, match="another page"):
+                service.carry_out(command(seen, other, **fields.get(other, {})), "experimenter")
+        (trial,) = store.progress("P01").trials
+        assert (trial.line, trial.resets, trial.void) == ("done", 1, None)
 
 
 def test_a_note_never_stands_in_the_way(store: StudyStore) -> None:
@@ -205,47 +191,30 @@ class SetClock:
         return Clock(lambda: self.day, lambda: self.steady, boot)
 
 
-@pytest.mark.parametrize("step", [-600.0, 3600.0])
-def test_a_clock_that_is_set_changes_no_trial(store: StudyStore, step: float) -> None:
-    machine, said = SetClock(), list[str]()
+@pytest.mark.parametrize("away", [False, True])
+@pytest.mark.parametrize("step", [-600.0, 0.0, 3600.0])
+def test_a_clock_that_is_set_changes_no_trial(store: StudyStore, step: float, away: bool) -> None:
+    machine, texts = SetClock(), list[str]()
     store.clock = machine.clock()
-    service = SessionService(store, operator="P01", report=said.append)
+    service = SessionService(store, operator="P01", report=texts.append)
     walk(service, store, "trial")
     machine.passes(10.0)
     machine.day += step
+    if away:  # the console is killed, and started again
+        store.clock = machine.clock()
+        service = SessionService(store, operator="P01")
     machine.passes(2.5)
-    service.tick()
-    service.carry_out(command(store.progress("P01"), "score", line="done"), "experimenter")
-    assert store.progress("P01").trials[-1].time_s == 12.5
-    assert store.records("P01")[-1].at - store.progress("P01").trials[-1].started == timedelta(
-        seconds=12.5
-    )
-    (note,) = notes(store.progress("P01"))
-    assert f"clock was set by {step:+.0f} s" in note
-    assert said == [note]
-    assert not service.tick()
-    assert len(said) == 1  # a step is reported once
-
-
-@pytest.mark.parametrize("step", [-600.0, 0.0, 3600.0])
-def test_a_clock_that_is_set_while_the_console_is_away(store: StudyStore, step: float) -> None:
-    machine = SetClock()
-    store.clock = machine.clock()
-    walk(SessionService(store, operator="P01"), store, "trial")
-    machine.passes(10.0)
-    machine.day += step
-    store.clock = machine.clock()  # killed, and started again
-    machine.passes(2.5)
-    service = SessionService(store, operator="P01")
     service.tick()
     service.carry_out(command(store.progress("P01"), "score", line="done"), "experimenter")
     progress = store.progress("P01")
     assert progress.trials[-1].time_s == 12.5
-    texts = notes(progress)
-    if step:
-        assert [f"clock was set by {step:+.0f} s" in note for note in texts] == [True]
-    else:
-        assert texts == []
+    reported = [f"clock was set by {step:+.0f} s" in note for note in notes(progress)]
+    assert reported == ([True] if step else [])
+    if not away:
+        assert progress.records[-1].at - progress.trials[-1].started == timedelta(seconds=12.5)
+        assert texts == notes(progress)
+        assert not service.tick()
+        assert len(texts) == bool(step)  # a step is reported once
 
 
 @pytest.mark.parametrize(

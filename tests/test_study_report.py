@@ -18,7 +18,7 @@ from smooth_operator.cli import main
 from smooth_operator.study.analysis import analyze_study
 from smooth_operator.study.analysis.methods_text import CITATIONS
 from smooth_operator.study.analysis.report.conclusion import conclusion
-from smooth_operator.study.analysis.report.tables import number, p_said, signed, with_minus
+from smooth_operator.study.analysis.report.tables import number, p_equation, signed, with_minus
 from smooth_operator.study.data import read_study
 from smooth_operator.study.design.protocol import Condition, Protocol, Task
 
@@ -209,7 +209,7 @@ def test_numbers_have_a_minus_sign_and_no_negative_zero() -> None:
     assert signed(2.0, 0) == "+2"
     assert (number(None), number(float("nan")), number(float("-inf"))) == ("–", "–", "−∞")
     assert with_minus("P-1 (-0.5), 1-2, a -3 b-4") == "P-1 (−0.5), 1-2, a −3 b-4"
-    assert (p_said(0.0001), p_said(0.05)) == ("p < 0.001", "p = 0.050")
+    assert (p_equation(0.0001), p_equation(0.05)) == ("p < 0.001", "p = 0.050")
 
 
 def test_both_modes_are_printed(

@@ -24,10 +24,10 @@ def requested(
     layout: str | None = None,
     frames: str | None = None,
 ) -> RetargetRequest:
-    """Request of the options, with every text and file in them read.
+    """Makes a request of the options; reads the files that they name.
 
     Raises:
-        SmoothOperatorError: one of them can't be.
+        SmoothOperatorError: an option or a file is invalid.
     """
     return make_request(
         hand=options.hand,
@@ -61,7 +61,7 @@ def say_notes(config: MethodConfig, hand: Hand, progress: Progressing) -> None:
 def measure_shown(
     todo: Plan, outcome: Outcome, definition: Definition, progress: Progressing
 ) -> tuple[Trace, dict[str, Any]]:
-    """The trace and its metrics."""
+    """Computes the trace and its metrics."""
     with progress.waiting("measuring"):
         trace, metrics = measure(todo, outcome, definition)
     if note := collision_note(todo.hand):

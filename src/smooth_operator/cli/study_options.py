@@ -217,8 +217,8 @@ Examples:
     preferences_differ: Annotated[
         tuple[float, float, float], arg(metavar="LOGIT SECONDS POINTS")
     ] = (0.3, 2.0, 5.0)
-    """The same, of an operator's preference for single conditions. Mode paper has no term for it in
-    time and workload, and errs."""
+    """Standard deviation of an operator's preference for single conditions. Mode paper has no term
+    for it in time and workload, and errs."""
 
     trials_differ: Annotated[tuple[float, float], arg(metavar="SECONDS POINTS")] = (7.0, 6.0)
     """Standard deviation between trials of time [s], and between questionnaires of workload."""
@@ -347,7 +347,7 @@ Subcommand: TypeAlias = (
 
 @dataclass(frozen=True, kw_only=True)
 class Study(Group):
-    """A user study of retargeters: plan it, run it, and analyse what it measured."""
+    """A user study of retargeters: plan it, run it, and analyse its data."""
 
     details: ClassVar[str] = """Examples:
   smooth-operator study new my-study

@@ -1,4 +1,4 @@
-"""Chunks of a study's simulation: those that a log has kept, then the others from workers."""
+"""Chunks of a simulation: finished ones from a log, the others from workers."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ def chunk_values(
     report: Callable[[int, int], None] | None,
     prepare: Callable[[], None] | None = None,
 ) -> Iterator[tuple[T, Any]]:
-    """Each chunk with its value.
+    """Yields each chunk with its value.
 
     Args:
-        jobs: what is asked for.
-        log: where values are kept.
-        work: computes the value of a chunk, in a worker.
+        jobs: chunks to compute.
+        log: log of the values.
+        work: function that computes the value of a chunk, in a worker.
         field: name of the value in the log.
-        count: how much of the whole a chunk is, for ``report``.
-        failure: what could not be done, for the error.
-        workers: processes; None for as many as there are cores, 0 for none.
-        report: called with what is done and the whole, once for what was kept, then after every
-            chunk.
-        prepare: called before anything is computed, if something is.
+        count: function that returns the size of a chunk, for ``report``.
+        failure: function that returns the name of a chunk's work, for errors.
+        workers: number of processes; None for one for each core, 0 for this process.
+        report: called with the finished and the whole size, after the chunks of the log and after
+            every further chunk.
+        prepare: called before the first chunk is computed.
 
     Raises:
         StudyError: a chunk failed; says why.

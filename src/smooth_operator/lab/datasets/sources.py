@@ -16,7 +16,6 @@ from typing import Any, Final, TypeAlias
 from urllib.parse import unquote, urlsplit
 
 from smooth_operator.errors import (
-from smooth_operator.formats.frames import frame_slice
     ConfigError,
     DocumentError,
     MissingExtraError,
@@ -26,6 +25,7 @@ from smooth_operator.formats.frames import frame_slice
     reason,
     require,
 )
+from smooth_operator.formats.frames import frame_slice
 from smooth_operator.io.documents import check_plain_file, parse_json, read_text
 from smooth_operator.lab.datasets.registry import (
     DATASETS,

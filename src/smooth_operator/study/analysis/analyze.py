@@ -1,4 +1,4 @@
-"""The whole analysis of a study, in both modes."""
+"""Analysis of a whole study, in both modes."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ from smooth_operator.study.data.rows import ITEMS, StudyData
 
 Report = Callable[[str], None]
 _DEFAULT_BASELINE: Final = "dexpilot"
-"""Baseline where no plan is known: the paper's."""
+"""Baseline of the paper, for data without a plan."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,16 +48,16 @@ class Analysis:
     """Results of a study in both modes.
 
     Attributes:
-        data: what was analysed.
-        baseline: the retargeter that others are compared with.
+        data: data of the analysis.
+        baseline: retargeter that the others are compared with.
         scopes: ``pooled`` and the tasks.
-        retargeters: the baseline first.
-        results: by mode, outcome and scope.
-        learning: by scope, index and outcome.
-        spearman: by ``METRIC~OUTCOME``.
-        tlx_items: by scope and item, ``emm`` and ``dunnett`` as in the results, mode small-sample.
-        interaction: by outcome, retargeter x task.
-        seed: of bootstraps and permutations.
+        retargeters: names of the retargeters, the baseline first.
+        results: results by mode, outcome and scope.
+        learning: slopes by scope, index and outcome.
+        spearman: correlations by ``METRIC~OUTCOME``.
+        tlx_items: results of the six scales by scope and scale, mode small-sample.
+        interaction: test of retargeter x task by outcome.
+        seed: seed of bootstraps and permutations.
     """
 
     data: StudyData
@@ -73,13 +73,13 @@ class Analysis:
 
     @property
     def primary(self) -> tuple[str, str] | None:
-        """Outcome and scope of the endpoint that decides; None where no plan names one."""
+        """Outcome and scope of the primary endpoint; None if no plan names one."""
         named = "" if self.data.plan is None else self.data.plan.primary
         outcome, _, scope = named.partition("/")
         return (outcome, scope) if named else None
 
     def role(self, outcome: str, scope: str) -> str:
-        """``primary``, ``exploratory``, or nothing where no plan names a primary endpoint."""
+        """Returns ``primary`` or ``exploratory``; empty if no plan names a primary endpoint."""
         if self.primary is None:
             return ""
         return "primary" if (outcome, scope) == self.primary else "exploratory"
@@ -93,7 +93,7 @@ class Analysis:
         )
 
     def to_json(self) -> dict[str, Any]:
-        """The content of ``results.json``."""
+        """Returns the content of ``results.json``."""
         content: dict[str, Any] = {mode: plain(outcomes) for mode, outcomes in self.results.items()}
         for mode in self.results:
             for outcome, scopes in content[mode].items():
@@ -135,21 +135,21 @@ def analyze_study(
     """Analyses success, time and workload, pooled and per task, in both modes.
 
     Args:
-        data: the study; operators who withdrew and want their data left out are left out.
-        baseline: the retargeter that others are compared with; None for the plan's, or dexpilot
-            where no plan is known.
-        exclude: operator -> reason, of those to leave out besides.
-        seed: of bootstraps and permutations.
-        report: is called with a text on what is being done.
+        data: data of the study; operators who withdrew with their data are left out.
+        baseline: retargeter that the others are compared with; None for the plan's, or dexpilot
+            without a plan.
+        exclude: operator -> reason to leave them out as well.
+        seed: seed of bootstraps and permutations.
+        report: called with a text on the progress.
 
     Returns:
-        The analysis. What can't be analysed is refused there, with its reason, part by part.
+        The analysis. A part that can't be analysed is refused with its reason.
 
     Raises:
-        StudyError: one operator or one retargeter in all the study, or an exclusion without reason.
+        StudyError: the study has one operator or one retargeter, or an exclusion has no reason.
         UnknownNameError: no trial has the baseline, or there is no such operator to exclude.
     """
-    tell = report or (lambda text: None)
+    report = report or (lambda text: None)
     data = leave_out(data, exclude)
     planned = _DEFAULT_BASELINE if data.plan is None else data.plan.baseline
     if data.plan is not None and baseline not in (None, planned):
@@ -182,12 +182,12 @@ def analyze_study(
         seed=seed,
     )
     for scope in analysis.scopes:
-        tell(f"{scope}: success, time, workload")
+        report(f"{scope}: success, time, workload")
         _analyze_scope(analysis, scope)
         analysis.learning[scope] = _learning(data, scope, baseline)
         analysis.tlx_items[scope] = _items(analysis, scope)
     _warn_of_interactions(analysis)
-    tell("simulation against study")
+    report("simulation against study")
     return replace(analysis, spearman=correlations(data, seed=seed))
 
 
@@ -224,7 +224,7 @@ def _analyze_scope(analysis: Analysis, scope: str) -> None:
 
 
 def _warn_of_interactions(analysis: Analysis) -> None:
-    """The means over tasks say little where differences depend on the task."""
+    """Adds a warning to pooled results whose differences depend on the task."""
     analysis.interaction.update(interactions(analysis.data, analysis.baseline))
     for outcome, test in analysis.interaction.items():
         if isinstance(test, Refused) or not test.found:
@@ -241,7 +241,7 @@ def _warn_of_interactions(analysis: Analysis) -> None:
 
 
 def _missing(analysis: Analysis, frame: Frame, scope: str) -> tuple[str, ...]:
-    """Retargeters and tasks of the study that have no row here."""
+    """Notes on retargeters and tasks of the study without a row in the frame."""
     notes = []
     for name in analysis.retargeters:
         if name not in frame.retargeters:

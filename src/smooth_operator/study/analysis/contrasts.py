@@ -1,9 +1,8 @@
-"""Means of retargeters, their differences and effect sizes, alike for all models.
+"""Means of retargeters, their differences and effect sizes, for all models.
 
-An estimated marginal mean says what a retargeter would score on average, all else equal: tasks
-weigh equally and the index of the trial is at its mean. For a logistic model the mean is one of
-probabilities and not of logits, so that it is the success rate one would see; its standard error is
-by the delta method. Words for effect sizes are Cohen's (1988).
+Estimated marginal means have equal weights of the tasks and the mean index of the trials. For a
+logistic model they are means of probabilities, not of logits, with standard errors by the delta
+method. Words for effect sizes are Cohen's (1988).
 """
 
 from __future__ import annotations
@@ -25,22 +24,22 @@ _MEANS: Final = (0.2, 0.5, 0.8)
 _CORRELATIONS: Final = (0.1, 0.3, 0.5)
 _WORDS: Final = ("negligible", "small", "medium", "large")
 _NO_SPREAD: Final = 1e-10
-"""Share of the largest standard error of a mean below which that of a difference is no number."""
+"""Share of the largest standard error of a mean below which that of a difference is zero."""
 _ROUGH: Final = 1e-6
 Freedom = Callable[[Float[np.ndarray, " p"]], float]
-"""Degrees of freedom of a combination of the coefficients."""
+"""Function from a combination of the coefficients to its degrees of freedom."""
 Effect = Callable[[float, float], float]
-"""Effect size of two means."""
+"""Function from two means to the effect size of their difference."""
 
 
 @dataclass(frozen=True, eq=False)
 class MarginalMeans:
-    """Means of retargeters, and how they depend on the coefficients.
+    """Means of retargeters, and their derivatives.
 
     Attributes:
-        names: of the retargeters (r,).
-        values: the means (r,).
-        gradient: derivatives in the coefficients (r, p).
+        names: names of the retargeters (r,).
+        values: means (r,).
+        gradient: derivatives of the means by the coefficients (r, p).
     """
 
     names: tuple[str, ...]
@@ -53,13 +52,13 @@ class MarginalMeans:
 
 
 def linear_means(frame: Frame, beta: Float[np.ndarray, " p"]) -> MarginalMeans:
-    """Means of a linear predictor: of times and workload, or of logits."""
+    """Computes means of a linear predictor: times, workload, or logits."""
     gradient = frame.grid(len(beta)).mean(axis=1)
     return MarginalMeans(frame.retargeters, gradient @ beta, gradient)
 
 
 def response_means(frame: Frame, beta: Float[np.ndarray, " p"]) -> MarginalMeans:
-    """Means of probabilities of a logistic model."""
+    """Computes means of the probabilities of a logistic model."""
     grid = frame.grid(len(beta))
     probability = expit(grid @ beta)
     slope = probability * (1 - probability)
@@ -73,18 +72,18 @@ def cohen_h(probability: float, baseline: float) -> float:
 
 
 def in_words(effect: float) -> str:
-    """negligible, small, medium or large: of a difference d or h."""
+    """Returns negligible, small, medium or large for an effect size d or h."""
     return _WORDS[int(np.searchsorted(_MEANS, abs(effect), side="right"))]
 
 
 def correlation_in_words(rho: float) -> str:
-    """negligible, small, medium or large: of a correlation."""
+    """Returns negligible, small, medium or large for a correlation."""
     return _WORDS[int(np.searchsorted(_CORRELATIONS, abs(rho), side="right"))]
 
 
 @dataclass(frozen=True)
 class Comparisons:
-    """Means, differences and what is wrong with them."""
+    """Means, differences and warnings of one model."""
 
     emm: dict[str, Mean]
     dunnett: dict[str, Against]
@@ -99,7 +98,7 @@ def coefficients(
     covariance: Float[np.ndarray, "p p"],
     freedom: Freedom,
 ) -> dict[str, Coefficient]:
-    """Each coefficient with its test."""
+    """Returns each coefficient with its test."""
     table = {}
     for name, value, variance, axis in zip(
         names, beta, np.diag(covariance), np.eye(len(beta)), strict=True
@@ -120,17 +119,17 @@ def compare(
     limits: bool = True,
     decide: float | None = None,
 ) -> Comparisons:
-    """Means with intervals, Dunnett against the baseline, Holm over all pairs.
+    """Computes means with intervals, Dunnett against the baseline, and Holm over all pairs.
 
     Args:
-        means: of the retargeters.
+        means: means of the retargeters.
         of_coefficients: covariance of the coefficients.
-        freedom: degrees of freedom of a combination of them; infinite for normal tests.
+        freedom: degrees of freedom of a combination of coefficients; infinite for normal tests.
         effect: effect size of two means.
-        baseline: compared with the others, if it is among the means.
-        limits: whether to find simultaneous intervals against the baseline, which takes longest.
-        decide: level at which Dunnett's p-values are to decide; those that bounds decide are then
-            bounds. None for all p-values.
+        baseline: retargeter that the others are compared with, if it is among the means.
+        limits: whether to compute simultaneous intervals against the baseline, the slowest part.
+        decide: significance level. A Dunnett p-value whose bounds lie on one side of it is then
+            replaced by a bound. None computes all p-values.
     """
     covariance = means.covariance(of_coefficients)
     emm = {}

@@ -1,17 +1,16 @@
 """Tests of single and of several comparisons: t, Holm, and Dunnett with a model's correlations.
 
-Dunnett's single-step test compares each retargeter with the baseline. The contrasts are those of a
-fitted model, so they correlate as the model's covariance says, and not as a balanced one-way layout
-would: the p-value of one is the probability that the largest of them all is as far out. Where
-contrasts have their own degrees of freedom, each p-value uses its own.
+Dunnett's single-step test compares each retargeter with the baseline. The contrasts of a fitted
+model have the correlations of its covariance, not those of a balanced one-way layout, which
+``scipy.stats.dunnett`` assumes. The p-value of a contrast is the probability that the largest of
+all contrasts is as extreme, with the degrees of freedom of this contrast.
 
 The probability that a multivariate t lies in a box is an integral over its chi variable of the
 probability of normal boxes (Genz and Bretz 2009, chapters 3 and 4). The latter is a smooth function
-of the box's size alone: it is worked out once for a correlation matrix, at Chebyshev points, and
-serves every limit and every number of degrees of freedom. Up to five variables are integrated by
-nested Gauss-Legendre rules, which SciPy's quasi-random points (used for more, and for singular
-correlations) do not reach in accuracy or in speed. Nothing depends on a random seed of the caller:
-the same data give the same p-value.
+of the size of the box. It is computed once for a correlation matrix, at Chebyshev points, for every
+limit and every number of degrees of freedom. Up to five variables are integrated by nested
+Gauss-Legendre rules, which are more accurate and faster than SciPy's quasi-random points (used for
+more variables, and for singular correlations). The same data give the same p-value in every run.
 """
 
 from __future__ import annotations
@@ -31,23 +30,23 @@ from scipy.stats import multivariate_normal
 
 _PINNED: Final = 1e-13
 _FAR: Final = 8.7
-"""Limit beyond which a normal variable has no probability left to double precision."""
+"""Limit beyond which a normal variable has no probability in double precision."""
 _LARGEST: Final = 6.0
-"""Size from which on the outside of a box is the sum of its sides, to 1e-8."""
+"""Size from which the outside of a box equals the sum of its sides to 1e-8."""
 _DEGREE: Final = 44
 """Degree of the Chebyshev polynomial over sizes from 0 to the largest."""
 _NODES: Final = {1: (2, 2), 2: (48, 64), 3: (48, 64), 4: (30, 36), 5: (19, 22)}
-"""Nodes along each direction by number of variables: to estimate the error with, and to use."""
+"""Number of variables -> nodes in each direction, fewer for the estimate of the error, then all."""
 _CHECKED: Final = np.array([1.0, 2.0, 3.0, 4.0])
 """Sizes at which the two numbers of nodes are compared."""
 _CLOSE: Final = 1e-7
-"""Difference between them from which on SciPy's points are used instead."""
+"""Difference of the two rules from which SciPy's points are used instead."""
 _POINTS: Final = 100_000
-"""SciPy's points for one box."""
+"""Number of SciPy's points for one box."""
 _POINTS_ERROR: Final = 1e-5
 """Error of a probability by SciPy's points."""
 _SINGULAR_ERROR: Final = 1e-4
-"""The same of variables that determine each other."""
+"""Error of a probability by SciPy's points for a singular correlation matrix."""
 _CHI_NODES: Final = 240
 _DIVISOR: Final = float(np.sqrt(2 * np.pi))
 
@@ -57,10 +56,9 @@ class Dunnett:
     """A family of comparisons with one baseline.
 
     Attributes:
-        p: adjusted, of each comparison.
-        critical: how many standard errors a simultaneous interval reaches, of each; NaN if not
-            requested.
-        error: largest estimate of the error of a p-value.
+        p: adjusted p-value of each comparison.
+        critical: half width of each simultaneous interval in standard errors; NaN if not requested.
+        error: largest estimated error of a p-value.
     """
 
     p: tuple[float, ...]
@@ -69,27 +67,27 @@ class Dunnett:
 
 
 def two_sided(statistic: float, freedom: float) -> float:
-    """Unadjusted p of a z (infinite degrees of freedom) or t statistic."""
+    """Returns the unadjusted p-value of a t statistic; of z for infinite degrees of freedom."""
     if np.isfinite(freedom):
         return float(2 * stdtr(freedom, -abs(statistic)))
     return float(2 * ndtr(-abs(statistic)))
 
 
 def quantile(freedom: float, tail: float = 0.025) -> float:
-    """Number of standard errors that an interval reaches which leaves ``tail`` out at each end."""
+    """Half width of an interval that excludes ``tail`` at each end [standard errors]."""
     return float(-stdtrit(freedom, tail) if np.isfinite(freedom) else -ndtri(tail))
 
 
 def holm(p: Sequence[float]) -> list[float]:
-    """Holm's (1979) adjusted p-values: the smallest times m, the next times m - 1, never falling.
+    """Adjusts p-values by Holm (1979): the smallest times m, the next times m - 1, never falling.
 
-    Written out, since statsmodels' ``multipletests`` collects garbage in each call (0.1 to 1 s).
+    statsmodels' ``multipletests`` collects garbage in each call, which takes 0.1 to 1 s.
 
     Args:
-        p: unadjusted, of all comparisons of the family; none NaN.
+        p: unadjusted p-values of the family; none NaN.
 
     Returns:
-        In the order of ``p``, one at most.
+        Adjusted p-values in the order of ``p``, at most 1.
     """
     raw = np.asarray(p, float)
     order = np.argsort(raw, kind="stable")
@@ -106,30 +104,31 @@ def dunnett(
     level: float | None = 0.95,
     decide: float | None = None,
 ) -> Dunnett:
-    """Adjusted p-values and simultaneous limits.
+    """Computes adjusted p-values and simultaneous limits.
 
     Args:
         statistics: estimate over standard error of each comparison.
         correlation: correlation matrix of the estimates.
-        freedom: degrees of freedom of each; infinite for normal ones.
-        level: confidence level of the intervals; None for no limits, which is quicker.
-        decide: level at which p-values are to decide: where the bounds of one lie on one side of
-            it, the bound takes its place. None for all p-values.
+        freedom: degrees of freedom of each comparison; infinite for normal ones.
+        level: confidence level of the intervals; None for no intervals, which is faster.
+        decide: significance level. A p-value whose bounds lie on one side of it is then replaced by
+            a bound. None computes all p-values.
 
     Returns:
-        The family. No p is below its unadjusted one, or above that times their number.
+        The family. Each p-value is at least the unadjusted one, and at most that times the number
+        of comparisons.
     """
     count = len(statistics)
     adjusted, errors = [], []
     for statistic, df in zip(statistics, freedom, strict=True):
         raw = two_sided(statistic, df)
-        if (count - 1) * raw < _PINNED:  # between its bounds there is nothing left to compute
+        if (count - 1) * raw < _PINNED:  # its bounds are equal in double precision
             p, error = count * raw, 0.0
         elif decide is not None and (raw > decide or count * raw <= decide):
             p, error = (raw if raw > decide else count * raw), 0.0
         else:
             p, error = outside(abs(statistic), correlation, df)
-        # Both bounds hold exactly; deep in the tail they are closer than a difference from one.
+        # The bounds are exact; deep in the tail they are closer than a difference from 1.
         adjusted.append(float(np.clip(p, raw, min(1.0, count * raw))))
         errors.append(min(error, (count - 1) * raw))
     critical = [float("nan")] * count
@@ -146,9 +145,9 @@ def _critical(correlation: Float[np.ndarray, "m m"], freedom: float, level: floa
     def excess(limit: float) -> float:
         return float(np.log(outside(limit, correlation, freedom)[0] / alpha))
 
-    if len(correlation) == 1 or excess(low) <= 0:  # all comparisons are one and the same
+    if len(correlation) == 1 or excess(low) <= 0:  # all comparisons are equal
         return low
-    if excess(high) >= 0:  # Bonferroni's limit is met within the error
+    if excess(high) >= 0:  # Bonferroni's limit is reached within the error
         return high
     return float(brentq(excess, low, high, xtol=1e-10))
 
@@ -156,7 +155,7 @@ def _critical(correlation: Float[np.ndarray, "m m"], freedom: float, level: floa
 def outside(
     limit: float, correlation: Float[np.ndarray, "m m"], freedom: float = np.inf
 ) -> tuple[float, float]:
-    """P(max |T_j| > limit) of correlated t or normal variables.
+    """Computes P(max |T_j| > limit) of correlated t or normal variables.
 
     Args:
         limit: zero or more.
@@ -164,7 +163,7 @@ def outside(
         freedom: degrees of freedom of the t; infinite for normal variables.
 
     Returns:
-        (probability, estimate of its error).
+        The probability, and an estimate of its error.
     """
     if limit <= 0:
         return 1.0, 0.0
@@ -182,7 +181,7 @@ def outside(
 
 
 def _distinct(correlation: Float[np.ndarray, "m m"]) -> Float[np.ndarray, "k k"]:
-    """The matrix without variables that are, up to their sign, an earlier one."""
+    """Removes variables that equal an earlier one up to the sign."""
     distinct: list[int] = []
     for j in range(len(correlation)):
         if not np.any(np.abs(correlation[j, distinct]) > 1 - 1e-12):
@@ -193,7 +192,7 @@ def _distinct(correlation: Float[np.ndarray, "m m"]) -> Float[np.ndarray, "k k"]
 def _chi(freedom: float) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
     """Nodes and weights of the chi variable over the root of its degrees of freedom.
 
-    By the trapezoidal rule over its logarithm, whose density falls off at both ends.
+    They are those of the trapezoidal rule for its logarithm, whose density vanishes at both ends.
     """
     if not np.isfinite(freedom):
         return np.ones(1), np.ones(1)
@@ -207,7 +206,7 @@ def _chi(freedom: float) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k
 
 @lru_cache(maxsize=256)
 def _boxes(correlation: bytes, count: int) -> tuple[Chebyshev, float]:
-    """P(|Z_j| <= size for all j) of normal variables as a function of the size, and its error."""
+    """Interpolates P(|Z_j| <= size for all j) of normal variables over the size; with its error."""
     matrix = np.frombuffer(correlation).reshape(count, count)
     domain = [0.0, _LARGEST]
     singular = np.linalg.eigvalsh(matrix)[0] <= 1e-9
@@ -235,7 +234,7 @@ def _boxes(correlation: bytes, count: int) -> tuple[Chebyshev, float]:
 
 
 def _ordered(correlation: Float[np.ndarray, "m m"]) -> Float[np.ndarray, "m m"]:
-    """The same variables, each the least determined by those before: keeps limits smooth."""
+    """Orders variables so that each is the least determined by earlier ones, for smooth limits."""
     left, chosen = list(range(len(correlation))), list[int]()
     while left:
         earlier, cross = correlation[np.ix_(chosen, chosen)], correlation[np.ix_(left, chosen)]
@@ -247,13 +246,13 @@ def _ordered(correlation: Float[np.ndarray, "m m"]) -> Float[np.ndarray, "m m"]:
 def _nested(
     sizes: Float[np.ndarray, " k"], factor: Float[np.ndarray, "m m"], nodes: int
 ) -> Float[np.ndarray, " k"]:
-    """P(|L z| <= size) of independent normal z, with L lower triangular, for each size."""
+    """Computes P(|L z| <= size) of independent normal z, L lower triangular, for each size."""
     points, weights = leggauss(nodes)
 
     def inside(
         means: Sequence[np.ndarray], size: np.ndarray, factor: Float[np.ndarray, "j j"]
     ) -> np.ndarray:
-        """The same of the variables that are left, given their means so far."""
+        """Probability of the remaining variables at their conditional means."""
         low, high = ((side * size - means[0]) / factor[0, 0] for side in (-1, 1))
         if len(means) == 1:
             return np.asarray(ndtr(high) - ndtr(low))

@@ -15,8 +15,7 @@ from smooth_operator.study.data.rows import Questionnaires, Trials
 INTERCEPT: Final = "(Intercept)"
 INDEX: Final = "t"
 _DEPENDENT: Final = 1e-9
-"""Share of a column's length that earlier columns may leave unexplained, and it still counts as
-determined by them."""
+"""Unexplained share of a column's length up to which it counts as determined by earlier columns."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,15 +23,15 @@ class Frame:
     """Rows of one analysis, with treatment coding: the baseline and the first task are references.
 
     Attributes:
-        outcome: y (n,).
-        retargeters: names, the baseline first if it is there.
+        outcome: outcome y (n,).
+        retargeters: names of the retargeters, the baseline first if it has rows.
         retargeter: index into ``retargeters`` of each row (n,).
-        tasks: names.
+        tasks: names of the tasks.
         task: index into ``tasks`` of each row (n,).
-        operators: codes.
+        operators: codes of the operators.
         group: index into ``operators`` of each row (n,).
-        index: count of trials or questionnaires (n,).
-        baseline: the retargeter to compare with; it need not be there.
+        index: number of the trial or questionnaire (n,).
+        baseline: retargeter to compare with; it may have no rows.
     """
 
     outcome: Float[np.ndarray, " n"]
@@ -66,7 +65,7 @@ class Frame:
 
     @property
     def levels(self) -> dict[str, Int[np.ndarray, " n"]]:
-        """Groups of rows that share a random intercept, coarse to fine."""
+        """Groups of rows with a common random intercept, coarse to fine."""
         own = self.group * len(self.retargeters) + self.retargeter
         groups = {"operator": self.group, "operator:retargeter": own}
         if len(self.tasks) > 1:
@@ -85,7 +84,7 @@ class Frame:
         return np.column_stack(columns), names
 
     def design(self) -> tuple[Float[np.ndarray, "n p"], list[str]]:
-        """The factors and the standardised index (left out where it never varies)."""
+        """Returns the factors and the standardised index, which is left out if it never varies."""
         columns, names = self.factors()
         if self.index_sd == 0:
             return columns, names
@@ -114,15 +113,15 @@ def make_frame(
     index: np.ndarray,
     baseline: str,
 ) -> Frame:
-    """Rows with names turned to indices; only names that occur count.
+    """Makes a frame of columns with names.
 
     Args:
-        outcome: y, without NaN.
-        retargeter: names (n,).
-        task: names (n,).
-        operator: codes (n,).
-        index: count of trials (n,).
-        baseline: comes first among the retargeters, if it occurs.
+        outcome: outcome y, without NaN (n,).
+        retargeter: names of retargeters (n,).
+        task: names of tasks (n,).
+        operator: codes of operators (n,).
+        index: numbers of trials (n,).
+        baseline: retargeter that comes first, if it occurs.
     """
     names = sorted({str(name) for name in retargeter}, key=lambda name: (name != baseline, name))
     place = {name: j for j, name in enumerate(names)}
@@ -142,7 +141,7 @@ def make_frame(
 
 
 def keep_rows(frame: Frame, rows: Bool[np.ndarray, " n"]) -> Frame:
-    """Some rows of a frame; names that no longer occur do not count."""
+    """Selects rows of a frame; names that no longer occur are dropped."""
     return make_frame(
         frame.outcome[rows],
         np.array(frame.retargeters)[frame.retargeter[rows]],
@@ -154,15 +153,15 @@ def keep_rows(frame: Frame, rows: Bool[np.ndarray, " n"]) -> Frame:
 
 
 def check_frame(frame: Frame, *, retargeters: int = 2) -> None:
-    """Refuses rows that carry no analysis.
+    """Refuses rows that can't be analysed.
 
     Args:
-        frame: the rows.
-        retargeters: how many there must be.
+        frame: rows of the analysis.
+        retargeters: smallest number of retargeters.
 
     Raises:
-        StudyError: no rows, one operator, too few retargeters, a constant outcome, or columns that
-            tell the same.
+        StudyError: no rows, one operator, too few retargeters, a constant outcome, or dependent
+            columns.
     """
     if not len(frame):
         raise StudyError("there are no rows to analyse")
@@ -192,7 +191,7 @@ def check_frame(frame: Frame, *, retargeters: int = 2) -> None:
 
 
 def dependent_columns(design: Float[np.ndarray, "n p"]) -> list[int]:
-    """Columns that are linear combinations of those before them."""
+    """Finds columns that are linear combinations of earlier ones."""
     basis: list[np.ndarray] = []
     dependent = []
     for j in range(design.shape[1]):
@@ -209,14 +208,14 @@ def dependent_columns(design: Float[np.ndarray, "n p"]) -> list[int]:
 
 
 def success_frame(trials: Trials, scope: str, baseline: str, index: str = "global") -> Frame:
-    """All trials of a scope; the outcome is 1 for a score of 0.5 or 1."""
+    """Makes a frame of all trials of a scope; the outcome is 1 for a score of 0.5 or 1."""
     return _trial_frame(
         trials, trials.success.astype(float), within(trials, scope), baseline, index
     )
 
 
 def time_frame(trials: Trials, scope: str, baseline: str, index: str = "global") -> Frame:
-    """Successful trials of a scope that have a time; the outcome is the time [s]."""
+    """Makes a frame of the successful trials of a scope; the outcome is the time [s]."""
     rows = within(trials, scope) & trials.success & np.isfinite(trials.time)
     return _trial_frame(trials, trials.time, rows, baseline, index)
 
@@ -228,7 +227,7 @@ def tlx_frame(
     index: str = "global",
     item: int | None = None,
 ) -> Frame:
-    """Questionnaires of a scope; the outcome is the workload, or the answer to one item."""
+    """Makes a frame of the questionnaires of a scope; the outcome is the workload, or one scale."""
     outcome = table.workload if item is None else table.answers[:, item]
     rows = within(table, scope) & np.isfinite(outcome)
     return make_frame(
@@ -255,6 +254,6 @@ def _trial_frame(
 
 
 def within(table: Trials | Questionnaires, scope: str) -> np.ndarray:
-    """Which rows are of a scope (n,)."""
+    """True for rows of a scope (n,)."""
     everything = np.ones(len(table), bool)
     return everything if scope == POOLED else np.asarray(table.task == scope)

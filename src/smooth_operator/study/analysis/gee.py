@@ -7,10 +7,10 @@ Two covariances of the coefficients: the sandwich (Liang and Zeger 1986), which 
 few operators, and Mancl and DeRouen's (2001), which corrects each operator's residuals for their
 leverage.
 
-Separation is found by linear programming before the fit: if some combination of the columns is
-never negative for successes and never positive for failures, and not always zero, its coefficient
-is infinite, and no standard error means anything. An iteration may still claim to have converged
-(Albert and Anderson 1984; Konis 2007).
+Separation is detected by linear programming before the fit: if some combination of the columns is
+never negative for successes, never positive for failures, and not always zero, its coefficient is
+infinite and has no standard error, although an iteration may seem to converge (Albert and Anderson
+1984; Konis 2007).
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ _STEPS: Final = 50
 _TOLERANCE: Final = 1e-12
 """Norm of the estimating equations at which a fit has converged, over that of sum |x|."""
 _STILL: Final = 1e-10
-"""Last step, over 1 + |beta|, at which a fit has converged as well: where the working correlation
-is nearly the lowest that there is, rounding keeps the equations off by more than the tolerance."""
+"""Last step, over 1 + |beta|, at which a fit has converged as well: near the lowest possible
+working correlation, rounding errors of the equations exceed the tolerance."""
 _RUNAWAY: Final = 20.0
-"""Log-odds beyond which a fit is on its way to infinity: 2e-9 is no probability of a trial."""
+"""Log-odds from which a fit diverges: they are a probability of 2e-9."""
 _EDGE: Final = 0.01
-"""Smallest eigenvalue of a working correlation whose inverse is still worth something."""
+"""Smallest eigenvalue of a working correlation that can be inverted reliably."""
 _ALONE: Final = 1 - 1e-10
-"""Leverage from which on an operator alone determines a coefficient."""
+"""Leverage from which an operator alone determines a coefficient."""
 _INFINITE: Final = (
     "the GEE runs away to infinite odds: retargeter, task or trial (nearly) determine success "
     "without error"
@@ -53,14 +53,14 @@ class GeeFit:
     Attributes:
         beta: coefficients, on the logit scale (p,).
         robust: sandwich covariance (p, p).
-        mancl_derouen: the same with residuals corrected for leverage (p, p); None where an
-            operator's leverage can't be corrected.
-        naive: covariance if the working correlation were true (p, p).
-        alpha: working correlation of two rows of one operator.
-        phi: scale.
-        operators: number of clusters.
-        margin: 1 + (n - 1) α of the largest operator's n rows, the smallest eigenvalue of its
-            working correlation where α is negative; from zero on, no rows can be so correlated.
+        mancl_derouen: sandwich covariance with residuals corrected for leverage (p, p); None if the
+            leverage of an operator can't be corrected.
+        naive: covariance under the working correlation (p, p).
+        alpha: working correlation α of two rows of one operator.
+        phi: scale φ.
+        operators: number of operators.
+        margin: 1 + (n - 1) α for the operator with the most rows n. For a negative α it is the
+            smallest eigenvalue of the working correlation, which must be positive.
     """
 
     beta: Float[np.ndarray, " p"]
@@ -73,10 +73,10 @@ class GeeFit:
     margin: float
 
     def check_correlation(self) -> None:
-        """Refuses a working correlation with which estimates mean nothing.
+        """Refuses a working correlation near the lowest possible one.
 
         Raises:
-            StudyError: it is at the edge of what rows of one operator can have, or beyond it.
+            StudyError: the working correlation is at its lower bound, or below.
         """
         if self.margin < _EDGE:
             raise StudyError(
@@ -88,7 +88,7 @@ class GeeFit:
 
 
 def require_statsmodels() -> Any:
-    """statsmodels' module with the class ``GEE``, imported here because that takes seconds.
+    """Imports statsmodels' module with the class ``GEE``, which takes seconds.
 
     Raises:
         MissingExtraError: statsmodels is not installed.
@@ -108,15 +108,15 @@ def fit_gee(
     """Fits by Fisher scoring; every step estimates α and φ again.
 
     Args:
-        design: of full column rank; separation is to be ruled out before.
-        success: 0 or 1 of each row.
-        groups: operator of each row, codes 0 .. g-1, each there.
+        design: columns of full rank; separation must be excluded before.
+        success: 0 or 1 for each row.
+        groups: operator of each row, codes 0 to g - 1, all of which occur.
 
     Returns:
         The fit at the fixed point.
 
     Raises:
-        StudyError: it does not converge, or runs away to infinite odds.
+        StudyError: the fit does not converge, or diverges to infinite odds.
         MissingExtraError: statsmodels is not installed.
     """
     estimating_equations = require_statsmodels()
@@ -126,7 +126,7 @@ def fit_gee(
     sizes = np.bincount(groups)
     correctable = bool(np.max(_leverages(design, groups)) < _ALONE)
     try:
-        # A fit that leaves the numbers is refused below, with its own message.
+        # A fit that diverges is refused below, with its own message.
         with np.errstate(all="ignore"), warnings.catch_warnings():
             warnings.simplefilter("ignore")
             model = estimating_equations.GEE(
@@ -151,7 +151,7 @@ def fit_gee(
                 converged = fit.converged or still
                 if converged:
                     break
-    except np.linalg.LinAlgError as error:  # what numpy says of a matrix with infinite odds
+    except np.linalg.LinAlgError as error:  # NumPy's error for infinite odds
         raise StudyError(_INFINITE) from error
     alpha = float(fit.cov_struct.dep_params)
     if not converged:
@@ -175,8 +175,10 @@ def fit_gee(
 def _leverages(
     design: Float[np.ndarray, "n p"], groups: Int[np.ndarray, " n"]
 ) -> Float[np.ndarray, " g"]:
-    """Largest eigenvalue of each operator's block of the hat matrix, 0 to 1 (1: without that
-    operator the design loses rank, whatever the weights)."""
+    """Largest eigenvalue of each operator's block of the hat matrix, 0 to 1.
+
+    Without an operator with leverage 1 the design loses rank, whatever the weights.
+    """
     basis, _ = np.linalg.qr(design)
     blocks = (basis[groups == k] for k in range(int(groups.max()) + 1))
     return np.array([np.linalg.norm(block, 2) ** 2 for block in blocks])
@@ -188,17 +190,17 @@ _ANY: Final = 1e-7
 def separating(
     design: Float[np.ndarray, "n p"], success: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, " p"] | None:
-    """A direction that separates successes from failures, wholly or in part.
+    """Finds a direction that separates successes from failures, completely or in part.
 
     Args:
         design: columns of the model (n, p).
         success: 0 or 1 (n,).
 
     Returns:
-        Its coefficients in -1 .. 1; None if there is none.
+        Coefficients of the direction in -1 to 1; None without separation.
     """
     signed = design * np.where(success > 0, 1.0, -1.0)[:, None]
-    # Equal rows say the same; a study has few distinct ones, apart from the index of the trial.
+    # Equal rows are one constraint; without the index of the trial a study has few distinct rows.
     signed = np.unique(signed, axis=0)
     solution = linprog(
         -signed.sum(axis=0),
@@ -213,7 +215,7 @@ def separating(
 
 
 def one_sided_levels(frame: Frame) -> list[str]:
-    """Retargeters and tasks with nothing but successes, or nothing but failures, in words."""
+    """Describes retargeters and tasks that always succeed or always fail."""
     texts = []
     for kind, names, codes in (
         ("retargeter", frame.retargeters, frame.retargeter),
@@ -227,7 +229,7 @@ def one_sided_levels(frame: Frame) -> list[str]:
 
 
 def one_sided_cells(frame: Frame) -> list[str]:
-    """Cells of retargeter and task with nothing but successes, or nothing but failures."""
+    """Describes cells of retargeter and task that always succeed or always fail."""
     texts = []
     for j, name in enumerate(frame.retargeters):
         for k, task in enumerate(frame.tasks):

@@ -1,6 +1,6 @@
-"""Learning: slopes of the outcomes over the count of trials, in all and within a block.
+"""Learning: slopes of the outcomes over the number of the trial, in the task and in the block.
 
-One index at a time, adjusted for retargeter (and task, when pooled), for a step of one trial.
+Each slope is for one index and a step of one trial, adjusted for retargeter (and task, if pooled).
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from smooth_operator.study.analysis.separated import split
 
 
 def linear_slope(frame: Frame) -> dict[str, Any]:
-    """Slope of time or workload over the index of the frame.
+    """Estimates the slope of time or workload over the index of the frame.
 
     Returns:
         ``slope`` per step with ``se``, ``z`` and ``p_z`` (mode paper), ``se_mancl_derouen``, ``df``
         and ``p_t`` (small-sample: it holds where operators learn at different rates),
         ``df_satterthwaite`` and ``p_satterthwaite`` (if they learn at the same rate), ``n``,
-        ``sd_x``; ``per_retargeter`` the same with a slope for each. ``refused`` in place of them
-        where there is none.
+        ``sd_x``; ``per_retargeter`` with a slope for each retargeter. Only ``refused`` and ``n`` if
+        the slope can't be estimated.
     """
     try:
         _check(frame)
@@ -47,7 +47,7 @@ def linear_slope(frame: Frame) -> dict[str, Any]:
 
 
 def logistic_slope(frame: Frame) -> dict[str, Any]:
-    """Slope of the log-odds of success over the index of the frame.
+    """Estimates the slope of the log-odds of success over the index of the frame.
 
     Returns:
         ``slope_logit`` per step with ``se`` (sandwich), ``z`` and ``p_z`` (mode paper),
@@ -104,7 +104,7 @@ def _check(frame: Frame) -> None:
 
 
 def _tested(design: Float[np.ndarray, "n p"], frame: Frame, count: int) -> list[dict[str, float]]:
-    """The last coefficients of a mixed model, each with both tests."""
+    """Tests the last coefficients of a mixed model in both ways."""
     fit = fit_mixed(design, frame.outcome, {"operator": frame.group})
     slopes = []
     width = design.shape[1]

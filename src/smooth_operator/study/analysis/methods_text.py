@@ -1,4 +1,4 @@
-"""The text on methods, ready to paste: what this study planned and what was done with its data."""
+"""Paragraph on the methods of a study and its analysis, to paste into a paper."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ CITATIONS: Final = tuple(
     Citation(*line.split(" | "))
     for line in (files(__package__) / "citations.txt").read_text("utf-8").splitlines()
 )
-"""The works for every method that the analysis may use."""
+"""Works for every method that the analysis may use."""
 _CHECKS: Final = {
     "shapiro_wilk": "for normality [Shapiro1965]",
     "levene": "for equal spread across retargeters [Brown1974]",
@@ -39,20 +39,20 @@ _CHECKS: Final = {
 
 
 def cited(text: str) -> list[Citation]:
-    """The works that a text cites by their keys in square brackets, in the order of the list."""
+    """Returns the works that a text cites by keys in square brackets, in the order of the list."""
     keys = {key for group in re.findall(r"\[([\w, ]+)\]", text) for key in group.split(", ")}
     return [citation for citation in CITATIONS if citation.key in keys]
 
 
 def methods_paragraph(analysis: Analysis) -> str:
-    """Writes how the study was done and analysed, in the mode small-sample, in plain prose.
+    """Describes how the study was done and analysed, in mode small-sample.
 
     Args:
-        analysis: of the study.
+        analysis: analysis of the study.
 
     Returns:
-        One paragraph. It says nothing of a test that was refused but its refusal, and has in
-        [square brackets] what only the authors know. Citations are keys of ``CITATIONS``.
+        One paragraph. A refused test is reported as refused. Facts that only the authors know are
+        [square brackets], and citations are keys of ``CITATIONS``.
     """
     data, plan = analysis.data, analysis.data.plan
     done: dict[str, dict[str, ScopeResult]] = {}

@@ -1,13 +1,14 @@
-"""Linear mixed model with nested random intercepts, by profile REML.
+"""Linear mixed model with nested random intercepts, fitted by restricted maximum likelihood (REML).
 
-y = X β + Σ_k u_k[group] + ε,  u_k ~ N(0, λ_k σ²),  ε ~ N(0, σ²), where the groups of each level lie
-within those of the one before: operators, operators with one retargeter, and blocks.
+y = X β + Σ_k u_k[group] + ε,  u_k ~ N(0, λ_k σ²),  ε ~ N(0, σ²). The groups of each level lie
+within those of the level before: operators, operators with one retargeter, blocks. The operators'
+level alone gives the model of a random intercept for each operator.
 
-All that the data say about the λ is in the means over the finest groups (leaves), so every matrix
-has as many rows as there are leaves. Criterion, gradient and Hessian are exact. Degrees of freedom
-are Satterthwaite's, as lmerTest has them: a variance that is estimated as zero does not count.
-
-With the operators' level alone it is the model of a random intercept for each operator.
+The data determine the λ only through the means over the finest groups (leaves), so every matrix has
+as many rows as there are leaves. The covariance of the leaves' means is σ² H, with
+H = diag(1 / size) + Σ_k λ_k G_k G_k', where G_k is 1 where a leaf lies in a group of level k.
+Criterion, gradient and Hessian are exact. Degrees of freedom are Satterthwaite's, as in lmerTest: a
+variance that is estimated as zero does not count.
 
 Sources: Bates et al. 2015 (profiled criterion), Gilmour, Thompson and Cullis 1995 (derivatives),
 Fai and Cornelius 1996 and Kuznetsova et al. 2017 (Satterthwaite's approximation), Mancl and
@@ -27,14 +28,14 @@ from jaxtyping import Bool, Float, Int
 from smooth_operator.errors import StudyError
 
 _START: Final = 0.3
-"""Ratio of every variance at which the search begins."""
+"""Ratio of every variance at the start of the search."""
 _STEPS: Final = 200
 _FLAT: Final = 1e-13
-"""Expected gain of a step, in units of -2 log L, at which the search ends."""
+"""Expected gain of a step at which the search ends, in units of -2 log L."""
 _NO_RESIDUAL: Final = 1e-12
-"""Share of the outcome's sum of squares within leaves below which no residual is left."""
+"""Share of the outcome's sum of squares within leaves below which there is no residual."""
 _ALONE: Final = 1 - 1e-10
-"""Leverage from which on an operator alone determines a coefficient."""
+"""Leverage from which an operator alone determines a coefficient."""
 _EXPLAINED: Final = (
     "the model explains the outcome without any residual, so nothing can be tested: within the "
     "blocks of operators it never varies, or never but as the model says"
@@ -47,13 +48,13 @@ class MixedFit:
 
     Attributes:
         beta: fixed effects (p,).
-        covariance: (X' V⁻¹ X)⁻¹ of the fixed effects (p, p).
-        levels: names of the levels that the model has, coarse to fine.
-        ratios: λ of each level, variance over residual variance (k,).
+        covariance: covariance (X' V⁻¹ X)⁻¹ of the fixed effects (p, p).
+        levels: names of the levels of the model, coarse to fine.
+        ratios: λ of each level, its variance over the residual variance (k,).
         residual_variance: σ².
         intercepts: predicted u of each group of the first level (g,), in the order of their codes.
         residuals: y - X β - all u, of each row (n,).
-        log_likelihood: restricted, as lme4 reports it.
+        log_likelihood: restricted log-likelihood, as lme4 reports it.
     """
 
     beta: Float[np.ndarray, " p"]
@@ -64,7 +65,7 @@ class MixedFit:
     intercepts: Float[np.ndarray, " g"]
     residuals: Float[np.ndarray, " n"]
     log_likelihood: float
-    _gradient: Float[np.ndarray, "k p p"]  # d (X' H⁻¹ X)⁻¹ / d λ
+    _gradient: Float[np.ndarray, "k p p"]  # d (X' V⁻¹ X)⁻¹ / d λ, over σ²
     _information: Float[np.ndarray, "l l"]  # half the Hessian of -2 log L in (λ, σ²)
 
     @property
@@ -78,19 +79,17 @@ class MixedFit:
 
     @property
     def sd_row(self) -> float:
-        """Standard deviation of a single row: all variances together."""
+        """Standard deviation of a single row, from all variances together."""
         return float(np.sqrt(self.residual_variance * (1 + self.ratios.sum())))
 
     @cached_property
     def _variance_of_parameters(self) -> Float[np.ndarray, "l l"]:
-        # At the edge a λ does not vary: its group is gone from the model.
+        # At the edge a λ does not vary: its level is gone from the model.
         free = np.flatnonzero(np.append(self.ratios > 0, True))
-        values, vectors = np.linalg.eigh(self._information[np.ix_(free, free)])
-        usable = values > 1e-12 * values[-1]
         covariance = np.zeros_like(self._information)
-        covariance[np.ix_(free, free)] = (vectors[:, usable] / values[usable]) @ vectors[
-            :, usable
-        ].T
+        covariance[np.ix_(free, free)] = np.linalg.pinv(
+            self._information[np.ix_(free, free)], rcond=1e-12, hermitian=True
+        )
         return covariance
 
     def satterthwaite(self, contrast: Float[np.ndarray, " p"]) -> float:
@@ -107,27 +106,26 @@ def fit_mixed(
     outcome: Float[np.ndarray, " n"],
     levels: Mapping[str, Int[np.ndarray, " n"]],
 ) -> MixedFit:
-    """Fits by REML.
+    """Fits the model by REML.
 
     Args:
         design: fixed effects, of full column rank.
         outcome: y.
-        levels: name of each level and group of each row, codes from 0, coarse to fine. A level that
+        levels: name of each level -> group of each row, codes from 0; coarse to fine. A level that
             can't be separated from the one before, or from the residual, is left out of the model.
 
     Returns:
         The fit at the minimum of the criterion.
 
     Raises:
-        StudyError: no more rows than coefficients, or the model leaves no residual.
+        StudyError: there are no more rows than coefficients, or the model leaves no residual.
     """
     rows, width = design.shape
     if rows <= width:
         raise StudyError(
             f"a mixed model with {width} coefficients needs more rows than that; came {rows}"
         )
-    profile = _Profile(design, outcome, _estimable(levels))
-    return profile.fit(profile.minimise(np.full(len(profile.levels), _START)))
+    return _Profile(design, outcome, _estimable(levels)).fit()
 
 
 def mancl_derouen(
@@ -136,12 +134,12 @@ def mancl_derouen(
     groups: Int[np.ndarray, " n"],
     ratio: float,
 ) -> Float[np.ndarray, "p p"] | None:
-    """Covariance of the coefficients that holds whatever is alike within operators.
+    """Covariance of the coefficients that is robust against any correlation within operators.
 
-    The sandwich of a fit by generalised least squares with a random intercept as its working
-    covariance V, each operator's residuals corrected for their leverage. With t on one degree of
-    freedom less than operators it holds where operators differ in a slope as well, which
-    Satterthwaite's t on a model without random slopes does not.
+    It is the sandwich covariance of a fit by generalised least squares with a random intercept as
+    working covariance V, with each operator's residuals corrected for their leverage. With t on one
+    degree of freedom less than operators it also holds where operators differ in a slope, unlike
+    Satterthwaite's t on a model without random slopes.
 
     Args:
         design: fixed effects, with full column rank.
@@ -174,6 +172,7 @@ def mancl_derouen(
 
 
 def _estimable(levels: Mapping[str, Int[np.ndarray, " n"]]) -> dict[str, Int[np.ndarray, " n"]]:
+    """Levels with more groups than the one before, and fewer than rows."""
     estimable: dict[str, Int[np.ndarray, " n"]] = {}
     before = 0
     for name, codes in levels.items():
@@ -184,8 +183,44 @@ def _estimable(levels: Mapping[str, Int[np.ndarray, " n"]]) -> dict[str, Int[np.
     return estimable
 
 
+@dataclass(frozen=True, eq=False)
+class _Derivatives:
+    """Quantities at λ, with P = H⁻¹ - H⁻¹ X A⁻¹ X' H⁻¹, A = X' H⁻¹ X and V_k = G_k G_k'."""
+
+    free: int  # rows less coefficients
+    beta: Float[np.ndarray, " p"]
+    inverse: Float[np.ndarray, "p p"]  # A⁻¹
+    squares: float  # y' P y
+    traces: Float[np.ndarray, " k"]  # tr P V_k
+    sums: list[Float[np.ndarray, " g"]]  # G_k' P y
+    crossed: Float[np.ndarray, "k k"]  # tr P V_k P V_l
+    bent: Float[np.ndarray, "k k"]  # y' P V_k P V_l P y
+    gradient: Float[np.ndarray, "k p p"]  # d A⁻¹ / d λ_k
+
+    @property
+    def squared(self) -> Float[np.ndarray, " k"]:
+        """Quadratic forms y' P V_k P y."""
+        return np.array([sums @ sums for sums in self.sums])
+
+    @property
+    def slope(self) -> Float[np.ndarray, " k"]:
+        """Gradient of the criterion."""
+        return self.traces - self.free * self.squared / self.squares
+
+    @property
+    def observed(self) -> Float[np.ndarray, "k k"]:
+        """Hessian of the criterion."""
+        scaled = self.squared / self.squares
+        return -self.crossed + self.free * (2 * self.bent / self.squares - np.outer(scaled, scaled))
+
+    @property
+    def expected(self) -> Float[np.ndarray, "k k"]:
+        """Expectation of the Hessian of the criterion."""
+        return self.crossed - np.outer(self.traces, self.traces) / self.free
+
+
 class _Profile:
-    """The restricted likelihood as a function of λ, from means over the leaves."""
+    """The restricted likelihood as a function of λ, computed from means over the leaves."""
 
     def __init__(
         self,
@@ -195,24 +230,20 @@ class _Profile:
     ) -> None:
         self.levels = tuple(levels)
         self.design, self.outcome = design, outcome
-        rows, self.width = design.shape
-        self.free = rows - self.width
-        # Leaves in such an order that groups of every level are neighbours.
-        path = np.zeros(rows, np.int64)
-        for codes in levels.values():
-            path = path * (int(codes.max()) + 1) + codes
-        _, first, self.leaf = np.unique(path, return_index=True, return_inverse=True)
+        self.free = len(design) - design.shape[1]
+        codes = np.column_stack(list(levels.values()))
+        paths, self.leaf = np.unique(codes, axis=0, return_inverse=True)
+        self.leaf = self.leaf.reshape(-1)
+        self.members = [
+            (column[:, None] == np.unique(column)).astype(float) for column in paths.T
+        ]  # G_k
         self.sizes = np.bincount(self.leaf).astype(float)
         both = np.column_stack([design, outcome])
-        sums = np.zeros((len(self.sizes), self.width + 1))
+        sums = np.zeros((len(self.sizes), both.shape[1]))
         np.add.at(sums, self.leaf, both)
         self.means = sums / self.sizes[:, None]
         within = both - self.means[self.leaf]
         self.within = within.T @ within
-        changes = [np.diff(codes[first], prepend=-1) != 0 for codes in levels.values()]
-        self.starts = [np.flatnonzero(change) for change in changes]
-        self.groups = [np.cumsum(change) - 1 for change in changes]
-        self.same = [group[:, None] == group for group in self.groups]
         self._check_residual()
 
     def _check_residual(self) -> None:
@@ -223,89 +254,69 @@ class _Profile:
         if left <= _NO_RESIDUAL * max(total, 1e-12 * float(centred @ centred)) or total == 0:
             raise StudyError(_EXPLAINED)
 
+    def covariance(self, ratios: Float[np.ndarray, " k"]) -> Float[np.ndarray, "m m"]:
+        """H at λ."""
+        parts = (ratio * g @ g.T for ratio, g in zip(ratios, self.members, strict=True))
+        return np.asarray(np.diag(1 / self.sizes) + sum(parts))
+
     def solve(
-        self, ratios: Float[np.ndarray, " k"]
-    ) -> tuple[float, Float[np.ndarray, "p p"], Float[np.ndarray, " p"], float]:
-        """(log |H|, X' H⁻¹ X, β, residual sum of squares in the metric of H) at λ."""
-        weights, means = self.sizes, self.means
-        cross, logs = self.within.copy(), 0.0
-        # From the finest level up: a group of a level is one mean with one weight to the next.
-        for level in range(len(ratios) - 1, -1, -1):
-            spread = 1 + ratios[level] * weights
-            logs += float(np.sum(np.log(spread)))
-            weights = weights / spread
-            if level:
-                group = self._group(level - 1, level)
-                starts = np.flatnonzero(np.diff(group, prepend=-1))
-                total = np.add.reduceat(weights, starts)
-                middle = np.add.reduceat(weights[:, None] * means, starts) / total[:, None]
-                apart = means - middle[group]
-                cross += (weights[:, None] * apart).T @ apart
-                weights, means = total, middle
-        cross += (weights[:, None] * means).T @ means
+        self, cross: Float[np.ndarray, "q q"]
+    ) -> tuple[Float[np.ndarray, "p p"], Float[np.ndarray, " p"], float]:
+        """(A, β, y' P y) of the cross products [X y]' H⁻¹ [X y] of all rows."""
         matrix, right = cross[:-1, :-1], cross[:-1, -1]
         beta = np.linalg.solve(matrix, right)
         signed = np.append(-beta, 1.0)
-        return logs, matrix, beta, float(signed @ cross @ signed)
-
-    def _group(self, coarse: int, fine: int) -> Int[np.ndarray, " m"]:
-        """Group of the coarse level of each group of the fine one."""
-        return self.groups[coarse][self.starts[fine]]
+        return matrix, beta, float(signed @ cross @ signed)
 
     def criterion(self, ratios: Float[np.ndarray, " k"]) -> float:
         """-2 log of the restricted likelihood with β and σ² profiled out, without constants."""
-        logs, matrix, _, squares = self.solve(ratios)
-        if squares <= 0:  # nothing but rounding is left
+        root = np.linalg.cholesky(self.covariance(ratios))
+        scaled = np.linalg.solve(root, self.means)
+        matrix, _, squares = self.solve(self.within + scaled.T @ scaled)
+        if squares <= 0:  # only rounding is left
             raise StudyError(_EXPLAINED)
+        logs = 2 * np.sum(np.log(np.diag(root))) + np.sum(np.log(self.sizes))
         return float(logs + np.linalg.slogdet(matrix)[1] + self.free * np.log(squares / self.free))
 
-    def parts(self, ratios: Float[np.ndarray, " k"]) -> _Parts:
-        """The parts of the derivatives at λ."""
-        _, matrix, beta, squares = self.solve(ratios)
+    def derivatives(self, ratios: Float[np.ndarray, " k"]) -> _Derivatives:
+        """Quantities for the derivatives of the criterion at λ."""
+        metric = np.linalg.inv(self.covariance(ratios))
+        matrix, beta, squares = self.solve(self.within + self.means.T @ metric @ self.means)
         inverse = np.linalg.inv(matrix)
-        weights = self.sizes / (1 + ratios[-1] * self.sizes)
-        metric = np.diag(weights)
-        for level in range(len(ratios) - 2, -1, -1):
-            share = metric.sum(axis=1)
-            total = np.add.reduceat(share, self.starts[level])
-            pull = (ratios[level] / (1 + ratios[level] * total))[self.groups[level]]
-            metric = metric - self.same[level] * np.outer(pull * share, share)
         fixed = metric @ self.means[:, :-1]
-        left = metric @ (self.means[:, -1] - self.means[:, :-1] @ beta)
         projected = metric - fixed @ inverse @ fixed.T
-        count = len(ratios)
-        traces = np.zeros(count)
-        crossed, bent = np.zeros((count, count)), np.zeros((count, count))
-        pulls, gradient = [], np.zeros((count, self.width, self.width))
-        for k in range(count):
-            half = np.add.reduceat(projected, self.starts[k], axis=0)
-            pulls.append(np.add.reduceat(left, self.starts[k]))
-            turned = np.add.reduceat(fixed, self.starts[k], axis=0) @ inverse
-            gradient[k] = turned.T @ turned
-            for j in range(k + 1):
-                block = np.add.reduceat(half, self.starts[j], axis=1)
-                if j == k:
-                    traces[k] = np.trace(block)
-                crossed[j, k] = crossed[k, j] = np.sum(block**2)
-                bent[j, k] = bent[k, j] = pulls[k] @ block @ pulls[j]
-        return _Parts(
-            squares, traces, np.array([p @ p for p in pulls]), crossed, bent, pulls, gradient
+        left = metric @ (self.means[:, -1] - self.means[:, :-1] @ beta)
+        sums = [g.T @ left for g in self.members]
+        halves = [g.T @ projected for g in self.members]
+        blocks = [[half @ g for g in self.members] for half in halves]
+        turned = [g.T @ fixed @ inverse for g in self.members]
+        return _Derivatives(
+            self.free,
+            beta,
+            inverse,
+            squares,
+            np.array([np.trace(row[k]) for k, row in enumerate(blocks)]),
+            sums,
+            np.array([[np.sum(block**2) for block in row] for row in blocks]),
+            np.array(
+                [
+                    [sums[k] @ block @ sums[j] for j, block in enumerate(row)]
+                    for k, row in enumerate(blocks)
+                ]
+            ),
+            np.array([one.T @ one for one in turned]),
         )
 
-    def minimise(self, ratios: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
-        """λ at the minimum, none below zero, by Newton's method."""
+    def minimise(self) -> Float[np.ndarray, " k"]:
+        """λ at the minimum of the criterion, none below zero, by Newton's method."""
+        ratios = np.full(len(self.levels), _START)
         value = self.criterion(ratios)
         for _ in range(_STEPS):
-            parts = self.parts(ratios)
-            slope = parts.traces - self.free * parts.squared / parts.squares
-            scaled = parts.squared / parts.squares
-            observed = -parts.crossed + self.free * (
-                2 * parts.bent / parts.squares - np.outer(scaled, scaled)
-            )
-            expected = parts.crossed - np.outer(parts.traces, parts.traces) / self.free
+            at = self.derivatives(ratios)
+            slope = at.slope
             free = (ratios > 0) | (slope < 0)
             while True:
-                direction = _step(observed, expected, slope, free)
+                direction = _step(at, free)
                 outwards = (ratios == 0) & (direction < 0)
                 if not outwards.any():
                     break
@@ -325,13 +336,13 @@ class _Profile:
         direction: Float[np.ndarray, " k"],
         gain: float,
     ) -> tuple[Float[np.ndarray, " k"], float, bool]:
-        """The longest of ever shorter steps that pays; one that leaves the edge ends there."""
+        """Halves a step until it lowers the criterion; a λ that would be negative becomes zero."""
         falling = direction < 0
         reach = np.full(len(ratios), np.inf)
         reach[falling] = -ratios[falling] / direction[falling]
         length = min(1.0, float(reach.min()))
         for _ in range(60):
-            # What would end a hair above zero is zero, or the steps would get ever shorter.
+            # A λ that would end a hair above zero is set to zero, or steps would get ever shorter.
             there = np.where(reach <= length, 0.0, np.maximum(ratios + length * direction, 0.0))
             after = self.criterion(there)
             if after <= value - 1e-4 * length * gain or (gain < 1e-8 and after <= value + 1e-9):
@@ -339,60 +350,41 @@ class _Profile:
             length /= 2
         return ratios, value, False
 
-    def fit(self, ratios: Float[np.ndarray, " k"]) -> MixedFit:
-        """Everything at λ."""
-        _, matrix, beta, squares = self.solve(ratios)
-        parts = self.parts(ratios)
-        variance, count = squares / self.free, len(ratios)
+    def fit(self) -> MixedFit:
+        """Fits the model."""
+        ratios = self.minimise()
+        at = self.derivatives(ratios)
+        variance, count = at.squares / self.free, len(ratios)
         information = np.zeros((count + 1, count + 1))
-        information[:count, :count] = -parts.crossed + 2 * parts.bent / variance
-        information[:count, count] = information[count, :count] = parts.squared / variance**2
+        information[:count, :count] = -at.crossed + 2 * at.bent / variance
+        information[:count, count] = information[count, :count] = at.squared / variance**2
         information[count, count] = self.free / variance**2
-        effects = [ratio * pull for ratio, pull in zip(ratios, parts.pulls, strict=True)]
-        residuals = self.outcome - self.design @ beta
-        for effect, group in zip(effects, self.groups, strict=True):
-            residuals = residuals - effect[group][self.leaf]
+        effects = [ratio * sums for ratio, sums in zip(ratios, at.sums, strict=True)]
+        of_leaves = sum(g @ effect for g, effect in zip(self.members, effects, strict=True))
         deviance = self.criterion(ratios) + self.free * (1 + np.log(2 * np.pi))
         return MixedFit(
-            beta=beta,
-            covariance=variance * np.linalg.inv(matrix),
+            beta=at.beta,
+            covariance=variance * at.inverse,
             levels=self.levels,
             ratios=ratios,
             residual_variance=variance,
             intercepts=effects[0],
-            residuals=residuals,
+            residuals=self.outcome - self.design @ at.beta - np.asarray(of_leaves)[self.leaf],
             log_likelihood=-0.5 * deviance,
-            _gradient=parts.gradient,
+            _gradient=at.gradient,
             _information=0.5 * information,
         )
 
 
-@dataclass(frozen=True, eq=False)
-class _Parts:
-    """With P = H⁻¹ - H⁻¹ X A⁻¹ X' H⁻¹ and V_k = 1 where two rows share a group of level k."""
-
-    squares: float  # y' P y
-    traces: Float[np.ndarray, " k"]  # tr P V_k
-    squared: Float[np.ndarray, " k"]  # y' P V_k P y
-    crossed: Float[np.ndarray, "k k"]  # tr P V_k P V_l
-    bent: Float[np.ndarray, "k k"]  # y' P V_k P V_l P y
-    pulls: list[Float[np.ndarray, " g"]]  # sums of P y over the groups of each level
-    gradient: Float[np.ndarray, "k p p"]  # d A⁻¹ / d λ_k
-
-
-def _step(
-    observed: Float[np.ndarray, "k k"],
-    expected: Float[np.ndarray, "k k"],
-    slope: Float[np.ndarray, " k"],
-    free: Bool[np.ndarray, " k"],
-) -> Float[np.ndarray, " k"]:
+def _step(at: _Derivatives, free: Bool[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
     """Newton's step in the free directions; Fisher's where the criterion is not convex."""
-    step = np.zeros_like(slope)
-    for hessian in (observed, expected, np.diag(np.diag(expected))):
+    step = np.zeros(len(free))
+    for hessian in (at.observed, at.expected, np.diag(np.diag(at.expected))):
+        part = hessian[np.ix_(free, free)]
         try:
-            root = np.linalg.cholesky(hessian[np.ix_(free, free)])
+            np.linalg.cholesky(part)
         except np.linalg.LinAlgError:
             continue
-        step[free] = -np.linalg.solve(root.T, np.linalg.solve(root, slope[free]))
+        step[free] = -np.linalg.solve(part, at.slope[free])
         break
     return step

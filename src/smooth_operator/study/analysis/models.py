@@ -1,8 +1,8 @@
 """Models of the outcomes, fitted to a frame in each mode, and joint tests of their coefficients.
 
-Success is a logistic GEE, time and workload are linear mixed models. Mode ``paper`` has the
-sandwich covariance, or a random intercept for each operator, and takes statistics for normal. Mode
-``small-sample`` has Mancl and DeRouen's covariance and t with operators - 1 degrees of freedom, or
+Success has a logistic GEE, time and workload have linear mixed models. Mode ``paper`` uses the
+sandwich covariance, or a random intercept for each operator, and normal statistics. Mode
+``small-sample`` uses Mancl and DeRouen's covariance and t with operators - 1 degrees of freedom, or
 random intercepts also for each operator with each retargeter and, with several tasks, for each
 block, and t with Satterthwaite's degrees of freedom.
 """
@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Final
 
 import numpy as np
@@ -36,11 +35,11 @@ from smooth_operator.study.analysis.results import (
     Mode,
     Outcome,
     Refused,
-    figures_or_refused,
+    refusable,
 )
 
 ONE_SIDED: Final = "no retargeter has both successes and failures"
-"""Why nothing is left of a frame without the retargeters that never or always succeed."""
+"""Reason of a refusal if every retargeter always or never succeeds."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,12 +48,12 @@ class Fit:
 
     Attributes:
         outcome: success, time or tlx.
-        frame: the rows.
+        frame: rows of the model.
         names: names of the coefficients.
-        beta: coefficients; of success on the logit (p,).
+        beta: coefficients, for success on the logit (p,).
         covariance: covariance of the coefficients (p, p).
         freedom: degrees of freedom of a combination of the coefficients.
-        model: the fit that the coefficients come from.
+        model: fit with these coefficients.
     """
 
     outcome: Outcome
@@ -67,7 +66,7 @@ class Fit:
 
     @property
     def means(self) -> MarginalMeans:
-        """Means of the retargeters where further columns are zero: rates, times or points."""
+        """Means of the retargeters at zero of further columns: rates, times or points."""
         means = response_means if self.outcome == "success" else linear_means
         return means(self.frame, self.beta)
 
@@ -78,17 +77,17 @@ class Fit:
         return cohen_h(mean, other)
 
     def compare(self, *, limits: bool = True, decide: float | None = None) -> Comparisons:
-        """Means, differences and effect sizes; see ``contrasts.compare``."""
+        """Computes means, differences and effect sizes; see ``contrasts.compare``."""
         return compare(
             self.means, self.covariance, self.freedom, self.effect, self.frame.baseline,
             limits=limits, decide=decide,
         )  # fmt: skip
 
     def joint(self, columns: slice) -> WaldTest:
-        """Tests that these coefficients are all zero.
+        """Tests that all of these coefficients are zero.
 
         Raises:
-            StudyError: there are too few operators for it.
+            StudyError: there are too few operators.
         """
         chosen = np.eye(len(self.beta))[columns]
         values, covariance = chosen @ self.beta, chosen @ self.covariance @ chosen.T
@@ -106,13 +105,13 @@ def fit_modes(
     """Fits retargeter, task, the index and further columns.
 
     Args:
-        outcome: decides on the model.
-        frame: the rows, checked by ``check_frame``; those of success without separation.
+        outcome: outcome of the model.
+        frame: rows that passed ``check_frame``; those of success have no separation.
         modes: modes of the result.
         more: further columns, centred so that means are at their mean.
 
     Raises:
-        StudyError: the rows carry the model in no mode.
+        StudyError: the model can't be fitted in any mode.
     """
     design, names = frame.design()
     if more is not None:
@@ -121,7 +120,7 @@ def fit_modes(
     fits: dict[Mode, Fit | Refused] = {}
     if outcome != "success":
         for mode in modes:
-            fits[mode] = figures_or_refused(partial(_linear, outcome, frame, design, names, mode))
+            fits[mode] = _linear(outcome, frame, design, names, mode)
         return fits
     gee = fit_gee(design, frame.outcome, frame.group)
     gee.check_correlation()
@@ -139,6 +138,7 @@ def fit_modes(
     return fits
 
 
+@refusable
 def _linear(
     outcome: Outcome, frame: Frame, design: Float[np.ndarray, "n p"], names: list[str], mode: Mode
 ) -> Fit:
@@ -153,7 +153,7 @@ def fit_with(outcome: Outcome, frame: Frame, more: Float[np.ndarray, "n q"] | No
     """Checks the rows and fits retargeter, task, the index and further columns, mode small-sample.
 
     Raises:
-        StudyError: the rows do not carry the model.
+        StudyError: the model can't be fitted.
     """
     check_frame(frame)
     design = frame.design()[0]
@@ -173,7 +173,7 @@ def fit_with(outcome: Outcome, frame: Frame, more: Float[np.ndarray, "n q"] | No
 
 @dataclass(frozen=True)
 class WaldTest:
-    """A joint test of several coefficients: F with its degrees of freedom."""
+    """Joint test of several coefficients: F with its degrees of freedom."""
 
     f: float
     df1: float
@@ -184,10 +184,10 @@ class WaldTest:
 def clustered_wald(
     values: Float[np.ndarray, " q"], covariance: Float[np.ndarray, "q q"], operators: int
 ) -> WaldTest:
-    """Tests that all values are zero: Hotelling's F, for a covariance estimated from operators.
+    """Tests that all values are zero by Hotelling's F, for a covariance estimated from operators.
 
     Raises:
-        StudyError: not more operators than values.
+        StudyError: there are no more operators than values.
     """
     count = len(values)
     if operators <= count:
@@ -206,16 +206,16 @@ def model_wald(
     contrasts: Float[np.ndarray, "q p"],
     freedom: Freedom,
 ) -> WaldTest:
-    """Tests that all values are zero: F with Satterthwaite's denominators (Fai, Cornelius 1996).
+    """Tests that all values are zero by F with Satterthwaite's denominators (Fai, Cornelius 1996).
 
     Args:
         values: combinations of the coefficients.
-        covariance: of these values.
+        covariance: covariance of the values.
         contrasts: coefficients of each combination.
         freedom: degrees of freedom of one combination.
 
     Raises:
-        StudyError: the covariance is singular, or there are next to no degrees of freedom.
+        StudyError: the covariance is singular, or a combination has 2 degrees of freedom or fewer.
     """
     count = len(values)
     statistic = _quadratic(values, covariance)

@@ -1,4 +1,4 @@
-"""Operators of a study: who is analysed and who is left out, and how much their means differ.
+"""Operators of a study: exclusions, flow of participants, and differences of their means.
 
 The flow of participants has the counts of CONSORT: Schulz, Altman and Moher (2010). CONSORT 2010
 statement. doi:10.1136/bmj.c332
@@ -20,21 +20,20 @@ FLOW_COLUMNS: Final = ("step", "retargeter", "count", "operators", "reason")
 
 
 def leave_out(data: StudyData, exclude: Mapping[str, str] | None = None) -> StudyData:
-    """The study without those whose data may not or shall not be analysed, and its flow.
+    """Leaves operators out of a study, and completes its flow of participants.
 
     Args:
-        data: the study; operators who withdrew without leave to keep their data are always left
-            out.
-        exclude: operator -> reason, of those to leave out besides.
+        data: data of the study; operators who withdrew with their data are always left out.
+        exclude: operator -> reason to leave them out as well.
 
     Raises:
-        StudyError: a reason is empty, or nobody is left.
+        StudyError: a reason is empty, or no operator is left.
         UnknownNameError: no such operator takes part.
     """
     flow = data.flow
     present = tuple(dict.fromkeys(map(str, data.trials.operator)))
     if not flow.logged:
-        # Those excluded before were there, too.
+        # Operators who were excluded earlier took part, too.
         there = tuple(dict.fromkeys((*flow.enrolled, *present)))
         flow = replace(flow, enrolled=there, started=there)
     excluded = dict(flow.excluded)
@@ -65,7 +64,7 @@ def leave_out(data: StudyData, exclude: Mapping[str, str] | None = None) -> Stud
 
 
 def flow_rows(flow: Flow) -> list[dict[str, Any]]:
-    """The flow as rows of ``FLOW_COLUMNS``."""
+    """Returns the flow as rows of ``FLOW_COLUMNS``."""
     rows: list[dict[str, Any]] = []
 
     def add(step: str, count: int, who: str = "", reason: str = "", retargeter: str = "") -> None:
@@ -103,7 +102,7 @@ def flow_rows(flow: Flow) -> list[dict[str, Any]]:
 
 
 def flow_text(flow: Flow) -> str:
-    """The flow in a sentence or two."""
+    """Describes the flow in one or two sentences."""
     parts = [f"{len(flow.enrolled)} operators enrolled"] if flow.logged else []
     if flow.logged:
         parts.append(f"{len(flow.started)} started")
@@ -138,13 +137,13 @@ class OperatorMean:
 
 
 def operator_means(data: StudyData) -> list[OperatorMean]:
-    """Success rate, mean time of successes [s] and mean workload of each operator.
+    """Computes success rate, mean time of successes [s] and mean workload of each operator.
 
     Args:
-        data: the study.
+        data: data of the study.
 
     Returns:
-        Sorted by outcome, task, retargeter and operator; none without rows.
+        The means, sorted by outcome, task, retargeter and operator.
     """
     trials = data.trials
     columns: list[tuple[Outcome, Any, np.ndarray, np.ndarray]] = [
@@ -168,7 +167,7 @@ def operator_means(data: StudyData) -> list[OperatorMean]:
 
 
 def variance(data: StudyData) -> dict[str, Any]:
-    """Distribution of the operators' means.
+    """Computes the distribution of the operators' means.
 
     Returns:
         By outcome, task and retargeter: ``operators``, ``mean``, ``sd``, ``min``, ``q25``,

@@ -1,7 +1,4 @@
-"""Success, time or workload over one scope: model, means and comparisons in both modes.
-
-The assumptions of the models are checked: figures for the results and sentences for the reader.
-"""
+"""Success, time or workload over one scope: model, means, comparisons and checks of assumptions."""
 
 from __future__ import annotations
 
@@ -33,7 +30,7 @@ from smooth_operator.study.analysis.results import MODES, Mode, Outcome, Refused
 from smooth_operator.study.analysis.separated import in_words, split
 
 FEW_OPERATORS: Final = 10
-"""Fewer clusters than this, and asymptotic tests are warned of."""
+"""Number of operators below which asymptotic tests have a warning."""
 _SKEW: Final = 1.0
 _HEAVY: Final = 3.0
 _UNEQUAL: Final = 2.0
@@ -66,11 +63,11 @@ def analyze(
     """Fits the models of an outcome and compares the retargeters.
 
     Args:
-        outcome: decides on the model.
-        frame: the rows; success has an outcome of 0 and 1.
-        missing: what is known to be absent from them, for the warnings.
+        outcome: outcome of the model.
+        frame: rows of the model; success has an outcome of 0 and 1.
+        missing: warnings on missing rows.
         modes: modes of the result.
-        limits: whether to find simultaneous intervals against the baseline.
+        limits: whether to compute simultaneous intervals against the baseline.
 
     Returns:
         The result in each mode. A retargeter that never or always succeeds is left out of the model
@@ -103,7 +100,7 @@ def analyze(
         return dict.fromkeys(modes, refuse(blank, str(error)))
     results = {mode: _result(blank, fit, limits) for mode, fit in fits.items()}
     if success:
-        # What is known of the fit stands with a refused covariance as well.
+        # A refused covariance does not concern the facts of the fit.
         gee = next((fit.model for fit in fits.values() if isinstance(fit, Fit)), None)
         for mode, fit in fits.items():
             if isinstance(fit, Refused) and isinstance(gee, GeeFit):
@@ -119,7 +116,7 @@ def analyze(
 
 
 def layout(frame: Frame) -> tuple[dict[str, Any], list[str]]:
-    """Counts of operators, cells that are empty, and operators that lack a retargeter."""
+    """Counts rows of each cell, and finds empty cells and operators without a retargeter."""
     cells = np.zeros((len(frame.retargeters), len(frame.tasks)), int)
     np.add.at(cells, (frame.retargeter, frame.task), 1)
     present = np.zeros((len(frame.operators), len(frame.retargeters)), bool)
@@ -155,7 +152,7 @@ def layout(frame: Frame) -> tuple[dict[str, Any], list[str]]:
 
 
 def observed(frame: Frame) -> dict[str, Any]:
-    """Rows, mean, standard deviation and quartiles of each retargeter, without a model."""
+    """Computes mean, standard deviation and quartiles of each retargeter, without a model."""
     table = {}
     for j, name in enumerate(frame.retargeters):
         y = frame.outcome[frame.retargeter == j]
@@ -222,7 +219,7 @@ def residual_checks(
 
 
 def rare_outcomes(frame: Frame) -> list[str]:
-    """Retargeters with too few successes or failures for a normal approximation."""
+    """Notes on retargeters with too few successes or failures for a normal approximation."""
     notes = []
     for j, name in enumerate(frame.retargeters):
         y = frame.outcome[frame.retargeter == j]
@@ -294,12 +291,12 @@ def _gee_facts(frame: Frame, fit: GeeFit) -> dict[str, Any]:
 
 
 def _index_facts(frame: Frame) -> dict[str, float]:
-    """Mean and SD by which the index was standardised; means are at its mean."""
+    """Mean and standard deviation by which the index was standardised."""
     return {"index_mean": frame.index_mean, "index_sd": frame.index_sd}
 
 
 def _preferences(results: dict[Mode, ScopeResult], unit: str) -> tuple[str, ...]:
-    """A sentence on how far operators differ in which retargeter suits them, if they do."""
+    """Note on the operators' differences in which retargeter suits them, if there are any."""
     exact = results.get("small-sample")
     variances = {} if exact is None or exact.refused else exact.model.get("variances", {})
     spreads = [
@@ -318,7 +315,7 @@ def refuse(blank: ScopeResult, reason: str) -> ScopeResult:
 
 
 def formula(frame: Frame, *, random: Sequence[str] = ()) -> str:
-    """The model in R's notation, with the names of its random intercepts."""
+    """Returns the model in R's notation, with the names of its random intercepts."""
     terms = ["retargeter"]
     if len(frame.tasks) > 1:
         terms.append("task")
@@ -328,7 +325,7 @@ def formula(frame: Frame, *, random: Sequence[str] = ()) -> str:
 
 
 def _odds(fit: Fit) -> dict[str, dict[str, float]]:
-    """The comparisons on the logit scale, for those who report odds ratios."""
+    """Comparisons as odds ratios, from the logit scale."""
     means = linear_means(fit.frame, fit.beta)
     logits: Comparisons = compare(
         means, fit.covariance, fit.freedom, lambda a, b: a - b, fit.frame.baseline

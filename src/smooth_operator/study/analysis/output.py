@@ -34,15 +34,15 @@ _FAMILIES: Final = {
     "dunnett": "retargeter",
     "pairs": "pair",
 }
-"""Tables of a scope, and what names their rows."""
+"""Tables of a scope, and the column with the names of their rows."""
 
 
 def write_analysis(analysis: Analysis, folder: Path, *, report: bool = True) -> list[str]:
-    """Writes everything.
+    """Writes results, tables, methods, R script and report.
 
     Args:
-        analysis: of the study.
-        folder: exists.
+        analysis: analysis of the study.
+        folder: existing folder.
         report: whether to draw figures and write the page, which takes longest.
 
     Returns:
@@ -68,14 +68,14 @@ def write_analysis(analysis: Analysis, folder: Path, *, report: bool = True) -> 
 
 
 def write_tables(analysis: Analysis, folder: Path) -> list[str]:
-    """Writes the tables.
+    """Writes the CSV tables.
 
     Args:
-        analysis: of the study.
-        folder: exists.
+        analysis: analysis of the study.
+        folder: existing folder.
 
     Returns:
-        Names of the files. A table without rows is not written, and an older one removed.
+        Names of the files. A table without rows is not written; an older one is removed.
 
     Raises:
         OutputError: a file can't be written.
@@ -148,7 +148,7 @@ def _flat(entry: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _named(numbers: Mapping[str, float]) -> str:
-    """Elements of a vector of R with names."""
+    """Formats the elements of a named vector in R."""
     return ", ".join(f"{json.dumps(name)} = {value!r}" for name, value in numbers.items())
 
 
@@ -163,14 +163,14 @@ def _csv(table: Trials | Questionnaires, names: Sequence[str], **more: np.ndarra
 
 
 def write_r_script(analysis: Analysis, folder: Path) -> list[str]:
-    """Writes ``analysis.R`` and the rows that it reads: the same models again, in R.
+    """Writes ``analysis.R``, which fits the same models in R, and the rows that it reads.
 
     Args:
-        analysis: of the study.
-        folder: exists, with the tables of the analysis.
+        analysis: analysis of the study.
+        folder: folder with the tables of the analysis.
 
     Returns:
-        Names of the files. A table that the study does not have is not written, and an older one
+        Names of the files. A table that the study does not have is not written; an older one is
         removed.
 
     Raises:

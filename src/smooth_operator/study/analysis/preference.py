@@ -13,10 +13,9 @@ from scipy.stats import chi2
 from smooth_operator.errors import StudyError
 from smooth_operator.study.analysis.results import (
     Drawn,
-    Refused,
     drawn,
-    figures_or_refused,
     operator_weights,
+    refusable,
 )
 
 _ROUNDS: Final = 2000
@@ -56,22 +55,20 @@ class Preference:
     left_out: int
 
 
+@refusable
 def preference(
     rankings: Mapping[str, Sequence[str]], retargeters: tuple[str, ...], *, seed: int = 11
-) -> Preference | Refused:
+) -> Preference:
     """Analyses the operators' rankings.
 
     Args:
         rankings: operator -> retargeters, the best first.
         retargeters: retargeters of the study.
         seed: seed of bootstrap and permutations.
+
+    Raises:
+        StudyError: fewer than two operators ranked all retargeters; returned as ``Refused``.
     """
-    return figures_or_refused(lambda: _preference(rankings, retargeters, seed))
-
-
-def _preference(
-    rankings: Mapping[str, Sequence[str]], retargeters: tuple[str, ...], seed: int
-) -> Preference:
     whole = [order for order in rankings.values() if sorted(order) == sorted(retargeters)]
     if len(whole) < 2:
         raise StudyError(

@@ -34,8 +34,8 @@ from smooth_operator.study.analysis.results import (
     Pair,
     Refused,
     ScopeResult,
-    figures_or_refused,
     plain,
+    refusable,
 )
 from smooth_operator.study.analysis.separated import split
 from smooth_operator.study.analysis.time_to_success import TimeToSuccess, time_to_success
@@ -45,7 +45,7 @@ ALPHA: Final = 0.05
 
 
 def full_success(trials: Trials, scope: str, baseline: str) -> ScopeResult:
-    """Success as a score of 1, by the model of success in mode small-sample."""
+    """Analyses success as a score of 1, by the model of success in mode small-sample."""
     frame = success_frame(trials, scope, baseline)
     frame = replace(frame, outcome=(trials.score[within(trials, scope)] >= 1).astype(float))
     blank = ScopeResult(n=len(frame), operators=len(frame.operators), observed=observed(frame))
@@ -82,17 +82,14 @@ class Interaction:
         return self.test.p < ALPHA
 
 
-def interaction(outcome: Outcome, frame: Frame) -> Interaction | Refused:
+@refusable
+def joint_interaction(outcome: Outcome, frame: Frame) -> Interaction:
     """Tests retargeter x task.
 
     Args:
-        outcome: decides on the model.
+        outcome: outcome of the model.
         frame: rows of all tasks.
     """
-    return figures_or_refused(lambda: _interaction(outcome, frame))
-
-
-def _interaction(outcome: Outcome, frame: Frame) -> Interaction:
     check_frame(frame)
     if len(frame.tasks) < 2:
         raise StudyError("the study has one task")
@@ -110,18 +107,17 @@ def _interaction(outcome: Outcome, frame: Frame) -> Interaction:
 
 @dataclass(frozen=True)
 class Equivalence:
-    """One pair, ``a`` minus ``b``.
+    """Two one-sided tests of a pair, ``a`` minus ``b``.
 
     Attributes:
-        difference: in the outcome's unit (success: a share).
-        lower: of the 90 % interval, the one that goes with two tests at 5 %.
-        upper: of the 90 % interval.
-        margin: of the plan; None without one.
-        p: larger of both one-sided p-values; None without a margin.
-        p_holm: corrected over the other retargeters against the baseline; None in other pairs.
+        difference: difference in the outcome's unit (success: a share).
+        lower: lower end of the 90 % interval, which belongs to two tests at 5 %.
+        upper: upper end of the 90 % interval.
+        margin: margin of the plan; None without one.
+        p: larger of the two one-sided p-values; None without a margin.
+        p_holm: p corrected over the other retargeters against the baseline; None in other pairs.
         equivalent: whether p is under 0.05; None without a margin.
-        smallest_margin: with which p would be 0.05. It is chosen after seeing the data, so it shows
-            nothing.
+        smallest_margin: margin with a p of 0.05. It depends on the data, so it is no evidence.
     """
 
     a: str
@@ -141,12 +137,15 @@ class Equivalence:
 def equivalences(
     result: ScopeResult, baseline: str, margin: float | None
 ) -> Mapping[str, Equivalence]:
-    """Every pair of a scope, by ``a-b``; the other retargeters against the baseline come first.
+    """Tests the equivalence of every pair of a scope.
 
     Args:
-        result: in mode small-sample; none of it where that is refused.
-        baseline: the retargeter that others are compared with.
-        margin: of the plan, in the outcome's unit; None without one.
+        result: result in mode small-sample.
+        baseline: retargeter that the others are compared with.
+        margin: margin of the plan in the outcome's unit; None without one.
+
+    Returns:
+        Tests by ``a-b``, those against the baseline first; empty if the result is refused.
     """
     pairs = result.pairs.values()
     against = [pair for pair in pairs if baseline in (pair.a, pair.b)]
@@ -177,14 +176,14 @@ def _equivalence(pair: Pair, margin: float | None, *, turn: bool = False) -> Equ
 
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """Further readings. All but ``equivalence`` are sensitivity or secondary readings.
+    """Further readings. All but ``equivalence`` are sensitivity or secondary analyses.
 
     Attributes:
-        full_success: by scope, success as a score of 1.
-        time_to_success: by scope, with failures.
-        equivalence: by outcome, scope and pair.
-        interaction: by outcome, retargeter x task.
-        preference: None without rankings.
+        full_success: success as a score of 1, by scope.
+        time_to_success: time with failures, by scope.
+        equivalence: equivalence tests by outcome, scope and pair.
+        interaction: test of retargeter x task by outcome.
+        preference: analysis of the rankings; None without rankings.
     """
 
     full_success: Mapping[str, ScopeResult]
@@ -195,7 +194,7 @@ class Readings:
 
 
 Results = Mapping[Outcome, Mapping[str, ScopeResult]]
-"""Outcome and scope -> result in mode small-sample."""
+"""Results of mode small-sample by outcome and scope."""
 
 
 def read_further(
@@ -203,19 +202,19 @@ def read_further(
     retargeters: tuple[str, ...],
     scopes: tuple[str, ...],
     results: Results,
-    depending: Mapping[Outcome, Interaction | Refused],
+    interaction: Mapping[Outcome, Interaction | Refused],
     *,
     seed: int = 11,
 ) -> Readings:
     """Computes all readings.
 
     Args:
-        data: the study.
-        retargeters: the baseline first.
+        data: data of the study.
+        retargeters: names of the retargeters, the baseline first.
         scopes: ``pooled`` and the tasks.
-        results: those of mode small-sample.
-        depending: retargeter x task, of ``interactions``.
-        seed: of bootstraps and permutations.
+        results: results of mode small-sample.
+        interaction: result of ``interactions``.
+        seed: seed of bootstraps and permutations.
     """
     trials, baseline, tasks = data.trials, retargeters[0], scopes[1:]
     limits = {task.name: task.time_limit_s for task in data.plan.tasks} if data.plan else {}
@@ -237,26 +236,26 @@ def read_further(
             }
             for outcome in OUTCOMES
         },
-        interaction=depending,
+        interaction=interaction,
         preference=preference(rankings, retargeters, seed=seed) if rankings else None,
     )  # fmt: skip
 
 
 def interactions(data: StudyData, baseline: str) -> dict[Outcome, Interaction | Refused]:
-    """Retargeter x task of every outcome.
+    """Tests retargeter x task for every outcome.
 
     Args:
-        data: the study.
-        baseline: the retargeter that others are compared with.
+        data: data of the study.
+        baseline: retargeter that the others are compared with.
     """
     frames = _frames(data, baseline)
-    return {outcome: interaction(outcome, frame) for outcome, frame in frames.items()}
+    return {outcome: joint_interaction(outcome, frame) for outcome, frame in frames.items()}
 
 
 def _frames(data: StudyData, baseline: str) -> dict[Outcome, Frame]:
     success = success_frame(data.trials, POOLED, baseline)
     frames: dict[Outcome, Frame] = {
-        "success": split(success)[0] or success,  # without those that never or always succeed
+        "success": split(success)[0] or success,  # without retargeters that never or always succeed
         "time": time_frame(data.trials, POOLED, baseline),
     }
     if data.questionnaires is not None:
@@ -268,9 +267,9 @@ Row = dict[str, Any]
 
 
 def reading_rows(readings: Readings) -> list[Row]:
-    """One row for each table entry: ``reading``, ``where`` it belongs, ``term``, and its figures.
+    """Returns the readings as table rows: ``reading``, ``where``, ``term``, and the figures.
 
-    ``where`` is the outcome, scope or field, joined by slashes; ``refused`` has the reason in rows
+    ``where`` is outcome, scope or field, joined by slashes. ``refused`` has the reason in rows
     without figures.
     """
     return [row for name, content in vars(readings).items() for row in _rows(name, content)]
@@ -283,7 +282,7 @@ def _rows(reading: str, content: Any) -> Iterator[Row]:
 
 
 def _descend(reading: str, path: tuple[str, ...], content: Any) -> Iterator[Row]:
-    """Mappings whose values are numbers are rows; others are walked."""
+    """Yields a row for each mapping with numbers, also for nested ones."""
     if not isinstance(content, Mapping):
         return
     numbers = {
@@ -301,4 +300,4 @@ def _descend(reading: str, path: tuple[str, ...], content: Any) -> Iterator[Row]
 
 
 _NOT_IN_ROWS = frozenset({"model", "diagnostics", "observed", "coefficients"})
-"""Parts of a model's result that other tables describe."""
+"""Parts of a result that other tables hold."""

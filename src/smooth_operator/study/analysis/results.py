@@ -1,16 +1,17 @@
 """Results of an analysis, and their JSON form.
 
 ``results.json`` is ``{mode: {outcome: {scope: ...}}}``, and ``learning``, ``spearman``,
-``tlx_items``, ``operator_variance`` and ``study``. Numbers that do not exist are null; a refused
-analysis has its reason in ``refused``, empty tables, and never a number.
+``tlx_items``, ``operator_variance`` and ``study``. Missing numbers are null. A refused analysis has
+its reason in ``refused``, and empty tables.
 """
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Final, Literal, TypeAlias, TypeVar
+from typing import Any, Final, Literal, ParamSpec, TypeAlias, TypeVar
 
 import numpy as np
 from jaxtyping import Float
@@ -20,16 +21,16 @@ from smooth_operator.errors import StudyError
 Mode: TypeAlias = Literal["small-sample", "paper"]
 Outcome: TypeAlias = Literal["success", "time", "tlx"]
 MODES: Final[tuple[Mode, ...]] = ("small-sample", "paper")
-"""The default first."""
+"""Modes of the analysis, the default first."""
 DRAWS: Final = 2000
-"""Samples of a bootstrap over operators."""
+"""Number of samples of a bootstrap over operators."""
 OUTCOMES: Final[tuple[Outcome, ...]] = ("success", "time", "tlx")
 POOLED: Final = "pooled"
 
 
 @dataclass(frozen=True)
 class Coefficient:
-    """A coefficient of the model: on the logit scale for success."""
+    """Coefficient of a model, on the logit scale for success."""
 
     estimate: float
     se: float
@@ -39,7 +40,7 @@ class Coefficient:
 
 @dataclass(frozen=True)
 class Mean:
-    """An estimated marginal mean with its 95 % interval."""
+    """Estimated marginal mean with its 95 % interval."""
 
     estimate: float
     se: float
@@ -50,7 +51,7 @@ class Mean:
 
 @dataclass(frozen=True)
 class Against:
-    """A retargeter minus the baseline; the interval is simultaneous over all of them, 95 %."""
+    """Difference of a retargeter from the baseline, with a simultaneous 95 % interval."""
 
     difference: float
     se: float
@@ -66,7 +67,7 @@ class Against:
 
 @dataclass(frozen=True)
 class Pair:
-    """``a`` minus ``b``."""
+    """Difference of two retargeters, ``a`` minus ``b``."""
 
     a: str
     b: str
@@ -82,15 +83,16 @@ class Pair:
 
 @dataclass(frozen=True)
 class ExactTest:
-    """A retargeter that never or always succeeds against another, within operators.
+    """Exact test within operators of a retargeter that never or always succeeds against another.
 
     Attributes:
-        difference: of success rates, the first minus the other, averaged over operators.
-        operators: who did a task with both.
-        differing: for how many of them the two differ.
-        p_raw: exact, two-sided.
-        p_holm: times the number of all pairs of retargeters, 1 at most.
-        p_dunnett: times the number of comparisons with the baseline; None where neither is it.
+        difference: mean difference of the operators' success rates, the first minus the other.
+        operators: number of operators who did a task with both.
+        differing: number of operators for whom the two differ.
+        p_raw: exact two-sided p-value.
+        p_holm: p-value times the number of all pairs of retargeters, at most 1.
+        p_dunnett: p-value times the number of comparisons with the baseline; None if neither is
+            the baseline.
     """
 
     difference: float
@@ -103,16 +105,16 @@ class ExactTest:
 
 @dataclass(frozen=True)
 class Separated:
-    """A retargeter that no logistic model can hold, since it never or always succeeds.
+    """Retargeter that never or always succeeds, and is left out of the logistic model.
 
     Attributes:
-        rate: observed, 0 or 1.
-        trials: how many.
-        operators: of how many.
-        bound: one-sided 95 % bound of the success rate (upper for a rate of 0, lower for 1), exact
-            with operators as units.
-        bound_if_independent: the same if all trials were independent (Clopper and Pearson).
-        against: every other retargeter.
+        rate: observed success rate, 0 or 1.
+        trials: number of trials.
+        operators: number of operators.
+        bound: exact one-sided 95 % bound of the success rate with operators as units (upper for a
+            rate of 0, lower for 1).
+        bound_if_independent: bound for independent trials (Clopper and Pearson).
+        against: tests against every other retargeter.
     """
 
     rate: float
@@ -130,36 +132,42 @@ class Refused:
     refused: str
 
 
+P = ParamSpec("P")
 Figures = TypeVar("Figures")
 
 
-def figures_or_refused(compute: Callable[[], Figures]) -> Figures | Refused:
-    """Result of a call, or the reason why it has none."""
-    try:
-        return compute()
-    except StudyError as error:
-        return Refused(str(error))
-    except np.linalg.LinAlgError:
-        return Refused("the rows do not carry this model: its equations are singular")
+def refusable(compute: Callable[P, Figures]) -> Callable[P, Figures | Refused]:
+    """Makes a function return ``Refused`` with the reason where it can't compute its figures."""
+
+    @functools.wraps(compute)
+    def wrapped(*args: P.args, **kwargs: P.kwargs) -> Figures | Refused:
+        try:
+            return compute(*args, **kwargs)
+        except StudyError as error:
+            return Refused(str(error))
+        except np.linalg.LinAlgError:
+            return Refused("the rows do not carry this model: its equations are singular")
+
+    return wrapped
 
 
 @dataclass(frozen=True)
 class ScopeResult:
-    """One outcome, over all tasks or one of them, in one mode.
+    """Result of one outcome, over all tasks or one of them, in one mode.
 
     Attributes:
-        coefficients: by name.
-        emm: by retargeter.
-        dunnett: by retargeter, without the baseline.
-        pairs: by ``a-b``.
-        n: rows of the model.
-        operators: clusters of the model.
+        coefficients: coefficients by name.
+        emm: estimated marginal means by retargeter.
+        dunnett: differences from the baseline by retargeter.
+        pairs: differences of pairs by ``a-b``.
+        n: number of rows of the model.
+        operators: number of operators of the model.
         model: facts of the fit: formula, variances, working correlation.
-        diagnostics: what was checked, and the results.
+        diagnostics: results of the checks of assumptions.
         separated: retargeters that never or always succeed; they are in no other table.
-        observed: rows, mean and spread of each retargeter as they are, without a model.
-        warnings: what to know before believing it.
-        refused: why there are no figures; None if there are.
+        observed: rows, mean and spread of each retargeter without a model.
+        warnings: limitations of the result.
+        refused: reason why there are no figures; None if there are.
     """
 
     coefficients: Mapping[str, Coefficient] = field(default_factory=dict)
@@ -178,7 +186,7 @@ class ScopeResult:
 
 @dataclass(frozen=True)
 class Drawn:
-    """A number with its 95 % percentile interval of a bootstrap over operators."""
+    """Number with its 95 % percentile interval from a bootstrap over operators."""
 
     estimate: float
     lower: float
@@ -186,19 +194,19 @@ class Drawn:
 
 
 def drawn(value: float, draws: np.ndarray) -> Drawn:
-    """A number and the 2.5 and 97.5 % points of what the bootstrap has (draws,), NaN left out."""
+    """Returns a number with the 2.5 and 97.5 % points of its draws (draws,), without NaN."""
     finite = draws[np.isfinite(draws)]
     low, high = np.percentile(finite, [2.5, 97.5]) if len(finite) else (np.nan, np.nan)
     return Drawn(float(value), float(low), float(high))
 
 
 def operator_weights(operators: int, *, seed: int, draws: int = DRAWS) -> Float[np.ndarray, "k g"]:
-    """Counts of each operator in each sample; the first sample has everybody once.
+    """Draws counts of each operator in each sample; the first sample has each operator once.
 
     Args:
-        operators: how many there are.
-        seed: of the draws.
-        draws: samples after the first.
+        operators: number of operators.
+        seed: seed of the draws.
+        draws: number of samples after the first.
     """
     rng = np.random.default_rng(seed)
     chosen = rng.integers(operators, size=(draws, operators))
@@ -209,18 +217,18 @@ def operator_weights(operators: int, *, seed: int, draws: int = DRAWS) -> Float[
 
 
 def operator_signs(operators: int, *, seed: int, draws: int) -> Float[np.ndarray, "k g"]:
-    """1 or -1 for each operator of each sample, for tests that change operators' signs.
+    """Draws 1 or -1 for each operator of each sample, for tests by sign changes.
 
     Args:
-        operators: how many there are.
-        seed: of the draws.
-        draws: samples.
+        operators: number of operators.
+        seed: seed of the draws.
+        draws: number of samples.
     """
     return np.random.default_rng(seed).choice([-1.0, 1.0], (draws, operators))
 
 
 def plain(value: Any) -> Any:
-    """Dataclasses and mappings as JSON values; what is not a finite number becomes null."""
+    """Converts dataclasses and mappings to JSON values; numbers that are not finite become null."""
     if isinstance(value, float):
         return float(value) if math.isfinite(value) else None
     if isinstance(value, Mapping):

@@ -1,14 +1,14 @@
 """Retargeters that never or always succeed: exact bounds and exact tests in place of a model.
 
-Their odds are zero or infinite, so no logistic model can hold them. What holds without one:
+Their odds are zero or infinite, so they have no logistic model. Instead they have:
 
-- Bound. Each operator is one observation, however alike their trials are. If none of G operators
-  ever succeeds, the share of operators who do is at most 1 - 0.05^(1/G), and so is the success
-  rate, since an operator's rate is no higher than the chance of one success or more.
-- Test. If two retargeters are equally good, then swapping them in all that one operator did is as
-  likely as not. Of a retargeter that never succeeds every swap that changes anything makes the sum
-  of the operators' differences less extreme, so the exact two-sided p over all 2^G swaps is
-  2^(1-k), where k operators differ at all (the sign test).
+- A bound, with each operator as one observation, whatever the correlation of their trials. If none
+  of G operators succeeds, the share of operators who do is at most 1 - 0.05^(1/G). So is the
+  success rate, since an operator's rate is at most the probability of one success or more.
+- A test. If two retargeters are equally good, swapping them in the trials of one operator is
+  equally likely. For a retargeter that never succeeds, every swap with an effect makes the sum of
+  the operators' differences less extreme. The exact two-sided p over all 2^G swaps is 2^(1-k),
+  where k operators differ (sign test).
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ _TAIL: Final = 0.05
 
 
 def split(frame: Frame) -> tuple[Frame | None, dict[str, Separated]]:
-    """The rows without retargeters that never or always succeed, and what is known of those.
+    """Splits off the retargeters that never or always succeed.
 
     Args:
-        frame: success of each trial, 0 or 1.
+        frame: frame whose outcome is the success of each trial, 0 or 1.
 
     Returns:
-        (rows of the others, None if there are none; separated retargeters by name). Where all
-        trials have one outcome, nothing is separated.
+        The rows of the others, None if there are none; and the separated retargeters by name. If
+        all trials have one outcome, none is separated.
     """
     count = len(frame.retargeters)
     trials = np.bincount(frame.retargeter, minlength=count)
@@ -81,7 +81,7 @@ def _separated(frame: Frame, which: int, count: int) -> Separated:
 
 
 def _swapped(frame: Frame, which: int, other: int) -> ExactTest:
-    """Both retargeters swapped within operators; tasks that an operator did with both count."""
+    """Tests two retargeters by swaps within operators, over tasks that they did with both."""
     shape = (len(frame.operators), len(frame.tasks), len(frame.retargeters))
     trials, wins = np.zeros(shape), np.zeros(shape)
     np.add.at(trials, (frame.group, frame.task, frame.retargeter), 1)
@@ -101,7 +101,7 @@ def _swapped(frame: Frame, which: int, other: int) -> ExactTest:
 
 
 def in_words(name: str, result: Separated) -> str:
-    """A sentence on a separated retargeter, for the warnings."""
+    """Describes a separated retargeter for the warnings."""
     share, side = ("all", "at least") if result.rate else ("none", "at most")
     return (
         f"{name} succeeded in {share} of {result.trials} trials of {result.operators} "

@@ -1,13 +1,13 @@
-"""Do simulation metrics foretell what operators achieve? Rank correlations of the two.
+"""Rank correlations of simulation metrics with the outcomes of operators.
 
 A point is one operator with one retargeter: the metric, and the operator's mean outcome. Points of
-one operator are not independent, so the interval to believe is the bootstrap's, which draws whole
-operators; Fisher's, which takes points for independent, is given too.
+one operator are not independent, so the bootstrap interval, which draws whole operators, is valid;
+Fisher's interval, which assumes independent points, is reported as well.
 
-Such a correlation mixes two questions. Within operators: does a metric rank the retargeters as each
-operator's outcomes do? Over the means: does it rank the retargeters as the study does? The second
-has as many points as there are retargeters. All figures hold for these retargeters: operators are
-drawn, retargeters are not.
+The correlation over all points mixes two others. The one within operators compares the metric's
+ranks of the retargeters with those of each operator's outcomes. The one over the means compares
+them with those of the study, and has one point for each retargeter. All figures hold for these
+retargeters: operators are drawn, retargeters are not.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ from smooth_operator.study.analysis.results import operator_signs, operator_weig
 from smooth_operator.study.data.rows import StudyData
 
 _DIGITS: Final = 9
-"""Means are rounded before ranking: equal ones must tie, whatever the order they were summed in."""
+"""Digits of means before ranking, so that equal means tie whatever their order of summation."""
 _FEWEST: Final = 4
 DRAWS: Final = 4000
 
 
 def correlations(data: StudyData, *, seed: int = 11, draws: int = DRAWS) -> dict[str, Any]:
-    """Spearman's ρ of each metric with each outcome.
+    """Computes Spearman's ρ of each metric with each outcome.
 
     Args:
-        data: with metrics.
-        seed: of the bootstrap.
-        draws: of the bootstrap.
+        data: data of the study.
+        seed: seed of the bootstrap.
+        draws: number of samples of the bootstrap.
 
     Returns:
         ``METRIC~OUTCOME`` -> ``rho``, ``n``, ``operators``, ``p_t``, ``ci_fisher`` and
@@ -61,7 +61,7 @@ def correlations(data: StudyData, *, seed: int = 11, draws: int = DRAWS) -> dict
                 )
                 if np.isfinite(value) and (operator, retargeter) in mean
             ]
-            # Each pair draws the same operators, so that figures are comparable.
+            # All pairs draw the same operators, so that their figures are comparable.
             entry = _correlate([(p[0], p[2], p[3]) for p in points], seed, draws)
             if "rho" in entry:
                 entry["within"] = correlation_within(points, seed=seed, draws=draws)
@@ -78,15 +78,15 @@ Point = tuple[str, str, float, float]
 
 
 def correlation_within(points: Sequence[Point], *, seed: int, draws: int) -> dict[str, Any]:
-    """Correlation of ranks that are counted within each operator.
+    """Computes the correlation of ranks within operators.
 
     Args:
-        points: one for each operator and retargeter.
-        seed: of bootstrap and sign changes.
-        draws: of both.
+        points: points, one for each operator and retargeter.
+        seed: seed of bootstrap and sign changes.
+        draws: number of samples of both.
 
     Returns:
-        As ``within`` in ``correlations``; ``refused`` where no operator ranks anything.
+        ``within`` of ``correlations``; ``refused`` if ranks never vary within an operator.
     """
     parts = []
     for operator in sorted({point[0] for point in points}):
@@ -115,7 +115,7 @@ def correlation_within(points: Sequence[Point], *, seed: int, draws: int) -> dic
 
 
 def _over_means(points: Sequence[Point]) -> dict[str, Any]:
-    """Correlation of the retargeters' means of metric and outcome."""
+    """Computes the correlation of the retargeters' means of metric and outcome."""
     names = sorted({point[1] for point in points})
     means = np.array(
         [np.mean([p[2:] for p in points if p[1] == name], axis=0) for name in names]
@@ -149,14 +149,14 @@ def _by_pair(
 
 
 def spearman(x: Float[np.ndarray, " n"], y: Float[np.ndarray, " n"]) -> float:
-    """Correlation of mean ranks; NaN where one of the two is constant."""
+    """Computes the correlation of mean ranks; NaN if one of the two is constant."""
     return float(_weighted(x, y, np.ones((1, len(x))))[0])
 
 
 def _weighted(
     x: Float[np.ndarray, " n"], y: Float[np.ndarray, " n"], times: Float[np.ndarray, "k n"]
 ) -> Float[np.ndarray, " k"]:
-    """ρ of samples that hold point i ``times[:, i]`` times; NaN where one is constant."""
+    """Computes ρ of samples with ``times[:, i]`` copies of point i; NaN if one is constant."""
     total = times.sum(axis=1, keepdims=True)
     a, b = (_ranks(values, times) - (total + 1) / 2 for values in (x, y))
     scale = np.sqrt(np.sum(times * a**2, axis=1) * np.sum(times * b**2, axis=1))
@@ -168,7 +168,7 @@ def _weighted(
 def _ranks(
     values: Float[np.ndarray, " n"], times: Float[np.ndarray, "k n"]
 ) -> Float[np.ndarray, "k n"]:
-    """Mean ranks of the points of each sample."""
+    """Computes the mean ranks of the points in each sample."""
     _, level = np.unique(values, return_inverse=True)
     counts = np.zeros((len(times), int(level.max()) + 1))
     for i, j in enumerate(level):

@@ -1,10 +1,10 @@
-"""Reading: time without selection. Trials that fail count, too.
+"""Reading: time to success with failures included.
 
-Only successes have a completion time, so a retargeter that succeeds in easy trials looks fast.
-Here each trial is followed up to a limit: the cumulative incidence of success (Aalen and Johansen
-1978), and the mean time without success, once with failures as what they are (never a success),
-once as if trials that were given up had gone on. Tasks weigh equally; intervals are of a bootstrap
-over operators, whose samples are computed together: a sample holds row i ``weights[k, i]`` times.
+Only successes have a completion time, so a retargeter that succeeds in easy trials only looks fast.
+Here each trial is followed up to a limit: cumulative incidence of success (Aalen and Johansen
+1978), and mean time without success, once with failures that never succeed, once with trials that
+were given up as censored. Tasks have equal weights. Intervals are from a bootstrap over operators
+whose samples are computed together: sample k holds row i ``weights[k, i]`` times.
 """
 
 from __future__ import annotations
@@ -19,10 +19,9 @@ from jaxtyping import Bool, Float, Int
 from smooth_operator.errors import StudyError
 from smooth_operator.study.analysis.results import (
     Drawn,
-    Refused,
     drawn,
-    figures_or_refused,
     operator_weights,
+    refusable,
 )
 from smooth_operator.study.data.rows import Trials
 
@@ -30,7 +29,7 @@ CENSORED: Final = 0
 SUCCESS: Final = 1
 COMPETING: Final = 2
 EARLY: Final = 30.0
-"""Time at which the share of successes is given, next to that at the limit [s]."""
+"""Time at which the share of successes is reported, besides the limit [s]."""
 _DROPPED: Final = ("drop", "lost", "fell")
 """Words in the rubric line of a failure that ended the trial for good."""
 
@@ -40,25 +39,25 @@ class Incidence:
     """Steps of the cumulative incidence of success.
 
     Attributes:
-        times: at which something ended, ascending [s] (u,).
-        reached: share that has succeeded by then, of each sample (k, u); NaN in a sample without
-            rows.
+        times: times at which rows ended, ascending [s] (u,).
+        reached: share that has succeeded by each time, in each sample (k, u); NaN in a sample
+            without rows.
     """
 
     times: Float[np.ndarray, " u"]
     reached: Float[np.ndarray, "k u"]
 
     def at(self, time: float) -> Float[np.ndarray, " k"]:
-        """Share that has succeeded by a time [s], of each sample (k,)."""
+        """Share that has succeeded by a time [s], in each sample (k,)."""
         place = int(np.searchsorted(self.times, time, side="right"))
         if place:
             return self.reached[:, place - 1]
         return np.where(np.isnan(self.reached[:, -1]), np.nan, 0.0)
 
     def restricted_mean(self, limit: float) -> Float[np.ndarray, " k"]:
-        """Mean time without success up to a limit [s], of each sample (k,).
+        """Mean time without success up to a limit [s], in each sample (k,).
 
-        What never succeeds counts with the limit.
+        Rows that never succeed count with the limit.
         """
         inside = self.times < limit
         ends = np.concatenate([self.times[inside], [limit]])
@@ -75,10 +74,10 @@ def incidence(
     """Estimates the cumulative incidence of success.
 
     Args:
-        times: at which each row ended, above 0 [s]; there is at least one row.
-        events: how it ended: ``SUCCESS``, ``COMPETING`` (never a success) or ``CENSORED`` (it is
-            not known what would have come; after other events at the same time).
-        weights: how often each row is in each sample.
+        times: end of each row, above 0 [s] (n,), n >= 1.
+        events: ``SUCCESS``, ``COMPETING`` (never a success) or ``CENSORED`` (the outcome is
+            unknown; after other events at the same time) (n,).
+        weights: count of each row in each sample (k, n).
     """
     levels, place = np.unique(times, return_inverse=True)
     shape = (len(times), len(levels))
@@ -103,18 +102,18 @@ class TimeToSuccess:
     """Time without success of each retargeter, and differences from the baseline.
 
     Attributes:
-        limits: up to which trials are followed, by task [s].
+        limits: limit of the trials of each task [s].
         planned: whether the limits are the plan's; if not, each is the longest time of its task.
         restricted_mean: mean time without success up to the limit; failures count with it [s].
-        difference: of it, minus the baseline's.
+        difference: difference of ``restricted_mean`` from the baseline.
         by_30_s: share that has succeeded within 30 s.
-        by_30_s_difference: of it.
+        by_30_s_difference: difference of ``by_30_s`` from the baseline.
         by_limit: share that has succeeded at the limit.
-        if_gone_on: restricted mean if failures without a drop are censored at their duration
-            instead; it takes giving up for unrelated to the outcome. Empty without durations.
-        if_gone_on_difference: of it.
-        operators: that were drawn.
-        left_out: successes without a time.
+        if_gone_on: restricted mean with failures without a drop censored at their duration, which
+            assumes that giving up is independent of the outcome. Empty without durations.
+        if_gone_on_difference: difference of ``if_gone_on`` from the baseline.
+        operators: number of operators.
+        left_out: number of successes without a time.
     """
 
     limits: Mapping[str, float]
@@ -130,6 +129,7 @@ class TimeToSuccess:
     left_out: int
 
 
+@refusable
 def time_to_success(
     trials: Trials,
     tasks: tuple[str, ...],
@@ -137,26 +137,17 @@ def time_to_success(
     *,
     limits: Mapping[str, float | None] | None = None,
     seed: int = 11,
-) -> TimeToSuccess | Refused:
-    """Follows every trial up to its task's limit.
+) -> TimeToSuccess:
+    """Analyses the time to success of all trials up to the limits of their tasks.
 
     Args:
-        trials: of the study.
-        tasks: those that count.
-        retargeters: the baseline first.
-        limits: of the plan, by task [s].
-        seed: of the bootstrap.
+        trials: trials of the study.
+        tasks: names of the tasks to include.
+        retargeters: names of the retargeters, the baseline first.
+        limits: time limits of the plan by task [s].
+        seed: seed of the bootstrap.
     """
-    return figures_or_refused(lambda: _read(trials, tasks, retargeters, limits or {}, seed))
-
-
-def _read(
-    trials: Trials,
-    tasks: tuple[str, ...],
-    retargeters: tuple[str, ...],
-    planned: Mapping[str, float | None],
-    seed: int,
-) -> TimeToSuccess:
+    planned = limits or {}
     usable = np.isin(trials.task, tasks) & ~(trials.success & np.isnan(trials.time))
     left_out = int(np.sum(np.isin(trials.task, tasks)) - np.sum(usable))
     operators, group = np.unique(trials.operator[usable], return_inverse=True)
@@ -165,13 +156,13 @@ def _read(
     weights = operator_weights(len(operators), seed=seed)[:, group]
     task, retargeter = trials.task[usable], trials.retargeter[usable]
     ended, given_up = _ends(trials, usable)
-    limits = {}
+    ends_of: dict[str, float] = {}
     for name in tasks:
         ends = ended[(task == name) & np.isfinite(ended)]
         limit = planned.get(name) or (float(ends.max()) if len(ends) else None)
         if limit is None:
             raise StudyError(f"no trial of task {name} has a time")
-        limits[name] = float(limit)
+        ends_of[name] = float(limit)
     samples: dict[str, dict[str, list[np.ndarray]]] = {
         figure: {name: [] for name in retargeters} for figure in ("mean", "early", "late", "gone")
     }
@@ -181,8 +172,8 @@ def _read(
             rows = (task == one) & (retargeter == name)
             if not rows.any():
                 raise StudyError(f"no trials of {name} in task {one}")
-            limit = limits[one]
-            # A failure never succeeds, whenever it ended: without a duration the limit serves.
+            limit = ends_of[one]
+            # A failure never succeeds, whenever it ended: without a duration its time is the limit.
             times = np.where(np.isfinite(ended[rows]), ended[rows], limit)
             curve = incidence(times, events[rows], weights[:, rows])
             samples["mean"][name].append(curve.restricted_mean(limit))
@@ -199,7 +190,7 @@ def _read(
         for by_name in samples.values()
     )
     return TimeToSuccess(
-        limits=limits,
+        limits=ends_of,
         planned=all(planned.get(name) for name in tasks),
         restricted_mean=_drawn(mean),
         difference=_differences(mean),
@@ -216,7 +207,7 @@ def _read(
 def _ends(
     trials: Trials, usable: np.ndarray
 ) -> tuple[Float[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
-    """When trials ended [s], NaN where unknown; and which failures ended without a drop."""
+    """Ends of the trials [s], NaN if unknown; and whether each is a failure without a drop."""
     ended = np.where(trials.success, trials.time, trials.duration)[usable]
     lines = trials.line[usable]
     dropped = np.array([any(word in str(line).lower() for word in _DROPPED) for line in lines])

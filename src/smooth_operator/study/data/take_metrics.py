@@ -1,8 +1,8 @@
 """Simulation metrics of each operator with each retargeter, from the study's own recordings.
 
 A recording holds the operator's landmarks and the commands that answered them. It is cut to the
-trials that count; metrics are means over their frames, of each trial by itself, so that what was
-done between trials is not measured. Workspace utilisation is that of all trials together.
+trials that count. Metrics are means over the frames of these trials; workspace utilisation is that
+of all trials together.
 """
 
 from __future__ import annotations
@@ -35,13 +35,13 @@ _APART_S: Final = 1.0  # between trials that are put together
 
 @dataclass(frozen=True)
 class TrialSpan:
-    """When a trial that counts was done.
+    """Time span of a trial that counts.
 
     Attributes:
         operator: pseudonym.
         retargeter: name of the condition.
-        begin: UTC.
-        seconds: until it was scored, pauses included [s].
+        begin: start of the trial, UTC.
+        seconds: time from the start to the score, pauses included [s].
     """
 
     operator: str
@@ -52,15 +52,15 @@ class TrialSpan:
 
 @dataclass(frozen=True, eq=False)
 class Take:
-    """A recording of teleoperation, its frames those that were answered.
+    """A recording of teleoperation, with the frames that a command answered.
 
     Attributes:
-        name: of the file.
-        recording: the human hand, T frames.
-        commands: the T commands that answer them.
-        hand: the robot hand.
-        begin: UTC of stamp 0.
-        alignments: from which stamp on which alignment was in use, in order.
+        name: name of the file.
+        recording: T frames of the human hand.
+        commands: T commands that answer them.
+        hand: robot hand.
+        begin: time of stamp 0, UTC.
+        alignments: stamp of the first use [s] and alignment, in order.
     """
 
     name: str
@@ -71,7 +71,7 @@ class Take:
     alignments: Sequence[tuple[float, AlignmentConfig]] = ()
 
     def cut(self, span: TrialSpan) -> Trace | None:
-        """The frames of a trial; None where the recording has (nearly) none of it."""
+        """Cuts out the frames of a trial; None if the recording has fewer than three of them."""
         stamps = self.recording.stamps
         start = (span.begin - self.begin).total_seconds()
         first, last = np.searchsorted(stamps, (start, start + span.seconds))
@@ -91,7 +91,7 @@ class Take:
 
 
 def trial_spans(progress: Progress) -> Iterator[TrialSpan]:
-    """The trials of an operator that count."""
+    """Yields the trials of an operator that count."""
     for trial in progress.trials:
         if trial.score is None or trial.void is not None or trial.time_s is None:
             continue
@@ -102,11 +102,14 @@ def trial_spans(progress: Progress) -> Iterator[TrialSpan]:
 
 
 def take_metrics(pieces: Sequence[tuple[TrialSpan, Trace]], hand: Hand) -> list[dict[str, object]]:
-    """A row for each operator and retargeter.
+    """Computes the metrics of each operator with each retargeter.
 
     Args:
         pieces: trials and their frames.
-        hand: the robot hand of all.
+        hand: robot hand of all trials.
+
+    Returns:
+        One row for each operator and retargeter.
 
     Raises:
         StudyError: there is no trial.
@@ -145,7 +148,7 @@ def _measured(name: str, trace: Trace) -> float | None:
 
 
 def _together(traces: Sequence[Trace]) -> Trace:
-    """Trials one after the other."""
+    """Joins trials into one trace."""
     stamps, now = [], 0.0
     for trace in traces:
         stamps.append(trace.stamps - trace.stamps[0] + now)
@@ -160,14 +163,14 @@ def _together(traces: Sequence[Trace]) -> Trace:
 
 
 def utc_of_zero(started: str, clock: float) -> datetime:
-    """UTC of stamp 0 of a recording.
+    """Time of stamp 0 of a recording, UTC.
 
     Args:
-        started: ISO time of day at some moment.
-        clock: the recording's clock at that moment [s].
+        started: ISO date and time of some moment, with its zone.
+        clock: clock of the recording at that moment [s].
 
     Raises:
-        ValueError: that is no time with a zone.
+        ValueError: ``started`` is no time with a zone.
     """
     moment = datetime.fromisoformat(started)
     if moment.tzinfo is None:

@@ -19,21 +19,21 @@ _LONGEST: Final = 4000
 
 @dataclass(frozen=True)
 class FormField:
-    """One question.
+    """A question of a form.
 
     Attributes:
-        name: in the data.
-        label: what the operator reads, in any language.
+        name: name in the data.
+        label: text of the question, in any language.
         kind: ``text``; ``number``; ``choice``, one of ``choices``; ``scale``, 1 to ``steps``;
             ``consent``, yes or no; ``ranking``, the blind labels from the best to the worst.
-        required: whether it must be answered; without a required consent nothing starts. None for
-            consents alone.
-        choices: of a choice.
-        low: end label of a scale.
-        high: the other one.
-        steps: of a scale.
-        least: smallest number; None for any.
-        most: largest number; None for any.
+        required: whether an answer is required; without a required consent nothing starts. None
+            requires consents only.
+        choices: options of a choice.
+        low: label of the low end of a scale.
+        high: label of the high end of a scale.
+        steps: number of steps of a scale.
+        least: smallest number; None for no bound.
+        most: largest number; None for no bound.
     """
 
     name: str
@@ -73,11 +73,11 @@ class Form:
     """A page of questions.
 
     Attributes:
-        name: in the data.
+        name: name in the data.
         when: ``before`` the first block or ``after`` the last one.
-        fields: one or more.
-        title: on the page.
-        text: above the questions.
+        fields: one question or more.
+        title: title on the page.
+        text: text above the questions.
     """
 
     name: str
@@ -98,11 +98,11 @@ class Form:
                 raise StudyError(f"form {self.name!r}: a ranking is only asked after the blocks")
 
     def check(self, answers: Mapping[str, Any], ranked: Sequence[str]) -> None:
-        """Refuses what does not answer this form.
+        """Checks the answers to this form.
 
         Args:
-            answers: field -> answer; those that are not required may be missing.
-            ranked: labels that a ranking has to hold.
+            answers: field -> answer; answers that are not required may be missing.
+            ranked: labels that a ranking must hold.
 
         Raises:
             StudyError: names the field and what is expected there.
@@ -122,7 +122,7 @@ class Form:
                 raise StudyError(f"form {self.name!r}: field {field.name!r} is not answered")
 
     def refused(self, answers: Mapping[str, Any]) -> bool:
-        """True if a consent that is required was refused."""
+        """True if a required consent was refused."""
         return any(
             field.kind == "consent" and field.required and answers.get(field.name) is not True
             for field in self.fields
@@ -130,7 +130,7 @@ class Form:
 
 
 def _expected(field: FormField, value: Any, ranked: Sequence[str]) -> str:
-    """A description of the values that are right; empty if this one is."""
+    """Describes the valid answers of a field; empty if the value is one."""
     number = isinstance(value, int | float) and not isinstance(value, bool)
     match field.kind:
         case "text":
@@ -197,4 +197,4 @@ _BACK: Final = Form(
     title="Looking back",
 )
 DEFAULT_FORMS: Final = (_CONSENT, _ABOUT, _BACK)
-"""In the order in which they are asked."""
+"""Default forms of a study, in their order."""

@@ -1,4 +1,4 @@
-"""Balanced orders of conditions (Williams squares), and draws that are the same everywhere."""
+"""Balanced orders of conditions (Williams squares), and draws that any machine repeats."""
 
 from __future__ import annotations
 
@@ -17,24 +17,27 @@ _TREES: Final = (
 )  # fmt: skip
 
 
-def lot(seed: int, *what: object) -> float:
-    """A number in [0, 1) that belongs to a seed and to what it is drawn for."""
-    digest = sha256("\x1f".join(map(str, (seed, *what))).encode()).digest()
+def lot(seed: int, *key: object) -> float:
+    """Draws a number in [0, 1) that depends on the seed and the other arguments only."""
+    digest = sha256("\x1f".join(map(str, (seed, *key))).encode()).digest()
     return int.from_bytes(digest[:6], "big") / 2**48
 
 
 def shuffled(items: Iterable[str], seed: int, what: str) -> list[str]:
-    """The items in an order that the seed draws."""
+    """Returns the items in a random order."""
     return sorted(items, key=lambda item: lot(seed, what, item))
 
 
 def blind_labels(names: Sequence[str], used: Collection[str], seed: int) -> dict[str, str]:
-    """Names of trees for conditions, drawn so that none shows which condition it is.
+    """Draws names of trees as neutral labels of conditions.
 
     Args:
-        names: of the conditions.
-        used: labels that can't be used.
-        seed: of the draw.
+        names: names of the conditions.
+        used: labels that are used already.
+        seed: seed of the draw.
+
+    Returns:
+        Name of a condition -> label.
     """
     free = [tree for tree in shuffled(_TREES, seed, "label") if tree not in used]
     free += [f"Tree-{k}" for k in range(1, len(names) + 1) if f"Tree-{k}" not in used]
@@ -42,7 +45,7 @@ def blind_labels(names: Sequence[str], used: Collection[str], seed: int) -> dict
 
 
 def balanced_rows(count: int) -> tuple[tuple[int, ...], ...]:
-    """The rows of a balanced Latin square.
+    """Returns the rows of a balanced Latin square (Williams 1949).
 
     Args:
         count: number of conditions, n.
@@ -69,9 +72,9 @@ class Balance:
     """Counts of places and neighbours of the conditions in a set of orders.
 
     Attributes:
-        places: (condition, place) -> how often.
-        neighbours: (condition, the next one) -> how often.
-        conditions: those that were counted.
+        places: (condition, place) -> count.
+        neighbours: (condition, next condition) -> count.
+        conditions: names of the conditions.
     """
 
     places: Counter[tuple[str, int]]
@@ -80,14 +83,14 @@ class Balance:
 
     @property
     def spread_of_places(self) -> int:
-        """Most minus least often that a condition is in a place; 0 is balanced."""
+        """Largest minus smallest count of a condition in a place; 0 is balanced."""
         n = len(self.conditions)
         counts = [self.places[name, place] for name in self.conditions for place in range(n)]
         return max(counts) - min(counts)
 
     @property
     def spread_of_neighbours(self) -> int:
-        """Most minus least often that a condition follows another; 0 is carry-over balanced."""
+        """Largest minus smallest count of two neighbours; 0 is balanced for carry-over."""
         counts = [self.neighbours[a, b] for a in self.conditions for b in self.conditions if a != b]
         return max(counts) - min(counts)
 
@@ -96,8 +99,8 @@ def balance(orders: Sequence[Sequence[str]], conditions: Sequence[str]) -> Balan
     """Counts places and neighbours.
 
     Args:
-        orders: each all conditions, in the order in which an operator meets them.
-        conditions: their names.
+        orders: orders of all conditions, one for each operator.
+        conditions: names of the conditions.
     """
     places: Counter[tuple[str, int]] = Counter()
     neighbours: Counter[tuple[str, str]] = Counter()

@@ -30,11 +30,11 @@ COLUMNS: Final = (
 
 
 def schedule_csv(plan: Plan, *, blind: bool = False) -> str:
-    """One row a block.
+    """Returns the schedule as CSV, one row for each block.
 
     Args:
-        plan: of the study.
-        blind: leave out what shows which label is which condition.
+        plan: plan of the study.
+        blind: leave out the columns that show the condition of a label.
     """
     columns = [name for name in COLUMNS if not (blind and name in ("condition", "row"))]
     return csv_text(
@@ -59,11 +59,11 @@ def schedule_csv(plan: Plan, *, blind: bool = False) -> str:
 
 
 def schedule_table(plan: Plan, *, blind: bool = True) -> list[list[str]]:
-    """A heading and one row for each operator and task, for printing.
+    """Returns a heading and one row for each operator and task, for printing.
 
     Args:
-        plan: of the study.
-        blind: labels in the place of conditions.
+        plan: plan of the study.
+        blind: show labels instead of conditions.
     """
     count = len(plan.protocol.conditions)
     heading = ["operator", "task", *(f"block {k}" for k in range(1, count + 1)), "done"]
@@ -77,7 +77,7 @@ def schedule_table(plan: Plan, *, blind: bool = True) -> list[list[str]]:
 
 
 def schedule_text(plan: Plan) -> str:
-    """A sheet of plain text to hang on the wall; it doesn't say what the labels mean."""
+    """Returns the schedule as plain text for the wall, with labels instead of conditions."""
     protocol = plan.protocol
     rows = schedule_table(plan)
     widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
@@ -95,7 +95,7 @@ def schedule_text(plan: Plan) -> str:
 
 
 def imbalances(plan: Plan) -> Iterator[str]:
-    """Sentences on the balance of a plan; none where it is even."""
+    """Describes the imbalances of a plan in sentences; none if it is balanced."""
     square = balance(plan.orders, plan.protocol.condition_names)
     if square.spread_of_places or square.spread_of_neighbours:
         yield (
@@ -116,9 +116,9 @@ def imbalances(plan: Plan) -> Iterator[str]:
 
 
 _USED: Final = 1e6
-"""Weight of how often a row was used, over that of uneven places: the first always decides."""
-_AGAIN: Final = 1e12
-"""Weight of a row that the operator has had already: only where no other is left."""
+"""Weight of earlier uses of a row. It exceeds all weights of uneven places."""
+_REPEATED: Final = 1e12
+"""Weight of a row that the operator has already: chosen only if no other is left."""
 Orders: TypeAlias = tuple[tuple[str, ...], ...]
 
 
@@ -128,7 +128,7 @@ class Enrolment:
 
     Attributes:
         code: pseudonym of the operator.
-        rows: task -> row of the square, in the order in which the tasks are done.
+        rows: task -> row of the square, in the order of the tasks.
     """
 
     code: str
@@ -144,18 +144,18 @@ def enrolled(
     *,
     salt: int = 0,
 ) -> Enrolment:
-    """One operator more.
+    """Assigns rows to one more operator.
 
     Args:
-        protocol: of the study.
+        protocol: protocol of the study.
         orders: rows of the square, as names of conditions.
-        before: those who have their rows.
-        code: pseudonym of the new one, or of one who does further tasks.
-        tasks: what the operator is to do.
-        salt: another one draws other lots.
+        before: operators who have rows already.
+        code: pseudonym of the new operator, or of one who does further tasks.
+        tasks: tasks of the operator.
+        salt: number of the draw; another one draws other lots.
 
     Returns:
-        The rows of the new tasks, and those that the operator had, which never change.
+        The operator's earlier rows, which never change, and those of the new tasks.
     """
     had = next((dict(one.rows) for one in before if one.code == code), {})
     order = _task_order(protocol, before, code, [task for task in tasks if task not in had], salt)
@@ -169,11 +169,11 @@ def enrolled(
 
 
 def enrol_all(protocol: Protocol, orders: Orders) -> tuple[Enrolment, ...]:
-    """All operators of a plan, P01 on; as many do each task as the protocol says.
+    """Assigns rows to all planned operators, P01 onwards.
 
     Operators are dealt to tasks in a circle, so that their numbers of tasks differ by one at most.
-    Where choosing one after the other ends with a row used twice more than another, other lots are
-    drawn: there are 64 tries, and the most even wins.
+    Assigning one operator after the other may use a row twice more than another one; then other
+    lots are drawn, and the most even of 64 draws is used.
     """
     dealt = _dealt(protocol)
     best: tuple[float, tuple[Enrolment, ...]] | None = None
@@ -192,14 +192,14 @@ def enrol_all(protocol: Protocol, orders: Orders) -> tuple[Enrolment, ...]:
 
 
 def spread_of_rows(enrolments: Sequence[Enrolment], task: str, rows: int) -> int:
-    """Most minus least often that a row is used in a task."""
+    """Largest minus smallest number of uses of a row in a task."""
     used = Counter(one.rows[task] for one in enrolments if task in one.rows)
     counts = [used[row] for row in range(rows)]
     return max(counts) - min(counts)
 
 
 def operator_code(number: int, among: int) -> str:
-    """``P01``: short, and of one width, so that tables sort."""
+    """Returns a code such as ``P01``; all codes have one width, so that tables sort."""
     return f"P{number:0{max(2, len(str(among)))}d}"
 
 
@@ -235,7 +235,7 @@ def _rows(
             uneven += sum(so_far.neighbours[pair] for pair in pairwise(order))
             tie = lot(protocol.seed, "row", salt, code, task, row)
             cost[i, row] = _USED * counts[row] + uneven + 0.5 * tie
-            cost[i, row] += _AGAIN * (row in had)
+            cost[i, row] += _REPEATED * (row in had)
     picked, columns = linear_sum_assignment(cost)
     return {tasks[i]: int(row) for i, row in zip(picked, columns, strict=True)}
 
@@ -243,7 +243,7 @@ def _rows(
 def _task_order(
     protocol: Protocol, before: Sequence[Enrolment], code: str, tasks: Sequence[str], salt: int
 ) -> list[str]:
-    """The tasks in the order in which the operator does them."""
+    """Orders the tasks of an operator."""
     names = [task.name for task in protocol.tasks]
     for task in tasks:
         protocol.task(task)
@@ -265,15 +265,15 @@ def _task_order(
 
 @dataclass(frozen=True)
 class Block:
-    """One block of one operator, as it is planned.
+    """A planned block of one operator.
 
     Attributes:
         operator: pseudonym.
-        session: which of the operator's tasks this is, from 1.
-        task: what is done.
-        number: of the block in the task, from 1.
-        condition: with what.
-        row: of the square.
+        session: number of the task among the operator's tasks, from 1.
+        task: task of the block.
+        number: number of the block in the task, from 1.
+        condition: condition of the block.
+        row: row of the square, from 0.
         questionnaires: trial of the block -> questionnaire that follows it.
     """
 
@@ -286,18 +286,18 @@ class Block:
     questionnaires: dict[int, Point]
 
     def trial_global(self, trial: int) -> int:
-        """Number of a trial of this block among all of the task, from 1."""
+        """Number of a trial of this block among all trials of the task, from 1."""
         return (self.number - 1) * self.task.trials + trial
 
 
 @dataclass(frozen=True)
 class Plan:
-    """A plan that the experimenter follows.
+    """Plan of a study: protocol, orders, and rows of the operators.
 
     Attributes:
-        protocol: what is done; each condition has a label.
+        protocol: protocol, in which each condition has a label.
         orders: rows of the square that was drawn.
-        enrolled: operators with their rows, in the order of their coming.
+        enrolled: operators with their rows, in the order of enrolment.
     """
 
     protocol: Protocol
@@ -333,10 +333,10 @@ class Plan:
         return tuple(one.code for one in self.enrolled)
 
     def enrolment(self, operator: str) -> Enrolment:
-        """An operator's rows.
+        """Finds the rows of an operator.
 
         Raises:
-            UnknownNameError: nobody of that code takes part.
+            UnknownNameError: there is no such operator.
         """
         for one in self.enrolled:
             if one.code == operator:
@@ -344,11 +344,11 @@ class Plan:
         raise UnknownNameError("operator", operator, self.codes)
 
     def blocks(self, operator: str, task: str | None = None) -> tuple[Block, ...]:
-        """An operator's blocks in the order in which they are done.
+        """Returns an operator's blocks in their order.
 
         Args:
             operator: pseudonym.
-            task: only those of one task; None for all.
+            task: task of the blocks; None for all tasks.
 
         Raises:
             UnknownNameError: there is no such operator, or the operator doesn't do that task.
@@ -372,22 +372,22 @@ class Plan:
         )
 
     def schedule(self) -> Iterator[Block]:
-        """All blocks of all operators."""
+        """Yields the blocks of all operators."""
         for code in self.codes:
             yield from self.blocks(code)
 
     def enrol(
         self, operator: str, tasks: Sequence[str] | None = None, *, absent: Sequence[str] = ()
     ) -> Plan:
-        """The plan with an operator more, or with further tasks for one who is there.
+        """Returns the plan with one more operator, or with further tasks for an enrolled one.
 
         Args:
             operator: pseudonym.
-            tasks: None for all of the study.
-            absent: operators who withdrew and are left out: their rows are free.
+            tasks: names of tasks; None for all.
+            absent: operators who withdrew with their data, whose rows are free.
 
         Raises:
-            StudyError: the operator does all of these tasks already, or the code can't be one.
+            StudyError: the operator does all of these tasks already, or the code is no name.
         """
         check_name(operator, "operator")
         names = [task.name for task in self.protocol.tasks] if tasks is None else list(tasks)
@@ -402,12 +402,12 @@ class Plan:
         )
 
     def withdraw(self, operator: str) -> Plan:
-        """The plan without an operator; the next operator gets the row that is now used least."""
+        """Returns the plan without an operator."""
         self.enrolment(operator)
         return replace(self, enrolled=tuple(o for o in self.enrolled if o.code != operator))
 
     def replace_operator(self, operator: str, by: str) -> Plan:
-        """The plan with a new operator who has the rows of one who left."""
+        """Returns the plan with a new operator who has the rows of one who left."""
         new = Enrolment(check_name(by, "operator"), dict(self.enrolment(operator).rows))
         return replace(self, enrolled=(*self.enrolled, new))
 
@@ -420,8 +420,8 @@ class Plan:
 def make_plan(protocol: Protocol) -> Plan:
     """Draws labels and square, and enrols the planned number of operators.
 
-    Which condition takes which place in the square is drawn, and so is the order of its rows:
-    the square alone would always favour the same neighbours in a study that ends early.
+    The places of the conditions in the square and the order of its rows are drawn. Otherwise
+    studies that end early would always favour the same neighbours.
     """
     bare = [c.name for c in protocol.conditions if not c.label]
     chosen = {c.label for c in protocol.conditions}
@@ -438,7 +438,7 @@ def make_plan(protocol: Protocol) -> Plan:
 
 
 def scaled(protocol: Protocol, operators: int) -> Protocol:
-    """The same protocol with another number of operators, in the same shares of the tasks."""
+    """Returns the protocol with another number of operators, in the same shares of the tasks."""
     share = operators / protocol.operators
     counts = [
         operators
@@ -446,7 +446,7 @@ def scaled(protocol: Protocol, operators: int) -> Protocol:
         else min(operators, max(1, round(task.operators * share)))
         for task in protocol.tasks
     ]
-    while sum(counts) < operators:  # rounded down once too often: someone would have nothing to do
+    while sum(counts) < operators:  # rounding down left an operator without a task
         short = [
             protocol.planned(t) * share - n for t, n in zip(protocol.tasks, counts, strict=True)
         ]

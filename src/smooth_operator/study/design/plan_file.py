@@ -27,11 +27,11 @@ from smooth_operator.study.design.preregistration import preregistration
 from smooth_operator.study.design.protocol import PRIMARY, Condition, Protocol, Task
 
 FORMAT: Final = 1
-"""Version of the format that this program reads and writes."""
+"""Version of the format."""
 NAME: Final = "study.toml"
 """Name of the file in the folder of a study."""
-KEPT: Final = "PREREGISTRATION.before.md"
-"""The text of the plan before it was changed."""
+EARLIER: Final = "PREREGISTRATION.before.md"
+"""Name of the pre-registration of an earlier plan."""
 _MOST_BYTES: Final = 4_000_000
 _COMMENTS: Final[Mapping[type, Mapping[str, str]]] = {
     Protocol: {
@@ -53,19 +53,19 @@ _COMMENTS: Final[Mapping[type, Mapping[str, str]]] = {
     Condition: {"method": "", "label": "what operators may see"},
     Task: {"trials": "in a block", "rubric": ""},
 }
-"""Entries of the file that are written even with the value of their default, and their remarks."""
+"""Entries that are written also if they have their default, and their comments."""
 _T = TypeVar("_T")
 
 
 def read_plan(path: str | Path) -> Plan:
-    """Reads a plan; draws what the file leaves to be drawn.
+    """Reads a plan; draws orders and labels that the file leaves out.
 
     Args:
         path: the file, or the folder that holds ``study.toml``.
 
     Raises:
-        StudyError: there is no such file, it is no TOML, or what it says is no study; the message
-            names the entry and what is expected there.
+        StudyError: there is no such file, it is no TOML, or an entry is invalid; the message names
+            the entry and what is expected there.
     """
     path = Path(path)
     path = path / NAME if path.is_dir() else path
@@ -74,14 +74,14 @@ def read_plan(path: str | Path) -> Plan:
 
 
 def plan_of(table: dict[str, Any], file: str) -> Plan:
-    """A plan from the contents of its file.
+    """Makes a plan of the content of its file.
 
     Args:
-        table: as TOML or JSON gives it.
-        file: as messages call it.
+        table: table that TOML or JSON gives.
+        file: name of the file for messages.
 
     Raises:
-        StudyError: it is no plan; the message names the entry.
+        StudyError: an entry is invalid; the message names it.
     """
     return _plan(Entries(file, table, StudyError))
 
@@ -90,8 +90,8 @@ def write_plan(plan: Plan, path: str | Path) -> Path:
     """Writes ``study.toml``, whole or not at all.
 
     Args:
-        plan: what to write.
-        path: the file, or the folder for ``study.toml``.
+        plan: plan of the study.
+        path: file, or folder of ``study.toml``.
 
     Returns:
         The file.
@@ -108,12 +108,12 @@ def write_plan(plan: Plan, path: str | Path) -> Path:
 
 
 def plan_text(plan: Plan) -> str:
-    """The file as text."""
+    """Returns the content of ``study.toml``."""
     return "\n".join(_lines(plan)) + "\n"
 
 
 def plan_table(plan: Plan) -> dict[str, Any]:
-    """The file as a table; ``plan_of`` makes the plan of it again."""
+    """Returns the plan as a table, which ``plan_of`` reads."""
     return tomllib.loads(plan_text(plan))
 
 
@@ -130,7 +130,7 @@ def _plan(entries: Entries) -> Plan:
 
 def _protocol(entries: Entries) -> Protocol:
     conditions, tasks = entries.table("conditions"), entries.table("tasks")
-    # Where a plan was drawn and names no primary endpoint, none was planned.
+    # A file with orders was written by this program: without an endpoint none was planned.
     primary = entries.text("primary", "" if "orders" in entries.names else PRIMARY)
     return _record(
         Protocol,
@@ -149,13 +149,13 @@ def _protocol(entries: Entries) -> Protocol:
 
 
 def _record(cls: type[_T], entries: Entries, more: tuple[str, ...] = (), **values: Any) -> _T:
-    """A dataclass from the table of a file, by names and types of its fields.
+    """Makes a dataclass of a table, by the names and types of its fields.
 
     Args:
         cls: class of the result.
-        entries: the table.
+        entries: table of the file.
         more: further entries that the table may have.
-        **values: fields that are known already.
+        **values: values of other fields.
     """
     hints = get_type_hints(cls)
     columns = [f for f in fields(cls) if f.init and f.name not in values]  # type: ignore[arg-type]
@@ -169,7 +169,7 @@ def _record(cls: type[_T], entries: Entries, more: tuple[str, ...] = (), **value
 
 
 def _value(entries: Entries, name: str, hint: Any, *, lines: bool) -> Any:
-    """An entry of the type of a field; an empty text is None where that is allowed."""
+    """Reads an entry of the type of a field; an empty text is None if the type allows it."""
     inner = get_args(hint)
     if type(None) in inner:
         value = _value(entries, name, inner[0], lines=lines)
@@ -240,7 +240,7 @@ def _lines(plan: Plan) -> Iterator[str]:
 
 
 def _settings(item: Any, skip: tuple[str, ...] = ()) -> Iterator[str]:
-    """Lines of TOML for the fields of a dataclass, without those that have their default."""
+    """Yields lines of TOML for the fields of a dataclass that differ from their default."""
     comments = _COMMENTS.get(type(item), {})
     for f in fields(item):
         value = getattr(item, f.name)
@@ -253,7 +253,7 @@ def _settings(item: Any, skip: tuple[str, ...] = ()) -> Iterator[str]:
 
 
 def _toml(value: Any) -> str:
-    """A value in TOML; dataclasses are inline tables."""
+    """Formats a value in TOML; dataclasses are inline tables."""
     if is_dataclass(value):
         return f"{{ {', '.join(_settings(value))} }}"
     if isinstance(value, tuple) and value and is_dataclass(value[0]):
@@ -271,11 +271,11 @@ def _key(name: str) -> str:
 
 
 def write_plan_files(plan: Plan, folder: Path) -> list[Path]:
-    """Writes plan and schedules; those that stand there are replaced.
+    """Writes plan and schedules; replaces earlier ones.
 
     Args:
-        plan: of the study.
-        folder: exists.
+        plan: plan of the study.
+        folder: existing folder.
 
     Returns:
         The files.
@@ -293,13 +293,13 @@ def write_plan_files(plan: Plan, folder: Path) -> list[Path]:
 
 
 def write_preregistration(plan: Plan, folder: Path) -> Path | None:
-    """Writes ``PREREGISTRATION.md``, where none of this very plan is there.
+    """Writes ``PREREGISTRATION.md``, unless the folder has that of this plan.
 
-    To be called before anyone has begun only. A text of another plan, which somebody may have
-    completed by hand, is kept under the name of ``KEPT``.
+    Call it only before anyone has begun. The text of another plan, which may have been completed by
+    hand, is renamed to ``EARLIER``.
 
     Returns:
-        The file, or None where it is there.
+        The file; None if it was not written.
 
     Raises:
         OutputError: it can't be written.
@@ -311,7 +311,7 @@ def write_preregistration(plan: Plan, folder: Path) -> Path | None:
         if there is not None and mark in there:
             return None
         if there is not None:
-            path.replace(folder / KEPT)
+            path.replace(folder / EARLIER)
     except OSError as error:
         raise output_error(path, error) from error
     with atomic_write(path) as file:
@@ -320,5 +320,5 @@ def write_preregistration(plan: Plan, folder: Path) -> Path | None:
 
 
 def _digest(plan: Plan) -> str:
-    """A digest of all but who is enrolled."""
+    """Digest of the plan without its operators."""
     return hashlib.sha256(plan_text(replace(plan, enrolled=())).encode()).hexdigest()[:16]

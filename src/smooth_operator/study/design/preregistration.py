@@ -1,4 +1,4 @@
-"""Text of ``PREREGISTRATION.md``: what a plan commits to before its first operator starts."""
+"""Text of ``PREREGISTRATION.md``, which commits to a plan before the first operator starts."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def preregistration(plan: Plan) -> str:
 
     Returns:
         Hypotheses, design, operators, tasks, outcomes, models, corrections, exclusions, stopping
-        rule and versions; in square brackets what only the authors know.
+        rule and versions, with [square brackets] for facts that only the authors know.
     """
     protocol = plan.protocol
     rows, many = len(plan.orders), len(protocol.tasks) > 1
@@ -68,7 +68,7 @@ def preregistration(plan: Plan) -> str:
 
 
 def _endpoint(protocol: Protocol) -> str:
-    """The primary endpoint in words; empty where none is named."""
+    """Describes the primary endpoint; empty without one."""
     outcome, _, scope = protocol.primary.partition("/")
     where = "over all tasks together" if scope == POOLED else f"in task {scope}"
     return f"{_TITLES[outcome]}, {where}" if outcome else ""

@@ -16,7 +16,7 @@ from smooth_operator.study.design.forms import Form
 OUTCOMES: Final = ("success", "time", "tlx")
 """Success rate (0 to 1), completion time [s], workload (0 to 100 points)."""
 POOLED: Final = "pooled"
-"""The scope that is all tasks together; the others are the tasks."""
+"""Name of the scope of all tasks together; the other scopes are the tasks."""
 PRIMARY: Final = f"{OUTCOMES[0]}/{POOLED}"
 FEW_OPERATORS: Final = 6
 """With fewer operators only very large differences can be shown."""
@@ -25,12 +25,12 @@ _LARGEST: Final = {"success": 1.0, "time": 86_400.0, "tlx": 100.0}
 
 
 def check_primary(primary: str, tasks: Sequence[str], *, workload: bool) -> None:
-    """Refuses a primary endpoint that the study will not have.
+    """Refuses a primary endpoint that the study does not measure.
 
     Args:
         primary: ``OUTCOME/SCOPE``; empty for none.
-        tasks: names.
-        workload: whether questionnaires are asked.
+        tasks: names of the tasks.
+        workload: whether the study has questionnaires.
 
     Raises:
         StudyError: it is not of that form, or workload without questionnaires.
@@ -52,11 +52,11 @@ def check_primary(primary: str, tasks: Sequence[str], *, workload: bool) -> None
 
 
 def margins_of(words: Iterable[str]) -> dict[str, float]:
-    """Margins from what a person types, ``OUTCOME=DIFFERENCE`` each.
+    """Parses margins of equivalence, ``OUTCOME=DIFFERENCE`` each.
 
     Raises:
         ValueError: a word is not of that form, or an outcome comes twice.
-        StudyError: a margin can't be one.
+        StudyError: a margin is out of range.
         UnknownNameError: there is no such outcome.
     """
     margins: dict[str, float] = {}
@@ -76,10 +76,10 @@ def margins_of(words: Iterable[str]) -> dict[str, float]:
 
 
 def check_margins(margins: Mapping[str, float]) -> None:
-    """Refuses margins that are none.
+    """Checks margins of equivalence.
 
     Raises:
-        StudyError: one is not above 0, or as large as the outcome's whole range.
+        StudyError: a margin is not above 0, or as large as the outcome's whole range.
         UnknownNameError: there is no such outcome.
     """
     for outcome, margin in margins.items():
@@ -93,20 +93,20 @@ def check_margins(margins: Mapping[str, float]) -> None:
 
 
 Point: TypeAlias = Literal["initial", "midpoint", "final"]
-"""When a questionnaire is asked: after the first, the middle or the last trial of a block."""
+"""Time of a questionnaire: after the first, the middle or the last trial of a block."""
 POINTS: Final[tuple[Point, ...]] = get_args(Point)
 _SCORES: Final = (0.0, 0.5, 1.0)
 
 
 @dataclass(frozen=True)
 class Condition:
-    """One thing that is compared: a retargeting method with its settings.
+    """Condition of a study: a retargeting method with its preset.
 
     Attributes:
-        name: in data and results; letters, digits and ``_ . -``.
+        name: name in data and results; letters, digits and ``_ . -``.
         method: retargeting method that the running teleoperation is switched to.
-        preset: of the method; None for its default.
-        label: what operators and blind experimenters see in its place.
+        preset: preset of the method; None for its default.
+        label: neutral name for operators and blind experimenters.
     """
 
     name: str
@@ -121,14 +121,14 @@ class Condition:
 
     @classmethod
     def of(cls, text: str) -> Condition:
-        """From what a person types: ``NAME``, ``NAME=METHOD`` or ``NAME=METHOD:PRESET``."""
+        """Parses ``NAME``, ``NAME=METHOD`` or ``NAME=METHOD:PRESET``."""
         name, _, what = text.partition("=")
         method, _, preset = what.partition(":")
         return cls(name, method or name, preset or None)
 
     @property
     def text(self) -> str:
-        """The same back, as short as it can be."""
+        """Shortest text that ``of`` parses to this condition."""
         if self.preset is not None:
             return f"{self.name}={self.method}:{self.preset}"
         return self.name if self.method == self.name else f"{self.name}={self.method}"
@@ -136,29 +136,29 @@ class Condition:
 
 @dataclass(frozen=True)
 class Protocol:
-    """A study as it is planned; who does what in which order is the ``Plan``'s.
+    """Protocol of a study. The orders and the rows of the operators are in ``Plan``.
 
     Attributes:
-        name: of the study.
-        conditions: two or more.
-        tasks: one or more.
+        name: name of the study.
+        conditions: two conditions or more.
+        tasks: one task or more.
         baseline: name of the condition that the others are compared with.
-        operators: how many are to take part.
+        operators: planned number of operators.
         familiarisation_s: free movement before the trials of each block, without the task [s].
-        questionnaires: after which trials of a block NASA-TLX is asked; empty for never.
-        resets: how often the object may be put back in a trial.
-        reset_cap: the best score after that.
-        break_s: offered between blocks [s].
-        task_order: whether operators with several tasks do them in balanced orders or as listed.
-        seed: of everything that is drawn: square, orders, labels.
-        rate_hz: commands a second that the hand is sent, whatever the condition [Hz]; None for
-            those that the teleoperation was started with.
-        primary: the endpoint that decides, ``OUTCOME/SCOPE``: success, time or tlx, and pooled or
-            a task; the rest is exploratory. Empty where none was named.
-        margins: outcome -> difference below which two conditions are called equivalent, in the
-            outcome's unit: share, s, points.
-        break_every: after how many blocks a break is offered; 0 for never.
-        forms: what operators are asked before the first block and after the last one.
+        questionnaires: trials of a block that NASA-TLX follows; empty for none.
+        resets: number of times that the object may be put back in a trial.
+        reset_cap: best score of a trial after a reset.
+        break_s: length of a break between blocks [s].
+        task_order: ``balanced`` or ``listed`` order of an operator's tasks.
+        seed: seed of the square, orders and labels.
+        rate_hz: commands a second to the hand in every condition [Hz]; None for the rate that the
+            teleoperation was started with.
+        primary: primary endpoint ``OUTCOME/SCOPE``: success, time or tlx, and pooled or a task;
+            all else is exploratory. Empty without one.
+        margins: outcome -> difference below which two conditions are equivalent, in the outcome's
+            unit: share, s, points.
+        break_every: number of blocks between two breaks; 0 for no breaks.
+        forms: forms before the first block and after the last one.
         tlx_language: file in the folder of the study with NASA-TLX in another language; empty
             for the published wording.
     """
@@ -236,11 +236,11 @@ class Protocol:
 
     @property
     def condition_names(self) -> tuple[str, ...]:
-        """Names of the conditions, as listed."""
+        """Names of the conditions in their listed order."""
         return tuple(self._by_name)
 
     def condition(self, name: str) -> Condition:
-        """A condition by its name.
+        """Finds a condition by its name.
 
         Raises:
             UnknownNameError: there is none of that name.
@@ -250,7 +250,7 @@ class Protocol:
         return self._by_name[name]
 
     def task(self, name: str) -> Task:
-        """A task by its name.
+        """Finds a task by its name.
 
         Raises:
             UnknownNameError: there is none of that name.
@@ -261,14 +261,14 @@ class Protocol:
         return by_name[name]
 
     def planned(self, task: Task) -> int:
-        """Number of operators who are to do a task."""
+        """Planned number of operators of a task."""
         return self.operators if task.operators is None else task.operators
 
     def questionnaire_trials(self, task: Task) -> dict[int, Point]:
-        """Trial of a block, from 1 -> the questionnaire that follows it.
+        """Returns trial of a block, from 1 -> questionnaire that follows it.
 
         Raises:
-            StudyError: a block has too few trials for all of them to be different.
+            StudyError: a block has too few trials for its questionnaires.
         """
         after: dict[Point, int] = {
             "initial": 1,

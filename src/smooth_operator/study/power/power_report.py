@@ -22,21 +22,21 @@ RESULT: Final = "power.json"
 PLOT: Final = "power.png"
 TITLES: Final[dict[Outcome, str]] = {"success": "success", "time": "time", "tlx": "workload"}
 ENOUGH: Final = 0.8
-"""Power that is usually asked for."""
+"""Usual target for the power."""
 MOST_ERROR: Final = 0.07
-"""Family-wise error from which on a test is not to be relied on: 5 % and what simulation adds."""
+"""Family-wise error from which a test is unreliable: 5 % and the error of the simulation."""
 Tallies = Mapping[tuple[int, Truth], Tally]
 _LINES: Final[dict[Mode, str]] = {"small-sample": "-", "paper": "--"}
 
 
 def power_json(settings: PowerSettings, tallies: Tallies) -> dict[str, Any]:
-    """The content of ``power.json``.
+    """Returns the content of ``power.json``.
 
-    ``cells`` is a list of one number of operators, truth, outcome, scope and mode each; ``power``
-    holds how often the true difference of a condition from the baseline was found (``dunnett``) and
-    that of a pair (``holm``), ``all`` of them together, and how often a condition was shown to be
-    ``equivalent`` to the baseline within the plan's margin; ``family_error`` how often any
-    difference was called that is none, and ``errs`` whether that is more than 7 %.
+    ``cells`` has an entry for each number of operators, truth, outcome, scope and mode. ``power``
+    has the rates at which the true difference of a condition from the baseline (``dunnett``), that
+    of a pair (``holm``) and ``all`` of them were significant, and at which a condition was shown to
+    be ``equivalent`` to the baseline within the plan's margin. ``family_error`` is the rate of
+    studies with a significant difference that does not exist; ``errs`` is true above 7 %.
     """
     cells = []
     for (operators, truth), tally in tallies.items():
@@ -68,7 +68,7 @@ def power_json(settings: PowerSettings, tallies: Tallies) -> dict[str, Any]:
 
 
 def errs(error: Rate) -> bool:
-    """True if a family-wise error is more than what can be relied on."""
+    """True if a family-wise error is above ``MOST_ERROR``."""
     return error.rate > MOST_ERROR
 
 
@@ -86,7 +86,7 @@ def write_power(settings: PowerSettings, tallies: Tallies, folder: Path) -> list
 
 
 def rate_of(tally: Tally, outcome: str, scope: str, mode: str, what: str) -> Rate:
-    """One rate; zero if it never happened."""
+    """Returns the rate of a count, which may be zero."""
     counts = tally.counts.get(f"{outcome}/{scope}/{mode}")
     return rate(0 if counts is None else counts[what], tally.studies)
 
@@ -94,7 +94,7 @@ def rate_of(tally: Tally, outcome: str, scope: str, mode: str, what: str) -> Rat
 def draw_power(
     settings: PowerSettings, tallies: Tallies, path: Path, *, scope: str = POOLED
 ) -> None:
-    """Operators against power, a panel an outcome; below, the family-wise error if nothing differs.
+    """Draws power over the number of operators for each outcome, and below the family-wise error.
 
     Raises:
         OutputError: the file can't be written.

@@ -1,7 +1,7 @@
-"""Runs thousands of simulated studies in processes; finished ones are kept.
+"""Runs thousands of simulated studies in processes, and stores finished ones.
 
-Each study has its own seed, from what it is and not from who computes it: any number of
-workers, and any interruption, give the same figures.
+The seed of a study depends on its settings and its number only: any number of workers, and any
+interruption, give the same figures.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ from smooth_operator.study.power.verdicts import Analyst, Tally
 
 Truth: TypeAlias = Literal["effects", "null"]
 TRUTHS: Final[tuple[Truth, ...]] = ("effects", "null")
-"""As assumed; and with every condition as good as the baseline."""
+"""Simulated truths: the assumed differences, and every condition as good as the baseline."""
 LOG: Final = "studies.jsonl"
-"""Counts of finished chunks, a line each."""
+"""Name of the file with the counts of finished chunks, one line each."""
 _CHUNK: Final = 10
 _LEAST_OPERATORS: Final = 3
 Report: TypeAlias = Callable[[int, int], None]
-"""Called with the studies that are done, and all."""
+"""Function of the number of finished studies and the number of all studies."""
 
 
 @dataclass(frozen=True)
@@ -48,12 +48,12 @@ class PowerSettings:
     """Settings of a simulation of power.
 
     Attributes:
-        protocol: of the study; its operators are scaled to each of ``operators``.
-        truth: what is assumed.
+        protocol: protocol of the study, which is scaled to each number of operators.
+        truth: assumptions of the simulation.
         operators: numbers of operators, each its own study design.
-        studies: simulated studies of each number and each truth.
-        per_task: analyse each task by itself as well.
-        seed: of all of it.
+        studies: number of simulated studies for each number of operators and each truth.
+        per_task: whether to analyse each task by itself as well.
+        seed: seed of all simulated studies.
     """
 
     protocol: Protocol
@@ -81,7 +81,7 @@ class PowerSettings:
         return (POOLED, *tasks) if self.per_task and len(tasks) > 1 else (POOLED,)
 
     def to_json(self) -> dict[str, Any]:
-        """All settings, as plain values."""
+        """Returns the settings as plain values."""
         return {
             "plan": plan_table(make_plan(self.protocol)),
             "truth": asdict(self.truth),
@@ -94,14 +94,14 @@ class PowerSettings:
 
 @dataclass(frozen=True)
 class Chunk:
-    """Some studies, for a worker.
+    """Studies that one worker simulates.
 
     Attributes:
-        setting: JSON of what they have in common.
-        operators: how many.
-        truth: which.
+        setting: JSON of the common settings.
+        operators: number of operators.
+        truth: ``effects`` or ``null``.
         first: number of the first study.
-        count: how many studies.
+        count: number of studies.
     """
 
     setting: str
@@ -119,20 +119,20 @@ def run_power(
     report: Report | None = None,
     note: Note = no_note,
 ) -> dict[tuple[int, Truth], Tally]:
-    """Simulates and analyses; goes on where an earlier run in the same folder stopped.
+    """Simulates and analyses studies; continues an earlier run in the same folder.
 
     Args:
-        settings: what to simulate.
-        folder: keeps what is done; must exist.
-        workers: processes; None for as many as there are cores, 0 for none.
+        settings: settings of the simulation.
+        folder: existing folder for the finished chunks.
+        workers: number of processes; None for one for each core, 0 for this process.
         report: called after every chunk.
-        note: called with what is in the folder and can't be used.
+        note: called with a text on each entry of the folder that can't be used.
 
     Returns:
         Counts for each number of operators and truth.
 
     Raises:
-        StudyError: a study could not be simulated; says why.
+        StudyError: a study can't be simulated; says why.
         OutputError: the folder can't be written to.
         MissingExtraError: statsmodels is not installed.
     """
@@ -151,14 +151,14 @@ def run_power(
         failure=lambda chunk: f"simulating {chunk.operators} operators",
         workers=workers,
         report=report,
-        prepare=require_statsmodels,  # one line here, not one from each worker
+        prepare=require_statsmodels,  # one error here, not one from each worker
     ):
         tallies[chunk.operators, chunk.truth].merge(chunk.count, counts)
     return tallies
 
 
 def simulate_chunk(chunk: Chunk) -> dict[str, dict[str, int]]:
-    """Counts over some studies; what a worker does."""
+    """Simulates and analyses the studies of a chunk in a worker; returns the counts."""
     simulator, analyst, truth, protocol, seed = _prepared(
         chunk.setting, chunk.operators, chunk.truth
     )
@@ -202,7 +202,7 @@ def _chunks(settings: PowerSettings) -> Iterator[Chunk]:
     values = settings.to_json()
     shared = {name: values[name] for name in ("plan", "truth", "seed")}
     shared["scopes"] = list(settings.scopes)
-    # How many operators the file plans doesn't matter beyond their shares of the tasks.
+    # Only the operators' shares of the tasks matter, so that an enrolment keeps finished chunks.
     shared["plan"] = {k: v for k, v in shared["plan"].items() if k not in ("orders", "enrolled")}
     setting = json.dumps(shared, sort_keys=False)
     for first in range(0, settings.studies, _CHUNK):

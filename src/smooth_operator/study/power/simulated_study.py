@@ -1,8 +1,9 @@
 """Simulated studies: assumptions, rows of the plan, and the data of one study under them.
 
-The defaults for conditions are the means that the paper reports; how much operators, trials and
-tasks differ is an assumption that makes its design look as it does there (operators differ by some
-13 points of success, 4 s and 10 points of workload). Put in your own from a pilot study.
+The defaults of the conditions are the means in the paper. The defaults of the differences between
+operators, trials and tasks are assumptions that give results similar to the paper's (operators
+differ by about 13 points of success, 4 s and 10 points of workload). Replace them by the results of
+a pilot study.
 """
 
 from __future__ import annotations
@@ -35,8 +36,8 @@ class Spread:
     """One number for each outcome.
 
     Attributes:
-        success: on the logit scale.
-        time_s: [s].
+        success: number on the logit scale.
+        time_s: time [s].
         workload: points of NASA-TLX.
     """
 
@@ -47,20 +48,20 @@ class Spread:
 
 @dataclass(frozen=True)
 class Assumptions:
-    """The truth of a simulated study.
+    """Assumptions of a simulated study.
 
     Attributes:
         success: condition -> probability of success, averaged over operators and tasks.
         time_s: condition -> mean time of successful trials [s].
         workload: condition -> mean raw NASA-TLX, 0 to 100.
         operators: standard deviation between operators.
-        interaction: standard deviation of how an operator does with one condition in particular;
-            people have preferences, so it is not zero.
-        trials: standard deviation between trials of an operator; of success there is none but in
-            its probability; of workload it is shared by the six scales.
-        scales: standard deviation of each scale of NASA-TLX on top [points].
+        interaction: standard deviation of an operator's preference for single conditions; people
+            have preferences, so it is not zero.
+        trials: standard deviation between trials of an operator. That of success is in its
+            probability; that of workload is common to the six scales.
+        scales: further standard deviation of each scale of NASA-TLX [points].
         practice: change per trial, or per questionnaire for workload, centred.
-        tasks: task -> how it differs from the mean of the tasks.
+        tasks: task -> difference from the mean of the tasks.
     """
 
     success: Mapping[str, float]
@@ -96,7 +97,7 @@ class Assumptions:
                 raise StudyError(f"a standard deviation can't be negative or endless: {spread}")
 
     def null(self, baseline: str) -> Assumptions:
-        """The same, with every condition as good as the baseline."""
+        """Returns the assumptions with every condition as good as the baseline."""
         return replace(
             self,
             success=dict.fromkeys(self.success, self.success[baseline]),
@@ -113,17 +114,17 @@ def assumptions_for(
     workload: Mapping[str, float] | None = None,
     **more: object,
 ) -> Assumptions:
-    """Assumptions for all conditions; the paper's where nothing else is given.
+    """Makes assumptions for all conditions, with the paper's values as defaults.
 
     Args:
-        conditions: of the study.
-        success: condition -> probability.
-        time_s: condition -> [s].
-        workload: condition -> points.
+        conditions: names of the study's conditions.
+        success: condition -> probability of success.
+        time_s: condition -> mean time [s].
+        workload: condition -> mean workload [points].
         more: other fields of ``Assumptions``.
 
     Raises:
-        StudyError: a condition is given that the study hasn't, or one has no value.
+        StudyError: a value is for an unknown condition, or a condition has no value.
     """
     values_of: dict[str, Mapping[str, float]] = {}
     for what, overrides, published in (
@@ -150,13 +151,13 @@ def assumptions_for(
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Trials, or questionnaires, as columns of numbers.
+    """Trials or questionnaires as columns of numbers.
 
     Attributes:
         operator: index into the codes (n,).
         task: index into the tasks (n,).
         condition: index into the conditions, the baseline first (n,).
-        index: count over the operator's task, from 1 (n,).
+        index: number in the operator's task, from 1 (n,).
     """
 
     operator: Int[np.ndarray, " n"]
@@ -167,14 +168,14 @@ class Rows:
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """The rows of a study of a plan, if nobody drops out.
+    """Rows of a planned study without dropouts.
 
     Attributes:
-        conditions: the baseline first.
-        tasks: names.
-        operators: codes.
+        conditions: names of the conditions, the baseline first.
+        tasks: names of the tasks.
+        operators: codes of the operators.
         trials: rows of trials.
-        questionnaires: rows of questionnaires; the index counts three a block.
+        questionnaires: rows of questionnaires; the index counts three for each block.
     """
 
     conditions: tuple[str, ...]
@@ -185,7 +186,7 @@ class Layout:
 
 
 def layout(plan: Plan) -> Layout:
-    """The rows of a plan."""
+    """Makes the rows of a plan."""
     protocol = plan.protocol
     baseline = protocol.baseline
     conditions = (baseline, *sorted(set(protocol.condition_names) - {baseline}))
@@ -212,7 +213,7 @@ def _rows(rows: list[tuple[int, int, int, int]]) -> Rows:
 
 
 _CORRELATION: Final = np.array([[1.0, -0.4, -0.3], [-0.4, 1.0, 0.2], [-0.3, 0.2, 1.0]])
-"""Correlation of success, time and workload: who succeeds more is quicker and less strained."""
+"""Correlation of success, time and workload: more success goes with less time and workload."""
 _SHORTEST_S: Final = 2.0
 _STEP: Final = 5.0
 _SCALES: Final = np.array([8.0, -6.0, 0.0, 2.0, 4.0, -8.0])
@@ -224,8 +225,8 @@ class Simulated:
     """Data of a simulated study.
 
     Attributes:
-        success: of each trial (n,).
-        time_s: of each trial [s]; means something where it succeeded (n,).
+        success: success of each trial (n,).
+        time_s: time of each trial [s]; valid for successful trials only (n,).
         workload: raw NASA-TLX of each questionnaire (m,).
     """
 
@@ -239,7 +240,7 @@ class Simulator:
 
     Args:
         layout: rows of the study.
-        truth: what is assumed.
+        truth: assumptions of the simulation.
     """
 
     def __init__(self, layout: Layout, truth: Assumptions) -> None:
@@ -263,7 +264,7 @@ class Simulator:
         self._root = np.linalg.cholesky(_CORRELATION)
 
     def draw(self, rng: np.random.Generator) -> Simulated:
-        """One study."""
+        """Draws one study."""
         truth, layout = self._truth, self._layout
         operators, conditions = len(layout.operators), len(layout.conditions)
         trials, questionnaires = layout.trials, layout.questionnaires
@@ -298,7 +299,7 @@ def _task_offsets(layout: Layout, truth: Assumptions) -> Float[np.ndarray, "k 3"
 
 @lru_cache(maxsize=256)
 def _logit(probability: float, offsets: tuple[float, ...], spread: float) -> float:
-    """Log-odds whose probability, averaged over operators and tasks, is a given one."""
+    """Finds the log-odds with a mean probability over operators and tasks."""
     nodes, weights = np.polynomial.hermite_e.hermegauss(40)
     weights = weights / weights.sum()
     about = spread * nodes[:, None] + np.array(offsets)

@@ -1,8 +1,8 @@
-"""Verdict of the analysis on simulated studies: which differences are significant, and how often.
+"""Verdicts of the analysis on simulated studies: significant differences and their rates.
 
-The same models and tests as ``study analyze``, without what a report needs and a verdict does not:
-intervals, effect sizes, diagnostics. A test holds the two to the same verdicts. Dunnett's integral
-is worked out only where its bounds leave the verdict open.
+The models and tests are those of ``study analyze``, without intervals, effect sizes and
+diagnostics; a test checks that both give the same verdicts. Dunnett's integral is computed only if
+its bounds do not decide.
 """
 
 from __future__ import annotations
@@ -35,24 +35,24 @@ from smooth_operator.study.power.simulated_study import Assumptions, Layout, Row
 ALPHA: Final = 0.05
 _Z: Final = 1.959963984540054
 Counts = dict[str, int]
-"""Name of a count, see ``count`` -> number of studies."""
+"""Name of a count (see ``count``) -> number of studies."""
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """One outcome in one scope and mode.
+    """Significant differences of one outcome in one scope and mode.
 
     Attributes:
-        outcome: which.
+        outcome: success, time or tlx.
         scope: ``pooled`` or a task.
-        mode: of the analysis.
-        against: condition -> sign of its significant difference from the baseline, else 0; by
-            Dunnett.
-        pairs: (condition, condition) -> likewise, of the first minus the second; by Holm.
-        smallest_margin: condition -> end of the 90 % interval of its difference from the baseline
-            that is further from zero: by two one-sided tests at 5 %, both are equivalent within any
-            margin that is larger.
-        refused: why the analysis gives no figures; None if it does.
+        mode: mode of the analysis.
+        against: condition -> sign of its significant difference from the baseline by Dunnett, or 0.
+        pairs: (condition, condition) -> sign of the significant difference by Holm, the first minus
+            the second, or 0.
+        smallest_margin: condition -> larger absolute end of the 90 % interval of its difference
+            from the baseline. By two one-sided tests at 5 % both are equivalent within any larger
+            margin.
+        refused: reason why the analysis has no figures; None if it has.
     """
 
     outcome: Outcome
@@ -77,7 +77,7 @@ class Analyst:
         self._scopes = scopes
 
     def verdicts(self, study: Simulated) -> Iterator[Verdict]:
-        """All outcomes and scopes, in both modes."""
+        """Yields the verdicts on all outcomes and scopes, in both modes."""
         trials, questionnaires = self._layout.trials, self._layout.questionnaires
         for scope in self._scopes:
             rows = self._within(trials, scope)
@@ -137,7 +137,7 @@ class Analyst:
 def _verdict(
     blank: Verdict, fit: Fit | Refused, separated: Mapping[str, Separated], baseline: str
 ) -> Verdict:
-    """The decisions of a fit's tests, and of exact tests of retargeters that are in no model."""
+    """Decides by the tests of a fit, and by the exact tests of separated retargeters."""
     if isinstance(fit, Refused):
         return replace(blank, refused=fit.refused)
     compared = fit.compare(limits=False, decide=ALPHA)
@@ -152,7 +152,7 @@ def _verdict(
     }
     for name, result in separated.items():
         for other, test in result.against.items():
-            # As the pairs of the analysis are named: the baseline first, then by name.
+            # Pairs of the analysis have the baseline first, then the order of names.
             turned = other == baseline or (name != baseline and other < name)
             sign = _sign(test.difference, test.p_holm)
             pairs[(other, name) if turned else (name, other)] = -sign if turned else sign
@@ -168,13 +168,13 @@ def _sign(difference: float, p: float) -> int:
 
 @dataclass(frozen=True)
 class Rate:
-    """A share of the studies with its error.
+    """Share of the simulated studies, with its error.
 
     Attributes:
         rate: share of the studies.
-        se: its Monte-Carlo standard error.
-        lower: of the 95 % interval (Wilson 1927).
-        upper: of it.
+        se: Monte-Carlo standard error of the share.
+        lower: lower end of the 95 % interval (Wilson 1927).
+        upper: upper end of the 95 % interval.
     """
 
     rate: float
@@ -185,10 +185,10 @@ class Rate:
 
 @dataclass
 class Tally:
-    """Counts of one number of operators and one truth, which can be added up.
+    """Counts of the verdicts for one number of operators and one truth.
 
     Attributes:
-        studies: how many.
+        studies: number of studies.
         counts: ``outcome/scope/mode`` -> counts.
     """
 
@@ -202,14 +202,14 @@ class Tally:
         baseline: str,
         margins: Mapping[str, float],
     ) -> None:
-        """One study more."""
+        """Adds the verdicts on one study."""
         self.studies += 1
         for verdict in verdicts:
             key = f"{verdict.outcome}/{verdict.scope}/{verdict.mode}"
             self.counts.setdefault(key, Counter()).update(count(verdict, truth, baseline, margins))
 
     def merge(self, studies: int, counts: Mapping[str, Mapping[str, int]]) -> None:
-        """The counts of other studies."""
+        """Adds the counts of other studies."""
         self.studies += studies
         for key, more in counts.items():
             self.counts.setdefault(key, Counter()).update(more)
@@ -218,19 +218,20 @@ class Tally:
 def count(
     verdict: Verdict, truth: Assumptions, baseline: str, margins: Mapping[str, float] | None = None
 ) -> Counts:
-    """Counts what one verdict got right and wrong.
+    """Counts the right and wrong decisions of a verdict.
 
     Args:
-        verdict: of one outcome.
-        truth: what was assumed.
-        baseline: condition that others are compared with.
-        margins: outcome -> largest difference of equivalent conditions, in its unit.
+        verdict: verdict on one outcome.
+        truth: assumptions of the simulated study.
+        baseline: condition that the others are compared with.
+        margins: outcome -> margin of equivalence in its unit.
 
     Returns:
-        ``dunnett:NAME`` and ``holm:A-B``: a true difference was found, with its right sign;
-        ``dunnett:all`` and ``holm:all``: all of them; ``family:dunnett`` and ``family:holm``: a
-        difference was found that is none, or with the wrong sign; ``equivalent:NAME``: its
-        difference from the baseline was shown to be below the margin; ``refused``.
+        ``dunnett:NAME`` and ``holm:A-B``: a true difference was significant with its sign;
+        ``dunnett:all`` and ``holm:all``: all true differences were; ``family:dunnett`` and
+        ``family:holm``: a difference was significant that does not exist, or with the wrong sign;
+        ``equivalent:NAME``: the difference from the baseline was shown to be below the margin;
+        ``refused``: the analysis was refused.
     """
     if verdict.refused is not None:
         return {"refused": 1}
@@ -263,7 +264,7 @@ def count(
 
 
 def rate(hits: int, studies: int) -> Rate:
-    """A share with its error."""
+    """Computes a share with its error."""
     p = hits / studies
     spread = _Z * math.sqrt(p * (1 - p) / studies + _Z**2 / (4 * studies**2))
     centre, scale = p + _Z**2 / (2 * studies), 1 + _Z**2 / studies
@@ -276,7 +277,7 @@ def rate(hits: int, studies: int) -> Rate:
 
 
 def rates(tally: Tally) -> dict[str, dict[str, Any]]:
-    """``outcome/scope/mode`` -> what was counted -> ``Rate``."""
+    """Computes ``outcome/scope/mode`` -> name of a count -> ``Rate``."""
     return {
         key: {
             what: rate(counts[what], tally.studies)

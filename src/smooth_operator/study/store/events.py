@@ -1,4 +1,4 @@
-"""Events of an operator in a study: fields, text for people, and change of the operator's progress.
+"""Events of an operator in a study: fields, checks, and text for people.
 
 The store holds only events. An event names its task, block and trial, so that a page that was left
 open can't score another trial. The log is append-only: a mistake is undone by one more event.
@@ -13,14 +13,11 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from datetime import datetime
-from typing import TYPE_CHECKING, Any, ClassVar, Final, TypeAlias, get_args, get_type_hints
+from typing import Any, ClassVar, Final, TypeAlias, get_args, get_type_hints
 
 from smooth_operator.errors import StudyError
 from smooth_operator.study.design.protocol import Point
 from smooth_operator.study.store.nasa_tlx import check_ratings, raw_workload
-
-if TYPE_CHECKING:
-    from smooth_operator.study.store.progress import Progress
 
 Naming: TypeAlias = Callable[[str], str]
 """Function from the name of a condition to the name that a reader may see."""
@@ -62,16 +59,9 @@ class Event:
         """
         return self._describe(naming, workload)
 
-    def change(self, progress: Progress, record: Record) -> None:
-        """Changes the progress by this event, which was checked before."""
-        self._change(progress, record)
-
     def _describe(self, naming: Naming, workload: bool) -> str:
         reason = getattr(self, "detail", "") or getattr(self, "reason", "")
         return self.line_format.format(self, why=_why(reason))
-
-    def _change(self, progress: Progress, record: Record) -> None:
-        """Changes nothing, unless a subclass does."""
 
 
 @dataclass(frozen=True)
@@ -99,9 +89,6 @@ class Calibrated(
     task: str
     detail: str = ""
 
-    def _change(self, progress: Progress, record: Record) -> None:
-        progress.calibrations[self.task] = self.detail
-
 
 @dataclass(frozen=True)
 class BlockStarted(_BlockEvent, command="start_block", due=("start_block",)):
@@ -120,9 +107,6 @@ class BlockStarted(_BlockEvent, command="start_block", due=("start_block",)):
     def _describe(self, naming: Naming, workload: bool) -> str:
         return f"Block {self.block} of {self.task} began: {naming(self.condition)}"
 
-    def _change(self, progress: Progress, record: Record) -> None:
-        progress.started[self.task, self.block] = (self.method, self.preset)
-
 
 @dataclass(frozen=True)
 class FamiliarisationStarted(
@@ -139,19 +123,12 @@ class FamiliarisationStarted(
 
     clock: str = field(default="", compare=False)
 
-    def _change(self, progress: Progress, record: Record) -> None:
-        progress.moving = (record.at, self.clock)
-
 
 @dataclass(frozen=True)
 class FamiliarisationEnded(
     _BlockEvent, command="end_familiarisation", due=("familiarise",), line="Free movement ended"
 ):
     """Free movement ended."""
-
-    def _change(self, progress: Progress, record: Record) -> None:
-        progress.moving = None
-        progress.moved.add((self.task, self.block))
 
 
 @dataclass(frozen=True)
@@ -166,18 +143,12 @@ class TrialStarted(
 
     clock: str = field(default="", compare=False)
 
-    def _change(self, progress: Progress, record: Record) -> None:
-        progress.begin_trial(self.trial, record.at, self.clock)
-
 
 @dataclass(frozen=True)
 class TrialReset(
     _TrialEvent, command="reset", due=("trial", "paused"), line="Trial {0.trial}: object put back"
 ):
     """The object was put back, which caps the score of the trial."""
-
-    def _change(self, progress: Progress, record: Record) -> None:
-        progress.trials[-1].resets += 1
 
 
 @dataclass(frozen=True)
@@ -203,11 +174,6 @@ class TrialScored(
     proposed_line: str = field(default="", compare=False)
     proposed_score: float | None = field(default=None, compare=False)
 
-    def _change(self, progress: Progress, record: Record) -> None:
-        trial = progress.trials[-1]
-        trial.line, trial.score, trial.time_s = self.line, self.score, self.time_s
-        progress.scored[self.task, self.block] += 1
-
 
 @dataclass(frozen=True)
 class TrialVoided(_TrialEvent, command="void", due=("trial", "paused")):
@@ -217,9 +183,6 @@ class TrialVoided(_TrialEvent, command="void", due=("trial", "paused")):
 
     def _describe(self, naming: Naming, workload: bool) -> str:
         return f"Trial {self.trial} void: {self.reason or 'no reason given'}"
-
-    def _change(self, progress: Progress, record: Record) -> None:
-        progress.void_trial(self.reason, record.at)
 
 
 @dataclass(frozen=True)
@@ -236,11 +199,6 @@ class TrialPaused(
     reason: str = ""
     clock: str = field(default="", compare=False)
 
-    def _change(self, progress: Progress, record: Record) -> None:
-        trial = progress.trials[-1]
-        trial.pauses += ((record.at, None, self.reason),)
-        trial.paused_clock = self.clock
-
 
 @dataclass(frozen=True)
 class TrialResumed(
@@ -256,9 +214,6 @@ class TrialResumed(
     """
 
     paused_s: float = field(default=0.0, compare=False)
-
-    def _change(self, progress: Progress, record: Record) -> None:
-        progress.trials[-1].end_pause(self.paused_s)
 
 
 @dataclass(frozen=True)
@@ -284,12 +239,6 @@ class Amended(_TrialEvent, command="amend"):
         now = f"{self.line}, score {self.score:g}, {self.time_s:.1f}\u00a0s"
         return f"{where} amended to {now}: {self.reason}" + (f" ({self.who})" if self.who else "")
 
-    def _change(self, progress: Progress, record: Record) -> None:
-        trial = progress.scored_trial(self.task, self.block, self.trial)
-        progress.amendments.append((record, trial, (trial.line, trial.score, trial.time_s)))
-        trial.line, trial.score, trial.time_s = self.line, self.score, self.time_s
-        trial.amended = True
-
 
 @dataclass(frozen=True)
 class BlockEnded(
@@ -306,9 +255,6 @@ class BlockEnded(
 
     reason: str
 
-    def _change(self, progress: Progress, record: Record) -> None:
-        progress.ended_early.add((self.task, self.block))
-
 
 @dataclass(frozen=True)
 class Recalibrated(Event, command="recalibrate", line="Calibrated again for {0.task}{why}"):
@@ -321,9 +267,6 @@ class Recalibrated(Event, command="recalibrate", line="Calibrated again for {0.t
 
     task: str
     detail: str = ""
-
-    def _change(self, progress: Progress, record: Record) -> None:
-        progress.calibrations[self.task] = self.detail
 
 
 @dataclass(frozen=True)
@@ -342,9 +285,6 @@ class Withdrawn(Event, command="withdraw"):
         data = "the data is kept" if self.keep else "the data is left out"
         return f"Withdrew, {data}" + _why(self.reason)
 
-    def _change(self, progress: Progress, record: Record) -> None:
-        progress.withdraw(self, record.at)
-
 
 @dataclass(frozen=True)
 class Replaces(Event, line="Takes the place of {0.operator}"):
@@ -355,9 +295,6 @@ class Replaces(Event, line="Takes the place of {0.operator}"):
     """
 
     operator: str
-
-    def _change(self, progress: Progress, record: Record) -> None:
-        progress.replaces = self.operator
 
 
 @dataclass(frozen=True)
@@ -371,9 +308,6 @@ class FormAnswered(Event, command="form", due=("form",), line="Form {0.form} fil
 
     form: str
     answers: Mapping[str, Any]
-
-    def _change(self, progress: Progress, record: Record) -> None:
-        progress.forms[self.form] = (record.at, dict(self.answers))
 
 
 @dataclass(frozen=True)
@@ -392,24 +326,15 @@ class QuestionnaireAnswered(_BlockEvent, command="answer", due=("questionnaire",
         answer = f": workload {raw_workload(self.ratings):.0f}" if workload else " answered"
         return f"Questionnaire ({self.point}){answer}"
 
-    def _change(self, progress: Progress, record: Record) -> None:
-        progress.answer(self.point, record.at, self.ratings)
-
 
 @dataclass(frozen=True)
 class BreakStarted(Event, command="start_break", line="Break began"):
     """A break began."""
 
-    def _change(self, progress: Progress, record: Record) -> None:
-        progress.breaks.append((record.at, None))
-
 
 @dataclass(frozen=True)
 class BreakEnded(Event, command="end_break", due=("break",), line="Break ended"):
     """The break ended."""
-
-    def _change(self, progress: Progress, record: Record) -> None:
-        progress.end_break(record.at)
 
 
 @dataclass(frozen=True)

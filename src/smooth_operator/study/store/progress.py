@@ -20,15 +20,24 @@ from smooth_operator.study.store.events import (
     ASIDE,
     Amended,
     BlockEnded,
+    BlockStarted,
     BreakEnded,
     BreakStarted,
+    Calibrated,
     Event,
+    FamiliarisationEnded,
+    FamiliarisationStarted,
     FormAnswered,
+    QuestionnaireAnswered,
     Recalibrated,
     Record,
     Replaces,
+    TrialPaused,
     TrialReset,
+    TrialResumed,
     TrialScored,
+    TrialStarted,
+    TrialVoided,
     Undone,
     Withdrawn,
 )
@@ -389,8 +398,62 @@ class Progress:
             self._fold(record)
 
     def _fold(self, record: Record) -> None:
+        """Changes the progress by an event that was checked before."""
         self.effective.append(record)
-        record.event.change(self, record)
+        event, at = record.event, record.at
+        last = self.trials[-1] if self.trials else None
+        place = (getattr(event, "task", ""), getattr(event, "block", 0))
+        match event:
+            case Calibrated() | Recalibrated():
+                self.calibrations[event.task] = event.detail
+            case BlockStarted():
+                self.started[place] = (event.method, event.preset)
+            case FamiliarisationStarted():
+                self.moving = (at, event.clock)
+            case FamiliarisationEnded():
+                self.moving = None
+                self.moved.add(place)
+            case TrialStarted():
+                self.trials.append(Trial(self._current(), event.trial, at, event.clock))
+            case TrialReset() if last is not None:
+                last.resets += 1
+            case TrialPaused() if last is not None:
+                last.pauses += ((at, None, event.reason),)
+                last.paused_clock = event.clock
+            case TrialResumed() if last is not None:
+                last.end_pause(event.paused_s)
+            case TrialScored() if last is not None:
+                last.line, last.score, last.time_s = event.line, event.score, event.time_s
+                self.scored[place] += 1
+            case TrialVoided():
+                self._void(event.reason, at)
+            case Amended():
+                trial = self.scored_trial(event.task, event.block, event.trial)
+                self.amendments.append((record, trial, (trial.line, trial.score, trial.time_s)))
+                trial.line, trial.score, trial.time_s = event.line, event.score, event.time_s
+                trial.amended = True
+            case QuestionnaireAnswered():
+                block = self._current()
+                answers = Questionnaire(block, event.point, at, dict(event.ratings))
+                self.questionnaires.append(answers)
+                self.answered.add((*place, event.point))
+            case FormAnswered():
+                self.forms[event.form] = (at, dict(event.answers))
+            case BlockEnded():
+                self.ended_early.add(place)
+            case BreakStarted():
+                self.breaks.append((at, None))
+            case BreakEnded():
+                self._end_break(at)
+            case Replaces():
+                self.replaces = event.operator
+            case Withdrawn():
+                if self.running is not None:
+                    self._void(WITHDREW, at)
+                if self.breaks and self.breaks[-1][1] is None:
+                    self._end_break(at)
+                self.moving = None
+                self.withdrawn = event
 
     def _undo(self, number: int) -> None:
         undone = self.records[number - 1].event
@@ -402,35 +465,15 @@ class Progress:
         if isinstance(undone, TrialScored):
             self.trials[-1].undone_time_s = undone.time_s
 
-    def begin_trial(self, number: int, at: datetime, clock: str) -> None:
-        """Starts a trial of the current block."""
-        self.trials.append(Trial(self._current(), number, at, clock))
-
-    def answer(self, point: Point, at: datetime, ratings: Mapping[str, int]) -> None:
-        """Adds a questionnaire of the current block."""
-        block = self._current()
-        self.questionnaires.append(Questionnaire(block, point, at, dict(ratings)))
-        self.answered.add((block.task.name, block.number, point))
-
-    def void_trial(self, reason: str, at: datetime) -> None:
+    def _void(self, reason: str, at: datetime) -> None:
         """Makes the last trial void and ends its pause."""
         trial = self.trials[-1]
         trial.void = reason
         if trial.paused:
             trial.end_pause(max(0.0, (at - trial.pauses[-1][0]).total_seconds()))
 
-    def end_break(self, at: datetime) -> None:
-        """Ends the current break."""
+    def _end_break(self, at: datetime) -> None:
         self.breaks[-1] = (self.breaks[-1][0], at)
-
-    def withdraw(self, event: Withdrawn, at: datetime) -> None:
-        """Ends trial, break and free movement of an operator who withdraws."""
-        if self.running is not None:
-            self.void_trial(WITHDREW, at)
-        if self.breaks and self.breaks[-1][1] is None:
-            self.end_break(at)
-        self.moving = None
-        self.withdrawn = event
 
     def _current(self) -> Block:
         block = self._block()

@@ -9,7 +9,7 @@ from smooth_operator.study.analysis.readings import Interaction
 from smooth_operator.study.analysis.report.tables import (
     DIGITS,
     number,
-    p_said,
+    p_equation,
     scope_name,
     signed,
     with_minus,
@@ -27,9 +27,9 @@ _FIXED: Final = "\N{NO-BREAK SPACE}"  # a figure stays in the line of its unit
 def conclusion(analysis: Analysis) -> list[str]:
     """Writes the result in five sentences: the data, each outcome, and what limits them.
 
-    The primary outcome comes first; the others are named exploratory. Differences have effect sizes
-    and simultaneous intervals, whether they are found or not. That none is found is no evidence
-    that retargeters are alike, and is not said to be.
+    The primary outcome comes first; the others are called exploratory. All differences have effect
+    sizes and simultaneous intervals. A difference that is not shown is no evidence of equality, and
+    the text says so.
     """
     outcome, scope = primary_of(analysis)
     order = sorted(OUTCOMES, key=lambda one: one != outcome)
@@ -44,7 +44,7 @@ def conclusion(analysis: Analysis) -> list[str]:
 
 
 def primary_of(analysis: Analysis) -> tuple[Outcome | None, str]:
-    """Outcome and scope that the plan names; (None, pooled) where no plan is known."""
+    """Outcome and scope of the primary endpoint; (None, pooled) without a plan."""
     name, scope = analysis.primary or ("", POOLED)
     outcomes = [one for one in OUTCOMES if one == name]
     return (outcomes[0], scope) if outcomes and scope in analysis.scopes else (None, POOLED)
@@ -147,4 +147,4 @@ def _unit(unit: str) -> str:
 
 
 def _p(value: float) -> str:
-    return p_said(value).replace(" ", _FIXED)
+    return p_equation(value).replace(" ", _FIXED)

@@ -14,7 +14,7 @@ from smooth_operator.study.analysis.analyze import Analysis
 from smooth_operator.study.analysis.frame import Frame, time_frame, tlx_frame, within
 from smooth_operator.study.analysis.mixed import fit_mixed
 from smooth_operator.study.analysis.operators import operator_means
-from smooth_operator.study.analysis.report.tables import p_said, scope_name, signed, span
+from smooth_operator.study.analysis.report.tables import p_equation, scope_name, signed, span
 from smooth_operator.study.analysis.results import MODES, POOLED, Outcome
 from smooth_operator.study.analysis.time_to_success import (
     COMPETING,
@@ -38,10 +38,10 @@ _LABELS: Final[dict[Outcome, str]] = {
 }  # fmt: skip
 _INDICES: Final = {"trial_global": "trial of the task", "trial_in_block": "trial of the block"}
 _ACROSS: Final = 4
-"""Panels next to each other."""
+"""Largest number of panels in a row."""
 _BINS: Final = 10
 _FEWEST: Final = 3
-"""Operators from which a violin is drawn; fewer are dots only."""
+"""Smallest number of operators with a violin; fewer have dots only."""
 
 
 def _panels(
@@ -51,7 +51,7 @@ def _panels(
     more: tuple[float, float] = (0.0, 0.0),
     **options: Any,
 ) -> tuple[Figure, list[Axes]]:
-    """A figure with axes for each scope, in rows of ``across``; sizes in inches, ``more`` once."""
+    """Makes a figure with axes for each scope, in rows of ``across``; sizes in inches."""
     from matplotlib.figure import Figure  # not pyplot: no global state, no display
 
     columns = min(len(scopes), across)
@@ -74,7 +74,7 @@ def _legend(figure: Figure, names: Sequence[str]) -> Figure:
 
 
 def _name_ticks(axes: Axes, names: Sequence[str], **options: Any) -> None:
-    """Names of retargeters below the axes, which have no lines across."""
+    """Labels the axes with the names of retargeters, and removes vertical grid lines."""
     axes.set_xticks(range(len(names)), names, **({"rotation": 25} | options))
     axes.grid(visible=False, axis="x")
 
@@ -100,7 +100,9 @@ def success_figure(analysis: Analysis, colors: Colors) -> Figure:
                     j, 100 * mean.estimate, reach, fmt="o", color=colors[name], markersize=6,
                     elinewidth=2.2, zorder=3,
                 )  # fmt: skip
-            elif name in result.observed:  # refused: the raw rate, hollow and without an interval
+            elif (
+                name in result.observed
+            ):  # refused: the observed rate, hollow and without an interval
                 rate = 100 * result.observed[name]["mean"]
                 axes.plot(
                     j, rate, "o", markerfacecolor="none", markeredgecolor=colors[name],
@@ -116,7 +118,7 @@ def success_figure(analysis: Analysis, colors: Colors) -> Figure:
 
 
 def _operator_rates(analysis: Analysis, scope: str) -> list[np.ndarray]:
-    """Observed rate of each operator with each retargeter; NaN where there is none."""
+    """Observed rate of each operator with each retargeter; NaN without trials."""
     trials = analysis.data.trials
     rows = within(trials, scope)
     rates = []
@@ -258,11 +260,11 @@ def _slope(axes: Axes, entry: Mapping[str, float], x: np.ndarray, y: np.ndarray)
     ends = np.array([x.min(), x.max()], float)
     p = entry.get("p_t", entry.get("p_satterthwaite", float("nan")))
     axes.plot(ends, y.mean() + slope * (ends - x.mean()), "--", color="#444c55", linewidth=1.4)
-    axes.set_title(f"{signed(slope, 3)} a trial, {p_said(p)}", fontsize=9)
+    axes.set_title(f"{signed(slope, 3)} a trial, {p_equation(p)}", fontsize=9)
 
 
 def _violins(outcome: Outcome) -> Callable[[Analysis, Colors], Figure | None]:
-    """The drawing of the operators' means by task and retargeter; a dot is an operator."""
+    """Returns the drawing of the operators' means by task and retargeter; a dot is an operator."""
 
     def draw(analysis: Analysis, colors: Colors) -> Figure | None:
         means = [one for one in operator_means(analysis.data) if one.outcome == outcome]
@@ -389,4 +391,4 @@ FIGURES: Final[Mapping[str, Callable[[Analysis, Colors], "Figure | None"]]] = {
     "correlations": correlation_figure,
     "residuals": residual_figure,
 }
-"""Stem of a file -> what draws it; None where there is nothing to draw."""
+"""Stem of a file -> function that draws the figure, or returns None without data."""

@@ -36,8 +36,8 @@ def write_report(analysis: Analysis, folder: Path) -> Path:
     """Writes the page and its figures.
 
     Args:
-        analysis: of the study.
-        folder: exists.
+        analysis: analysis of the study.
+        folder: existing folder.
 
     Returns:
         The page. It needs no other file, and nothing from the network.

@@ -1,4 +1,4 @@
-"""Numbers and names as a reader of the report expects them, and rows of its longer tables."""
+"""Formats of numbers and names in the report, and rows of its longer tables."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _SLOPES: Final = {
 
 
 def number(value: float | None, digits: int = 2) -> str:
-    """A number with so many decimals; a dash where there is none, ∞ for infinity."""
+    """Formats a number with decimals; a dash for None and NaN, ∞ for infinity."""
     if value is None or math.isnan(value):
         return "–"
     if math.isinf(value):
@@ -46,43 +46,43 @@ def number(value: float | None, digits: int = 2) -> str:
 
 
 def signed(value: float | None, digits: int = 2) -> str:
-    """A number with its sign, + or minus; none for a zero."""
+    """Formats a number with its sign, + or minus; no sign for zero."""
     text = number(value, digits)
     plain = value is None or not math.isfinite(value) or not text.strip("0.")
     return text if plain or text.startswith(MINUS) else f"+{text}"
 
 
 def span(lower: float | None, upper: float | None, digits: int = 2, *, sign: bool = False) -> str:
-    """An interval."""
+    """Formats an interval."""
     shown = signed if sign else number
     return f"{shown(lower, digits)} to {shown(upper, digits)}"
 
 
 def with_minus(text: str) -> str:
-    """A sentence with minus signs for the hyphens of its numbers."""
+    """Replaces the hyphens of the numbers in a text by minus signs."""
     return re.sub(r"(?<![\w.,)-])-(?=\d)", MINUS, text)
 
 
 def p_text(p: float | None) -> str:
-    """A p-value as it is printed."""
+    """Formats a p-value."""
     if p is None or math.isnan(p):
         return "–"
     return "< 0.001" if p < 0.001 else f"{p:.3f}"
 
 
-def p_said(p: float | None) -> str:
-    """``p = 0.012`` or ``p < 0.001``."""
+def p_equation(p: float | None) -> str:
+    """Formats a p-value as ``p = 0.012`` or ``p < 0.001``."""
     text = p_text(p)
     return f"p {text}" if text.startswith("<") else f"p = {text}"
 
 
 def scope_name(scope: str) -> str:
-    """A scope as a reader knows it."""
+    """Name of a scope for readers."""
     return "all tasks" if scope == POOLED else f"task {scope}"
 
 
 def term_names(result: ScopeResult) -> dict[str, str]:
-    """Names of the coefficients as a reader knows them, by their names in the results."""
+    """Names of the coefficients for readers, by their names in the results."""
     retargeters = list(result.emm)
     cells = result.diagnostics.get("rows_per_cell", {})
     tasks = sorted({task for row in cells.values() for task in row})
@@ -96,10 +96,10 @@ def term_names(result: ScopeResult) -> dict[str, str]:
 
 
 def learning_rows(learning: Mapping[str, Any]) -> tuple[list[tuple[str, str, list[str]]], int]:
-    """Slopes over trials by scope and index; p-values corrected over all of the table.
+    """Makes rows of the slopes by scope and index, with p-values corrected over the whole table.
 
     Returns:
-        (name, reason of a refusal, cells) of each slope, and the number of tests.
+        Name, reason of a refusal and cells of each slope; and the number of tests.
     """
     entries = [
         (f"{scope_name(scope)}: {_OUTCOMES[outcome][0]} {_SLOPES.get(index, index)}", outcome, one)
@@ -115,9 +115,9 @@ def learning_rows(learning: Mapping[str, Any]) -> tuple[list[tuple[str, str, lis
         if "refused" in one:
             rows.append((name, one["refused"], []))
             continue
-        if "slope_logit" in one:  # as percentage points, which readers know better than logits
+        if "slope_logit" in one:  # percentage points are better known than logits
             slope = 100 * one["ame_prob_per_unit"]
-            # The error of mode small-sample, so that it goes with the p-value.
+            # The error of mode small-sample belongs to the p-value.
             wider = one.get("se_mancl_derouen", one["se"]) / one["se"]
             se = 100 * one["ame_se"] * wider
         else:
@@ -128,7 +128,7 @@ def learning_rows(learning: Mapping[str, Any]) -> tuple[list[tuple[str, str, lis
 
 
 def correlation_rows(spearman: Mapping[str, Any]) -> list[list[str]]:
-    """Correlations within operators and over the retargeters' means, with n."""
+    """Makes rows of the correlations within operators and over the retargeters' means."""
     rows = []
     for pair, entry in spearman.items():
         if "rho" not in entry:
@@ -146,7 +146,7 @@ def correlation_rows(spearman: Mapping[str, Any]) -> list[list[str]]:
 
 
 def model_facts(result: ScopeResult) -> str:
-    """Formula, rows and variances of a model in a line."""
+    """Describes formula, rows and variances of a model in a line."""
     facts = result.model
     parts = [
         f"{facts.get('kind', '')}: {facts.get('formula', '')}",

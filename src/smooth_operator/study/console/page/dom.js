@@ -1,9 +1,9 @@
-// Elements without a library. Text is always text: nothing that was typed becomes HTML.
+// Elements without a library. Text is never parsed as HTML.
 
-/** part(id): an element of the page. */
+/** Finds an element of the page by its id. */
 export const part = (id) => document.getElementById(id);
 
-/** An element: h('button', { class: 'main', onclick }, 'Start', h('kbd', {}, 'S')). */
+/** Makes an element: h('button', { class: 'main', onclick }, 'Start', h('kbd', {}, 'S')). */
 export function h(name, attributes = {}, ...children) {
   const element = document.createElement(name);
   for (const [key, value] of Object.entries(attributes)) {
@@ -16,12 +16,12 @@ export function h(name, attributes = {}, ...children) {
   return element;
 }
 
-/** `condition && element` leaves no trace where the condition does not hold. */
+/** True for a child; false for the value of `condition && element` without the condition. */
 function there(child) {
   return child !== null && child !== undefined && child !== false && child !== '';
 }
 
-/** Puts children into an element; what had the focus has it again, if it is still there. */
+/** Replaces the children of an element; the focus stays on the same key. */
 export function fill(parent, ...children) {
   const key = parent.contains(document.activeElement) ? document.activeElement.dataset.key : null;
   parent.replaceChildren(...children.flat().filter(there));
@@ -38,7 +38,7 @@ export function clock(seconds, tenths = false) {
   return `${sign}${minutes}:${rest}`;
 }
 
-/** A button with its key written on it. */
+/** Makes a button that shows its key. */
 export function button(text, { key, id, kind = '', ...rest }) {
   return h('button', { type: 'button', class: kind, 'data-key': id, 'data-press': key?.toLowerCase(), ...rest },
     h('span', {}, text), key && h('kbd', {}, key));

@@ -1,4 +1,4 @@
-// The experimenter's page: what is due, keys, notes, the log, everybody's progress.
+// The experimenter's page: the step that is due, keys, notes, the log, progress of the operators.
 
 import { ask } from './dialogs.js';
 import { clock, h, fill, part } from './dom.js';
@@ -13,7 +13,7 @@ const PLACE = ['task', 'block', 'trial'];
 const REASON = { name: 'reason', label: 'Reason', required: true };
 const CODE = '[A-Za-z0-9][A-Za-z0-9_.\\-]*';
 
-/** When the clock of the trial that runs was stopped on this page, by this clock; null if it runs. */
+/** Time at which the clock of the running trial was stopped on this page; null if it runs. */
 const stopped = {
   key() {
     const now = link.state?.now;
@@ -28,7 +28,7 @@ const stopped = {
   },
 };
 
-/** How a line of the rubric contradicts what a simulation has seen, in words; empty if it does not. */
+/** Describes how a line of the rubric contradicts the simulation; empty if it does not. */
 function contradiction({ now, teleop }, name) {
   const sim = teleop?.trial;
   const line = now.rubric.find((one) => one.name === name);
@@ -39,11 +39,11 @@ function contradiction({ now, teleop }, name) {
   return `You score ${line.name}, ${score}. The simulation says${so}: ${sim.line}, ${sim.score} (${sim.reason}).`;
 }
 
-/** Everything that a part of the page may ask for. */
+/** Commands for the parts of the page. */
 const actions = {
   link,
   stopped,
-  /** Something for the operator who is on, at the place that is shown. */
+  /** Sends a command for the current operator. */
   send(what, fields = {}, more = {}) {
     const now = link.state.now;
     refusal = '';
@@ -52,9 +52,9 @@ const actions = {
   place(...names) {
     return Object.fromEntries(names.map((name) => [name, link.state.now[name]]));
   },
-  /** The same, for the operator and the place that are shown as a question is asked: something else
-   * may be on when it is answered. */
-  asked(...names) {
+  /** Returns `send` for the operator and the place that are shown now: they may change while a
+   * question is open. */
+  sender(...names) {
     const { now } = link.state;
     const place = this.place(...names);
     return (what, fields = {}, more = {}) => {
@@ -71,15 +71,15 @@ const actions = {
     draw();
   },
   async score(line) {
-    const since = stopped.at ?? moment(); // the question takes no time from the trial
-    const send = actions.asked('task', 'block', 'trial');
+    const since = stopped.at ?? moment(); // the time of the question does not count
+    const send = actions.sender('task', 'block', 'trial');
     const doubt = contradiction(link.state, line);
     if (doubt && !await ask('The simulation says something else', doubt, [], 'Score it all the same')) return;
     send('score', { line }, { since });
   },
-  /** Asks a question, and sends the answer for the operator and the place that were shown then. */
+  /** Asks a question, and sends the answer for the operator and the place at the time of the question. */
   async inquire(what, names, title, text, fields, yes, fieldsOf = (answer) => answer) {
-    const send = actions.asked(...names);
+    const send = actions.sender(...names);
     const answer = await ask(title, text, fields, yes);
     if (answer) send(what, fieldsOf(answer));
   },
@@ -104,7 +104,7 @@ const actions = {
     link.command('replace', now.operator, { by: answer.code });
   },
   async amend(block, trial) {
-    const send = actions.asked();
+    const send = actions.sender();
     const { study } = link.state;
     const { rubric } = study.tasks.find((task) => task.name === block.task);
     const answer = await ask(`Amend trial ${trial.trial} of ${block.task}, block ${block.block}`,
@@ -203,7 +203,7 @@ function show(id, when, text) {
   if (when && place.textContent !== text) place.textContent = text;
 }
 
-/** Clocks of the page: every element with data-since counts up, with data-until down. */
+/** Updates the clocks: elements with data-since count up, those with data-until count down. */
 function tick() {
   for (const shown of document.querySelectorAll('[data-since]')) {
     const end = stopped.at === null || !('stoppable' in shown.dataset) ? link.now() : stopped.at + link.offset;

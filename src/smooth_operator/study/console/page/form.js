@@ -8,7 +8,7 @@ export function form(place, state, { name, sending, send }) {
   const draft = stored(name);
   const answers = draft?.key === state.key ? draft.answers : {};
   const { texts } = state;
-  const begun = new Set(); // rankings that are not whole yet
+  const begun = new Set(); // incomplete rankings
   const left = h('p', { class: 'soft', role: 'status' });
   const submit = h('button', { type: 'submit', class: 'main wide', 'data-key': 'submit' }, sending ? texts.sending : texts.send);
   const show = () => {

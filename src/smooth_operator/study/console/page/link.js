@@ -1,26 +1,26 @@
-// The WebSocket of a page: comes back after every loss, and keeps what was not acknowledged.
+// WebSocket of a page. It reconnects after every loss, and stores commands until they are acknowledged.
 //
-// A command lies in localStorage until the server answers: a page that is closed, or a server that is
-// killed, loses nothing. It is sent again with the same token, and the store takes a token once.
+// A command is in localStorage until the server answers, so that a closed page or a killed server
+// loses nothing. It is sent again with the same token, and the store accepts a token once.
 
-const SILENCE = 5000; // ms without a word: the server says something every second
-const AGAIN = 2500; // ms until a command is tried again that could not be written
-const STALE = 120000; // ms after which a page that is opened again starts nothing of before
-const LASTING = new Set(['score', 'answer', 'void', 'note', 'form', 'amend']); // what has happened, however late it arrives
+const SILENCE = 5000; // ms without a message; the server sends one every second
+const AGAIN = 2500; // ms until a command that could not be written is sent again
+const STALE = 120000; // ms after which a stored command that starts something is dropped
+const LASTING = new Set(['score', 'answer', 'void', 'note', 'form', 'amend']); // valid however late they arrive
 const BACKOFF = [150, 300, 600, 1000, 2000]; // ms
 
-/** This machine's time of day, ms, as of the page's beginning: it goes on if that clock is set. */
+/** Time of day [ms] from the start of the page; it does not jump when the machine's clock is set. */
 export function moment() {
   return performance.timeOrigin + performance.now();
 }
 
-/** A text that nothing else is called by. crypto.randomUUID would need HTTPS. */
+/** A unique text. crypto.randomUUID would need HTTPS. */
 export function token() {
   const bytes = crypto.getRandomValues(new Uint8Array(16));
   return [...bytes].map((byte) => byte.toString(16).padStart(2, '0')).join('');
 }
 
-/** A value that outlives the page; where there is no storage, it lives as long as the page. */
+/** Stores a value beyond the page; without storage the value is lost with the page. */
 export function keep(name, value) {
   try {
     if (value === null) localStorage.removeItem(name);
@@ -36,7 +36,7 @@ export function stored(name) {
   }
 }
 
-/** Values whose names begin so, by name. */
+/** [name, value] of stored values whose names begin with a prefix. */
 function storedBy(prefix) {
   try {
     return Object.keys(localStorage).filter((name) => name.startsWith(prefix)).map((name) => [name, stored(name)]);
@@ -55,9 +55,9 @@ export class Link extends EventTarget {
     this.everConnected = false;
     this.state = null;
     this.outbox = [];
-    this.flying = null; // token of the command that is on its way
+    this.flying = null; // token of the command that was sent last and not answered
     this.trouble = '';
-    this.offset = 0; // ms, clock over there minus clock here
+    this.offset = 0; // ms, clock of the server minus clock of the page
     this.best = -Infinity;
     this.tries = 0;
     this.open();
@@ -66,12 +66,12 @@ export class Link extends EventTarget {
     document.addEventListener('visibilitychange', () => document.hidden || this.guard());
   }
 
-  /** The server's clock now, ms. */
+  /** The server's clock [ms]. */
   now() {
     return moment() + this.offset;
   }
 
-  /** Ask for something. since: when it was meant, by this clock; now if left out. */
+  /** Sends a command. since: time of the command by the clock of the page; now if left out. */
   command(what, operator, fields = {}, { after = null, since = moment() } = {}) {
     const entry = { token: token(), do: what, operator, fields, after, since };
     this.outbox.push(entry);
@@ -81,19 +81,19 @@ export class Link extends EventTarget {
     return entry.token;
   }
 
-  /** Says something that must not wait for what is under way, and is lost if nobody hears it. */
+  /** Sends a command that does not wait for earlier ones, and is lost without a connection. */
   urge(what, operator) {
     if (!this.connected) return;
     const command = { token: token(), do: what, operator, fields: {}, after: null, waited_s: 0 };
     this.socket.send(JSON.stringify({ type: 'command', ...command }));
   }
 
-  /** Something is asked for and not yet answered. */
+  /** True while a command other than a note waits for its answer. */
   get pending() {
     return this.outbox.some((entry) => entry.do !== 'note');
   }
 
-  /** Gives up what can't be written. */
+  /** Drops the commands that can't be written. */
   drop() {
     for (const entry of this.outbox) this.forget(entry.token);
     this.outbox = [];
@@ -129,7 +129,7 @@ export class Link extends EventTarget {
     this.changed();
   }
 
-  /** A link that is silent is dead, whatever the browser thinks of it. */
+  /** Closes a silent link, which the browser may still take for open. */
   guard() {
     if (!this.socket) return;
     const since = this.connected ? this.heard : this.opened;
@@ -138,7 +138,7 @@ export class Link extends EventTarget {
 
   hear(message) {
     this.heard = performance.now();
-    // The message that was fastest tells best how the clocks differ.
+    // The fastest message gives the best estimate of the difference of the clocks.
     this.best = Math.max(this.best, message.sent - moment());
     this.offset = this.best;
     if (message.type === 'state') {
@@ -175,7 +175,7 @@ export class Link extends EventTarget {
     this.flush();
   }
 
-  /** Sends what waits, one after the other. */
+  /** Sends the next waiting command, one at a time. */
   flush() {
     if (!this.connected || this.flying || !this.outbox.length || this.study === undefined) return;
     const { since, ...command } = this.outbox[0];
@@ -184,7 +184,7 @@ export class Link extends EventTarget {
     this.socket.send(JSON.stringify({ type: 'command', ...command, waited_s: waited }));
   }
 
-  /** Each command has a place of its own: tabs of one browser leave each other's alone. */
+  /** Stores each command under its own name, so that tabs of one browser do not overwrite others. */
   store() {
     if (!this.name) return;
     for (const entry of this.outbox) keep(`${this.name}/${entry.token}`, entry);
@@ -194,7 +194,7 @@ export class Link extends EventTarget {
     if (this.name) keep(`${this.name}/${sent}`, null);
   }
 
-  /** What a page of before did not see acknowledged. */
+  /** Restores commands of an earlier page that were not acknowledged. */
   recall() {
     const tokens = new Set(this.outbox.map((entry) => entry.token));
     const entries = [];

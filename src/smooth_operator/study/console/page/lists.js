@@ -1,4 +1,4 @@
-// Lists of the experimenter's page: everybody's progress, and the scored trials of who is on.
+// Lists of the experimenter's page: progress of all operators, scored trials of the current one.
 
 import { fill, h, part } from './dom.js';
 
@@ -23,7 +23,7 @@ export function drawPeople(place, { overview, now }, actions) {
   if (on && on.dataset.key !== before) reveal(place, on);
 }
 
-/** Scrolls the list, and not the page, until a row can be seen. */
+/** Scrolls the list, and not the page, to a row. */
 function reveal(list, row) {
   const [box, shown] = [row.getBoundingClientRect(), list.getBoundingClientRect()];
   if (box.top < shown.top) list.scrollTop -= shown.top - box.top;

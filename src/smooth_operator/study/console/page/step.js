@@ -1,13 +1,13 @@
-// What the protocol wants now, and the buttons for it.
+// The step that is due, and its buttons.
 
 import { button, clock, fill, h } from './dom.js';
 
 const SCORES = { 1: 'full', 0.5: 'half', 0: 'none' };
 const POINTS = { initial: 'after the first trial', midpoint: 'in the middle', final: 'after the last trial' };
 
-let typed = { name: '', text: '' }; // as it stands, when the page is drawn again
+let typed = { name: '', text: '' }; // text of the calibration, for redraws
 
-/** Draws the step of the operator who is on. blocked: nothing may be started now. */
+/** Draws the step of the current operator. blocked: whether all buttons are disabled. */
 export function drawStep(card, state, actions, blocked) {
   const { now } = state;
   if (!now) {
@@ -158,7 +158,7 @@ function main(text, key, disabled, onclick) {
   return button(text, { key, id: 'main', kind: 'main', disabled, onclick });
 }
 
-/** What the simulation makes of the trial; the experimenter has the last word. */
+/** Shows the proposal of the simulation, which the experimenter may accept. */
 function proposal(now, sim, actions, waiting) {
   if (sim.phase !== 'done') return h('p', { class: 'soft' }, `In the simulation: ${sim.reason}.`);
   const match = now.rubric.find(({ name }) => name === sim.line);
@@ -178,7 +178,7 @@ function rubric(now, actions, off) {
     h('span', {}, h('strong', {}, line.name), h('span', {}, line.text)))));
 }
 
-/** A break is offered where the plan has one. */
+/** Offers a break where the plan has one. */
 function rest(now, state) {
   return now.break_due && h('p', { class: 'notice' }, `Offer a break of ${seconds(state.study.break_s)} (B).`);
 }

@@ -56,7 +56,7 @@ function oneScale(scale, k, state, ratings, sending, changed) {
   };
   input.addEventListener('input', touch);
   input.addEventListener('change', touch);
-  input.addEventListener('click', touch); // at the very place where the unseen mark stands
+  input.addEventListener('click', touch); // a click at the place of the hidden mark
   input.addEventListener('keydown', (event) => {
     if (event.key === ' ' || event.key === 'Enter') {
       event.preventDefault();
