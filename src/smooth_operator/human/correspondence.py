@@ -150,20 +150,19 @@ class Correspondence:
         lengths = straight.reach.astype(np.float32)
         if "thumb" in self.hand.fingers:
             thumb = self.hand.fingers.index("thumb")
-            poses = np.random.default_rng(0).uniform(
-                *self.hand.limits.T, (_POSES, len(self.hand.limits))
-            )
+            low, high = self.hand.limits.T
+            poses = np.random.default_rng(0).uniform(low, high, (_POSES, len(low)))
             landmarks = [LANDMARKS[i] for i in self._chains[thumb] if LANDMARKS[i] in names]
             joints = self.hand.landmark_positions(poses)[:, [names.index(i) for i in landmarks]]
             lengths[thumb] = np.linalg.norm(np.diff(joints, axis=1), axis=-1).sum(axis=-1).mean()
         return points[rows].astype(np.float32), lengths
 
     def init(self) -> CorrespondenceState:
-        """The lengths of an operator who is like the robot."""
-        bases, lengths = self._robot
-        time = np.zeros(len(lengths), np.float32)
+        """Of an operator who hasn't been seen yet."""
+        count = len(self.hand.fingers)
+        points, none = np.zeros((count, 3), np.float32), np.zeros(count, np.float32)
         state: CorrespondenceState = jax.device_put(
-            CorrespondenceState(bases, lengths, time, bases)  # type: ignore[arg-type]
+            CorrespondenceState(points, none, none, points)  # type: ignore[arg-type]
         )
         return state
 
@@ -188,6 +187,13 @@ class Correspondence:
             dt: time between the two frames [s].
             restart: nothing came before, or too long ago: it may be another operator.
         """
+        # an operator who hasn't been seen is like the robot
+        unseen = before.time <= 0
+        bases, lengths = (jnp.asarray(part, aligned.dtype) for part in self._robot)
+        before = before._replace(
+            bases=jnp.where(unseen[:, None], bases, before.bases),
+            lengths=jnp.where(unseen, lengths, before.lengths),
+        )
         operator = self._measured(before, aligned, dt, restart)
         places, gain = self._places(operator, tips)
         # a finger of twice the length moves twice as fast, which is more than a robot can follow;

@@ -446,7 +446,8 @@ class Smooth(Method):
 
         def descended(q: Array, free: Array) -> tuple[Array, Array]:
             held = goal
-            if state.operator:  # a search compares poses without regard to the last answer
+            # a search compares poses without regard to the last answer
+            if state.operator and goal.motion_weights is not None:
                 keep = jnp.where(free, 0.0, 1.0)
                 held = goal._replace(
                     velocity_weight=keep * goal.velocity_weight,
