@@ -54,7 +54,9 @@ closed when it is closed, whatever the lengths of either's fingers."""
 SMOOTH_PRECISE: Final = replace(
     SMOOTH_TELEOP,
     correspondence=CorrespondenceConfig(share=0.0),
-    objective=replace(SMOOTH_TELEOP.objective, targets=CloseTargets()),
+    objective=replace(
+        SMOOTH_TELEOP.objective, targets=CloseTargets(w_wrist=1.0, w_thumb=20.0, focus=0.5)
+    ),
     motion_weight=1300.0,
     self_collision=SelfCollisionConfig(),
 )
@@ -64,10 +66,7 @@ directions from the thumb. Fingers of other lengths than the human's stay bent i
 SMOOTH_GRASP: Final = replace(
     SMOOTH_TELEOP,
     pinch_damping=300.0,
-    objective=replace(
-        SMOOTH_TELEOP.objective,
-        targets=replace(SMOOTH_TELEOP.objective.targets, latches=True),
-    ),
+    objective=replace(SMOOTH_TELEOP.objective, targets=CloseTargets(latches=True)),
 )
 """For a live loop that handles objects: fingers that pinch hardly follow the human's motion, so
 that they do not roll out what they hold (docs/explanation/smooth.md)."""

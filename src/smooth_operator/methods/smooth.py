@@ -103,9 +103,7 @@ class SmoothConfig(ObjectiveMethodConfig):
     alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
     objective: ObjectiveConfig = field(
         default_factory=lambda: ObjectiveConfig(
-            targets=CloseTargets(w_wrist=18.0, w_thumb=8.0, focus=2.0),
-            pose_weight=0.026,
-            velocity_weight=0.27,
+            targets=CloseTargets(), pose_weight=0.026, velocity_weight=0.27
         )
     )
     motion_weight: float = 1900.0
