@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -11,10 +12,10 @@ import pytest
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.hands.straight_pose import straight_pose
 from smooth_operator.human.alignment import reference_landmarks
 from smooth_operator.human.correspondence import Correspondence, CorrespondenceConfig
 from smooth_operator.landmarks import BASES, TIPS
+from smooth_operator.synthetic.robot_landmarks import human_landmarks
 
 DT = jnp.float32(1 / 60)
 
@@ -38,12 +39,13 @@ def follow(
 ) -> tuple[list[np.ndarray], np.ndarray]:
     """Lengths after each frame, and (T, F, 3) places."""
     state, lengths, places = correspondence.init(), [], []
+    step = jax.jit(correspondence.step)
     last = frames[0]
     for i, points in enumerate(frames):
         tips = jnp.asarray(points[list(TIPS)])
         steps = jnp.asarray(np.nan_to_num(points - last)[list(TIPS)])
-        begins = jnp.bool_(i in restarts)
-        state, found = correspondence.step(state, jnp.asarray(points), tips, steps, DT, begins)
+        arguments = (jnp.asarray(points), tips, steps, steps, DT, jnp.bool_(i in restarts))
+        state, found = step(state, *arguments)
         lengths.append(np.asarray(state.lengths))
         places.append(np.asarray(found.tips))
         last = points
@@ -52,13 +54,28 @@ def follow(
 
 def test_the_robots_own_hand_of_another_size_stays_where_it_is(hand: Hand) -> None:
     frames = np.tile(operator_of(hand), (5, 1, 1))
-    far_apart = CorrespondenceConfig(near=0.0, far=1e-4)
-    _, places = follow(Correspondence(hand, far_apart), frames)
+    far_apart = CorrespondenceConfig(near=0.0, far=1e-4, thumb_follows=0.0)
+    correspondence = Correspondence(hand, far_apart)
+    _, places = follow(correspondence, frames)
     expected = reference_landmarks(hand)
     bones = np.linalg.norm(np.diff([expected[b : b + 4] for b in BASES], axis=1), axis=-1).sum(-1)
     rays = expected[list(TIPS)] - expected[list(BASES)]
-    gains = straight_pose(hand).reach / bones  # a finger's bones are hardly longer than its reach
+    gains = correspondence.lengths / bones  # a finger's bones are hardly longer than its reach
     np.testing.assert_allclose(places[-1], expected[list(BASES)] + gains[:, None] * rays, atol=2e-4)
+
+
+def test_the_robots_own_landmarks_stay_where_they_are(hand: Hand) -> None:
+    """An operator with the robot's own bones is followed: the thumb's length is that of its bones,
+    not that of the straight thumb, which is 7 % more."""
+    rng = np.random.default_rng(0)
+    low, high = hand.limits.T
+    poses = hand.neutral + 0.3 * (rng.uniform(low, high, (8, len(low))) - hand.neutral)
+    for landmarks in human_landmarks(hand, poses).astype(np.float32):
+        frames = np.tile(landmarks, (3, 1, 1))
+        _, places = follow(Correspondence(hand, CorrespondenceConfig()), frames)
+        off = np.linalg.norm(places[-1] - landmarks[list(TIPS)], axis=-1)
+        assert off.max() < 6e-3
+        assert off.mean() < 2.5e-3
 
 
 def test_lengths_settle_and_hold(hand: Hand) -> None:

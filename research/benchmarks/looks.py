@@ -1,10 +1,11 @@
 """Does the robot hand look and move like the operator's: figures of posture, and contact sheets.
 
-    python research/benchmarks/looks.py RECORDING... [--methods smooth smooth:expressive sbr]
-        [--hands mimic_p050 shadow_hand] [--sheets FOLDER]
+    python research/benchmarks/looks.py RECORDING... [--methods smooth smooth:precise sbr]
+        [--hands mimic_p050 shadow_hand] [--sheets FOLDER] [--faults]
 
 A recording is named as for ``smooth-operator bench``: ``glove.npz@:500``, ``video.npz@30hz``. The
-mean of a method is over recordings, each one unit.
+mean of a method is over recordings, each one unit. ``--faults``: how far are two runs apart more
+than a second after a fault that one of them had, or after it began?
 """
 
 from __future__ import annotations
@@ -46,6 +47,7 @@ COLUMNS: Final = {
     "latency_ms.p50": "p50 ms",
 }
 """Metric -> heading."""
+AGREEMENT_MM: Final = 3.0
 
 
 def figures(trace: Trace) -> list[float]:
@@ -80,6 +82,36 @@ def panel_of(recording: str, hand: str, traces: Mapping[str, Trace]) -> Panel:
     return Panel((recording, hand, "right"), load_hand(hand), first.stamps, tuple(runs))
 
 
+def fault_rows(method: str, hand_name: str, recording: HandRecording) -> dict[str, list[float]]:
+    """Fault at a third of the recording -> mean distance of the fingertips from those of the run
+    without it [mm], from a second later on: the largest, and the share of frames over 3 mm."""
+    name, _, preset = method.partition(":")
+    retargeter = Retargeter(load_hand(hand_name), method=name, preset=preset or None)
+    stamps, side, at = recording.stamps, recording.side, len(recording) // 3
+    mirrored = recording.landmarks.copy()
+    mirrored[at] *= (-1, 1, 1)
+    gap = (stamps >= stamps[at]) & (stamps < stamps[at] + 2.0)
+    valid = recording.valid & ~gap[:, None]
+    runs = {
+        "none": (recording, 0, stamps[0]),
+        "begins later": (recording[at:], at, stamps[at]),
+        "one mirrored frame": (HandRecording(mirrored, stamps, side), 0, stamps[at]),
+        "2 s without a hand": (
+            HandRecording(recording.landmarks, stamps, side, valid=valid),
+            0,
+            stamps[at] + 2.0,
+        ),
+    }
+    answers = retargeter.batch([one for one, _, _ in runs.values()])
+    tips = [retargeter.hand.tips(commands.joint_positions) for commands, _ in answers]
+    rows = {}
+    for (fault, (_, first, end)), own in zip(list(runs.items())[1:], tips[1:], strict=True):
+        apart = 1e3 * np.linalg.norm(own - tips[0][first:], axis=-1).mean(axis=1)
+        apart = apart[stamps[first:] >= end + 1.0]
+        rows[fault] = [float(apart.max()), float((apart > AGREEMENT_MM).mean())]
+    return rows
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Prints a table for each hand, and draws its sheets if a folder is named."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -87,10 +119,19 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--methods", nargs="+", default=["smooth"])
     parser.add_argument("--hands", nargs="+", default=["mimic_p050"])
     parser.add_argument("--sheets", type=Path)
+    parser.add_argument("--faults", action="store_true")
     options = parser.parse_args(arguments)
     sources = load_sources([parse_request(text) for text in options.recordings])
     recordings = {s.name: s.recording for s in sources if s.recording is not None}
     for hand in options.hands:
+        if options.faults:
+            print(f"\n## {hand}\n\n| method | recording | fault | largest mm | share over 3 mm |")
+            print("|---|---|---|---:|---:|")
+            for method in options.methods:
+                for name, recording in recordings.items():
+                    for fault, (most, share) in fault_rows(method, hand, recording).items():
+                        print(f"| {method} | {name} | {fault} | {most:.1f} | {share:.3f} |")
+            continue
         traces = {method: run(method, hand, recordings) for method in options.methods}
         print(f"\n## {hand}, {len(recordings)} recordings\n")
         print("| method | recording | " + " | ".join(COLUMNS.values()) + " |")

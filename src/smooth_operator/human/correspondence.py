@@ -31,6 +31,7 @@ _SUDDEN: Final = 0.2  # share of a length by which one frame may differ and coun
 _SETTLED: Final = 1.0  # time after which small differences no longer count [s]
 _SMALL: Final = 0.02  # share of a length that counts as a small difference
 _FOLDS: Final = 0.2  # range of extensions in which a finger begins to count as unfolded
+_POSES: Final = 256  # random ones, for the thumb's length
 _TINY: Final = 1e-9
 
 
@@ -47,7 +48,9 @@ class CorrespondenceConfig:
         far: distance over which they do not move each other [m].
         folded: extension of a finger, base to tip over its length, at which that counts by half: a
             thumb next to a fist pinches nothing. 0 for any.
-        thumb_share: how far the thumb moves to the finger, if the finger moves to the thumb by 1.
+        thumb_share: weight of a near finger in the thumb's place; that of the thumb's own is 1.
+        thumb_follows: the same of a finger at any distance: the thumb's side of the hand stays the
+            human's.
         faster: by how much a fingertip's place may move faster than the human's fingertip [m/s].
         span: averaging time of the operator's lengths [s].
     """
@@ -57,8 +60,9 @@ class CorrespondenceConfig:
     near: float = 0.012
     far: float = 0.08
     folded: float = 0.35
-    thumb_share: float = 0.3
-    faster: float = 0.17
+    thumb_share: float = 0.6
+    thumb_follows: float = 0.1
+    faster: float = 0.2
     span: float = 10.0
 
     def __post_init__(self) -> None:
@@ -66,7 +70,7 @@ class CorrespondenceConfig:
             self,
             "correspondence.",
             positive=("longest", "far", "faster", "span"),
-            not_negative=("share", "near", "folded", "thumb_share"),
+            not_negative=("share", "near", "folded", "thumb_share", "thumb_follows"),
         )
         if not self.near < self.far:
             raise ConfigError(
@@ -127,20 +131,38 @@ class Correspondence:
         bases = [BASES[FINGERS.index(name)] for name in self.hand.fingers]
         return np.array(bases)[:, None] + np.arange(4)
 
+    @property
+    def lengths(self) -> Float[np.ndarray, " F"]:
+        """Lengths of the robot's fingers [m]."""
+        return self._robot[1]
+
     @cached_property
     def _robot(self) -> tuple[Float[np.ndarray, "F 3"], Float[np.ndarray, " F"]]:
-        """Bases at the straight pose and lengths of the robot's straight fingers [m]."""
+        """Bases at the straight pose and lengths of the robot's fingers [m].
+
+        A long finger's length is that of the straight one. A thumb is hardly ever straight, and
+        that of many hands does not begin at its base landmark: its length is the sum of its bones,
+        mean over random poses. An operator with the robot's own landmarks is then followed.
+        """
         straight = straight_pose(self.hand)
         names, points = self.hand.tree.names, self.hand.landmark_positions(straight.q)
         rows = [names.index(LANDMARKS[chain[0]]) for chain in self._chains]
-        return points[rows].astype(np.float32), straight.reach.astype(np.float32)
+        lengths = straight.reach.astype(np.float32)
+        if "thumb" in self.hand.fingers:
+            thumb = self.hand.fingers.index("thumb")
+            low, high = self.hand.limits.T
+            poses = np.random.default_rng(0).uniform(low, high, (_POSES, len(low)))
+            landmarks = [LANDMARKS[i] for i in self._chains[thumb] if LANDMARKS[i] in names]
+            joints = self.hand.landmark_positions(poses)[:, [names.index(i) for i in landmarks]]
+            lengths[thumb] = np.linalg.norm(np.diff(joints, axis=1), axis=-1).sum(axis=-1).mean()
+        return points[rows].astype(np.float32), lengths
 
     def init(self) -> CorrespondenceState:
-        """The lengths of an operator who is like the robot."""
-        bases, lengths = self._robot
-        time = np.zeros(len(lengths), np.float32)
+        """Of an operator who hasn't been seen yet."""
+        count = len(self.hand.fingers)
+        points, none = np.zeros((count, 3), np.float32), np.zeros(count, np.float32)
         state: CorrespondenceState = jax.device_put(
-            CorrespondenceState(bases, lengths, time, bases)  # type: ignore[arg-type]
+            CorrespondenceState(points, none, none, points)  # type: ignore[arg-type]
         )
         return state
 
@@ -150,6 +172,7 @@ class Correspondence:
         aligned: Float[Array, "21 3"],
         tips: Float[Array, "F 3"],
         steps: Float[Array, "F 3"],
+        measured: Float[Array, "F 3"],
         dt: Float[Array, ""],
         restart: Bool[Array, ""],
     ) -> tuple[CorrespondenceState, Places]:
@@ -160,13 +183,23 @@ class Correspondence:
             aligned: (21, 3) landmarks in the palm frame [m]; NaN where one is not known.
             tips: (F, 3) the human's fingertips in the palm frame without noise, thumb first [m].
             steps: (F, 3) their steps in this frame [m].
+            measured: (F, 3) the same without the landmark filter, which catches up late [m].
             dt: time between the two frames [s].
             restart: nothing came before, or too long ago: it may be another operator.
         """
+        # an operator who hasn't been seen is like the robot
+        unseen = before.time <= 0
+        bases, lengths = (jnp.asarray(part, aligned.dtype) for part in self._robot)
+        before = before._replace(
+            bases=jnp.where(unseen[:, None], bases, before.bases),
+            lengths=jnp.where(unseen, lengths, before.lengths),
+        )
         operator = self._measured(before, aligned, dt, restart)
         places, gain = self._places(operator, tips)
-        # a finger of twice the length moves twice as fast, which is more than a robot can follow
-        most = jnp.sqrt((steps * steps).sum(-1, keepdims=True)) + self.config.faster * dt
+        # a finger of twice the length moves twice as fast, which is more than a robot can follow;
+        # and it doubles what the landmark filter catches up with after the human has stopped
+        shorter = jnp.minimum((steps * steps).sum(-1), (measured * measured).sum(-1))
+        most = jnp.sqrt(shorter)[:, None] + self.config.faster * dt
         last = jnp.where(restart, places, before.places)
         places = last + _shortened(places - last, most)
         moves = _shortened(gain[:, None] * steps, most)
@@ -210,9 +243,11 @@ class Correspondence:
     ) -> tuple[Float[Array, "F 3"], Float[Array, " F"]]:
         """Places of the fingertips, with a continuous slope, and the gain of their motion.
 
-        Of the human's vectors h_i from thumb to finger i and places T by the fingers alone, with a
-        nearness n_i of 0 to 1 and the thumb's share s, the places P are
-        P_0 = (T_0 + s sum n_i (T_i - h_i)) / (1 + s sum n_i), P_i = T_i + n_i (P_0 + h_i - T_i).
+        Of the human's vectors h_i from thumb to finger i, places T by the fingers alone, gains g,
+        closeness c_i and nearness n_i (closeness of an unfolded finger) of 0 to 1, and weights
+        w_i = thumb_follows + thumb_share c_i, the places P are
+        P_0 = (T_0 + sum w_i (T_i - h_i (g_i - c_i (g_i - 1)))) / (1 + sum w_i),
+        P_i = T_i + n_i (P_0 + h_i - T_i).
         """
         config = self.config
         bases, reach = (jnp.asarray(part, tips.dtype) for part in self._robot)
@@ -222,13 +257,14 @@ class Correspondence:
         gain = 1 + config.share * (gain - 1)
         human = tips[1:] - tips[0]
         apart = jnp.sqrt((human * human).sum(-1) + _TINY)
-        nearness = jnp.clip((config.far - apart) / (config.far - config.near), 0.0, 1.0)
+        close = _smooth_step(jnp.clip((config.far - apart) / (config.far - config.near), 0.0, 1.0))
         away = tips[1:] - operator.bases[1:]
         extension = jnp.sqrt((away * away).sum(-1) + _TINY) / operator.lengths[1:]
         unfolded = jnp.clip(0.5 + (extension - config.folded) / _FOLDS, 0.0, 1.0)
-        nearness = _smooth_step(nearness) * _smooth_step(unfolded)
-        weights = (config.thumb_share * nearness)[:, None]
-        thumb = (alone[0] + (weights * (alone[1:] - human)).sum(0)) / (1 + weights.sum(0))
+        nearness = close * _smooth_step(unfolded)
+        weights = (config.thumb_follows + config.thumb_share * close)[:, None]
+        scaled = human * (gain[1:] - close * (gain[1:] - 1))[:, None]
+        thumb = (alone[0] + (weights * (alone[1:] - scaled)).sum(0)) / (1 + weights.sum(0))
         fingers = alone[1:] + nearness[:, None] * (thumb + human - alone[1:])
         # fingers that pinch move as one
         nearest = jnp.concatenate([nearness.max()[None], nearness])

@@ -17,6 +17,7 @@ from smooth_operator.methods.smooth import SmoothConfig
 from smooth_operator.objective.close_targets import CloseTargets
 from smooth_operator.objective.loss import ObjectiveConfig
 from smooth_operator.objective.targets import DexPilotTargets
+from smooth_operator.objective.terms.self_collision import SelfCollisionConfig
 from smooth_operator.plugins import Entry
 from smooth_operator.solvers.newton import NewtonConfig
 from smooth_operator.solvers.sampling import SamplingConfig
@@ -47,7 +48,20 @@ the thumb's. docs/reference/benchmarks.md says what the weights were tuned on.
 """
 
 SMOOTH_TELEOP: Final = SmoothConfig()
-"""For a live loop: causal, no frame later than the human's."""
+"""For a live loop: causal, no frame later than the human's; open when the human's hand is open,
+closed when it is closed, whatever the lengths of either's fingers."""
+
+SMOOTH_PRECISE: Final = replace(
+    SMOOTH_TELEOP,
+    correspondence=CorrespondenceConfig(share=0.0),
+    objective=replace(
+        SMOOTH_TELEOP.objective, targets=CloseTargets(w_wrist=1.0, w_thumb=20.0, focus=0.5)
+    ),
+    motion_weight=1300.0,
+    self_collision=SelfCollisionConfig(),
+)
+"""For the paper's metrics: the human's fingertips as the palms are aligned, and of them first the
+directions from the thumb. Fingers of other lengths than the human's stay bent in an open hand."""
 
 SMOOTH_GRASP: Final = replace(
     SMOOTH_TELEOP,
@@ -56,18 +70,6 @@ SMOOTH_GRASP: Final = replace(
 )
 """For a live loop that handles objects: fingers that pinch hardly follow the human's motion, so
 that they do not roll out what they hold (docs/explanation/smooth.md)."""
-
-SMOOTH_EXPRESSIVE: Final = replace(
-    SMOOTH_TELEOP,
-    correspondence=CorrespondenceConfig(share=1.0),
-    objective=replace(
-        SMOOTH_TELEOP.objective, targets=CloseTargets(w_wrist=18.0, w_thumb=8.0, focus=2.0)
-    ),
-    motion_weight=1900.0,
-    self_collision=replace(SMOOTH_TELEOP.self_collision, grip=0.001, weight=12000.0),
-)
-"""For a live loop whose hand is to look like the operator's: open when open, closed when closed,
-whatever the lengths of either's fingers (docs/explanation/smooth.md)."""
 
 _FUTURE: Final = TrajectoryConfig(
     acceleration_weight=2e-8, motion_weight=0.07, motion_speed=0.6, speed_limit=28.0
@@ -86,17 +88,17 @@ weaker for the same smoothness.
 """
 
 SMOOTH_OFFLINE: Final = TrajectoryMethodConfig(
-    SMOOTH_TELEOP,
+    SMOOTH_PRECISE,
     replace(_FUTURE, acceleration_weight=3e-8, motion_weight=0.35, motion_speed=0.15),
     jump=0.02,
     noise=50.0,
 )
-"""For recordings: the objective of ``smooth`` for all frames together, without its filters."""
+"""For recordings: ``smooth:precise`` for all frames together, without its filters."""
 
 SBR: Final = {"realtime": SBR_REALTIME, "paper": SBR_PAPER, "offline": SBR_OFFLINE}
 SMOOTH: Final = {
     "teleop": SMOOTH_TELEOP,
-    "expressive": SMOOTH_EXPRESSIVE,
+    "precise": SMOOTH_PRECISE,
     "grasp": SMOOTH_GRASP,
     "offline": SMOOTH_OFFLINE,
 }

@@ -20,7 +20,7 @@ METHODS: Final = Registry(
     "method",
     {
         "sbr": Entry(f"{_HERE}:SBR", "realtime, paper, or offline for recordings"),
-        "smooth": Entry(f"{_HERE}:SMOOTH", "teleop, expressive, grasp for objects, or offline"),
+        "smooth": Entry(f"{_HERE}:SMOOTH", "teleop, precise, grasp for objects, or offline"),
         "joint_angle": Entry(f"{_BASELINES}.joint_angle:JOINT_ANGLE_PRESETS", "default"),
         "keyvector": Entry(
             f"{_BASELINES}.slsqp_presets:KEYVECTOR_PRESETS",

@@ -62,6 +62,13 @@ REFERENCE: Final = 0.01
 """Time between frames for which weights of change are given [s]. They scale with 1 / dt, so that an
 error is worked off in the same time at any rate."""
 
+ASTRAY: Final = 0.4
+"""A long finger is astray whose tip is further from its place than this, in finger lengths."""
+SEARCH_AFTER: Final = 0.06
+"""Time for which a finger is astray before another basin is searched, and between searches [s]."""
+CROSSING_SPEED: Final = 6.0
+"""Joint speed at which the command moves over to a pose in another basin [rad/s]."""
+
 
 @dataclass(frozen=True)
 class SmoothConfig(ObjectiveMethodConfig):
@@ -99,16 +106,16 @@ class SmoothConfig(ObjectiveMethodConfig):
             targets=CloseTargets(), pose_weight=0.026, velocity_weight=0.27
         )
     )
-    motion_weight: float = 1300.0
+    motion_weight: float = 1900.0
     motion_speed: float = 0.1
     pinch_damping: float = 0.0
     rest_pose: RestPoseConfig = field(default_factory=RestPoseConfig)
     fingertip_position: FingertipPositionConfig = field(default_factory=FingertipPositionConfig)
-    self_collision: SelfCollisionConfig = field(default_factory=SelfCollisionConfig)
-    direction_length: DirectionLengthConfig = field(default_factory=DirectionLengthConfig)
-    correspondence: CorrespondenceConfig = field(
-        default_factory=lambda: CorrespondenceConfig(share=0.0)
+    self_collision: SelfCollisionConfig = field(
+        default_factory=lambda: SelfCollisionConfig(weight=12000.0, grip=0.001)
     )
+    direction_length: DirectionLengthConfig = field(default_factory=DirectionLengthConfig)
+    correspondence: CorrespondenceConfig = field(default_factory=CorrespondenceConfig)
     tracker_noise: NoiseConfig = field(default_factory=lambda: NoiseConfig(acceleration=0.003))
     landmarks: LandmarkFilterConfig = field(
         default_factory=lambda: LandmarkFilterConfig(
@@ -162,6 +169,8 @@ class SmoothState(NamedTuple):
         period: usual time between frames [s].
         seed: two words, constant.
         frames: frames answered so far.
+        astray: for how long a finger has been far from its place [s].
+        offset: (m,) command minus answer, on the way to a pose in another basin [rad].
     """
 
     q: Float[Array, " m"]
@@ -174,6 +183,8 @@ class SmoothState(NamedTuple):
     period: Float[Array, ""]
     seed: UInt32[Array, "2"]
     frames: UInt32[Array, ""]
+    astray: Float[Array, ""]
+    offset: Float[Array, " m"]
 
 
 class _Observed(NamedTuple):
@@ -273,6 +284,8 @@ class Smooth(Method):
             put(np.float32(1 / self.config.rate_hz)),
             put(seed_words(seed)),
             put(np.uint32(0)),
+            put(np.float32(0)),
+            put(np.zeros_like(self.hand.neutral, np.float32)),
         )
 
     def latched(self, state: SmoothState) -> Bool[Array, " P"] | None:
@@ -297,12 +310,33 @@ class Smooth(Method):
         frame = self._observed(state, aligned, jnp.asarray(ticks, jnp.uint32))
         goal = frame.goal
         if is_off(self.config.rest_pose.reach):
-            goal = goal._replace(tips=self.motion.tips(state.solved) + frame.moves)
+            tips = self.motion.tips(state.solved)
+            goal = goal._replace(tips=tips + frame.moves)
         else:
             rest = self.rest_pose(state.solved, aligned, frame.places, frame.moves)
+            tips = rest.tips
             goal = self._rested(goal, rest, frame.moves, frame.clock.restart)
-        solved = self._solve(state, goal, frame.clock)
+        astray = self._astray(state, frame, tips)
+        searches = astray > SEARCH_AFTER
+        solved, crosses = self._solve(state, goal, frame.clock, searches)
+        state = state._replace(
+            astray=jnp.where(searches, 0.0, astray),
+            offset=jnp.where(crosses, state.q - solved, state.offset),
+        )
         return self._commanded(state, frame._replace(goal=goal), solved)
+
+    def _astray(
+        self, state: SmoothState, frame: _Observed, tips: Float[Array, "F 3"]
+    ) -> Float[Array, ""]:
+        """For how long a long finger has been far from its place [s]; 0 without a correspondence,
+        whose places are within reach."""
+        if not state.operator:
+            return jnp.zeros_like(state.astray)
+        off = tips - frame.places
+        most = jnp.asarray(ASTRAY * self.correspondence.lengths, tips.dtype)
+        far = ((off * off).sum(-1) > most**2) & np.array([f != "thumb" for f in self.hand.fingers])
+        lasts = far.any() & ~frame.clock.restart
+        return jnp.where(lasts, state.astray + frame.clock.dt, 0.0)
 
     def _observed(
         self, state: SmoothState, aligned: Float[Array, "21 3"], now: UInt32[Array, ""]
@@ -323,8 +357,9 @@ class Smooth(Method):
         moves, places = steps[at] - steps[wrist], points[at] - points[wrist]
         goal_points, operator, speeds = points, state.operator, moves
         if operator:  # a tuple of arrays; empty without a correspondence
+            measured_steps = filtered.step[at] - filtered.step[wrist]
             operator, targets = self.correspondence.step(
-                operator, aligned, points[at], moves, clock.dt, clock.restart
+                operator, aligned, points[at], moves, measured_steps, clock.dt, clock.restart
             )
             origin = jnp.asarray(self.hand.wrist, points.dtype)
             moves, places = targets.steps, targets.tips - origin
@@ -353,7 +388,9 @@ class Smooth(Method):
         # after a lost frame no further than else
         most = self.config.joint_speed * jnp.minimum(clock.dt, clock.period)
         most = jnp.where(clock.first, jnp.inf, most)
-        q = jnp.clip(jnp.clip(solved, state.q - most, state.q + most), low, high)
+        shorter = jnp.maximum(jnp.abs(state.offset) - CROSSING_SPEED * clock.dt, 0.0)
+        offset = jnp.where(clock.restart, 0.0, jnp.sign(state.offset) * shorter)
+        q = jnp.clip(jnp.clip(solved + offset, state.q - most, state.q + most), low, high)
         memory = (
             frame.operator,
             frame.noise,
@@ -363,7 +400,8 @@ class Smooth(Method):
             clock.period,
             state.seed,
         )
-        after = SmoothState(q, solved, *memory, state.frames + jnp.uint32(1))
+        frames = state.frames + jnp.uint32(1)
+        after = SmoothState(q, solved, *memory, frames, state.astray, offset)
         return after, MethodOutput(q, self.objective.tracking_at(q, frame.goal))
 
     def _goal(
@@ -393,29 +431,41 @@ class Smooth(Method):
         goal = FrameGoal(targets.vectors, targets.weights, state.solved, velocity)
         return goal._replace(motion_weights=motion), policy_state
 
-    def _solve(self, state: SmoothState, goal: FrameGoal, clock: FrameClock) -> Float[Array, " m"]:
+    def _solve(
+        self, state: SmoothState, goal: FrameGoal, clock: FrameClock, searches: Bool[Array, ""]
+    ) -> tuple[Float[Array, " m"], Bool[Array, ""]]:
+        """The solver's answer, and whether it is in another basin than the last one."""
         config, fingers = self.config, len(self.hand.fingers)
         limits = self.straight_fingers.limits(self.hand.limits, goal.vectors[:fingers])
+        neutral = jnp.asarray(self.hand.neutral, state.solved.dtype)
 
         def sampled(round: Array, q: Array) -> Array:
             return sample_minimise(
                 lambda candidates: self.eq_1(candidates, goal._replace(velocity_weight=0.0)),
-                q,
+                jnp.where(searches, neutral, q),
                 self.hand.limits,
                 frame_key(state.seed, state.frames + round.astype(jnp.uint32)),
                 config.sampling,
                 config.settle_sigma,
             )
 
-        def descended(q: Array) -> tuple[Array, Array]:
+        def descended(q: Array, free: Array) -> tuple[Array, Array]:
+            held = goal
+            # a search compares poses without regard to the last answer
+            if state.operator and goal.motion_weights is not None:
+                keep = jnp.where(free, 0.0, 1.0)
+                held = goal._replace(
+                    velocity_weight=keep * goal.velocity_weight,
+                    motion_weights=keep * goal.motion_weights,
+                )
             return damped_newton(
-                lambda one: self.objective.value_grad_hess(one, goal),
-                lambda few: self.objective.values(few, goal),
+                lambda one: self.objective.value_grad_hess(one, held),
+                lambda few: self.objective.values(few, held),
                 q,
                 limits,
                 config.polish,
             )
 
-        rounds = jnp.where(clock.restart, config.settle_rounds, 0)
+        rounds = jnp.where(clock.restart, config.settle_rounds, jnp.where(searches, 2, 0))
         first = jnp.clip(state.solved, limits[:, 0], limits[:, 1])
-        return settled(sampled, descended, first, rounds)
+        return settled(sampled, descended, first, rounds, searches)

@@ -41,10 +41,10 @@ class CloseTargets(TargetPolicy[KeyvectorLayout, Any]):
             are farther apart than the other.
     """
 
-    w_wrist: float = 1.0
-    w_thumb: float = 20.0
+    w_wrist: float = 18.0
+    w_thumb: float = 8.0
     w_between: float = 1.0
-    focus: float = 0.5
+    focus: float = 2.0
     focus_between: float = 1.6
     at: float = 0.06
     floor: float = 0.01

@@ -429,7 +429,7 @@ class Settings:
     parts: Annotated[tuple[Part, ...], tyro.conf.Positional] = get_args(Part)
     data: Path | None = None
     recordings: tuple[str, ...] = ()
-    preset: str | None = None
+    preset: str | None = "precise"
     rows: tuple[str, ...] = ()
     hand: str = "mimic_p050"
     hands: tuple[str, ...] = HANDS

@@ -129,7 +129,7 @@ def name_of(value: float) -> str:
 @lru_cache
 def run_of(hand_name: str, off: bool) -> TracedRun:
     """``smooth`` on one hand; one program for all values but 0, which leaves the filter out."""
-    config = with_settings(method_config("smooth"), {SETTING: 0.0 if off else CHOSEN})
+    config = with_settings(method_config("smooth", "precise"), {SETTING: 0.0 if off else CHOSEN})
     return TracedRun(Retargeter(load_hand(hand_name), config=config), () if off else (SETTING,))
 
 
