@@ -1,0 +1,105 @@
+"""Writing spec files, in the order and layout that a person would write them."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+
+from smooth_operator.atomic_files import atomic_write, output_error
+from smooth_operator.errors import DocumentError, HandModelError
+from smooth_operator.formats.toml_writer import toml_key, toml_value
+from smooth_operator.hands.spec import HandSpec, Point
+from smooth_operator.hands.spec_file import FORMAT, POINTS, check_hand_name
+
+
+def write_hand_spec(spec: HandSpec, path: str | Path, *, comment: str = "") -> None:
+    """Writes a spec file that ``read_hand_spec`` reads back.
+
+    Args:
+        spec: the hand. A model in the file's folder, or below it, is named relative to it, so that
+            the folder can be moved; any other by its whole path.
+        path: the file; it is replaced whole or not at all.
+        comment: lines to put first.
+
+    Raises:
+        HandModelError: the hand's name can't be one, or a number is not finite.
+        OutputError: the file can't be written.
+    """
+    path = Path(path)
+    try:
+        text = "\n".join(_lines(spec, path.absolute().parent, comment)) + "\n"
+        with atomic_write(path) as file:
+            file.write(text.encode("utf-8"))
+    except DocumentError as error:
+        raise HandModelError(f"{path}: {error}") from error
+    except OSError as error:
+        raise output_error(path, error) from error
+
+
+@contextmanager
+def temporary_spec(hand: str | HandSpec) -> Iterator[str]:
+    """A hand as text, for another process: its name, or the path of a file with its description.
+
+    Yields:
+        The text, for ``load_hand``; the file is deleted at the end.
+    """
+    if isinstance(hand, str):
+        yield hand
+        return
+    with tempfile.TemporaryDirectory(prefix="smooth-operator-") as folder:
+        file = Path(folder) / "hand.toml"
+        write_hand_spec(hand.mirrored if hand.mirror else hand, file)
+        yield str(file)
+
+
+def _lines(spec: HandSpec, folder: Path, comment: str) -> Iterator[str]:
+    for line in comment.splitlines():
+        yield f"# {line}".rstrip()
+    yield f"format = {FORMAT}"
+    yield f"name = {toml_value(check_hand_name(spec.name))}"
+    yield f"side = {toml_value(spec.side)}"
+    if spec.source:
+        yield f"source = {toml_value(spec.source)}"
+    yield f"model = {toml_value(_model(spec.model, folder))}"
+    if spec.mirror:
+        yield "mirror = true"
+    yield f"palm = {toml_value(spec.palm)}"
+    yield f"wrist = {_point(spec.wrist)}"
+    yield f"align = {toml_value(spec.align)}"
+    if isinstance(spec.torque, float | int):
+        yield f"torque = {toml_value(float(spec.torque))} # N m"
+    for finger in spec.fingers:
+        yield ""
+        yield f"[fingers.{finger.name}]"
+        for name, point in zip(POINTS[finger.name], finger.points, strict=True):
+            if point is not None:
+                yield f"{name} = {_point(point)}"
+    if spec.neutral:
+        yield ""
+        yield "[neutral] # rad"
+        for joint, position in spec.neutral.items():
+            yield f"{toml_key(joint)} = {toml_value(position)}"
+    if isinstance(spec.torque, Mapping):
+        yield ""
+        yield "[torque] # N m"
+        for joint, torque in spec.torque.items():
+            yield f"{toml_key(joint)} = {toml_value(torque)}"
+    for row in spec.joint_map:
+        yield ""
+        yield f"[joint_map.{toml_key(row.joint)}]"
+        yield f"offset = {toml_value(row.offset)}"
+        if row.gains:
+            yield f"gains = {toml_value(row.gains)}"
+
+
+def _model(model: Path, folder: Path) -> str:
+    # A link is kept as it is: only what the paths say counts, not where they lead.
+    whole = model.absolute()
+    return (whole.relative_to(folder) if whole.is_relative_to(folder) else whole).as_posix()
+
+
+def _point(point: Point) -> str:
+    offset = {"offset": [float(value) for value in point.offset]} if any(point.offset) else {}
+    return toml_value({"body": point.body, **offset})
