@@ -10,7 +10,7 @@ from typing import Any
 
 from browser_page import new_page
 
-from smooth_operator.hand_files.spec_writer import write_hand_spec
+from smooth_operator.hand_files.user_hands import write_hand_spec
 from smooth_operator.hands.spec import FingerSpec, HandSpec, Point
 
 ATTACK = "<img src=x onerror=window.__pwned=1>{globalThis.__pwned=2}<b id=bold>"

@@ -17,7 +17,7 @@ from trees import limited_poses
 from smooth_operator import HandFrame, Retargeter, Status
 from smooth_operator.baselines.joint_map import joint_map
 from smooth_operator.errors import HandModelError, UnknownNameError
-from smooth_operator.hand_files.vendor_model import on_model
+from smooth_operator.hand_files.menagerie import on_model
 from smooth_operator.hands.collision import penetration_depths
 from smooth_operator.hands.hand import load_hand_spec
 from smooth_operator.hands.loading import Coupling, load_model

@@ -16,7 +16,7 @@ import pytest
 
 from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError
-from smooth_operator.hand_files.spec_writer import write_hand_spec
+from smooth_operator.hand_files.user_hands import write_hand_spec
 from smooth_operator.hands.collision import penetration_depths
 from smooth_operator.hands.hand import Hand, load_hand_spec
 from smooth_operator.hands.registry import load_hand

@@ -13,7 +13,7 @@ import trimesh
 from discovery_hands import make_hand, urdf
 
 from smooth_operator.cli import main
-from smooth_operator.hand_files.model_files import copy_model, model_files
+from smooth_operator.hand_files.user_hands import copy_model, model_files
 from smooth_operator.hands.loading import load_model
 from smooth_operator.hands.registry import hand_names, load_hand
 

@@ -13,7 +13,7 @@ from trees import limited_poses, mujoco_points, pincer, pincer_spec
 
 from smooth_operator import Retargeter
 from smooth_operator.errors import HandModelError
-from smooth_operator.hand_files.vendor_model import on_model
+from smooth_operator.hand_files.menagerie import on_model
 from smooth_operator.hands.collision import penetration_depths
 from smooth_operator.hands.hand import Hand, load_hand_spec
 from smooth_operator.hands.loading import Coupling

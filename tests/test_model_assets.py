@@ -19,7 +19,7 @@ from fuzzing import ReaderProcess
 from smooth_operator import Retargeter, load_hand
 from smooth_operator.cli import main
 from smooth_operator.errors import HandModelError, RecordingError
-from smooth_operator.hand_files.model_files import copy_model, model_files
+from smooth_operator.hand_files.user_hands import copy_model, model_files
 from smooth_operator.hands import loading
 from smooth_operator.hands.hand import load_hand_spec
 from smooth_operator.hands.loading import load_model, load_spec

@@ -16,8 +16,7 @@ from trees import pincer
 
 from smooth_operator.cli.hands import Hands
 from smooth_operator.errors import ConfigError, HandModelError, OutputError, UnknownNameError
-from smooth_operator.hand_files.spec_writer import write_hand_spec
-from smooth_operator.hand_files.user_hands import save_hand
+from smooth_operator.hand_files.user_hands import save_hand, write_hand_spec
 from smooth_operator.hands.registry import MODELS, find_hand, hand_names, known_hands, load_hand
 from smooth_operator.hands.spec import HandSpec, JointMap, Point
 from smooth_operator.hands.spec_file import read_hand_spec

@@ -12,7 +12,7 @@ from capsule_depths import depths, ends_of
 
 from smooth_operator import Retargeter
 from smooth_operator.cli import main
-from smooth_operator.hand_files.spec_writer import write_hand_spec
+from smooth_operator.hand_files.user_hands import write_hand_spec
 from smooth_operator.hands.capsules import capsule_pairs
 from smooth_operator.hands.collision import penetration_depths, solid_shapes
 from smooth_operator.hands.hand import Hand, fingerprint, load_hand_spec

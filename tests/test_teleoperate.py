@@ -21,7 +21,7 @@ from live_time import until
 
 from smooth_operator import Retargeter
 from smooth_operator.errors import ConfigError, SinkError, SourceError, UnknownNameError
-from smooth_operator.hand_files.spec_writer import temporary_spec
+from smooth_operator.hand_files.user_hands import temporary_spec
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.teleop import TeleopLoop, read_log, teleoperate
 from smooth_operator.teleop.components import build_source

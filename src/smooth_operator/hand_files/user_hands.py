@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import os
 import shutil
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Final
 
-from smooth_operator.atomic_files import output_error
-from smooth_operator.errors import HandModelError, UnknownNameError
-from smooth_operator.hand_files.model_files import copy_model
-from smooth_operator.hand_files.spec_writer import write_hand_spec
+from smooth_operator.atomic_files import atomic_write, output_error
+from smooth_operator.errors import DocumentError, HandModelError, UnknownNameError
+from smooth_operator.formats.toml_writer import toml_key, toml_value
+from smooth_operator.hands.loading import load_model
+from smooth_operator.hands.model_assets import read_model_files
 from smooth_operator.hands.registry import HANDS, origin, shadowing
-from smooth_operator.hands.spec import HandSpec
-from smooth_operator.hands.spec_file import check_hand_name
+from smooth_operator.hands.spec import HandSpec, Point
+from smooth_operator.hands.spec_file import FORMAT, POINTS, check_hand_name
 from smooth_operator.hands.user_folder import find_specs, model_folder, spec_name, user_hands_folder
 from smooth_operator.types import Side
 
@@ -101,3 +107,172 @@ def removable(name: str, side: Side | None = None) -> tuple[Path, ...]:
     sides = [one for one in files if side in (None, one)]
     copies = [folder for one in sides if (folder := model_folder(name, one)).is_dir()]
     return (*(files[one] for one in sides), *copies)
+
+
+MOST_BYTES: Final = 500_000_000
+"""Models with their meshes have 0.1 to 100 MB; what is larger is left where it is."""
+_HIGHEST: Final = 4
+"""Folders above the model's own from which files are taken; what lies further away is not part of
+the model's package, and stays where it is."""
+
+
+def model_files(path: Path) -> tuple[Path, ...]:
+    """The model file, what it includes, and its meshes and textures, as far as they are there.
+
+    Args:
+        path: MJCF or URDF file.
+
+    Raises:
+        HandModelError: the file is no model.
+    """
+    files = read_model_files(path)
+    return tuple(dict.fromkeys([*files.documents, *files.assets.values()]))
+
+
+def copy_model(path: Path, folder: Path) -> Path | None:
+    """Copies a model with all its files, so that it no longer depends on the original.
+
+    The files keep their places relative to each other. The folder is replaced as a whole, and only
+    if the copy can be loaded.
+
+    Args:
+        path: MJCF or URDF file that can be loaded.
+        folder: where to; what is there is replaced.
+
+    Returns:
+        the copy of the model file; None if the files are too large, or the copy is not the same
+        model, as where files are named by absolute paths. Then nothing was changed.
+
+    Raises:
+        HandModelError: the file is no model.
+        OutputError: the copy can't be written.
+    """
+    path = path.absolute()
+    top = path.parents[min(_HIGHEST, len(path.parents) - 1)]
+    files = [file for file in model_files(path) if file.is_relative_to(top)]
+    if sum(file.stat().st_size for file in files) > MOST_BYTES:
+        return None
+    root = Path(os.path.commonpath([file.parent for file in files]))
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        trial = Path(tempfile.mkdtemp(prefix=".copying-", dir=folder.parent))
+    except OSError as error:
+        raise output_error(folder, error) from error
+    try:
+        for file in files:
+            target = trial / file.relative_to(root)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(file, target)
+        if not _same_model(path, trial / path.relative_to(root)):
+            return None
+        if folder.exists():
+            shutil.rmtree(folder)
+        trial.replace(folder)
+    except OSError as error:
+        raise output_error(folder, error) from error
+    finally:
+        shutil.rmtree(trial, ignore_errors=True)
+    return folder / path.relative_to(root)
+
+
+def _same_model(one: Path, other: Path) -> bool:
+    try:
+        ours, theirs = load_model(one), load_model(other)
+    except HandModelError:
+        return False
+    return (
+        ours.model.nq == theirs.model.nq
+        and ours.model.ngeom == theirs.model.ngeom
+        and ours.unreadable == theirs.unreadable
+    )
+
+
+def write_hand_spec(spec: HandSpec, path: str | Path, *, comment: str = "") -> None:
+    """Writes a spec file that ``read_hand_spec`` reads back.
+
+    Args:
+        spec: the hand. A model in the file's folder, or below it, is named relative to it, so that
+            the folder can be moved; any other by its whole path.
+        path: the file; it is replaced whole or not at all.
+        comment: lines to put first.
+
+    Raises:
+        HandModelError: the hand's name can't be one, or a number is not finite.
+        OutputError: the file can't be written.
+    """
+    path = Path(path)
+    try:
+        text = "\n".join(_lines(spec, path.absolute().parent, comment)) + "\n"
+        with atomic_write(path) as file:
+            file.write(text.encode("utf-8"))
+    except DocumentError as error:
+        raise HandModelError(f"{path}: {error}") from error
+    except OSError as error:
+        raise output_error(path, error) from error
+
+
+@contextmanager
+def temporary_spec(hand: str | HandSpec) -> Iterator[str]:
+    """A hand as text, for another process: its name, or the path of a file with its description.
+
+    Yields:
+        The text, for ``load_hand``; the file is deleted at the end.
+    """
+    if isinstance(hand, str):
+        yield hand
+        return
+    with tempfile.TemporaryDirectory(prefix="smooth-operator-") as folder:
+        file = Path(folder) / "hand.toml"
+        write_hand_spec(hand.mirrored if hand.mirror else hand, file)
+        yield str(file)
+
+
+def _lines(spec: HandSpec, folder: Path, comment: str) -> Iterator[str]:
+    for line in comment.splitlines():
+        yield f"# {line}".rstrip()
+    yield f"format = {FORMAT}"
+    yield f"name = {toml_value(check_hand_name(spec.name))}"
+    yield f"side = {toml_value(spec.side)}"
+    if spec.source:
+        yield f"source = {toml_value(spec.source)}"
+    yield f"model = {toml_value(_model(spec.model, folder))}"
+    if spec.mirror:
+        yield "mirror = true"
+    yield f"palm = {toml_value(spec.palm)}"
+    yield f"wrist = {_point(spec.wrist)}"
+    yield f"align = {toml_value(spec.align)}"
+    if isinstance(spec.torque, float | int):
+        yield f"torque = {toml_value(float(spec.torque))} # N m"
+    for finger in spec.fingers:
+        yield ""
+        yield f"[fingers.{finger.name}]"
+        for name, point in zip(POINTS[finger.name], finger.points, strict=True):
+            if point is not None:
+                yield f"{name} = {_point(point)}"
+    if spec.neutral:
+        yield ""
+        yield "[neutral] # rad"
+        for joint, position in spec.neutral.items():
+            yield f"{toml_key(joint)} = {toml_value(position)}"
+    if isinstance(spec.torque, Mapping):
+        yield ""
+        yield "[torque] # N m"
+        for joint, torque in spec.torque.items():
+            yield f"{toml_key(joint)} = {toml_value(torque)}"
+    for row in spec.joint_map:
+        yield ""
+        yield f"[joint_map.{toml_key(row.joint)}]"
+        yield f"offset = {toml_value(row.offset)}"
+        if row.gains:
+            yield f"gains = {toml_value(row.gains)}"
+
+
+def _model(model: Path, folder: Path) -> str:
+    # A link is kept as it is: only what the paths say counts, not where they lead.
+    whole = model.absolute()
+    return (whole.relative_to(folder) if whole.is_relative_to(folder) else whole).as_posix()
+
+
+def _point(point: Point) -> str:
+    offset = {"offset": [float(value) for value in point.offset]} if any(point.offset) else {}
+    return toml_value({"body": point.body, **offset})

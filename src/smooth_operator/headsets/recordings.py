@@ -23,7 +23,7 @@ from jaxtyping import Float
 from smooth_operator.errors import DocumentError, RecordingError, brief
 from smooth_operator.formats.bounds import Allowance, TooLargeError
 from smooth_operator.formats.checks import stamps_from_rate
-from smooth_operator.headsets.avp_hands import JOINTS, avp_frame
+from smooth_operator.headsets.avp_messages import JOINTS, avp_frame
 from smooth_operator.headsets.hts_lines import HtsHands, HtsLine, hts_frame, parse_line
 from smooth_operator.headsets.repeats import Repeats
 from smooth_operator.io import documents

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
 from smooth_operator.compilation.start import dispatch_here
 from smooth_operator.errors import require
 from smooth_operator.hand_files.menagerie import drawn_on
-from smooth_operator.hand_files.spec_writer import temporary_spec
+from smooth_operator.hand_files.user_hands import temporary_spec
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import default_side
 from smooth_operator.hands.spec import HandSpec
