@@ -153,7 +153,8 @@ def test_no_lane_draws_samples_for_a_lane_that_needs_none() -> None:
         return q + 1
 
     def one(q: Any, rounds: Any) -> Any:
-        return settled(sampled, lambda q: (q * 0.5, jnp.abs(q).sum()), q, rounds)
+        descended = lambda q, free: (q * 0.5, jnp.abs(q).sum())  # noqa: E731
+        return settled(sampled, descended, q, rounds, jnp.bool_(False))[0]
 
     many: Callable[..., Any] = jax.jit(jax.vmap(one))
     q, rounds = np.ones((3, 2), np.float32), np.array([0, 0, 0], np.int32)

@@ -296,7 +296,7 @@ def test_the_second_half_gains_from_a_fit_on_the_first(shared: Path, hand: Hand)
 
 
 @pytest.mark.shared
-def test_the_default_method_closes_pinches_and_keeps_its_directions(
+def test_the_precise_preset_closes_pinches_and_keeps_its_directions(
     shared: Path, hand: Hand
 ) -> None:
     """Fitted on the first half, judged in the second, against the human as tracked."""
@@ -314,7 +314,7 @@ def test_the_default_method_closes_pinches_and_keeps_its_directions(
             metrics["motion_preservation"],
         )
 
-    config = method_config("smooth")
+    config = method_config("smooth", "precise")
     before, after = judged(config), judged(config.with_operator(operator))
     assert after[0] < before[0] - 0.2
     # without a calibration, fingers that should bend no longer stay straight: 0.9567, not 0.9529
