@@ -48,7 +48,7 @@ def read_egodex(
         tree: the file's groups.
         path: the file, for messages.
         rate: frames a second [Hz]; the data set has 30.
-        side: which of the two hands; the right one if left out.
+        side: side of the hand; the right one if left out.
 
     Raises:
         RecordingError: joints are missing or have another shape; there is no rate.
@@ -107,7 +107,7 @@ def egodex_camera(tree: Mapping[str, Hdf5Group], path: Path) -> Float[np.ndarray
 def egodex_confidences(
     tree: Mapping[str, Hdf5Group], side: Side, count: int
 ) -> Float[np.ndarray, "T 25"] | None:
-    """How sure ARKit is of each joint, 0 to 1; NaN for a joint without, None if no joint has it."""
+    """Confidence of ARKit in each joint, 0 to 1; NaN for a joint without; None without any."""
     group = tree.get("confidences")
     held = {} if group is None else group.arrays
     sure = np.full((count, len(EGODEX_JOINTS[side])), np.nan)

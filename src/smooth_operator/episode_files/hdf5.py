@@ -169,7 +169,7 @@ def read_hdf5_recording(
 
 
 def is_own_hdf5(path: Path) -> bool:
-    """Whether this program wrote the file."""
+    """True if this program wrote the file."""
     try:
         return bool(read_tree(path, head=True)["/"].attributes.get("format") == FORMAT)
     except RecordingError:
@@ -373,8 +373,8 @@ def _write_array(group: Group, name: str, value: np.ndarray, units: str | None) 
     """Add an array to a group, packed.
 
     Args:
-        group: of an open h5py file.
-        name: of the array.
+        group: group of an open h5py file.
+        name: name of the array.
         value: the array.
         units: its attribute; None for none.
     """

@@ -61,7 +61,7 @@ class Hdf5Array:
     Attributes:
         name: with its groups.
         shape: its shape.
-        kind: what its elements are, as NumPy has it: ``f``, ``i``, ``u``, ``b``, or another.
+        kind: kind of its elements in NumPy's letters: ``f``, ``i``, ``u``, ``b``, or another.
         type: the same for a person.
         attributes: texts, numbers and lists of them.
         data: its numbers, None where it holds something else.
@@ -83,7 +83,7 @@ class Hdf5Group:
 
     Attributes:
         name: with those that it is in.
-        names: of what it holds, the first hundred.
+        names: names of its members, the first hundred.
         attributes: texts, numbers and lists of them.
         arrays: those that this package reads.
     """
@@ -94,7 +94,7 @@ class Hdf5Group:
     arrays: dict[str, Hdf5Array]
 
     def describe(self) -> str:
-        """What it holds, for messages."""
+        """Content, for messages."""
         return listed(self.names) or "nothing"
 
 

@@ -129,7 +129,7 @@ def write_npz_episode(path: Path, episode: Episode) -> None:
 
 
 def is_own_npz(path: Path) -> bool:
-    """Whether this program wrote the file, as an episode or as the result of a retargeting."""
+    """True if this program wrote the file, as an episode or as the result of a retargeting."""
     try:
         arrays = open_arrays(path)
         if all(name in arrays for name in _COMMANDS):

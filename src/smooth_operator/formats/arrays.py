@@ -49,7 +49,7 @@ class StoredArray:
     Attributes:
         shape: its shape.
         dtype: its element type; ``dtype.hasobject`` means that it is a pickle.
-        allowance: what may be unpacked of the file.
+        allowance: number of bytes that may be unpacked from the file.
     """
 
     path: Path

@@ -42,7 +42,7 @@ class Allowance:
         path: the file, for messages.
         most: bytes in all.
         used: bytes of each part so far, and
-        total: of all.
+        total: sum over all files.
     """
 
     path: Path
@@ -52,7 +52,7 @@ class Allowance:
 
     @classmethod
     def of(cls, path: Path, size: int, ratio: int = ARRAYS_RATIO) -> Allowance:
-        """That of a file of some size [bytes]."""
+        """Allowance of a file of some size [bytes]."""
         return cls(path, max(FREE_BYTES, ratio * size))
 
     def take(self, part: str, count: int) -> None:
@@ -60,7 +60,7 @@ class Allowance:
 
         Args:
             part: its name.
-            count: what it takes [bytes].
+            count: size [bytes].
 
         Raises:
             TooLargeError: that would be more than is allowed.

@@ -40,7 +40,7 @@ def check_recording(recording: HandRecording, where: str) -> None:
     Landmarks missing here and there are no fault; they stay flagged invalid.
 
     Args:
-        recording: what was read.
+        recording: recording that was read.
         where: the file, for the message.
 
     Raises:

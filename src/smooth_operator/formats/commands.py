@@ -39,7 +39,7 @@ def write_commands(
 
     Args:
         path: ``OUT.npz``; its folder must exist, a file that stands there is replaced.
-        commands: what to write.
+        commands: commands to write.
         config: the configuration to write with it; see ``to_json``.
 
     Raises:

@@ -15,7 +15,7 @@ from smooth_operator.types import CommandTrajectory, HandRecording, Status, unit
 
 @dataclass(frozen=True, eq=False)
 class StateTrajectory:
-    """Where a robot hand was, real or simulated, and what its actuators felt.
+    """Measured states of a robot hand, real or simulated, and efforts of its actuators.
 
     Attributes:
         stamps: (S,) rising times of the measurements [s], on the clock of the episode's commands.
@@ -71,10 +71,10 @@ class StateTrajectory:
 
 @dataclass(frozen=True, eq=False)
 class ArmTrack:
-    """Where an arm was sent, and where it was: one row for each command of the hand's fingers.
+    """Commands and states of an arm: one row for each command of the hand's fingers.
 
     Attributes:
-        name: of the arm.
+        name: name of the arm.
         joint_names: (n,) from the base.
         positions: (C, n) commanded [rad]; NaN where a command had none.
         measured: (C, n) measured when the command was sent [rad]; NaN where nothing was.
@@ -114,7 +114,7 @@ BASE = "base"
 
 @dataclass(frozen=True, eq=False)
 class WristTrack:
-    """Where the wrist of a robot hand was sent, one row for each command of its fingers.
+    """Commanded poses of a robot hand's wrist, one row for each command of its fingers.
 
     Attributes:
         poses: (C, 7) x y z [m] and unit quaternion w x y z in ``world``; NaN where a command had
@@ -175,9 +175,9 @@ class Episode:
         config: the resolved configuration that made the commands, as JSON has it, or None.
         stages_ms: (C,) time of each stage of the loop [ms] by name, one value per command, NaN
             where a command did not have the stage.
-        task: what was being done, in words, or None.
-        name: of the episode, for files and reports.
-        notes: what a person should know about how it was read.
+        task: the task in words, or None.
+        name: name of the episode, for files and reports.
+        notes: notes for a person on how it was read.
         states: the measured joints of the robot hand, or None.
         wrist: the commanded wrist of the robot hand, with each of the commands, or None.
         arm: the arm that carried it, the same way, or None.
@@ -292,7 +292,7 @@ class Episode:
         """This recording with the commands of another file.
 
         Args:
-            other: what holds the commands.
+            other: episode with the commands.
             where: its name, for messages.
 
         Raises:

@@ -73,7 +73,7 @@ def read_recording(
     Args:
         path: the file.
         rate: frames a second [Hz], needed where the file has no stamps.
-        side: which hand; needed where the file does not say and it is a left one.
+        side: side of the hand; needed where the file does not say and it is a left one.
         layout: the order of the landmarks in an array of 21, by its name in
             ``LAYOUTS``; None for the project's own, which is checked.
             The order of other files is known.

@@ -25,14 +25,14 @@ class Reader:
     """A format of recordings.
 
     Attributes:
-        what: what its files are, for messages: ``a .csv file of landmarks``.
+        what: kind of its files, for messages: ``a .csv file of landmarks``.
         read: ``read(path, rate, side, layout)`` gives the recording: ``rate`` [Hz] for a file
             without stamps, ``side`` and ``layout`` (the order of 21 landmarks, by its name) as the
             caller says, each None where the caller says nothing. Raises ``RecordingError`` where
             the file can't be used. What it gives is checked as other recordings are. A function, or
             where it is, to be imported when a file is read.
-        magic: what its files begin with, one of these.
-        suffixes: what their names end with, in lower case (``.csv``): which files of a folder are
+        magic: first bytes of its files, one of these.
+        suffixes: endings of their names, in lower case (``.csv``): which files of a folder are
             looked at; for a format without ``magic``, also which files are its own.
         count: ``count(path)`` gives the number of frames without reading them all, or None; None if
             there is no such function.

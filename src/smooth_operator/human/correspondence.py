@@ -158,7 +158,7 @@ class Correspondence:
         return points[rows].astype(np.float32), lengths
 
     def init(self) -> CorrespondenceState:
-        """Of an operator who hasn't been seen yet."""
+        """State of an operator before the first frame."""
         count = len(self.hand.fingers)
         points, none = np.zeros((count, 3), np.float32), np.zeros(count, np.float32)
         state: CorrespondenceState = jax.device_put(

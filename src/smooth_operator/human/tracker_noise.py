@@ -43,9 +43,9 @@ class NoiseConfig:
     """Settings of the removal of tracker noise.
 
     Attributes:
-        acceleration: of a fingertip at rest that counts as motion in a frame [m/s^2]: the larger,
+        acceleration: acceleration [m/s^2] of a resting fingertip that counts as motion: the larger,
             the less is filtered. 0 removes no noise.
-        by_speed: how much larger that is, by the fingertip's speed [1/s].
+        by_speed: growth of that with the fingertip's speed [1/s].
         outlier: standard deviations from where a fingertip is expected at which it is half
             followed as it was measured.
         level_time: averaging time of how much noise there is [s].
@@ -100,7 +100,7 @@ class NoiseState(NamedTuple):
 
     @classmethod
     def unseen(cls, count: int) -> NoiseState:
-        """Of ``count`` points that haven't been seen yet."""
+        """State of ``count`` points before the first frame."""
         palm, points = (np.zeros((size, 3), np.float32) for size in (len(PALM), count))
         none = np.float32(0)
         placed: NoiseState = jax.device_put(
@@ -115,7 +115,7 @@ class NoiseState(NamedTuple):
 
     @property
     def white(self) -> Float[Array, ""]:
-        """How much of ``power`` changes its sign from frame to frame [m^2]."""
+        """Share of ``power`` that changes its sign from frame to frame [m^2]."""
         return self.power * jnp.clip(2 * self.opened / _SHORTEST, 0.0, 1.0)
 
     @property
@@ -132,7 +132,7 @@ class NoiseState(NamedTuple):
 
     @property
     def share(self) -> Float[Array, ""]:
-        """How much of the palm's fit is applied, 0 to 1."""
+        """Share of the palm's fit that is applied, 0 to 1."""
         return self.loud * self.sure
 
     @property
@@ -158,7 +158,7 @@ def remove_noise(
     Args:
         before: state after the last frame.
         aligned: (21, 3) landmarks in the palm frame [m]; NaN where one is not known.
-        needs: which of them are wanted, fingertips and wrist; known in every frame.
+        needs: mask of the landmarks to clean, fingertips and wrist; they are known in every frame.
         dt: time between the two frames [s].
         config: settings.
         restart: the last frame was too long ago to count.

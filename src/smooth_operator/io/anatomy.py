@@ -89,14 +89,14 @@ _CMC: Final = np.array([0.63, 0.408, 0.103, -0.141])  # their shares: least squa
 
 @dataclass(frozen=True)
 class Doubt:
-    """Why landmarks can't be what they are said to be.
+    """Reason why landmarks can't be those of the declared side and order.
 
     Attributes:
-        what: what they look like, as a clause.
+        what: appearance of the landmarks, as a clause.
         layout: the layout that they are in, if it has a name.
         order: the index of each landmark in the points as they came; None where the side is wrong.
         side: the side that they are of; None where the order is wrong.
-        mend: what to do where neither would help.
+        mend: advice where neither would help.
     """
 
     what: str
@@ -236,11 +236,11 @@ def check_hand(
 
     Args:
         points: (T, 21, 3) positions [m] as they came, in any right-handed frame.
-        side: which hand they are said to be of.
+        side: declared side of the hand.
         valid: (T, 21) which of them count; the finite ones if left out.
         layout: the order they are said to be in; None for the project's own, which is judged.
             ``mediapipe`` (or ``openpose``) is the same, and its order is not checked.
-        where: what they are, for the message.
+        where: origin of the landmarks, for the message.
 
     Raises:
         RecordingError: they are not, with what was recognised and what to do. Fewer than
@@ -263,7 +263,7 @@ def doubt(
 
     Args:
         points: (T, 21, 3) positions [m] as they came.
-        side: which hand they are said to be of.
+        side: declared side of the hand.
         valid: (T, 21) which of them count; the finite ones if left out.
         layout: the order they are said to be in; None for the project's own, which is judged.
             ``mediapipe`` (or ``openpose``) is the same, and its order is not checked.
@@ -303,7 +303,7 @@ def _other_side(landmarks: Float[np.ndarray, "T 21 3"], side: Side) -> Doubt | N
 
 
 def chirality(landmarks: Float[np.ndarray, "T 21 3"]) -> Float[np.ndarray, " T"]:
-    """Which hand each frame shows, by its shape: positive for a right, negative for a left one.
+    """Chirality of each frame by its shape: positive for a right, negative for a left one.
 
     The sum of how far thumb CMC and MCP are in front of the plane of the palm and the middle and
     ring MCP behind it, in palm lengths, and of the mean sine of the fingers' bends; 2 at most. A
@@ -331,10 +331,10 @@ class HandCheck:
     no other order, by their side.
 
     Args:
-        side: which hand they are said to be of.
+        side: declared side of the hand.
 
     Attributes:
-        judged: how many whole frames have been seen.
+        judged: number of whole frames so far.
     """
 
     WINDOW: Final = 30
@@ -368,7 +368,7 @@ class HandCheck:
 
 
 def _other_order(points: Float[np.ndarray, "T 21 3"], layout: str | None) -> Doubt | None:
-    """Which other order fits far better than the one that was stated, or that none fits."""
+    """Finds an order that fits far better than the declared one, or that none fits."""
     stated = layout_order(layout)
     apart = np.linalg.norm(points[:, :, None] - points[:, None], axis=-1)
     lengths = np.median(apart, axis=0)

@@ -73,7 +73,7 @@ def parse_json(text: str | bytes, *, most_bytes: int = MOST_BYTES) -> Any:
 
     Args:
         text: as text, or as bytes in UTF-8.
-        most_bytes: how long it may be.
+        most_bytes: largest size [bytes].
 
     Raises:
         DocumentError: it is no JSON, too long, nested deeper than ``MOST_LEVELS``, or has a

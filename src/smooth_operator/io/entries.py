@@ -33,7 +33,7 @@ class Entries:
 
     Attributes:
         file: name of the file in messages.
-        values: what the table holds.
+        values: content of the table.
         refuse: class of the errors.
         where: dotted name of the table in the file; empty for the file itself.
     """

@@ -171,7 +171,7 @@ class MethodConfig(ABC):
     """Alignment of landmarks to the palm frame."""
 
     shareable: ClassVar[bool] = True
-    """Whether retargeters with equal settings, and those of a mirrored hand, may share one compiled
+    """True if retargeters with equal settings, and those of a mirrored hand, may share one compiled
     program. False where the settings do not determine the program, such as the path of a file."""
 
     color: ClassVar[str | None] = None

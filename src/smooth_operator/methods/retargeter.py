@@ -60,11 +60,11 @@ class Retargeter:
         method: name of the method.
         preset: name of its preset; None for the method's default.
         config: a configuration of your own, instead of method and preset.
-        seed: of the method's random numbers.
+        seed: seed of the method's random numbers.
         rate: frames a second [Hz] of frames without stamps, such as those of a video; None for the
             time of the call. Their stamps count from 0.
         clock: seconds that never go back, for the time of the call.
-        cache: whether compiled programs are read from this user's cache folder, and kept there.
+        cache: True if compiled programs are read from this user's cache folder, and kept there.
 
     Attributes:
         method: the method for this hand.
@@ -111,7 +111,7 @@ class Retargeter:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What a person should know of this method on this hand, such as collision shapes that are
+        """Notes for a person on this method on this hand, such as collision shapes that are
         estimated because the model's mesh files can't be read; empty for most hands."""
         return self.config.notes(self.hand)
 
@@ -232,7 +232,7 @@ class Retargeter:
         return replace(result, status=Status.IMPLAUSIBLE_HAND) if doubtful else result
 
     def _check_input(self, frame: HandFrame) -> bool:
-        """Whether the last frames show another hand; among the first, that is an error."""
+        """True if the last frames show another hand; among the first, that is an error."""
         assert frame.valid is not None  # filled in on construction
         doubtful = self._input.see(frame.landmarks, frame.valid)
         if doubtful is not None and self._input.judged <= HandCheck.WINDOW:
@@ -246,7 +246,7 @@ class Retargeter:
         return HandFrame(np.asarray(frame), side=self.hand.spec.side)
 
     def _stamp_of(self, state: RetargetState, frame: HandFrame) -> float:
-        """When a frame was measured [s]: as it says, or a period after the last one."""
+        """Time of a frame [s]: its stamp, or a period after the last one."""
         if frame.stamp is not None:
             return frame.stamp
         if self.rate is None:
@@ -286,7 +286,7 @@ class Retargeter:
 
         Args:
             recording: the human hand.
-            seed: of the random numbers; None for the retargeter's own.
+            seed: seed of the random numbers; None for the retargeter's own.
             track: wraps the iteration over frames, for a progress bar.
 
         Returns:

@@ -75,9 +75,9 @@ class SmoothConfig(ObjectiveMethodConfig):
     """Settings of ``smooth``. A weight of 0 leaves its term out.
 
     Attributes:
-        alignment: how human landmarks reach the palm frame.
+        alignment: alignment of human landmarks to the palm frame.
         objective: targets, loss, pose and velocity weight. The velocity weight is that at 100 Hz.
-        motion_weight: of fingertips moving as the human's do, at 100 Hz.
+        motion_weight: weight of fingertips that move as the human's do, at 100 Hz.
         motion_speed: human fingertip speed at which that weight is halved [m/s]; it goes on to fall
             with the square of the speed, since a correction of the same size turns a fast motion
             less. 0 leaves it constant.
@@ -93,7 +93,7 @@ class SmoothConfig(ObjectiveMethodConfig):
         joint_speed: largest speed of a joint, over the usual time between frames [rad/s].
         sampling: hyper-parameters of Algorithm 1, which finds the basin of the first frame, and of
             the first after a gap.
-        settle_rounds: how often such a frame is solved, each time from the last answer.
+        settle_rounds: number of solutions of such a frame, each from the last answer.
         settle_sigma: initial standard deviation of the sampler then [rad].
         polish: Newton steps of a frame, at most.
         rate_hz: rate that is assumed where stamps stand still.
@@ -150,7 +150,7 @@ class SmoothConfig(ObjectiveMethodConfig):
         return Smooth(hand, self)
 
     def notes(self, hand: Hand) -> tuple[str, ...]:
-        """Whether collision shapes are estimated."""
+        """Note on estimated collision shapes."""
         note = stand_in_note(hand) if self.self_collision.weight else None
         return (note,) if note else ()
 
@@ -188,12 +188,12 @@ class SmoothState(NamedTuple):
 
 
 class _Observed(NamedTuple):
-    """What a frame shows, and asks of the hand.
+    """Landmarks of a frame, and its targets.
 
     Attributes:
         clock, now: when it is.
         operator, noise, filtered, policy: states after it.
-        goal: what it asks.
+        goal: targets of the frame.
         moves, places: (F, 3) steps of the fingertips' places, and the places from the robot's
             wrist [m].
     """
@@ -341,7 +341,7 @@ class Smooth(Method):
     def _observed(
         self, state: SmoothState, aligned: Float[Array, "21 3"], now: UInt32[Array, ""]
     ) -> _Observed:
-        """What a frame shows, and asks of the hand."""
+        """Landmarks of a frame, and its targets."""
         config = self.config
         clock = FrameClock.of(
             now - state.ticks, state.frames, state.period, config.rate_hz, config.gap

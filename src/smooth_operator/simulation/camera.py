@@ -24,10 +24,10 @@ _TOO_COSTLY: Final = ("SHADOW", "REFLECTION")  # nine tenths of the time without
 
 @dataclass(frozen=True)
 class View:
-    """Where a camera is; what is None follows from the hand and its task.
+    """Place of a camera; None follows from the hand and its task.
 
     Attributes:
-        azimuth: of the direction of view, as MuJoCo counts it [degrees].
+        azimuth: azimuth of the direction of view, as MuJoCo counts it [degrees].
         elevation: likewise [degrees]; negative looks down.
         distance: to what is looked at [m].
     """
@@ -45,8 +45,8 @@ class SimulatedCamera:
 
     Args:
         physics: the hand, and its scene if there is one.
-        width: of a picture [px].
-        height: of a picture [px].
+        width: width of a picture [px].
+        height: height of a picture [px].
         view: where the camera is.
 
     Raises:

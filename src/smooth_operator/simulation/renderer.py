@@ -19,7 +19,7 @@ _ADVICE: Final = (
 
 
 def draw_off_screen() -> None:
-    """Has MuJoCo draw by EGL or OSMesa on a Linux machine without a display.
+    """Makes MuJoCo draw by EGL or OSMesa on a Linux machine without a display.
 
     MuJoCo chooses its OpenGL when it is imported, so this must come before. A choice in the
     environment variable MUJOCO_GL stays.

@@ -101,7 +101,7 @@ UNITS: Final = {
 
 @dataclass(frozen=True)
 class Layout:
-    """Which columns a dataset, or one episode of it, has.
+    """Columns of a dataset, or of one episode.
 
     Attributes:
         hand: the episodes have a hand.
@@ -127,7 +127,7 @@ class Layout:
 
     @classmethod
     def of(cls, episode: Episode) -> Layout:
-        """What one episode needs."""
+        """Layout of one episode."""
         recording, commands = episode.recording, episode.commands
         return cls(
             recording is not None,
@@ -142,11 +142,11 @@ class Layout:
         )
 
     def widened(self, other: Layout, names: tuple[str, str]) -> Layout:
-        """What both need.
+        """Layout that serves both.
 
         Args:
-            other: of another episode.
-            names: of the two, for the message.
+            other: layout of another episode.
+            names: names of the two, for the message.
 
         Raises:
             RecordingError: one has a hand or commands and the other has none, or their joints
@@ -256,8 +256,8 @@ def episode_columns(
     """The columns of an episode.
 
     Args:
-        episode: what to write.
-        layout: of the dataset.
+        episode: episode to write.
+        layout: layout of the dataset.
         number: ``episode_index``.
         first: ``index`` of its first frame.
         task: ``task_index``.

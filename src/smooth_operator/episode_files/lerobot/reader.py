@@ -151,9 +151,9 @@ def read_dataset_episode(
 
     Args:
         dataset: that holds it.
-        number: of the episode.
+        number: number of the episode.
         rate: frames a second [Hz]; the stamps of the episode must agree.
-        side: which hand; needed where the dataset does not say and it is a left one.
+        side: side of the hand; needed where the dataset does not say and it is a left one.
         layout: the order of the landmarks of another tool, one of ``LAYOUTS``; that of this
             program's own episodes is known.
 
@@ -255,7 +255,7 @@ def _object(value: Any, what: str) -> dict[str, Any]:
 
 
 def _names(feature: Mapping[str, Any]) -> list[str]:
-    """What a feature calls its numbers.
+    """Names of a feature's numbers.
 
     Raises:
         ValueError: the names are no list of texts.
@@ -269,7 +269,7 @@ def _names(feature: Mapping[str, Any]) -> list[str]:
 
 
 def _own(row: Mapping[str, Any], where: Path) -> dict[str, Any]:
-    """What only this program writes; empty if other tools dropped it."""
+    """Metadata that only this program writes; empty if other tools dropped it."""
     text = row.get(OWN_COLUMN)
     if not isinstance(text, str):
         return {}
@@ -334,7 +334,7 @@ def _recording(
 
 
 def _has(own: dict[str, Any], name: str, table: Any) -> bool:
-    """Whether a column is the episode's own; where nothing says so, the column itself decides."""
+    """True if a column is the episode's own; where nothing says so, the column itself decides."""
     return bool(own.get(name, True)) and name in table.column_names
 
 

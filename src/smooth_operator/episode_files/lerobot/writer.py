@@ -48,7 +48,7 @@ Columns: TypeAlias = Literal["all", "robot", "robot-wrist"]
 
 @dataclass
 class _Survey:
-    """What the first pass found."""
+    """Result of the first pass."""
 
     layout: Layout
     tasks: list[str] = field(default_factory=list)
@@ -199,7 +199,7 @@ def _card(info: dict[str, Any]) -> str:
 
 
 def is_own_dataset(path: Path) -> bool:
-    """Whether a folder is a dataset that this program wrote, with nothing else in it."""
+    """True if a folder is a dataset that this program wrote, with nothing else in it."""
     try:
         mark = read_json(path / MARK)
         others = {item.name for item in path.iterdir()} - {"meta", "data", "README.md"}
@@ -263,7 +263,7 @@ def _again(episodes: Sequence[Load], survey: _Survey) -> Iterator[Episode]:
 
 
 def _own(episode: Episode) -> dict[str, Any]:
-    """What LeRobot has no place for."""
+    """Metadata that LeRobot has no place for."""
     layout = Layout.of(episode)
     return {
         "name": episode.name,
@@ -319,7 +319,7 @@ def _write_json(path: Path, value: Any) -> None:
 
 
 class _Notes:
-    """What a person should know of a dataset."""
+    """Notes for a person on a dataset."""
 
     def __init__(self, fps: int) -> None:
         self._fps = fps

@@ -44,7 +44,7 @@ def check_folder(
     Args:
         folder: where to.
         command: whose results may stand there already.
-        former: what those are, for the message.
+        former: origin of those, for the message.
 
     Raises:
         OutputError: a file stands there, or the folder holds something other than such results.
@@ -98,11 +98,11 @@ class BenchmarkFolder:
     """The folder of one benchmark.
 
     Args:
-        settings: what is asked for; its ``output`` is the folder, made if need be.
+        settings: settings of the benchmark; its ``output`` is the folder, which is created.
         note: called with cells that can't be used.
 
     Attributes:
-        measured: what was measured of cells, without latency.
+        measured: measurements of cells, without latency.
 
     Raises:
         OutputError: the folder can't be written to, or holds something else.

@@ -15,7 +15,7 @@ _built: OrderedDict[str, tuple[Runner, float]] = OrderedDict()
 
 
 def built_for(todo: Plan) -> tuple[Runner, float]:
-    """What ``build`` gives, made once for a hand and a configuration.
+    """Builds a hand and a configuration once.
 
     A retargeter serves many recordings, since its state is not inside it.
 

@@ -85,7 +85,7 @@ def cells_of(
 
 
 def fingerprint(cell: Cell, settings: Settings) -> str:
-    """What the result of a cell depends on but for code, as one word.
+    """Fingerprint of a cell's inputs, without code.
 
     Frames, hand, configuration, seed and definitions are in it. Of two cells with one fingerprint,
     one need not be done again.

@@ -25,12 +25,12 @@ _POINTS: Final = 21 * 3 * 2 * 4 / 3  # bytes of one hand in one frame, in base64
 
 
 def make_clip(panel: Panel, colors: Mapping[str, str], hands: int) -> dict[str, Any]:
-    """What the player needs of one panel, ready for JSON.
+    """Clip of one panel for the player, ready for JSON.
 
     Args:
         panel: one recording on one hand.
         colors: method -> colour.
-        hands: how many hands all clips of the page show, to share the budget among them.
+        hands: number of hands in all clips of the page, which share the budget.
 
     Returns:
         ``times`` of the frames [s]; ``humans`` and ``robots``, each (frames, 21, 3) int16 in base64

@@ -46,9 +46,9 @@ class Compared:
     """A cell in both benchmarks.
 
     Attributes:
-        key: what names the cell.
-        changes: of the metrics that both have, in their order.
-        notes: what else differs, so that the figures may not be comparable.
+        key: name of the cell.
+        changes: changes of the metrics that both have, in their order.
+        notes: other differences, by which the figures may not be comparable.
     """
 
     key: tuple[str, ...]
@@ -61,7 +61,7 @@ class Comparison:
     """Two benchmarks.
 
     Attributes:
-        name: of the other one.
+        name: name of the other one.
         cells: those that succeeded in both.
         only_here: keys of cells that the other has not, or that failed there.
         only_there: keys of cells that this has not, or that failed here.
@@ -73,7 +73,7 @@ class Comparison:
     only_there: tuple[tuple[str, ...], ...]
 
     def count(self, verdict: Verdict, metrics: Sequence[Metric] | None = None) -> int:
-        """How many figures have a verdict; of all metrics that are a number if none are given."""
+        """Number of figures with a verdict; by default of all metrics that are numbers."""
         judged = numbers() if metrics is None else metrics
         return sum(
             change.verdict == verdict and change.metric in judged
@@ -86,9 +86,9 @@ def compare(rows: Iterable[Row], others: Iterable[Row], name: str) -> Comparison
     """Compares an earlier benchmark with one.
 
     Args:
-        rows: of this one.
-        others: of the other.
-        name: of the other, for a person.
+        rows: rows of this one.
+        others: rows of the other one.
+        name: name of the other, for a person.
     """
     here = {row_key(row): row for row in rows if row.get("metrics")}
     there = {row_key(row): row for row in others if row.get("metrics")}
@@ -101,7 +101,7 @@ def compare(rows: Iterable[Row], others: Iterable[Row], name: str) -> Comparison
 
 
 def verdict(metric: Metric, now: float, before: float) -> Verdict:
-    """Whether a value is better or worse than another, beyond noise."""
+    """True if a value is better or worse than another, beyond noise."""
     noise = LATENCY_NOISE if metric.name.startswith("latency_ms") else NOISE
     gain = merit(metric, now) - merit(metric, before) if metric.goal else 0.0
     size = max(abs(merit(metric, now)), abs(merit(metric, before)))
@@ -120,7 +120,7 @@ def _compared(key: tuple[str, ...], row: Row, other: Row) -> Compared:
 
 
 def _notes(row: Row, other: Row) -> Iterable[str]:
-    """What makes the figures of two rows incomparable, or less so."""
+    """Differences that make the figures of two rows less comparable."""
 
     def of(which: Row, name: str, inner: str) -> object:
         part = which.get(name)

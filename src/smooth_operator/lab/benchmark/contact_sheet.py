@@ -57,7 +57,7 @@ class Pose:
     """A frame of a recording in which the human hand shows a pose.
 
     Attributes:
-        name: of the pose, such as ``fist``.
+        name: name of the pose, such as ``fist``.
         panel: the recording on the robot hand.
         frame: index.
     """
@@ -263,7 +263,7 @@ def from_thumb(palm: Float[np.ndarray, "3 3"], side: Side) -> Float[np.ndarray, 
 
     Args:
         palm: rows right, up and toward a viewer who looks at the palm.
-        side: of the hand.
+        side: side of the hand.
     """
     turn = _TURN if side == "right" else -_TURN
     right, up, toward = palm

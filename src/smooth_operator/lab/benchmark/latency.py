@@ -77,9 +77,9 @@ def measure_latency(
     """Latency of methods on one recording and one hand, in this process.
 
     Args:
-        cells: of one recording and one hand.
-        frames: how many to count, fewer where the recording has not as many.
-        seed: of the methods' random numbers.
+        cells: cells of one recording and one hand.
+        frames: number of frames to count; fewer if the recording is shorter.
+        seed: seed of the methods' random numbers.
         advance: called as each cell is done.
 
     Returns:

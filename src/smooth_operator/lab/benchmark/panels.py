@@ -24,7 +24,7 @@ class Run:
     """A method in a panel; positions in the palm frame [m].
 
     Attributes:
-        method: what it is called.
+        method: name of the method.
         human: (T, 21, 3) the human as the method saw it; NaN where a frame was not usable.
         robot: (T, 21, 3) the robot's landmarks; NaN where it has none.
         joints: (T, n) joint positions [rad].

@@ -26,7 +26,7 @@ def finger_metrics(trace: Trace, metrics: Mapping[str, Any]) -> dict[str, dict[s
 
     Args:
         trace: the run.
-        metrics: what ``evaluate`` said of it.
+        metrics: result of ``evaluate``.
 
     Returns:
         Finger name -> name of ``PER_FINGER`` -> value; None where it can't be measured, as the

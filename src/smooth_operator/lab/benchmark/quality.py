@@ -29,8 +29,8 @@ class Task:
         method: name of the method.
         preset: name of its preset.
         config: its configuration.
-        seed: of its random numbers.
-        definition: of the metrics.
+        seed: seed of its random numbers.
+        definition: definition of the metrics.
         fingers: robot finger -> human finger that drives it; None for all.
         metrics: further metrics, for ``add_metrics``.
     """
@@ -48,15 +48,15 @@ class Task:
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """What was measured of a cell, without latency.
+    """Measurements of a cell, without latency.
 
     Attributes:
         commands: the joint commands. Their latency is NaN: measured with other workers it would
             not be to believe, and without it the same cell has the same bytes.
-        metrics: of ``evaluate``.
-        fingers: of ``finger_metrics``.
-        configuration: what it depended on, versions and machine included.
-        seconds: how long it took; None while that is not known [s].
+        metrics: result of ``evaluate``.
+        fingers: result of ``finger_metrics``.
+        configuration: configuration, with versions and machine.
+        seconds: time that it took [s]; None while unknown.
     """
 
     commands: CommandTrajectory

@@ -74,7 +74,7 @@ class Line:
     """One method in a table.
 
     Attributes:
-        method: what it is called.
+        method: name of the method.
         values: metric name -> value, None where there is none.
         failed: why it has no values at all; None where it has.
         count: over how many recordings the values are means.
@@ -168,7 +168,7 @@ def by_hand(rows: Iterable[Row]) -> dict[str, list[Row]]:
 
 
 def failures(rows: Iterable[Row]) -> list[tuple[str, str, str]]:
-    """What failed: recording and hand, methods, reason; methods that share a reason together."""
+    """Failures: recording and hand, methods, reason; methods with one reason together."""
     grouped: list[tuple[str, str, str]] = []
     for (recording, hand, side), own in by_panel(rows).items():
         reasons: dict[str, list[str]] = {}
@@ -198,7 +198,7 @@ def collision_footnotes(rows: Iterable[Row]) -> list[str]:
 
 
 def best(lines: Sequence[Line], metric: Metric) -> set[int]:
-    """Which lines are the best at a metric; none where it is no merit, or all are alike.
+    """Best lines at a metric; none where it is no merit, or all are alike.
 
     Lines that look the same are equally good: what can't be read can't be better.
     """
@@ -217,7 +217,7 @@ def best(lines: Sequence[Line], metric: Metric) -> set[int]:
 
 
 def merit(metric: Metric, value: float) -> float:
-    """How good a value is: the more the better, 0 at the most for a metric that goes to one."""
+    """Merit of a value: more is better; at most 0 for a metric whose best value is 1."""
     if metric.goal == "->1":
         return -abs(value - 1.0)
     return -value if metric.goal == "down" else value

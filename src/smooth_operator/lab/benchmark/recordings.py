@@ -53,12 +53,12 @@ class Request:
 
     Attributes:
         path: the file; None for the built-in operator.
-        seed: of the built-in operator.
+        seed: seed of the built-in operator.
         frames: ``A:B``, or None for all.
         rate: frames a second [Hz]; None as the file says.
         side: None as the file says.
-        noise: of the built-in operator's tracker: standard deviation of each coordinate [m].
-        hand_length: of the built-in operator [m]; None as it comes.
+        noise: noise of the built-in operator's tracker: standard deviation of each coordinate [m].
+        hand_length: hand length of the built-in operator [m]; None as it comes.
         speed: tempo of the built-in operator; 1 is natural.
         layout: order of the landmarks in a plain array; None for the project's own.
         tracker: one of ``TRACKERS``; None as the format tells.
@@ -77,7 +77,7 @@ class Request:
 
     @property
     def unit(self) -> str:
-        """What an independent repetition is: the file, or the built-in operator of a seed.
+        """Unit of independent repetition: the file, or the built-in operator of a seed.
 
         Parts of one file, and one file read in several ways, are one unit.
         """
@@ -105,11 +105,11 @@ class Source:
     """A recording that was looked for; either ``recording`` or ``error`` is None.
 
     Attributes:
-        request: what was asked for.
-        name: what it is called in results, unique among the sources of a benchmark.
+        request: request of the user.
+        name: name in results, unique among the sources of a benchmark.
         recording: the frames.
         error: why there are none.
-        frames: which frames of the file these are.
+        frames: range of these frames in the file.
         digest: SHA-256 of the frames; empty where there are none.
     """
 
@@ -135,7 +135,7 @@ class Source:
 
     @property
     def facts(self) -> dict[str, object]:
-        """What a reader of the results wants to know of it."""
+        """Facts for a reader of the results."""
         recording = self.recording
         return {
             "path": None if self.request.path is None else str(self.request.path),

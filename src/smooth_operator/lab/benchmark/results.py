@@ -73,12 +73,12 @@ def _row(finished: Finished, settings: Settings) -> Row:
 
 
 def row_key(row: Mapping[str, Any]) -> tuple[str, ...]:
-    """What names a row."""
+    """Key of a row."""
     return tuple(str(row[name]) for name in KEY)
 
 
 def row_method(row: Mapping[str, Any]) -> str:
-    """How the row's method is called in tables."""
+    """Name of the row's method in tables."""
     return method_label(str(row["method"]), str(row["preset"]))
 
 

@@ -24,7 +24,7 @@ LATENCY_FRAMES: Final = 500
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """What to measure, and where to write it.
+    """Settings of a benchmark.
 
     Attributes:
         output: folder of the results.
@@ -35,8 +35,8 @@ class Settings:
         rate: frames a second of recordings without stamps [Hz].
         layout: order of the landmarks in plain arrays; None for the project's own.
         side: side of recordings that do not say theirs.
-        seed: of the methods' random numbers.
-        definition: of the metrics.
+        seed: seed of the methods' random numbers.
+        definition: definition of the metrics.
         metrics: ``package.module:attribute`` of further metrics, besides those of plugins.
         latency_frames: frames to measure latency over; 0 measures none.
         workers: processes for the quality of cells; None for one per core, 0 for none.
@@ -164,7 +164,7 @@ def select_methods(names: tuple[str, ...]) -> list[Choice]:
 
 
 def method_label(method: str, preset: str) -> str:
-    """How a method is called in tables: the name alone for its default preset."""
+    """Name of a method in tables: without the preset for its default."""
     try:
         default = next(iter(PRESETS[method]))
     except SmoothOperatorError:  # of older results, or of a plugin that is gone

@@ -64,7 +64,7 @@ def plan_cells(settings: Settings) -> list[Cell]:
     """All that is to be measured; reads the recordings, writes nothing.
 
     Raises:
-        SmoothOperatorError: what was asked for can't be: an unknown name, no recording that can be
+        SmoothOperatorError: the settings can't be met: an unknown name, no recording that can be
             read, a folder that holds something else.
     """
     check_folder(settings.output)
@@ -91,8 +91,8 @@ def run_suite(
     that it was at. A cell that fails has a reason in place of figures, and the rest goes on.
 
     Args:
-        settings: what was asked for.
-        cells: of ``plan_cells``.
+        settings: settings of the benchmark.
+        cells: result of ``plan_cells``.
         track: shows the progress.
         note: called with kept cells that can't be used.
 

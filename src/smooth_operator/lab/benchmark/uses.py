@@ -1,4 +1,4 @@
-"""Which method serves which use: one sentence from the figures of a benchmark."""
+"""Verdict on the methods by use: one sentence from the figures of a benchmark."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Use:
     Attributes:
         name: the use.
         methods: the best, several where they look the same; empty where none serves.
-        figures: what they were chosen by, or why there is none.
+        figures: figures of the choice, or the reason for none.
     """
 
     name: str

@@ -26,7 +26,7 @@ class ObjectTrack:
     """A rigid object over a clip.
 
     Attributes:
-        name: of the object.
+        name: name of the object.
         T_world_object: (T, 7) its poses in the clip's world, NaN where it is not known.
         mesh: file of its shape [m], in the object's frame; None if it is not known.
         scale: factor from the units of the mesh's file to metres.
@@ -51,20 +51,20 @@ class Clip:
     """One or two hands with the same stamps, and what else is known of the scene.
 
     Attributes:
-        name: of the clip among those of its source, with slashes: ``part1/pick_place/12``.
+        name: name of the clip among those of its source, with slashes: ``part1/pick_place/12``.
         hands: side -> recording. All have the same stamps; ``T_world_wrist`` and ``world`` are
             filled in where the layout knows the wrist.
         layout: name of the reader, as in ``DATASETS``.
         source: the files that it was read from, the first one being the clip's own.
-        task: what is done, in words; None if unknown.
+        task: the task in words; None if unknown.
         confidence: side -> (T,) how sure the tracker is of the hand, 0 to 1; NaN where unknown.
         T_world_camera: (T, 7) poses of the camera, its axes x right, y down, z into the picture;
             None if unknown.
-        objects: what is moved, with the same number of frames.
+        objects: objects that are moved, with the same number of frames.
         shape: side -> MANO's shape parameters (10,) of the sequence, where the layout has them.
         video: the file that shows the clip; None if there is none.
         video_start_s: time in the video of the first frame [s].
-        meta: what else the layout says, as JSON has it.
+        meta: other facts of the layout, as JSON has them.
 
     Raises:
         RecordingError: there is no hand, or parts do not fit each other.

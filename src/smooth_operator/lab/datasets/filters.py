@@ -1,4 +1,4 @@
-"""Which episodes of a data set are good enough: cut where a hand is lost, dropped by quality."""
+"""Selection of episodes: they are cut where a hand is lost, and dropped by quality."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Needed: TypeAlias = Literal["any", "all"]
 
 @dataclass(frozen=True)
 class Limits:
-    """What an episode must keep to. Figures that are not known break no limit.
+    """Limits of an episode's quality. Figures that are not known break no limit.
 
     Attributes:
         cut: cut clips into their good parts; otherwise a clip is kept or dropped whole.
@@ -82,7 +82,7 @@ class Dropped:
     """Frames that are not kept.
 
     Attributes:
-        name: of the episode they would be.
+        name: name of the episode they would be.
         frames: first frame in the clip, and the one after the last.
         reasons: name of a limit -> what was found, in words.
         figures: quality of the episode; empty if there is none to measure.
@@ -99,7 +99,7 @@ def select(whole: RobotClip, limits: Limits) -> Iterator[RobotClip | Dropped]:
 
     Args:
         whole: the clip, with tracks.
-        limits: what they must keep to.
+        limits: limits of quality.
     """
     if not whole.commands:  # packed alone
         yield whole

@@ -64,8 +64,8 @@ class RetargetClips:
         episodes.write_parquet("episodes/")
 
     Args:
-        limits: of quality, as arguments of ``filters.Limits``; None keeps every clip whole.
-        reading: what readers of references need to know.
+        limits: limits of quality, as arguments of ``filters.Limits``; None keeps every clip whole.
+        reading: options of the readers of references.
         frame: ``world`` or ``camera``, where wrists are given; None for each clip's own frame.
         side: retarget this hand only.
         request: hand, method, preset and so on, as arguments of ``planning.make_request``.

@@ -34,9 +34,9 @@ class Figure:
     """A figure of quality.
 
     Attributes:
-        name: of the figure; that of an episode has the side before it, as in ``right.reach``.
+        name: name of the figure; that of an episode has the side before it, as in ``right.reach``.
         unit: "" for a plain number.
-        better: which way is better.
+        better: better direction.
         meaning: one line for a person.
     """
 
@@ -85,7 +85,7 @@ def quality_tracks(
 
     Args:
         recordings: the human hand.
-        commands: what answers each.
+        commands: commands of each hand.
         losses: (T,) tracking loss of each.
         hand: the robot hand.
         alignment: the method's own, so that the human is measured as the method saw it.

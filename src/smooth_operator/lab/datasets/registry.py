@@ -28,11 +28,11 @@ RESEARCH_LAYOUTS: Final = (
 
 @dataclass(frozen=True)
 class ReadingOptions:
-    """What a reader may need to know and its files do not say.
+    """Options of a reader that its files do not state.
 
     Attributes:
         rate: frames a second [Hz], for layouts without times; None for the layout's own.
-        side: which hand it is, where the files hold one and do not say; None for the layout's own.
+        side: side of the hand, where the files hold one and do not say; None for the layout's own.
         mano: folder with the user's MANO model files, ``MANO_RIGHT.pkl`` and ``MANO_LEFT.pkl``.
         objects: folder with the meshes of objects; None for the layout's own place.
     """
@@ -48,9 +48,9 @@ class ClipRef:
     """A clip that has not been read: cheap to list, to send to a worker, and to sort.
 
     Attributes:
-        name: of the clip, unique in its source.
+        name: name of the clip, unique in its source.
         path: the file or folder that holds it.
-        key: which part of the file, for a file that holds several.
+        key: part of the file, for a file that holds several.
         layout: name of its reader in ``DATASETS``.
         size: bytes or frames, for the order of the work; 0 if unknown.
     """
@@ -72,7 +72,7 @@ class DatasetReader(Protocol):
     """The files and arrays that it needs, by name, for messages."""
 
     def matches(self, path: Path) -> bool:
-        """Whether a file or folder is of this layout. It opens as little as it can.
+        """True if a file or folder is of this layout. It opens as little as it can.
 
         Folders are asked before what is in them. One that matches is not looked into further.
         """

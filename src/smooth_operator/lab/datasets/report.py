@@ -76,8 +76,8 @@ def write_report(output: Path, content: Mapping[str, Any], figures: FigureTable)
 
     Args:
         output: folder of the results.
-        content: of ``report.json``.
-        figures: of the episodes.
+        content: content of ``report.json``.
+        figures: figures of the episodes.
 
     Raises:
         OutputError: a file can't be written.

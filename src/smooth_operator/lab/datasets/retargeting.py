@@ -68,17 +68,17 @@ class SourceFile:
     changed: str = ""
 
     def identity(self) -> dict[str, Any]:
-        """What a data set says of it: not its date."""
+        """Identity of the file in a data set, without its date."""
         return {"path": self.path, "bytes": self.bytes, "sha256": self.sha256}
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """What the commands of a clip depend on, but for the clip.
+    """Settings on which the commands of a clip depend.
 
     Attributes:
         request: hand, method, preset, seed, scale, fingers and operator.
-        reading: what the readers need to know.
+        reading: options of the readers.
         frame: where wrists and objects are given; None for each clip's own frame.
         side: retarget this hand only; None for all that a clip has.
         with_objects: keep the contacts of the human's fingertips with objects, in clips that have
@@ -144,9 +144,9 @@ def retarget_clips(
 
     Args:
         clips: the human hands.
-        recipe: what is to be done.
-        files: what each was read from, for its ``meta``.
-        keys: of each; its digest if left out.
+        recipe: settings of the retargeting.
+        files: source files of each clip, for its ``meta``.
+        keys: keys of each; its digest if left out.
 
     Returns:
         for each clip the result, or why there is none.
@@ -183,11 +183,11 @@ def clip_key(
     """Digest of all that a clip's commands depend on: files, reader, hand, method and settings.
 
     Args:
-        recipe: what is done to all clips.
+        recipe: settings of the retargeting.
         layout: name of the reader.
         part: name of the clip in its file.
-        selection: what a list says of it, as a digest.
-        files: what it was read from.
+        selection: digest of the list's entry.
+        files: source files.
     """
     content = [(file.bytes, file.sha256) for file in files]
     return key_digest([recipe.digest, layout, part, selection, content])
@@ -239,7 +239,7 @@ class _Answer:
 
 
 def _touches(clip: Clip, side: Side, recipe: Recipe) -> bool:
-    """Whether a hand is to be retargeted with the clip's objects."""
+    """True if a hand is to be retargeted with the clip's objects."""
     return (
         recipe.with_objects
         and clip.hands[side].T_world_wrist is not None
@@ -248,7 +248,7 @@ def _touches(clip: Clip, side: Side, recipe: Recipe) -> bool:
 
 
 def _groups(works: Sequence[_Work], recipe: Recipe) -> Iterator[list[_Work]]:
-    """What is answered together: scenes, and recordings with a scale of their own, one by one."""
+    """Groups that are retargeted together: scenes and recordings with an own scale are alone."""
     one_by_one = recipe.request.scale == "calibrate"
     yield from ([work] for work in works if one_by_one or work.scene is not None)
     for side in SIDES:

@@ -1,4 +1,4 @@
-"""What a data set is made from: folders, files, patterns, lists of files, object storage."""
+"""Sources of a data set: folders, files, patterns, lists of files, object storage."""
 
 from __future__ import annotations
 
@@ -51,9 +51,9 @@ class RemoteFile:
 
     Attributes:
         name: its path below what was asked for.
-        address: of it.
+        address: its address.
         bytes: its size.
-        changed: what changes when it is written again; empty if the storage has nothing.
+        changed: mark that changes with each write; empty if the storage has none.
     """
 
     name: str
@@ -63,7 +63,7 @@ class RemoteFile:
 
 
 def is_address(text: str) -> bool:
-    """Whether a text is an address, such as ``s3://bucket/folder``, and no path."""
+    """True if a text is an address, such as ``s3://bucket/folder``, and no path."""
     scheme, sign, _ = text.partition("://")
     return bool(sign) and scheme.replace("+", "").replace("-", "").isalnum()
 
@@ -135,7 +135,7 @@ def _system(address: str) -> tuple[Any, str]:
 
 @contextlib.contextmanager
 def _about(address: str) -> Iterator[None]:
-    """What a storage raises, with the address."""
+    """Error of a storage, with the address."""
     try:
         yield
     except (RecordingError, MissingExtraError):
@@ -160,9 +160,9 @@ class Row:
     """A line of a list.
 
     Attributes:
-        path: of a file or folder, relative to the list; or an address.
-        task: what is done, in words.
-        side: which hand.
+        path: path of a file or folder, relative to the list; or an address.
+        task: the task in words.
+        side: side of the hand.
         layout: name of the reader.
         rate: frames a second [Hz].
         frames: range of frames ``A:B`` of the file; empty for all.
@@ -177,7 +177,7 @@ class Row:
 
 
 def is_manifest(path: Path) -> bool:
-    """Whether a file is a list: ``.txt``; ``.csv``; ``.jsonl`` whose first line has a ``path``."""
+    """True if a file is a list: ``.txt``; ``.csv``; ``.jsonl`` whose first line has a ``path``."""
     suffix = path.suffix.lower()
     if suffix in (".txt", ".csv"):
         return True
@@ -279,11 +279,11 @@ class Item:
     Attributes:
         name: unique among the items.
         ref: the clip; None for a file that has to be fetched first.
-        address: of that file.
+        address: address of that file.
         mark: size and date of that file, as its storage has them.
         layout: name of the reader to use; None for the one that recognises the file.
-        task: what is done, in words, as a list says; None for what the file says.
-        side: which hand, as a list says.
+        task: the task in words, as a list says; None for that of the file.
+        side: side of the hand, as a list says.
         rate: frames a second, as a list says.
         frames: range of frames ``A:B`` of the clip; empty for all.
         root: the folder that the paths of its files are named relative to; None for none.
@@ -314,7 +314,7 @@ class Refused:
     """Something that was named as a source and can't be used.
 
     Attributes:
-        name: of it.
+        name: its name.
         reason: why.
     """
 
@@ -324,11 +324,11 @@ class Refused:
 
 @dataclass(frozen=True)
 class Found:
-    """What the sources hold.
+    """Content of the sources.
 
     Attributes:
         items: the pieces of work, by name.
-        refused: what can't be read.
+        refused: items that can't be read.
         passed_over: files of folders that no reader knows, counted by suffix.
     """
 
@@ -373,7 +373,7 @@ def find_items(
 def each_item(
     sources: Sequence[str], *, layout: str | None = None, leave_out: Path | None = None
 ) -> Iterator[Item | Refused | str]:
-    """What the sources hold, one after the other, so that a list of any length fits in memory.
+    """Yields the items of the sources one by one, so that a list of any length fits in memory.
 
     The order is that of the sources and of names in them. Items of two sources may share a name.
 
@@ -395,7 +395,7 @@ def each_item(
 
 
 def in_shard(item: Item, shard: tuple[int, int] | None) -> bool:
-    """Whether an item belongs to shard i of n, counted from 1; a matter of its name alone."""
+    """True if an item belongs to shard i of n, counted from 1; a matter of its name alone."""
     if shard is None:
         return True
     number = int.from_bytes(hashlib.sha256(item.name.encode()).digest()[:8])

@@ -201,7 +201,7 @@ class _Pack:
         self._zip.close()
 
     def clips(self, position: int) -> list[RobotClip]:
-        """Of one item."""
+        """Clips of one item."""
         item = self.index["items"][position]
         return [self._clip(document) for document in item["clips"]]
 

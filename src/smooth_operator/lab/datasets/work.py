@@ -203,5 +203,5 @@ def _file(path: Path) -> SourceFile:
 
 @functools.lru_cache(maxsize=16)
 def _digested(path: Path, size: int, modified: int) -> SourceFile:
-    """Of a file that may hold many clips."""
+    """Digest of a file that may hold many clips."""
     return SourceFile(str(path), size, digest(path), str(modified))

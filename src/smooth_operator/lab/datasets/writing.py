@@ -47,15 +47,15 @@ class Summary:
         output: the folder of results.
         shard: (i, n) of a share of the work; None for a whole data set.
         clips: retargeted, by this run or earlier ones.
-        frames: of them.
+        frames: number of frames.
         episodes: that are in the data set.
-        episode_frames: of them.
+        episode_frames: number of episode frames.
         dropped: parts of clips that are not.
-        dropped_frames: of them.
+        dropped_frames: number of dropped frames.
         reasons: name of a limit -> episodes that broke it.
         failed: name -> why a clip could not be read or retargeted.
         passed_over: suffix -> files of folders that no reader knows.
-        notes: what the writer says.
+        notes: notes of the writer.
     """
 
     output: Path
@@ -87,7 +87,7 @@ class Summary:
         packs: Mapping[str, Kept],
         failed: Mapping[str, str],
     ) -> Summary:
-        """Of a run that retargets its share and writes no data set."""
+        """Summary of a run that retargets its share and writes no data set."""
         frames = sum(each.frames for each in packs.values())
         return cls(output, shard, len(packs), frames, failed=dict(failed))
 
@@ -104,8 +104,8 @@ class Order:
     Attributes:
         output: the folder of results.
         items: name and place of each finished item, by name.
-        recipe: how they were retargeted.
-        limits: which episodes are good enough.
+        recipe: settings of the retargeting.
+        limits: limits of quality.
         format: name of the output format.
         writing: its settings.
         store: folder of the packs.
@@ -156,7 +156,7 @@ def write_episodes(
     and the bytes of each, depend on the items alone.
 
     Args:
-        order: what to write.
+        order: settings of the data set.
         failed: name -> why a clip is missing, for the report.
         passed_over: suffix -> files that no reader knows, for the report.
         written: is called with the number of items that are done, and of all.
@@ -275,7 +275,7 @@ def _count(summary: Summary, reasons: Counter[str], episode: RobotClip | Dropped
 
 
 def _line(clip: RobotClip, episode: RobotClip | Dropped) -> dict[str, Any]:
-    """What ``episodes.jsonl`` says of an episode."""
+    """Line of ``episodes.jsonl`` for an episode."""
     shared = {"clip": clip.clip.name, "source": clip.clip.meta.get("source")}
     if isinstance(episode, Dropped):
         return {

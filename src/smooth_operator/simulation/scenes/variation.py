@@ -33,7 +33,7 @@ class ObjectVariation:
 
     Attributes:
         shift: (2,) of the object along x and y of the world [m].
-        turn: of the object about the vertical [rad].
+        turn: turn of the object about the vertical [rad].
         friction: factor of the object's friction.
         mass: factor of its mass.
     """

@@ -41,7 +41,7 @@ def save_clip(
     """Writes a GIF or WebP that loops.
 
     Args:
-        runs: what to draw: the human of the first, the robot of each.
+        runs: runs to draw: the human of the first, the robot of each.
         path: the file; ``.gif`` or ``.webp``.
         track: wraps the pictures' numbers, for a progress bar.
 

@@ -75,7 +75,7 @@ class HandView:
         """The surfaces, cut off across the forearm; a body that is all forearm has none.
 
         Args:
-            below: how much is kept below the wrist of what is no finger [m].
+            below: length of the palm's bodies below the wrist that stays [m].
             distal: unit vector along the forearm, toward the fingers.
         """
         return without_forearm(
@@ -377,7 +377,7 @@ def finger_of_body(
     tips: Float[np.ndarray, "T F 3"],
     samples: int = 24,
 ) -> Int[np.ndarray, " nbody"]:
-    """Which finger each body belongs to, found from the motion, not from names.
+    """Finger of each body, by its motion, not by names.
 
     A fingertip is rigidly fixed to the last body of its finger, so that is the body in whose frame
     the tip moves least; the finger is its chain up to the first body that other fingers share.
@@ -386,7 +386,7 @@ def finger_of_body(
         model: the robot hand.
         qpos: (T, nq) joint positions [rad].
         tips: (T, F, 3) fingertips in the world frame [m].
-        samples: how many frames to look at.
+        samples: number of frames to look at.
 
     Returns:
         (nbody,) index of the finger, or -1 for the palm and everything else.

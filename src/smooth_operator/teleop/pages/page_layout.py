@@ -99,7 +99,7 @@ def plan(playback: Playback, *robots: Float[np.ndarray, "_ 3"]) -> Layout:
     """Lay out the scene for a recording: the human hand, and each robot hand to its right.
 
     Args:
-        playback: what is played, by one of the robots.
+        playback: motion of one of the robots.
         robots: (N, 3) points that bound a robot hand over the recording, world frame [m].
 
     Returns:

@@ -58,7 +58,7 @@ class Playback:
         metrics: figures for the page's table; nested mappings are flattened. None: no table.
         bodies: (nbody,) which bodies of the model to draw, where it holds more than the hand; all
             if None.
-        label: what stands above the robot; where several are shown, what made its motion.
+        label: label above the robot; with several robots, the origin of its motion.
         simple: the hand in simple shapes, for a switch; None where ``model`` is all there is.
         show_meshes: draw the model at first, not the simple shapes.
 

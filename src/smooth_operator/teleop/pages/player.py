@@ -44,7 +44,7 @@ class PlaybackServer(PageServer):
     Use as a context manager, or call ``start`` and ``stop``.
 
     Args:
-        playback: what to show; several runs over the same frames stand side by side.
+        playback: motion to show; several runs over the same frames stand side by side.
         host: address to listen on. The default is reachable from this machine only; any other
             wants the token that is in ``url``.
         port: first port to try; the next free one is taken, see ``url``. 0: any free one.
@@ -76,7 +76,7 @@ class PlaybackServer(PageServer):
 
     @property
     def title(self) -> str:
-        """That of the first run."""
+        """Title of the first run."""
         return self.playback.title
 
     # -- life ---------------------------------------------------------------------------------
@@ -288,7 +288,7 @@ def serve(
     """Show a recording in the browser.
 
     Args:
-        playback: what to show; several runs over the same frames stand side by side.
+        playback: motion to show; several runs over the same frames stand side by side.
         host: address to listen on; this machine only by default.
         port: first port to try; the one that was free is printed.
         open_browser: open the page, where there is a desktop to open it on.
@@ -311,7 +311,7 @@ class Scene:
 
     Args:
         server: the viser server to draw on.
-        runs: what to draw: the human of the first, the robot of each.
+        runs: runs to draw: the human of the first, the robot of each.
         below: height of a panel that covers the lower edge of the canvas [px].
     """
 
@@ -360,7 +360,7 @@ class RobotView:
 
     Args:
         scene: where to draw.
-        playback: what to draw.
+        playback: motion to draw.
         root: name of the parent node, which places the whole hand.
     """
 
@@ -427,7 +427,7 @@ class Panel:
 
     Args:
         gui: where to build.
-        runs: what is played.
+        runs: runs to play.
         controls: the player, whose methods any thread may call.
         loop: initial state of the loop box.
     """

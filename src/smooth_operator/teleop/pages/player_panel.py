@@ -169,7 +169,7 @@ class GapCurves:
     colours of the runs, the human's grey and dashed.
 
     Args:
-        runs: what is played; the same frames in each.
+        runs: runs to play; the same frames in each.
     """
 
     def __init__(self, runs: Sequence[Playback]) -> None:
@@ -231,7 +231,7 @@ class Timeline:
 
     Args:
         gui: where to build.
-        runs: what is played.
+        runs: runs to play.
         scrub: called with the frame that the slider is moved to.
     """
 

@@ -488,7 +488,7 @@ class HandRow:
 
         Args:
             landmarks: (21, 3) in the frame of the human hand [m].
-            robot_tips: of each robot, (F, 3) in its frame [m].
+            robot_tips: fingertips of each robot, (F, 3) in its frame [m].
             pinched: (F-1,) which fingers pinch with the thumb.
         """
         self.human.draw(landmarks, pinched)

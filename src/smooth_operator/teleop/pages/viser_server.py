@@ -265,7 +265,7 @@ class PageServer:
 
     @property
     def title(self) -> str:
-        """What stands in the browser's tab. Each page has its own."""
+        """Title of the browser's tab. Each page has its own."""
         raise NotImplementedError
 
     def _build(self, server: viser.ViserServer) -> None:
@@ -348,7 +348,7 @@ def serve_page(page: _Page, doing: str, *, open_browser: bool, block: bool) -> _
 
     Args:
         page: that was started.
-        doing: what the printed line says before the address.
+        doing: text before the address in the printed line.
         open_browser: open the page, where there is a desktop to open it on.
         block: return only after Ctrl-C; otherwise immediately, and the caller stops the page.
 

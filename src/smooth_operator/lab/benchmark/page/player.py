@@ -11,7 +11,7 @@ def player(clip: Mapping[str, object]) -> Html:
     """One pane a method, with play, pause, a slider and a speed.
 
     Args:
-        clip: of ``make_clip``.
+        clip: result of ``make_clip``.
     """
     panes = clip["panes"]
     assert isinstance(panes, list)

@@ -58,9 +58,9 @@ def write_report(
     """Writes the page, its plots and the main table in Markdown into the folder of the benchmark.
 
     Args:
-        finished: what ``run_suite`` gave.
-        rows: what ``make_rows`` made of it.
-        settings: what was asked for.
+        finished: result of ``run_suite``.
+        rows: result of ``make_rows``.
+        settings: settings of the benchmark.
         comparison: with another benchmark.
         shape: gives the shape that a robot hand is drawn with.
 
@@ -192,7 +192,7 @@ class _Page:
         return join(parts)
 
     def _verdict(self, lines: Sequence[Line], count: int) -> Html:
-        """Which method for what, in one sentence; how that is decided is folded away."""
+        """Verdict in one sentence, with a folded explanation."""
         verdict = uses.verdict(lines)
         if not verdict:
             return Html("")

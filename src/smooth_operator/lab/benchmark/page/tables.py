@@ -214,7 +214,7 @@ def comparison_tables(comparison: Comparison) -> Html:
 
 
 def metric_table() -> Html:
-    """What each metric is."""
+    """Table of the metrics' meanings."""
     metrics = known_metrics()
     rest = [m for m in metrics if m.group not in GROUPS]
     rest += [m for m in PER_FINGER if m.name not in {n.name for n in metrics}]

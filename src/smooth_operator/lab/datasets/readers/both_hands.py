@@ -1,4 +1,4 @@
-"""What every reader does with the hands that it has found: common stamps, and checks of each."""
+"""Hands of a clip for all readers: common stamps, and checks of each hand."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ def checked_hands(
     Args:
         hands: side -> what a file says of it, all with the same stamps.
         where: the file, for messages.
-        expects: what it should hold, for messages.
-        each_frame: whether the side was decided frame by frame, as models do that look at single
+        expects: expected content, for messages.
+        each_frame: True if the side was decided frame by frame, as models do that look at single
             pictures; then frames that show the other hand are flagged invalid.
 
     Raises:
@@ -164,7 +164,7 @@ def wrist_of_points(points: Float[np.ndarray, "T 21 3"], side: Side) -> Float[np
 
     Args:
         points: (T, 21, 3) [m] in a right-handed frame; NaN where missing.
-        side: which hand.
+        side: side of the hand.
 
     Returns:
         (T, 7) poses in that frame, NaN where the palm is not seen.

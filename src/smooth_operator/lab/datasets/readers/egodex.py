@@ -38,7 +38,7 @@ class Egodex:
     )
 
     def matches(self, path: Path) -> bool:
-        """Whether it is an HDF5 file with the group ``transforms``."""
+        """True if it is an HDF5 file with the group ``transforms``."""
         if path.suffix.lower() not in (".hdf5", ".h5") or not path.is_file():
             return False
         with path.open("rb") as stream:
@@ -106,7 +106,7 @@ def _confidences(tree: Mapping[str, Hdf5Group], side: Any, count: int) -> np.nda
 
 
 def _task(attributes: Mapping[str, Any]) -> str | None:
-    """What is done, in words.
+    """Task in words.
 
     A task that can be done and undone (``llm_type`` is ``reversible``) has two descriptions, and
     ``which_llm_description`` says which of them is meant.

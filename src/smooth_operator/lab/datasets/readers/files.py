@@ -19,7 +19,7 @@ class Files:
     expects = "a file that 'smooth-operator retarget' reads"
 
     def matches(self, path: Path) -> bool:
-        """Whether it is a file whose name ends as those of recordings do."""
+        """True if it is a file whose name ends as those of recordings do."""
         return path.suffix.lower() in recording_suffixes() and path.is_file()
 
     def clips(self, path: Path) -> Iterator[ClipRef]:

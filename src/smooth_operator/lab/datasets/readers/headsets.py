@@ -22,8 +22,8 @@ class HeadsetRecording:
 
     Attributes:
         layout: its name.
-        what: what it reads.
-        expects: what a file holds.
+        what: kind of its files.
+        expects: expected content of a file.
         forms: name -> how a file is recognised; the names are those of ``read_both_hands``.
     """
 
@@ -33,7 +33,7 @@ class HeadsetRecording:
     forms: dict[str, Reader]
 
     def matches(self, path: Path) -> bool:
-        """Whether a file begins as those of the app do."""
+        """True if a file begins as those of the app do."""
         return path.is_file() and self._form(path) is not None
 
     def clips(self, path: Path) -> Iterator[ClipRef]:

@@ -48,7 +48,7 @@ class LandmarksOfBothHands:
     )
 
     def matches(self, path: Path) -> bool:
-        """Whether it is an ``.npz`` that has ``right`` or ``left`` with three axes."""
+        """True if it is an ``.npz`` that has ``right`` or ``left`` with three axes."""
         if path.suffix.lower() != ".npz" or not path.is_file():
             return False
         try:

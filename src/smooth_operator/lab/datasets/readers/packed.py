@@ -33,7 +33,7 @@ class Packed:
     expects = "columns 'name', 'stamps' and 'right_landmarks' or 'left_landmarks' of this program"
 
     def matches(self, path: Path) -> bool:
-        """Whether a Parquet file has the columns of clips, whichever program wrote it."""
+        """True if a Parquet file has the columns of clips, whichever program wrote it."""
         if path.suffix.lower() != ".parquet" or not path.is_file():
             return False
         try:

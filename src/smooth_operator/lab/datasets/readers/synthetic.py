@@ -44,14 +44,14 @@ class SyntheticCorpus:
     than retargeting does.
 
     Attributes:
-        clips: how many there are.
+        clips: number of clips.
         shortest: least length of a clip [s].
         longest: greatest length [s]; lengths are drawn evenly between both.
         rate_hz: frames a second.
-        sides: which hands.
-        people: how many different persons.
+        sides: sides of the hands.
+        people: number of different persons.
         lost: share of the clips in which a hand is out of sight for a while.
-        seed: of everything.
+        seed: seed of all random numbers.
 
     Raises:
         ConfigError: a value is outside its range.
@@ -163,7 +163,7 @@ class Synthetic:
     expects = f'a JSON file *{SUFFIX} with "format": "{FORMAT}"'
 
     def matches(self, path: Path) -> bool:
-        """Whether the file's name is that of a description."""
+        """True if the file's name is that of a description."""
         return path.name.endswith(SUFFIX) and path.is_file()
 
     def clips(self, path: Path) -> Iterator[ClipRef]:

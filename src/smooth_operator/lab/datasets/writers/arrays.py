@@ -77,7 +77,7 @@ def clip_valid(clip: RobotClip, side: Side) -> np.ndarray:
 
 
 def clip_document(clip: RobotClip, key: str, configuration: str) -> dict[str, Any]:
-    """What else is known of a clip, as JSON has it."""
+    """Other facts of a clip, as JSON has them."""
     human = clip.clip
     return {
         "key": key,

@@ -65,7 +65,7 @@ UNITS = {
 
 @dataclass(frozen=True)
 class RobotLayout:
-    """What all clips of a data set share.
+    """Columns that all clips of a data set share.
 
     Attributes:
         joints: side -> names of the joints of the robot hand.

@@ -19,7 +19,7 @@ _WRITERS: Final = "smooth_operator.lab.datasets.writers"
 
 @dataclass(frozen=True)
 class WritingOptions:
-    """What a format may be asked for. Each takes what it has a use for.
+    """Options of a format. Each takes those that it has a use for.
 
     Attributes:
         joints: side -> names of the robot hand's joints, of every clip that will be written; empty:
@@ -34,10 +34,10 @@ class WritingOptions:
         objects: LeRobot: for how many objects a frame has columns.
         shard_mb: size at which a shard is full [MB]; None for the format's own choice.
         part: number of this writer among ``parts``, which write to one folder at a time.
-        parts: how many writers share the folder.
+        parts: number of writers that share the folder.
         apart: the parts hold different clips, so that a writer need not look at what the others
             have written: with a thousand parts that takes longer than to write one.
-        name: of the data set, where the format has a place for it.
+        name: name of the data set, where the format has a place for it.
         loose: SPIDER and FlashDexRetarget: files and folders as the program reads them, one or two
             a clip, in place of tar files to unpack.
     """
@@ -82,7 +82,7 @@ class DatasetWriter(Protocol):
 
     @property
     def notes(self) -> list[str]:
-        """What a person should know of what was written so far: what was resampled, cut, filled."""
+        """Notes for a person on the data so far: frames that were resampled, cut or filled."""
 
     def write(self, clip: RobotClip) -> None:
         """Adds a clip; one whose key was written before is passed over.

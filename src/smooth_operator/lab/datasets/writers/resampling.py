@@ -23,7 +23,7 @@ PAUSE: Final = 3.0
 
 
 def drift(stamps: Float[np.ndarray, " T"], rate: float) -> float:
-    """How far stamps are from frames at ``rate`` that begin with the first [frames]."""
+    """Distance of stamps from frames at ``rate`` that begin with the first [frames]."""
     if len(stamps) < 2:
         return 0.0
     nominal = np.arange(len(stamps)) / rate
@@ -63,7 +63,7 @@ def resampled(clip: RobotClip, rate: float) -> RobotClip:
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """Where each new frame lies among the old ones.
+    """Places of new frames among the old ones.
 
     Attributes:
         stamps: (T,) of the new frames [s].

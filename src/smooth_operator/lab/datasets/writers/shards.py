@@ -41,8 +41,8 @@ class ShardedWriter(ABC):
 
     Args:
         output: the folder.
-        options: what was asked for.
-        name: of the format in ``WRITERS``.
+        options: options of the format.
+        name: name of the format in ``WRITERS``.
         shard_mb: size of its shards, unless asked for otherwise [MB].
         fixed: those of its settings that all clips of a folder must share.
     """
@@ -122,7 +122,7 @@ class ShardedWriter(ABC):
 
     @property
     def notes(self) -> list[str]:
-        """What a person should know, with the number of clips that it holds for."""
+        """Notes for a person, each with its number of clips."""
         return [
             f"{count} clip{'s' * (count != 1)}: {text}"
             for text, count in sorted(self._counts.items())

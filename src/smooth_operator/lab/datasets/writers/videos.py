@@ -29,11 +29,11 @@ _INSIDE: Final = {b"moov", b"trak", b"mdia", b"minf", b"stbl"}
 
 @dataclass(frozen=True)
 class VideoHead:
-    """What an MP4 file says of its picture.
+    """Header of an MP4 file's picture.
 
     Attributes:
-        width: of the picture [pixels].
-        height: of the picture [pixels].
+        width: width of the picture [pixels].
+        height: height of the picture [pixels].
         rate: frames a second.
         frames: number of frames.
         codec: name of the format of the frames, as FFmpeg has it.

@@ -38,7 +38,7 @@ class TarShards(ShardedWriter):
     folder = "shards"
 
     def path(self, number: int) -> Path:
-        """Of a shard."""
+        """Path of a shard."""
         return self.output / self.folder / f"{self.shard_name(number)}.tar"
 
     def _begin(self, number: int) -> None:

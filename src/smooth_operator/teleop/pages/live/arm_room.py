@@ -40,7 +40,7 @@ class ArmRoom:
         scene: where to draw.
         hands: side -> robot hand.
         settings: settings of the arms.
-        measured: whether the arms are measured.
+        measured: True if the arms are measured.
     """
 
     def __init__(
@@ -119,7 +119,7 @@ class ArmRoom:
         """Show where the object is.
 
         Args:
-            side: which hand's.
+            side: side of the hand.
             pose: pose of the object in the palm frame of the task's own fixture.
             fixture: pose of that frame in the arm's base.
 

@@ -37,11 +37,11 @@ class PageSetup:
 
     Attributes:
         hand: name of the robot hand, or the path of its description.
-        sides: which hands.
+        sides: sides of the hands.
         fingers: robot finger -> human finger that drives it; None for all.
         host: address to listen on; another than this machine's own wants a token.
         port: first port to try; 0 for any free one.
-        simulated: whether a simulated or measured hand is to be drawn.
+        simulated: True if a simulated or measured hand is to be drawn.
         blind: the operator is not to know the method: nothing shows or changes it.
         model: MJCF or URDF that is drawn, or ``menagerie``; if None, the hand's meshes that are
             here.
@@ -69,7 +69,7 @@ class LivePage:
     It starts immediately, and its address is there before there is anything to show.
 
     Args:
-        setup: what to show, and where.
+        setup: hands to show, and the address.
 
     Attributes:
         setup: as given to it, or to ``change``.

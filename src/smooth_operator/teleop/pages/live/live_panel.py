@@ -103,8 +103,8 @@ class LivePanel:
         """Show what the loop sends.
 
         Args:
-            state: what ``LiveSession.look`` gave.
-            delay: how late the slowest browser shows it [s].
+            state: result of ``LiveSession.look``.
+            delay: delay of the slowest browser [s].
         """
         self._modes.content = live_texts.modes(state["hands"])
         wrists = [hand.get("wrist") for hand in state["hands"].values()]

@@ -48,7 +48,7 @@ class LiveScene:
     Args:
         server: where to draw.
         hands: side -> robot hand.
-        simulated: whether there is a simulated hand.
+        simulated: True if there is a simulated hand.
         drawn: side -> the same hand on a model with meshes, with the same joints by name, in any
             order; see ``on_model``. It can be added later.
         arm: settings of the arms that carry the hands; None for none.
@@ -163,7 +163,7 @@ class LiveScene:
                     view.scenery.place(there)
 
     def set_operators(self, operators: Mapping[Side, Mapping[str, Any] | None]) -> None:
-        """Which calibrations correct the human hands."""
+        """Sets the calibrations that correct the human hands."""
         for side, view in self._sides.items():
             operator = operators.get(side)
             view.operator = None if operator is None else operator_of(operator)

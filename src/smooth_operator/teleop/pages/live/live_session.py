@@ -49,12 +49,12 @@ class LiveSession:
 
     Args:
         loop: the running loop.
-        request: what the run was begun with.
+        request: settings of the run.
         sinks: those that it was begun with; of a simulated hand among them the state is shown, and
             what it works on.
         folder: where recordings go.
         switcher: builds methods; a new one if left out.
-        trial: what is to be shown of the trial of a task; None for nothing.
+        trial: state of a task's trial to show; None for nothing.
         blind: nothing on the page shows which method drives the hands, and none can be chosen.
         change_hand: has the run begin again with the hand of this name; None where it can't.
         other_hands: names of the hands that it can begin again with.
@@ -274,7 +274,7 @@ class LiveSession:
         return controls
 
     def _elapsed(self, what: str, going_on: bool, now: float) -> float | None:
-        """How long something goes on [s], since it was first looked at; None where it does not."""
+        """Time since something was first looked at [s]; None if it has ended."""
         if not going_on:
             self._begun.pop(what, None)
             return None
@@ -359,7 +359,7 @@ class RateMeter:
         """Take note of the count.
 
         Args:
-            number: how many there have been.
+            number: number of entries so far.
             time: time of the count, by a clock that never goes back [s].
         """
         if self._start is None:

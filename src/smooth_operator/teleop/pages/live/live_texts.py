@@ -66,7 +66,7 @@ def modes(hands: Mapping[str, Mapping[str, Any]]) -> str:
 
 
 def _wrist(state: Mapping[str, Any]) -> str:
-    """What the operator's wrist does, or why the robot's is held."""
+    """State of the operator's wrist, or the reason why the robot's is held."""
     wrist, mode = state.get("wrist"), state["mode"]
     if wrist is None:
         return "not tracked"
@@ -146,7 +146,7 @@ def slow(delay: float) -> str:
     """A warning that the browser draws slowly; nothing where it keeps up.
 
     Args:
-        delay: how late it shows what it is sent [s].
+        delay: delay of the browser [s].
     """
     if delay < _SLOW_S:
         return ""
@@ -170,7 +170,7 @@ def take(state: Mapping[str, Any], quality: Sequence[Any] | str) -> str:
     """The take that is recorded, or the last one with its quality; empty before the first.
 
     Args:
-        state: what ``Takes.state`` gave.
+        state: result of ``Takes.state``.
         quality: ``TakeQuality`` of each file of the last take, or why there is none.
     """
     count = f"takes kept: {state['kept']}"
@@ -214,8 +214,8 @@ def legend(fingers: Sequence[str], simulated: bool, task: bool) -> str:
 
     Args:
         fingers: fingers of the robot hand, thumb first.
-        simulated: whether a simulated robot is drawn.
-        task: whether it works on a task, and then it is the solid one.
+        simulated: True if a simulated robot is drawn.
+        task: True if it works on a task, and then it is the solid one.
     """
     solid, other = "robot command", "simulated or measured robot, where it differs"
     if task:
@@ -286,7 +286,7 @@ def trial(state: Mapping[str, Any] | None) -> str:
     """Task, number, clock and sign of a trial, as HTML; empty without a task.
 
     Args:
-        state: what ``TaskTrials.shown`` gave.
+        state: result of ``TaskTrials.shown``.
     """
     if state is None:
         return ""

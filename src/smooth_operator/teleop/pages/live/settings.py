@@ -110,7 +110,7 @@ class SettingSliders:
     Args:
         gui: where to build, within the container that is open.
         title: heading of the folder.
-        settings: what can be changed.
+        settings: settings that can be changed.
         change: called with the path and the new value of a setting that a person has changed.
     """
 

@@ -39,7 +39,7 @@ class Takes:
     Args:
         sinks: sinks of the running loop.
         folder: where the takes go.
-        configuration: what has changed since the run began, for the log.
+        configuration: settings that were changed since the run began, for the log.
 
     Attributes:
         error: why the last action failed; empty if it did not.
@@ -69,7 +69,7 @@ class Takes:
         return "" if take is None else ", ".join(path.name for path in take.paths)
 
     def state(self) -> dict[str, Any]:
-        """What the page shows, as JSON values: the take that runs, the last one, their number."""
+        """State for the page, as JSON values: the take that runs, the last one, their number."""
         return {
             "recording": self.recording,
             "seconds": time.monotonic() - self._begun if self._take is not None else 0.0,
