@@ -242,7 +242,7 @@ def test_each_distribution_is_published_by_a_publisher_of_its_own() -> None:
     assert publish["strategy"]["max-parallel"] == 1
     for project in projects:
         assert f"version: {project['version']}\n" in read("CITATION.cff")
-        groups = [project["dependencies"], *project["optional-dependencies"].values()]
+        groups = [project["dependencies"], *project.get("optional-dependencies", {}).values()]
         for need in (need for group in groups for need in group):
             if need.startswith("smooth-retargeting") and project is not projects[0]:
                 assert "~=0.1" in need, need  # never an older, unknown one

@@ -65,7 +65,7 @@ def test_the_parts_of_a_plugin_show_up_and_work(run: Callable[..., str], tmp_pat
     choice = "--hand toy_gripper --method toy_descent"
     done = run(
         "hands list",
-        f"retarget hand.csv --rate {RATE} {choice} --output out.npz",
+        f"retarget hand.csv --rate {RATE} {choice} --all --output out.npz",
         f"bench hand.csv --rate {RATE} --hands toy_gripper --methods toy_descent:all"
         " --latency-frames 0 --workers 0 --output bench",
         f"teleop {choice} --source wave:2,duration=1.5 --sink csv:out.csv --no-view --duration 1",

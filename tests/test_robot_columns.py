@@ -13,9 +13,7 @@ import pytest
 from smooth_operator import load_hand
 from smooth_operator.episode_files.lerobot import write_dataset
 from smooth_operator.errors import ConfigError, RecordingError
-from smooth_operator.formats.episode import Episode
-from smooth_operator.formats.states import StateTrajectory
-from smooth_operator.formats.wrist_track import WristTrack
+from smooth_operator.formats.episode import Episode, StateTrajectory, WristTrack
 from smooth_operator.types import CommandTrajectory
 
 parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed")

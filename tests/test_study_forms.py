@@ -186,7 +186,7 @@ def test_an_operator_fills_in_forms_and_ranks(chromium: Any, tmp_path: Path) -> 
         with served(service) as port:
             pages = Pages(chromium, port)
             page, operator = pages.experimenter, pages.operator
-            pages.step("Form: consent")
+            pages.step("Form: Consent")
             send = operator.get_by_role("button", name="Send my answers")
             operator.get_by_role("heading", name="Consent").wait_for()
             assert send.is_disabled()

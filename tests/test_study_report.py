@@ -267,7 +267,7 @@ def test_a_refused_model_is_not_replaced_by_figures_of_the_published_one(
             rf"^success rate \[%\], {scope}: .*?(?=^success rate|^completion)", printed,
             re.DOTALL | re.MULTILINE,
         )  # fmt: skip
-        assert "refused" in part
+        assert "not tested" in part
         assert "as observed, without a model" in part
         assert "±" not in part
 

@@ -38,7 +38,7 @@ def test_a_verdict_has_no_part_for_collision_that_was_not_measured() -> None:
         line("close", 0.97, 1.2, 0.92, 4e-6, 4.0, None, 0.09, 0.6),
     ]
     verdict = uses.verdict(lines)
-    assert "for pinching and grasping close (pinch gap 4 mm)" in verdict
+    assert "for pinching and grasping close (pinch gap over the human's 4 mm)" in verdict
     assert "self-collision" not in verdict
 
 

@@ -168,7 +168,7 @@ def test_figures_depend_on_the_code_of_their_own_method(programs: Any):
     _, judging = programs
     others = ("methods/__init__.py", "methods/presets.py")
     needed = set(imported_modules("baselines/joint_angle.py", leave_out=others))
-    assert {"baselines/joint_angle.py", "baselines/joint_map.py", "hands/hand.py"} <= needed
+    assert {"baselines/joint_angle.py", "hands/hand.py"} <= needed
     assert not {"methods/sbr.py", "methods/presets.py", "solvers/sampling.py"} & needed
     codes = {name: judging.code_of(method_config(*name.split(":"))) for name in
              ("joint_angle", "geort", "sbr", "sbr:paper", "sbr:offline")}  # fmt: skip

@@ -28,8 +28,7 @@ does not keep to the limits (--min-..., --max-...) is dropped. --whole cuts noth
 
 FOLDER/dataset is the data set; report.html, report.json and episodes.jsonl say what was kept,
 dropped and why; work holds the retargeted clips. Run the same command again to go on where it was
-stopped or killed, or to add new files. Other limits or another format retarget nothing again. The
-bytes do not depend on the number of workers.
+stopped or killed, or to add new files. Other limits or another format retarget nothing again.
 
 Formats:
   lerobot      a LeRobot data set, v3.0: state and action of the robot, wrists, videos
