@@ -406,9 +406,9 @@ def test_a_line_says_whether_there_is_a_wrist_and_what_it_does() -> None:
         return live_texts.modes({"right": hand})
 
     assert "wrist: tracked, no arm here" in line()
-    assert "released (C)" in line(engaged=False, released=True)
-    assert "lost" in line(engaged=False, tracked=False)
-    assert "is held" in line(engaged=False)
+    assert "held (released; C engages)" in line(engaged=False, released=True)
+    assert "held (the tracker lost it)" in line(engaged=False, tracked=False)
+    assert "wrist: held<" in line(engaged=False)
     none = live_texts.modes({"right": {"mode": "tracking", "latched": None, "wrist": None}})
     assert "wrist: not tracked" in none
 

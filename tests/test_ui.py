@@ -369,7 +369,8 @@ def test_the_metrics_come_in_groups_with_unit_direction_and_meaning() -> None:
     shown = re.sub(r"\s+", " ", re.sub(r"<[^>]*>", " ", table))
     order = ["Grasping", "self collision share", "less is better", "0.25",
              "pinch error per finger mm index", "4.5", "Accuracy", "scale ratio",
-             "robot over human; best at 1", "0.9371", "Latency", "latency ms p50 [ms]", "Other", "q&lt;", "&lt;b&gt;{x}|",
+             "robot over human; best at 1", "0.9371", "Latency",
+             "latency ms p50 [ms]", "Other", "q&lt;", "&lt;b&gt;{x}|",
              "1.5, 2"]  # fmt: skip
     places = [shown.index(words) for words in order]
     assert places == sorted(places)
