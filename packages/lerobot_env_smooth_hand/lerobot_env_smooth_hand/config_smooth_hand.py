@@ -27,9 +27,9 @@ class SmoothHandEnv(EnvConfig):
         seconds: after which an episode is truncated [s]; 0 for the task's own limit.
         start: pose of the actuated joints at the start [rad]; empty for the neutral one.
         variation: factor of the limits within which the object varies.
-        pictures: whether observations have ``observation.image``.
-        width: of a picture [px].
-        height: of a picture [px].
+        pictures: True if observations have ``observation.image``.
+        width: width of a picture [px].
+        height: height of a picture [px].
         render_mode: ``rgb_array``; LeRobot writes videos of evaluations.
         features: filled in from the hand.
         features_map: names of the features in data sets.

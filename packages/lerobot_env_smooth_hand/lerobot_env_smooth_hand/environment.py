@@ -50,9 +50,9 @@ class HandTask(gymnasium.Env[Observation, np.ndarray]):
         seconds: after which an episode is truncated [s]; None for the task's own limit.
         start: (m,) pose of the actuated joints at the start [rad]; None for the neutral one.
         variation: factor of the limits within which the object varies; 0 for the nominal object.
-        pictures: whether the observation has ``pixels``.
-        width: of a picture [px].
-        height: of a picture [px].
+        pictures: True if the observation has ``pixels``.
+        width: width of a picture [px].
+        height: height of a picture [px].
         render_mode: ``rgb_array``, or None.
 
     Raises:
@@ -176,15 +176,15 @@ class HandTask(gymnasium.Env[Observation, np.ndarray]):
     def _observation(self, physics: ScenePhysics) -> Observation:
         state = physics.observe()
         measured = physics.positions[list(self.hand.actuated)]
-        seen: Observation = {
+        observation: Observation = {
             "agent_pos": measured.astype(np.float32),
             "environment_state": object_state(
                 state.position, state.quaternion, self._scene.start[1]
             ),
         }
         if self._pictures:
-            seen["pixels"] = self._picture(physics)
-        return seen
+            observation["pixels"] = self._picture(physics)
+        return observation
 
     def _picture(self, physics: ScenePhysics) -> np.ndarray:
         if self._camera is None:

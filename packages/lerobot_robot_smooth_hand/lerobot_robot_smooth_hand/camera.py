@@ -53,8 +53,8 @@ class SmoothHandCamera(Camera):
         """Choose the hand to look at; the robot does it before it connects its cameras.
 
         Args:
-            sinks: of the robot, open.
-            sides: of its hands, right first.
+            sinks: sinks of the robot, open.
+            sides: sides of its hands, right first.
 
         Raises:
             ValueError: there is no such hand, or no simulation.
@@ -70,7 +70,7 @@ class SmoothHandCamera(Camera):
 
     @property
     def is_connected(self) -> bool:
-        """Whether pictures are drawn."""
+        """True if pictures are drawn."""
         return self._thread is not None
 
     @staticmethod

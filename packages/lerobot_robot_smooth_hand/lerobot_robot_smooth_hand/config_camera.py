@@ -13,10 +13,10 @@ class SmoothHandCameraConfig(CameraConfig):
 
     Attributes:
         fps: pictures a second, at most [Hz].
-        width: of a picture [px].
-        height: of a picture [px].
+        width: width of a picture [px].
+        height: height of a picture [px].
         side: ``right`` or ``left``; None for the robot's, of both hands the right one.
-        azimuth: of the direction of view, as MuJoCo counts it [degrees]; None for one that shows
+        azimuth: azimuth of the view in MuJoCo's convention [degrees]; None for one that shows
             the hand's task, or its palm where there is none.
         elevation: likewise [degrees].
         distance: to what is looked at [m]; None likewise.

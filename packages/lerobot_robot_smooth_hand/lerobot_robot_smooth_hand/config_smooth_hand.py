@@ -24,7 +24,7 @@ class SmoothHandConfig(RobotConfig):
         keys: where ``joints`` is empty: the ``actuated`` joints, or ``all``, those that follow
             others too, as in the datasets of ``smooth-operator convert``; they are observed, and
             their actions have no effect.
-        unit: of the keys: ``radians`` or ``degrees``.
+        unit: unit of the keys: ``radians`` or ``degrees``.
         wrist: ``none``, or take targets of the hand's wrist as ``rotation_6d`` or ``quaternion``
             (``tcp.x``, ...) and hand them to the sinks, for an arm.
         arm: that carries the hand in the sink ``mujoco`` and follows the wrist: ``panda``,

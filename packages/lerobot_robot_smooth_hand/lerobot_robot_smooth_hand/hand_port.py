@@ -46,7 +46,7 @@ class HandPort:
         hand: the robot hand.
         config: settings of the robot.
         joints: model's joint -> name in the keys; empty for all actuated ones.
-        prefix: of the keys.
+        prefix: prefix of the keys.
         arm: controller of the arm that carries the hand; None for none.
 
     Raises:

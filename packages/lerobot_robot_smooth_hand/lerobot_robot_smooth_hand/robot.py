@@ -76,7 +76,7 @@ class SmoothHand(Robot):
 
     @property
     def is_connected(self) -> bool:
-        """Whether the hand can be moved."""
+        """True if the hand can be moved."""
         return self._connected
 
     @property

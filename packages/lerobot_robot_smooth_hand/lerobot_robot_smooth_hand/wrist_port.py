@@ -40,14 +40,14 @@ class WristPort:
 
     Args:
         kind: one of ``KINDS``.
-        prefix: of the keys.
-        side: of the hand.
+        prefix: prefix of the keys.
+        side: side of the hand.
         arm: controller of the arm that carries the hand; None where the sinks take the wrist.
         factor: how many units of the keys are a radian.
 
     Attributes:
-        keys: of the wrist.
-        arm_keys: of the arm's joints, which are observed.
+        keys: keys of the wrist.
+        arm_keys: keys of the arm's joints, which are observed.
     """
 
     def __init__(

@@ -71,7 +71,7 @@ class Newest:
     """Newest command of each hand; messages come from a thread, readers never wait.
 
     Args:
-        clock: of this process [s].
+        clock: clock of this process [s].
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:

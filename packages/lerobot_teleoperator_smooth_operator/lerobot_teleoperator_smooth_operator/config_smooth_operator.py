@@ -19,8 +19,8 @@ class SmoothOperatorConfig(TeleoperatorConfig):
             ``index_mcp.pos``. With ``teleop --arm`` also ``{arm_joint1: joint1}``. Empty for all
             joints, by the model's names.
         left_joints: the same for the left hand with ``both``; empty for ``joints``.
-        unit: of the robot's keys: ``radians``, ``degrees``, ``range_m100_100`` (-100 to 100) or
-            ``range_0_100``.
+        unit: unit of the robot's keys: ``radians``, ``degrees``, ``range_m100_100`` (-100 to 100)
+            or ``range_0_100``.
         ends: robot's joint -> model's angles [rad] at the two ends of a range,
             ``{index_mcp: [0.0, 1.6]}``; the first may be the larger. For the ranges only.
         signs: robot's joint -> 1 or -1, in degrees and radians; 1 where it is not named.

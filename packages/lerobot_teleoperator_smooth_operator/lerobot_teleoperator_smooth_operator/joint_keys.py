@@ -55,7 +55,7 @@ def joint_keys(
         ends: robot's joint -> the model's angles at the two ends of its range [rad].
         signs: robot's joint -> 1 or -1.
         offsets: robot's joint -> its value at the model's zero [unit].
-        prefix: of every key.
+        prefix: prefix of every key.
 
     Raises:
         ValueError: the unit is unknown, a range has no ends or equal ones, a sign is not 1 or -1,

@@ -33,7 +33,7 @@ class Subscription:
     Nobody need publish yet: ZeroMQ connects when somebody does, and again after a break.
 
     Args:
-        address: of the publisher.
+        address: address of the publisher.
         newest: where messages go.
 
     Raises:
@@ -89,7 +89,7 @@ class InProcess:
         newest: where commands go.
         hand: the robot hand.
         side: ``right``, ``left`` or ``both``.
-        method: of retargeting; empty for the default.
+        method: method of retargeting; empty for the default.
 
     Raises:
         ImportError: smooth-operator is not installed.

@@ -30,10 +30,10 @@ class _HandActions:
     """Actions of one hand, with what was sent last.
 
     Args:
-        side: which hand.
+        side: side of the hand.
         config: settings of the teleoperator.
         joints: model's joint -> robot's joint; empty for all.
-        prefix: of the keys.
+        prefix: prefix of the keys.
     """
 
     def __init__(
@@ -48,7 +48,7 @@ class _HandActions:
         self.pose_keys = tuple(f"{prefix}tcp.{name}" for name in _POSE_KEYS[config.wrist])
 
     def ready(self, command: Command | None) -> bool:
-        """Whether a command has all that an action needs."""
+        """True if a command has all that an action needs."""
         return command is not None and (command.wrist is not None or not self.pose_keys)
 
     def arrange(self, command: Command) -> None:
@@ -166,7 +166,7 @@ class SmoothOperator(Teleoperator):
 
     @property
     def is_connected(self) -> bool:
-        """Whether commands are received."""
+        """True if commands are received."""
         return self._feed is not None
 
     @property

@@ -45,7 +45,7 @@ class Arctic:
     )
 
     def matches(self, path: Path) -> bool:
-        """Whether its name ends as those of the hands do, or it belongs to such a file."""
+        """True if its name ends as those of the hands do, or it belongs to such a file."""
         for suffix in (_SUFFIX, *_OTHERS):
             if path.name.endswith(suffix):
                 return path.with_name(path.name.removesuffix(suffix) + _SUFFIX).is_file()

@@ -54,7 +54,7 @@ class DexYcb:
     )
 
     def matches(self, path: Path) -> bool:
-        """Whether it is the folder of a sequence."""
+        """True if it is the folder of a sequence."""
         return (path / "meta.yml").is_file() and (path / "pose.npz").is_file()
 
     def clips(self, path: Path) -> Iterator[ClipRef]:

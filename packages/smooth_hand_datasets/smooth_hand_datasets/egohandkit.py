@@ -40,7 +40,7 @@ class EgoHandKit:
     )
 
     def matches(self, path: Path) -> bool:
-        """Whether it is a Parquet file with the columns of both hands."""
+        """True if it is a Parquet file with the columns of both hands."""
         if path.suffix.lower() != ".parquet" or not path.is_file():
             return False
         try:

@@ -41,7 +41,7 @@ class Grab:
     )
 
     def matches(self, path: Path) -> bool:
-        """Whether it is an ``.npz`` with GRAB's tables, or the folder of its tools."""
+        """True if it is an ``.npz`` with GRAB's tables, or the folder of its tools."""
         if (path / "subject_meshes").is_dir():
             return True
         if path.suffix != ".npz" or not path.is_file():

@@ -41,7 +41,7 @@ class Ho3d:
     )
 
     def matches(self, path: Path) -> bool:
-        """Whether it is a folder with numbered pickles in ``meta``, or next to such ones."""
+        """True if it is a folder with numbered pickles in ``meta``, or next to such ones."""
         if path.name in _OTHERS and (path.parent / "train").is_dir():
             return True
         folder = path / "meta"

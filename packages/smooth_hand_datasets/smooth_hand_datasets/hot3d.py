@@ -59,7 +59,7 @@ class Hot3d:
     )
 
     def matches(self, path: Path) -> bool:
-        """Whether it is a folder with MANO hands of HOT3D."""
+        """True if it is a folder with MANO hands of HOT3D."""
         return (path / _HANDS).is_file()
 
     def clips(self, path: Path) -> Iterator[ClipRef]:

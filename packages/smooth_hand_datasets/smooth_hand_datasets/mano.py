@@ -63,7 +63,7 @@ class Mano:
     )
 
     def matches(self, path: Path) -> bool:
-        """Whether it has names of a pose and a shape."""
+        """True if it has names of a pose and a shape."""
         if not path.is_file():
             return False
         if path.suffix == ".npz":

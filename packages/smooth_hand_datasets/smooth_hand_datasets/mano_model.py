@@ -69,7 +69,7 @@ class ManoModel:
     """A hand of one side, reduced to its joints and fingertips.
 
     Attributes:
-        side: which hand.
+        side: side of the hand.
         template: (778, 3) vertices of the mean hand [m].
         shape_directions: (778, 3, 10) how shape moves them.
         regressor: (16, 778) joints as means of vertices.
@@ -220,8 +220,8 @@ def load_model(folder: Path | None, side: Side, *, mirrored_shape: bool = False)
 
     Args:
         folder: with ``MANO_RIGHT.pkl`` and ``MANO_LEFT.pkl``, or the same as ``.npz``.
-        side: which hand.
-        mirrored_shape: of the left hand: whether its shape directions are the right one's mirror
+        side: side of the hand.
+        mirrored_shape: True if the left hand's shape directions are the right one's mirror
             image. In the published file their x is the right hand's own
             (https://github.com/vchoutas/smplx/issues/48). Parameters that were fitted to that file
             need it as it is; those of who mended it, as HOT3D did, need it mended.

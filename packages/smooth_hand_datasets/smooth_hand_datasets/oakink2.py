@@ -47,7 +47,7 @@ class OakInk2:
     )
 
     def matches(self, path: Path) -> bool:
-        """Whether it is a pickle in a folder of annotations, named as sequences are."""
+        """True if it is a pickle in a folder of annotations, named as sequences are."""
         return (
             path.suffix == ".pkl"
             and "++" in path.name

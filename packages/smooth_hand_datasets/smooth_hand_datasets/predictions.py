@@ -133,7 +133,7 @@ class Predictions:
     )
 
     def matches(self, path: Path) -> bool:
-        """Whether its start has a name that only these files have."""
+        """True if its start has a name that only these files have."""
         suffix = path.suffix.lower()
         if suffix not in (*_PICKLES, *_TEXTS, ".npz") or not path.is_file():
             return False
@@ -250,7 +250,7 @@ def _collect(collected: _Found, value: Any, expects: str) -> None:
 
 
 def _is_present(value: Any) -> bool:
-    """Whether there is something: None and an empty list stand for no hand."""
+    """True if there is something: None and an empty list stand for no hand."""
     return value is not None and not (isinstance(value, list | tuple) and not value)
 
 

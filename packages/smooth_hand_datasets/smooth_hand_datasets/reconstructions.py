@@ -59,7 +59,7 @@ class Hawor:
     )
 
     def matches(self, path: Path) -> bool:
-        """Whether it is the file of that name, or the folder that has it and much else."""
+        """True if it is the file of that name, or the folder that has it and much else."""
         return _world_file(path).is_file()
 
     def clips(self, path: Path) -> Iterator[ClipRef]:
@@ -120,7 +120,7 @@ class DynHamr:
     )
 
     def matches(self, path: Path) -> bool:
-        """Whether it is an ``.npz`` with its arrays."""
+        """True if it is an ``.npz`` with its arrays."""
         if path.suffix.lower() != ".npz" or not path.is_file():
             return False
         try:

@@ -30,7 +30,7 @@ class Thing:
     """An object as the data set has it.
 
     Attributes:
-        name: of the object.
+        name: name of the object.
         poses: (T, 7) in the data set's world, NaN where unknown.
         mesh: its file; left out of the clip where it is not there.
         scale: from the mesh's units to metres.

@@ -38,7 +38,7 @@ class Taco:
     )
 
     def matches(self, path: Path) -> bool:
-        """Whether it is a folder with a hand and its shape, or of its objects and cameras."""
+        """True if it is a folder with a hand and its shape, or of its objects and cameras."""
         if path.name in _OTHERS and (path.parent / "Hand_Poses").is_dir():
             return True
         return any(

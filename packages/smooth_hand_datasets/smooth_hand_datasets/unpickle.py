@@ -55,8 +55,8 @@ def load_restricted(path: Path, *, names: Collection[str] | None = None) -> Any:
 
     Args:
         path: the file; what it is, its first bytes say.
-        names: of an ``.npz``, the arrays to read; None for all. Those that are missing are left
-            out.
+        names: names of the arrays of an ``.npz`` to read; None for all. Missing ones are
+            left out.
 
     Returns:
         The value of a pickle; the array of a ``.npy``, or what is in it, if it is an array of one
@@ -117,7 +117,7 @@ def array(
         value: what a file holds.
         where: the file and part, for messages.
         shape: lengths; None where any will do.
-        finite: whether numbers that are not finite are refused.
+        finite: True if numbers that are not finite are refused.
 
     Raises:
         RecordingError: it is something else; says what was expected and what is there.

@@ -211,7 +211,7 @@ def _of_a_tree(
 
 
 def campaign(tries: int, seed: int, only: tuple[str, ...] = ()) -> list[str]:
-    """Has mutants read, prints what came of them, and gives a line for each fault."""
+    """Reads mutants, prints what came of them, and gives a line for each fault."""
     faults: list[str] = []
     with (
         tempfile.TemporaryDirectory() as name,
