@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from smooth_operator.compilation.start import dispatch_here
@@ -82,16 +82,46 @@ def do_job(job: Job) -> list[Entry]:
         OutputError: the pack can't be written.
     """
     dispatch_here()
-    reasons: dict[str, str] = {}
-    read: list[ReadClip] = []
+    return finish_job(job, read_job(job))
+
+
+@dataclass
+class JobClips:
+    """The clips that were read for a job.
+
+    Attributes:
+        clips: clips, in the order of the items.
+        reasons: item -> reason why it could not be read.
+    """
+
+    clips: list[ReadClip] = field(default_factory=list)
+    reasons: dict[str, str] = field(default_factory=dict)
+
+
+def read_job(job: Job) -> JobClips:
+    """Reads the clips of a job.
+
+    An item that can't be read is an answer like another, and touches no other.
+    """
+    result = JobClips()
     for item in job.items:
         try:
-            read += read_item(item, job.recipe)
+            result.clips += read_item(item, job.recipe)
         except SmoothOperatorError as error:
-            reasons[item.name] = str(error)
+            result.reasons[item.name] = str(error)
         except Exception as error:  # of a damaged file, or a plugin: anything; the others go on
-            reasons[item.name] = describe(error)
-    finished = _retargeted(read, job, reasons)
+            result.reasons[item.name] = describe(error)
+    return result
+
+
+def finish_job(job: Job, read: JobClips) -> list[Entry]:
+    """Retargets the clips of a job and writes them to a pack.
+
+    Raises:
+        OutputError: the pack can't be written.
+    """
+    reasons = dict(read.reasons)
+    finished = _retargeted(read.clips, job, reasons)
     packs = write_pack(job.folder, finished) if finished else {}
     return [Entry(i.name, packs.get(i.name), reasons.get(i.name)) for i in job.items]
 
