@@ -49,10 +49,10 @@ Examples:
 
 Exit status: 0 done, 1 some clips could not be read or retargeted (the others are done), 2 the
 request is invalid, 130 stopped."""
-    rare: ClassVar[frozenset[str]] = RARE | {"device", 
-        "frame", "mano", "objects", "whole", "hands", "min_confidence", "max_gap", "max_jump",
-        "min_seconds", "min_valid", "max_tip_error", "min_reach", "no_limits", "loose", "shard_mb",
-        "shard", "merge",
+    rare: ClassVar[frozenset[str]] = RARE | {
+        "device", "frame", "mano", "objects", "whole", "hands", "min_confidence", "max_gap",
+        "max_jump", "min_seconds", "min_valid", "max_tip_error", "min_reach", "no_limits", "loose",
+        "shard_mb", "shard", "merge",
     }  # fmt: skip
 
     sources: Annotated[Positional[tuple[str, ...]], arg(metavar="SOURCE...")]
