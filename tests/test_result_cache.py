@@ -5,7 +5,6 @@ from __future__ import annotations
 import multiprocessing
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +12,6 @@ import pytest
 from smooth_operator.errors import OutputError
 from smooth_operator.parallel import TaskResult, run_tasks
 from smooth_operator.result_cache import (
-    ArrayCache,
     Job,
     JobResult,
     ResultCache,
@@ -57,17 +55,16 @@ def test_a_digest_refuses_a_path_that_does_not_exist(home: Path) -> None:
         code_digest("a.py", "moved", home=home)
 
 
-VALUES: dict[type, Any] = {ResultCache: {"x": [1.5]}, ArrayCache: {"x": np.arange(3.0)}}
+VALUE = {"x": [1.5]}
 
 
-@pytest.mark.parametrize("kind", [ResultCache, ArrayCache])
-def test_a_result_is_found_by_key_and_code(tmp_path: Path, kind: type[ResultCache]) -> None:
+def test_a_result_is_found_by_key_and_code(tmp_path: Path) -> None:
     notes: list[str] = []
-    cache = kind(tmp_path / "results", notes.append)
+    cache = ResultCache(tmp_path / "results", notes.append)
     assert cache.find("one", {"seed": 1}, "code") is None
-    cache.keep("one", {"seed": 1}, "code", VALUES[kind])
-    again = kind(tmp_path / "results", notes.append)
-    np.testing.assert_equal(again.find("one", {"seed": 1}, "code"), VALUES[kind])
+    cache.keep("one", {"seed": 1}, "code", VALUE)
+    again = ResultCache(tmp_path / "results", notes.append)
+    np.testing.assert_equal(again.find("one", {"seed": 1}, "code"), VALUE)
     assert again.find("one", {"seed": 2}, "code") is None
     again.note_outdated()
     assert notes == []
@@ -78,23 +75,22 @@ def test_a_result_is_found_by_key_and_code(tmp_path: Path, kind: type[ResultCach
     assert "another version of the code" in note
 
 
-@pytest.mark.parametrize("kind", [ResultCache, ArrayCache])
 @pytest.mark.parametrize(
     "damage", [lambda text: text[: len(text) // 2], lambda text: b"", lambda text: b"[1]"]
 )
 def test_a_damaged_result_is_ignored_with_a_note(
-    tmp_path: Path, kind: type[ResultCache], damage: Callable[[bytes], bytes]
+    tmp_path: Path, damage: Callable[[bytes], bytes]
 ) -> None:
     notes: list[str] = []
-    cache = kind(tmp_path, notes.append)
-    cache.keep("one", "key", "code", VALUES[kind])
+    cache = ResultCache(tmp_path, notes.append)
+    cache.keep("one", "key", "code", VALUE)
     path = cache.path("one")
     path.write_bytes(damage(path.read_bytes()))
     assert cache.find("one", "key", "code") is None
     (note,) = notes
     assert str(path) in note
     assert "computed again" in note
-    cache.keep("one", "key", "code", VALUES[kind])
+    cache.keep("one", "key", "code", VALUE)
     assert cache.find("one", "key", "code") is not None
 
 

@@ -4,7 +4,6 @@ The package is independent of hands: a result has a key, which is any JSON, and 
 code that computed it.
 """
 
-from smooth_operator.result_cache.cache import ArrayCache as ArrayCache
 from smooth_operator.result_cache.cache import Job as Job
 from smooth_operator.result_cache.cache import JobResult as JobResult
 from smooth_operator.result_cache.cache import Note as Note

@@ -10,12 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Final, Generic, TypeAlias, TypeVar
 
-import numpy as np
-
-from smooth_operator.atomic_files import atomic_write, output_error, write_json
+from smooth_operator.atomic_files import output_error, write_json
 from smooth_operator.errors import DocumentError, SmoothOperatorError
 from smooth_operator.formats.jsonable import to_json
-from smooth_operator.io.documents import check_plain_file, parse_json, read_json
+from smooth_operator.io.documents import parse_json, read_json
 from smooth_operator.parallel import TaskResult
 
 T = TypeVar("T")
@@ -132,28 +130,6 @@ class ResultCache:
 
     def _write(self, path: Path, record: Mapping[str, str], value: Any) -> None:
         write_json(path, {**record, "value": value})
-
-
-class ArrayCache(ResultCache):
-    """Store of results as ``.npz`` files; each result is a mapping from names to arrays."""
-
-    suffix: ClassVar[str] = ".npz"
-
-    def _read(self, path: Path) -> tuple[Mapping[str, Any], dict[str, np.ndarray]]:
-        check_plain_file(path)
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-        if "key" not in arrays:
-            raise DocumentError("it has no key")
-        key = arrays.pop("key")
-        return {"key": str(key), "code": str(arrays.pop("code"))}, arrays
-
-    def _write(
-        self, path: Path, record: Mapping[str, str], value: Mapping[str, np.ndarray]
-    ) -> None:
-        content: dict[str, Any] = {**value, **{k: np.array(v) for k, v in record.items()}}
-        with atomic_write(path) as file:
-            np.savez(file, **content)
 
 
 class ResultLog:
