@@ -39,7 +39,6 @@ class Flow:
         started: operators who started a block.
         completed: operators who did all of their plan.
         withdrawn: operator -> withdrawal.
-        replaces: operator -> withdrawn operator whose place they took.
         excluded: operator -> reason why their data are left out of the analysis.
         analysed: operators whose data are in the analysis.
         voids: retargeter -> number of trials that were declared void and repeated.
@@ -56,7 +55,6 @@ class Flow:
     started: tuple[str, ...] = ()
     completed: tuple[str, ...] = ()
     withdrawn: Mapping[str, Withdrawal] = field(default_factory=dict)
-    replaces: Mapping[str, str] = field(default_factory=dict)
     excluded: Mapping[str, str] = field(default_factory=dict)
     analysed: tuple[str, ...] = ()
     voids: Mapping[str, int] = field(default_factory=dict)

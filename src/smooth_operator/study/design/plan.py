@@ -406,11 +406,6 @@ class Plan:
         self.enrolment(operator)
         return replace(self, enrolled=tuple(o for o in self.enrolled if o.code != operator))
 
-    def replace_operator(self, operator: str, by: str) -> Plan:
-        """Returns the plan with a new operator who has the rows of one who left."""
-        new = Enrolment(check_name(by, "operator"), dict(self.enrolment(operator).rows))
-        return replace(self, enrolled=(*self.enrolled, new))
-
     def balance(self, task: str) -> Balance:
         """Counts of places and neighbours of the conditions over the operators of a task."""
         used = [self.orders[one.rows[task]] for one in self.enrolled if task in one.rows]
