@@ -24,7 +24,7 @@ from smooth_operator.study.design.protocol import Condition, Protocol, Task
 
 FIGURES = (
     "success", "time", "tlx-items", "learning", "operators-success",
-    "operators-time", "operators-tlx", "time-to-success", "residuals", "correlations",
+    "operators-time", "operators-tlx", "residuals", "correlations",
 )  # fmt: skip
 
 

@@ -105,8 +105,6 @@ class Trials(_Table):
         trial_global: number of the trial in the operator's task, from 1 (n,).
         score: 0, 0.5 or 1 (n,).
         time: completion time [s], NaN where there is none (n,).
-        duration: time from the start to the score, also of failures [s], NaN where unknown (n,).
-        line: line of the rubric, "" where unknown (n,) of str.
     """
 
     task: np.ndarray
@@ -116,13 +114,6 @@ class Trials(_Table):
     trial_global: Int[np.ndarray, " n"]
     score: Float[np.ndarray, " n"]
     time: Float[np.ndarray, " n"]
-    duration: Float[np.ndarray, " n"] = field(default_factory=lambda: np.empty(0))
-    line: np.ndarray = field(default_factory=lambda: np.empty(0, str))
-
-    def __post_init__(self) -> None:
-        for name, unknown in (("duration", np.nan), ("line", "")):
-            if len(getattr(self, name)) == 0:
-                object.__setattr__(self, name, np.full(len(self), unknown))
 
     @property
     def success(self) -> np.ndarray:
