@@ -685,7 +685,7 @@ def test_the_command_serves_and_ends_on_a_signal(tmp_path: Path, how: str) -> No
     assert console.end(getattr(signal, how)) == 0
     assert f"http://localhost:{console.port}/operator" in console.log.read_text()
     assert read_plan(folder).codes == ("P01", "P02", "P07")
-    assert "P07" in (folder / "schedule.txt").read_text()
+    assert "P07" in (folder / "schedule.csv").read_text()
 
 
 def test_what_can_not_be_run_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
