@@ -245,7 +245,7 @@ WORK = [
     "retarget in.npz --method joint_angle --output out.npz --quiet",
     "convert in.npz --output copy.npz --quiet",
     "teleop --no-view --method joint_angle --duration 0.3 --quiet",
-    "study new plan --no-wizard",
+    "study new plan",
 ]
 LACK = {
     "demo": "lab",
