@@ -42,7 +42,6 @@ class LiveDrawing:
     def __init__(self, server: viser.ViserServer, link: Link, setup: Mapping[str, Any]) -> None:
         self._server, self._link = server, link
         self._wake = threading.Event()
-        self._configuration_wanted = False
         self._build(setup)
         script = resources.files(__package__).joinpath("live_page.js").read_text("utf-8")
         run_script(self._server, script)
@@ -64,8 +63,7 @@ class LiveDrawing:
                 self._server.scene.configure_environment_map(None)
             arm = None if setup["arm"] is None else ArmSettings(**setup["arm"])
             self._scene = LiveScene(self._server, hands, setup["simulated"], arm=arm)
-            download = None if setup["blind"] else self.download
-            self._panel = LivePanel(self._server, hands, self._link.do, self._scene, download)
+            self._panel = LivePanel(self._server, hands, self._link.do, self._scene, setup["blind"])
         for client in self._server.get_clients().values():
             self._scene.aiming.greet(client)
         self._hands = hands
@@ -81,24 +79,14 @@ class LiveDrawing:
         while True:
             begun = time.monotonic()
             watched = bool(self._server.get_clients())
-            configuration, self._configuration_wanted = self._configuration_wanted, False
             text = watched and begun >= next_text
-            state = self._link.look(
-                text=text,
-                settings=self._panel.settings_number,
-                scenery=self._scene.scenery_number,
-                configuration=configuration,
-            )
+            state = self._link.look(text=text, scenery=self._scene.scenery_number)
             if "setup" in state:
                 self._build(state["setup"])
                 continue
             if watched:
                 self._show_meshes()
                 self._draw(state)
-            if configuration:
-                self._server.send_file_download(
-                    "configuration.json", state["configuration"].encode(), save_immediately=True
-                )
             if text:
                 next_text = begun + _TEXT_S
             spent = time.monotonic() - begun
@@ -137,11 +125,6 @@ class LiveDrawing:
             if "scenery" in state:
                 self._scene.draw_scenery(state["scenery"])
         self._server.flush()
-
-    def download(self) -> None:
-        """Have the configuration sent to all browsers."""
-        self._configuration_wanted = True
-        self._wake.set()
 
     async def _greet(self, client: Any) -> None:
         self._scene.aiming.greet(client)

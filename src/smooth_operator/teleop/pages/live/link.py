@@ -55,10 +55,7 @@ class Link:
         except LoopEnded:
             return
 
-    def look(
-        self, *, text: bool, settings: int, scenery: int, configuration: bool = False
-    ) -> dict[str, Any]:
+    def look(self, *, text: bool, scenery: int) -> dict[str, Any]:
         """The state to show; see ``LiveSession.look``. With ``setup``, another one to build."""
-        request = {"text": text, "settings": settings, "scenery": scenery}
-        self.send({"look": request, "configuration": configuration})
+        self.send({"look": {"text": text, "scenery": scenery}})
         return self.receive()
