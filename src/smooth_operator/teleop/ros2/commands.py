@@ -1,4 +1,4 @@
-"""Joint commands and wrist poses as ROS 2 messages: names, order, unit, quaternions with w last."""
+"""Joint commands and wrist poses as ROS 2 messages: names, order, quaternions with w last."""
 
 from __future__ import annotations
 
@@ -27,9 +27,6 @@ from smooth_operator.teleop.ros2.messages import (
     Pose,
     Quaternion,
     Time,
-    Transform,
-    TransformStamped,
-    Vector3,
 )
 
 Kind: TypeAlias = Literal["joint_state", "trajectory", "array"]
@@ -77,38 +74,26 @@ def joint_message(
     return JointState(Header(stamp), list(names), positions, velocities)
 
 
-Unit: TypeAlias = Literal["rad", "deg"]
-"""Unit of joint angles."""
-
-UNITS: Final[dict[Unit, float]] = {"rad": 1.0, "deg": 180.0 / math.pi}
-"""Units in a radian."""
-
-
 @dataclass(frozen=True)
 class JointLayout:
-    """Order, names and unit of a hand's joints in a driver: value = gain · position [rad] + offset.
+    """Order and names of a hand's joints in a driver, which takes radians.
 
     Attributes:
         names: (k,) the driver's names of the joints.
         indices: (k,) indices of the joints in the hand.
-        gain: factor to the driver's unit.
-        offset: offset in the driver's unit.
     """
 
     names: tuple[str, ...]
     indices: tuple[int, ...]
-    gain: float = 1.0
-    offset: float = 0.0
 
     def values(self, positions: Float[np.ndarray, " n"]) -> list[float]:
-        """(k,) values for joint positions [rad]."""
-        picked: list[float] = (self.gain * positions[list(self.indices)] + self.offset).tolist()
+        """(k,) positions of these joints [rad]."""
+        picked: list[float] = positions[list(self.indices)].tolist()
         return picked
 
     def rates(self, velocities: Float[np.ndarray, " n"]) -> list[float]:
-        """(k,) values for joint velocities [rad/s]."""
-        picked: list[float] = (self.gain * velocities[list(self.indices)]).tolist()
-        return picked
+        """(k,) velocities of these joints [rad/s]."""
+        return self.values(velocities)
 
 
 @dataclass(frozen=True)
@@ -163,9 +148,7 @@ def table_layout(hand: Hand, table: str) -> TableLayout:
     return TableLayout(read.bind(hand))
 
 
-def joint_layout(
-    hand: Hand, joints: str, *, prefix: str = "", gain: float = 1.0, offset: float = 0.0
-) -> JointLayout:
+def joint_layout(hand: Hand, joints: str, prefix: str = "") -> JointLayout:
     """The layout for a hand.
 
     Args:
@@ -173,8 +156,6 @@ def joint_layout(
         joints: ``all``, ``actuated`` (those without couplings to another), or names with ``*`` for
             any letters, separated by blanks, in the order in which they are sent.
         prefix: put before each name.
-        gain: see ``JointLayout``.
-        offset: see ``JointLayout``.
 
     Raises:
         UnknownNameError: the hand has no joint of a name.
@@ -184,7 +165,7 @@ def joint_layout(
     else:
         indices = tuple(dict.fromkeys(i for word in joints.split() for i in _matching(hand, word)))
     names = tuple(prefix + hand.joint_names[i] for i in indices)
-    return JointLayout(names, indices, gain, offset)
+    return JointLayout(names, indices)
 
 
 def _matching(hand: Hand, pattern: str) -> list[int]:
@@ -203,12 +184,6 @@ def pose_message(pose: Float[np.ndarray, "7"]) -> Pose:
     """A pose x y z [m] and quaternion w x y z as a message."""
     x, y, z, w, a, b, c = pose.tolist()
     return Pose(Point(x, y, z), Quaternion(a, b, c, w))
-
-
-def transform_message(header: Header, child: str, pose: Float[np.ndarray, "7"]) -> TransformStamped:
-    """A pose of the frame ``child`` in the frame of the header, as on ``/tf``."""
-    x, y, z, w, a, b, c = pose.tolist()
-    return TransformStamped(header, child, Transform(Vector3(x, y, z), Quaternion(a, b, c, w)))
 
 
 def pose_rows(poses: list[Pose]) -> Float[np.ndarray, "n 7"]:
