@@ -40,7 +40,6 @@ from smooth_operator.teleop.pages.player_panel import (
     GapCurves,
     Timeline,
     cursor_line,
-    metrics_table,
     status_line,
 )
 from smooth_operator.teleop.pages.scene import _turn_z, lit_tips
@@ -125,7 +124,6 @@ def make_playback(frames: int = 60, rate: float = 100.0, sign: int = 1, **change
         "latency_ms": np.full(frames, 0.8),
         "human_tips": TIPS,
         "fingers": FINGERS,
-        "metrics": {"cosine_similarity": 0.99, "latency_ms": {"p50": 0.81}},
     }
     return Playback(**(fields | changes))
 
@@ -359,31 +357,6 @@ def test_the_status_line_says_frame_time_reason_and_latency() -> None:
     assert Status.DEGENERATE_PALM.reason in line
     assert "status 99" in status_line([playback], 8)
     assert "no latency" in status_line([playback], 8)
-
-
-def test_the_metrics_come_in_groups_with_unit_direction_and_meaning() -> None:
-    figures = {"scale_ratio": 0.93712345, "self_collision": {"share": 0.25},
-               "latency_ms": {"p50": 1}, "pinch_error_per_finger_mm": {"index": 4.5},
-               "q<": "<b>{x}|", "n": None, "curve": np.zeros(100), "pair": (1.5, 2)}  # fmt: skip
-    table = metrics_table([make_playback(metrics=figures)])
-    shown = re.sub(r"\s+", " ", re.sub(r"<[^>]*>", " ", table))
-    order = ["Grasping", "self collision share", "less is better", "0.25",
-             "pinch error per finger mm index", "4.5", "Accuracy", "scale ratio",
-             "robot over human; best at 1", "0.9371", "Latency",
-             "latency ms p50 [ms]", "Other", "q&lt;", "&lt;b&gt;{x}|",
-             "1.5, 2"]  # fmt: skip
-    places = [shown.index(words) for words in order]
-    assert places == sorted(places)
-    assert "curve" not in shown
-    assert "<b>" not in table
-
-
-def test_the_metrics_of_several_runs_stand_in_columns() -> None:
-    runs = [make_playback(metrics={"scale_ratio": v}, label=f"m{v}<") for v in (0.5, 0.75)]
-    rows = re.findall(r"<tr>(.*?)</tr>", metrics_table(runs))
-    cells = [[re.sub(r"<[^>]*>", "", c) for c in re.findall(r"<t[hd].*?</t[hd]>", r)] for r in rows]
-    assert cells[0] == ["", "m0.5&lt;", "m0.75&lt;"]
-    assert cells[1][1:] == ["0.5", "0.75"]
 
 
 @pytest.mark.parametrize(
@@ -801,8 +774,6 @@ def test_the_page_plays_pauses_and_scrubs(opened: tuple[PlaybackServer, Any, lis
 
     page.get_by_label("Overlay").check()
     eventually(lambda: np.allclose(server._scene.row.roots["robot_0"].position, 0))
-    page.get_by_role("tab", name="Metrics").click()
-    page.get_by_role("cell", name="cosine similarity").first.wait_for()
     assert problems == []
 
 

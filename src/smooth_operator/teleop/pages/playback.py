@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -55,7 +54,6 @@ class Playback:
         latency_ms: (T,) time from landmarks to command [ms]; NaN where unknown.
         human_tips: (F,) landmark index of the human fingertip that each robot fingertip follows.
         fingers: (F,) names of the fingers, thumb first.
-        metrics: figures for the page's table; nested mappings are flattened. None: no table.
         bodies: (nbody,) which bodies of the model to draw, where it holds more than the hand; all
             if None.
         label: label above the robot; with several robots, the origin of its motion.
@@ -79,7 +77,6 @@ class Playback:
     latency_ms: Float[np.ndarray, " T"]
     human_tips: tuple[int, ...] = TIPS
     fingers: tuple[str, ...] = FINGERS
-    metrics: Mapping[str, Any] | None = None
     bodies: Bool[np.ndarray, " nbody"] | None = None
     label: str = "robot"
     simple: SimpleShapes | None = None

@@ -22,7 +22,6 @@ from smooth_operator.teleop.pages.player_panel import (
     SPEEDS,
     Timeline,
     legend,
-    metrics_table,
     status_line,
 )
 from smooth_operator.teleop.pages.scene import TRANSLUCENT, BodyNodes, HandRow
@@ -471,7 +470,7 @@ class Panel:
             ("Step forward", "L", lambda: controls.step(1)),
         )
         self._timeline = Timeline(gui, runs, controls.scrub)
-        self._build_side_panel(gui)
+        gui.main_panel.dock_right()
 
     def show_frame(self, frame: int) -> None:
         """Move status line and timeline to a frame."""
@@ -486,12 +485,3 @@ class Panel:
         """Make the button say what it would do."""
         self._play.label = "Pause" if playing else "Play"
         self._play.icon = viser.Icon.PLAYER_PAUSE if playing else viser.Icon.PLAYER_PLAY
-
-    def _build_side_panel(self, gui: viser.GuiApi) -> None:
-        gui.main_panel.dock_right()
-        if any(run.metrics for run in self._runs):
-            # A separate panel: on a phone it starts folded, so that the hands stay visible.
-            panel = gui.add_panel()
-            with panel.add_tab("Metrics", icon=viser.Icon.TABLE):
-                gui.add_html(metrics_table(self._runs))
-            panel.dock_below(gui.main_panel)

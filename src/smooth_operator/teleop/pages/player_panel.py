@@ -1,20 +1,17 @@
-"""Parts of the player's panel: status, legend, table of metrics, timeline with its curves."""
+"""Parts of the player's panel: status, legend, timeline with its curves."""
 
 from __future__ import annotations
 
 import html
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any, Final
+from collections.abc import Callable, Sequence
+from typing import Final
 
 import numpy as np
 import viser
 from jaxtyping import Float
 from viser import uplot
 
-from smooth_operator.metrics import Metric
-from smooth_operator.metrics.metric import GROUPS
-from smooth_operator.metrics.registry import known_metrics
 from smooth_operator.teleop.pages.hand_view import RUN_COLORS, css, finger_colors
 from smooth_operator.teleop.pages.playback import PINCH_DISTANCE, Playback
 from smooth_operator.teleop.pages.viser_server import from_person
@@ -72,80 +69,6 @@ def _chips(names: Sequence[str], colors: Sequence[str], sign: str) -> str:
         f"{sign}</span> {html.escape(name)}</span>"
         for name, color in zip(names, colors, strict=True)
     )
-
-
-def metrics_table(runs: Sequence[Playback]) -> str:
-    """Figures of each run as HTML, group by group: value, unit, the better direction, meaning."""
-    flat = [dict(_flatten(run.metrics or {})) for run in runs]
-    metrics = {metric.name: metric for metric in known_metrics()}
-    names = list(dict.fromkeys(name for figures in flat for name in figures))
-    parts = []
-    for group, question in {**GROUPS, "": "Other"}.items():
-        own = [n for n in names if _group_of(n) == group]
-        if own:
-            rows = "".join(
-                _row(n, metrics.get(n), [figures.get(n) for figures in flat]) for n in own
-            )
-            title, _, detail = question.partition(": ")
-            parts.append(
-                f"<details open><summary style='cursor:pointer;font-weight:600;padding:0.5em 0 0'>"
-                f"{html.escape(title)}</summary><div style='{_SOFT}'>{html.escape(detail)}</div>"
-                f"<table style='width:100%;border-collapse:collapse'>{_head(runs)}{rows}</table>"
-                "</details>"
-            )
-    style = "padding:0.2em 0.8em 0.8em;font-size:0.8em;font-variant-numeric:tabular-nums"
-    return f'<div style="{style}">{"".join(parts)}</div>'
-
-
-_SOFT: Final = "opacity:0.65;font-size:0.9em"
-
-
-def _head(runs: Sequence[Playback]) -> str:
-    if len(runs) == 1:
-        return ""
-    cells = "".join(
-        f"<th style='text-align:right;color:{run_color(i)}'>{html.escape(run.label)}</th>"
-        for i, run in enumerate(runs)
-    )
-    return f"<tr><th></th>{cells}</tr>"
-
-
-def _row(name: str, metric: Metric | None, values: Sequence[Any]) -> str:
-    unit = f" [{metric.unit}]" if metric and metric.unit else ""
-    meaning = ""
-    if metric:
-        better = f"; {metric.better}" if metric.goal else ""
-        meaning = f"<div style='{_SOFT}'>{html.escape(metric.meaning + better)}</div>"
-    words = html.escape(name.replace("_", " ").replace(".", " "))
-    cells = "".join(
-        f"<td style='text-align:right;vertical-align:top;padding-left:0.6em'>{_cell(value)}</td>"
-        for value in values
-    )
-    return f"<tr><td style='padding:0.25em 0'>{words}{unit}{meaning}</td>{cells}</tr>"
-
-
-def _group_of(name: str) -> str:
-    """Group of a figure, or of that which it is a part of, such as a finger's."""
-    metrics = known_metrics()
-    own = (m for m in metrics if name == m.name or name.startswith(f"{m.name}."))
-    return next((m.group for m in own if m.group in GROUPS), "")
-
-
-def _flatten(metrics: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    for key, value in metrics.items():
-        name = str(key)
-        if isinstance(value, Mapping):
-            yield from _flatten(value, f"{prefix}{name}.")
-        elif not isinstance(value, (list, tuple, np.ndarray)) or len(np.atleast_1d(value)) <= 4:
-            yield f"{prefix}{name}", value
-
-
-def _cell(value: object) -> str:
-    if isinstance(value, (list, tuple, np.ndarray)):
-        return ", ".join(_cell(item) for item in np.atleast_1d(np.asarray(value)).tolist())
-    if isinstance(value, (float, np.floating)):
-        return f"{value:.4g}"
-    return "–" if value is None else html.escape(str(value))
 
 
 HEIGHT: Final = 255
