@@ -428,14 +428,6 @@ FINGER_COLORS: Final[tuple[Rgb, ...]] = tuple(
     (int(code[1:3], 16), int(code[3:5], 16), int(code[5:7], 16)) for code in landmarks.FINGER_COLORS
 )
 """One colour per finger, thumb first."""
-RUN_COLORS: Final[tuple[Rgb, ...]] = (
-    (255, 255, 255),
-    (178, 150, 255),
-    (188, 220, 90),
-    (255, 150, 170),
-    (120, 230, 220),
-)
-"""Colours of runs that are compared, in plots and tables; no finger has any of them."""
 HIGHLIGHT: Final[Rgb] = (240, 228, 66)
 """A pinching fingertip."""
 SIMULATED: Final[Rgb] = (240, 228, 66)

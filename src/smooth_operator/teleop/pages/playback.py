@@ -13,9 +13,7 @@ from numpy.typing import ArrayLike, DTypeLike
 
 from smooth_operator.errors import HandModelError, RecordingError
 from smooth_operator.landmarks import FINGERS, NUM_LANDMARKS, TIPS
-
-PINCH_DISTANCE = 0.015
-"""A human thumb-finger tip distance below this counts as a pinch [m]."""
+from smooth_operator.metrics.accuracy import PINCH_DISTANCE
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,20 +131,12 @@ class Playback:
         """(T,) seconds since the first frame."""
         return np.asarray(self.stamps - self.stamps[0])
 
-    def human_gaps(self) -> Float[np.ndarray, "T G"]:
-        """(T, F-1) distances of the human thumb tip to each other fingertip [m], NaN if missing."""
-        tips = self.human[:, list(self.human_tips)]
-        return np.asarray(np.linalg.norm(tips[:, 1:] - tips[:, :1], axis=-1))
-
-    def robot_gaps(self) -> Float[np.ndarray, "T G"]:
-        """(T, F-1) distances of the robot thumb tip to each other fingertip [m]."""
-        gaps = self.robot_tips[:, 1:] - self.robot_tips[:, :1]
-        return np.asarray(np.linalg.norm(gaps, axis=-1))
-
     def pinches(self) -> Bool[np.ndarray, "T G"]:
         """(T, F-1) True where the human pinches: gap under ``PINCH_DISTANCE``."""
+        tips = self.human[:, list(self.human_tips)]
         # NaN compares False: a lost hand never pinches
-        return np.asarray(self.human_gaps() < PINCH_DISTANCE)
+        gaps = np.linalg.norm(tips[:, 1:] - tips[:, :1], axis=-1)
+        return np.asarray(gaps < PINCH_DISTANCE)
 
 
 def check_runs(runs: Sequence[Playback]) -> None:
