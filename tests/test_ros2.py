@@ -44,10 +44,9 @@ pytest.importorskip("cyclonedds", reason="needs CycloneDDS's Python binding: the
 from smooth_operator.teleop.ros2 import messages as ros
 from smooth_operator.teleop.ros2 import sink as sink_module
 from smooth_operator.teleop.ros2 import transport as transport_module
-from smooth_operator.teleop.ros2.hand_poses import HandPoseReader
 from smooth_operator.teleop.ros2.messages import Message
 from smooth_operator.teleop.ros2.sink import Ros2Sink
-from smooth_operator.teleop.ros2.source import Ros2Source
+from smooth_operator.teleop.ros2.source import HandPoseReader, Ros2Source
 from smooth_operator.teleop.ros2.transport import Endpoint, Transport, reach_of
 
 DOMAINS = (1 + (os.getpid() * 13 + i) % 100 for i in count())

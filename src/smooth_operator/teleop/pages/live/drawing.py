@@ -7,7 +7,7 @@ import time
 from collections import deque
 from collections.abc import Mapping
 from importlib import resources
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import viser
 
@@ -17,11 +17,13 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.teleop.arm.settings import ArmSettings
 from smooth_operator.teleop.pages.hand_view import HandView
-from smooth_operator.teleop.pages.live.link import Link
 from smooth_operator.teleop.pages.live.live_panel import LivePanel
 from smooth_operator.teleop.pages.live.live_scene import LiveScene
 from smooth_operator.teleop.pages.viser_server import name_tab, run_script
 from smooth_operator.types import Side
+
+if TYPE_CHECKING:  # it is the main module of its process
+    from smooth_operator.teleop.pages.live.process import Link
 
 _TEXT_S: Final = 0.25  # between two updates of text, which costs a browser more than poses [s]
 _IDLE_S: Final = 0.5  # while nobody watches
