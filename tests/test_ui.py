@@ -436,7 +436,7 @@ def test_the_scene_shows_the_kinematics_of_its_frame(
     data = mujoco.MjData(playback.model)
     data.qpos[:] = playback.qpos[40]
     mujoco.mj_kinematics(playback.model, data)
-    eventually(lambda: server._panel._timeline.slider.value == 40)
+    eventually(lambda: server._panel._slider.value == 40)
     for body, node in robot.bodies.nodes.items():
         np.testing.assert_allclose(node.batched_positions[0], data.xpos[body], atol=1e-5)
         np.testing.assert_allclose(node.batched_wxyzs[0], data.xquat[body], atol=1e-4)
@@ -463,7 +463,7 @@ def test_missing_landmarks_vanish_and_pinches_light_up() -> None:
         hand, lines = server._scene.row.human, server._scene.row.lines
         for frame in (1, 2):
             server.set_frame(frame)
-            eventually(lambda frame=frame: server._panel._timeline.slider.value == frame)
+            eventually(lambda frame=frame: server._panel._slider.value == frame)
             scales = hand._joints.batched_scales
             assert np.isfinite(hand._joints.batched_positions).all()
             assert (scales == 0).nonzero()[0].tolist() == ([6] if frame == 1 else [])
