@@ -36,7 +36,6 @@ from smooth_operator.teleop.ros2.messages import (  # noqa: F401  (found by thei
     PoseStamped,
     Quaternion,
     String,
-    TFMessage,
     Time,
 )
 

@@ -120,7 +120,6 @@ KINDS = [
     "restart",
     "world",
     "far",
-    "settings",
     "reversed",
 ]
 MOVES = st.lists(
@@ -171,9 +170,6 @@ def test_limits_hold_at_every_pair_of_stamps(
             arm = stage.commands[-1].pose if stage.commands else HOME
         session += kind == "restart"
         mode = {"pause": Mode.PAUSED, "stop": Mode.STOPPED}.get(kind, Mode.TRACKING)
-        if kind == "settings":
-            other = replace(config, scale=config.scale * 2)
-            stage.clutch.configure(LoopConfig(wrist=other))
         for _ in range(count):
             if kind in ("go", "reversed", "restart"):
                 step = wrist(*(np.array(velocity) * dt), turn=np.array(turning) * dt)
@@ -297,7 +293,7 @@ def test_a_lost_wrist_is_held_and_latched_again() -> None:
 @pytest.mark.parametrize(("age", "valid"), [(1.0, True), (1.1, False)])
 def test_a_wrist_counts_for_stale_s_and_no_longer(age: float, valid: bool) -> None:
     stage, stale_s = engaged(), 0.125
-    stage.clutch.configure(LoopConfig(safety=SafetyConfig(stale_s=stale_s)))
+    stage.clutch.config = LoopConfig(safety=SafetyConfig(stale_s=stale_s))
     stage.tick(wrist(), dt=0.25 - stage.time)
     command = stage.tick(dt=age * stale_s)
     assert command is not None

@@ -423,7 +423,7 @@ def test_the_page_is_told_both_wrists(loop: TeleopLoop) -> None:
         pipeline.latest = Arrival(frame, loop.mailbox.clock())
         tick = make_tick(pipeline.retargeter.hand, k)
         session.watch(replace(tick, wrist=None if pose is None else target))
-        latest = json.loads(json.dumps(session.look(text=False, settings=0)))
+        latest = json.loads(json.dumps(session.look(text=False)))
         wrist = latest["hands"]["right"]["wrist"]
         if pose is None:
             assert wrist is None

@@ -106,34 +106,6 @@ def test_a_recording_of_hts_lines(tmp_path: Path, joined: bool) -> None:
     assert found.rate_hz == pytest.approx(70)
 
 
-@pytest.mark.parametrize("events", ["frames", "packets"])
-def test_a_recording_of_the_sdk_by_the_sdk_itself(tmp_path: Path, events: str) -> None:
-    sdk = pytest.importorskip("hand_tracking_sdk", reason="hand-tracking-sdk is not installed")
-    assembler, rows = sdk.HandFrameAssembler(), []
-    for k, data in enumerate(hts_lines(True)):
-        for line in data.decode().split("\n"):
-            packet = sdk.parse_line(line)
-            at = 10**9 + 1_000_000 * k
-            if events == "frames":
-                frame = assembler.push_packet(packet, recv_ts_ns=at)
-                if frame is not None and k and packet.kind.value == "landmarks":
-                    rows.append({"event_type": "frame", "data": frame.to_dict()})
-            elif packet.kind.value != "pose":
-                kind, side = packet.kind.value, packet.side.value
-                row = {"event_type": "packet", "packet_type": kind, "side": side}
-                rows.append({**row, "logged_at_unix_ns": at, "data": packet.data.to_dict()})
-    path = tmp_path / "hts.jsonl"
-    path.write_text("\n".join(json.dumps(row, separators=(",", ":")) for row in rows))
-    found = read_recording(path)
-    assert (found.side, found.world, found.meta["format"]) == ("right", "hts", "hts_json")
-    assert len(found) == FRAMES - (events == "frames")
-    assert found.T_world_wrist is not None
-    at = np.array([pose(k) for k in range(FRAMES)])[-len(found) :]
-    assert (separation(found.T_world_wrist, at) < [2e-4, 5e-3]).all()
-    if events == "frames":
-        np.testing.assert_allclose(found.stamps, 1.0 + 0.014 * np.arange(1, FRAMES))
-
-
 def test_a_wrist_goes_through_convert(tmp_path: Path) -> None:
     path, out = tmp_path / "tracking.jsonl", tmp_path / "hand.npz"
     path.write_text("\n".join(avp_lines(("right",))))

@@ -148,42 +148,6 @@ def test_a_geared_joint_keeps_the_limits_and_uses_them(name: str) -> None:
     assert over["acceleration"] > -1e-6
 
 
-def test_stricter_limits_in_mid_motion_are_taken_on_without_leaving_the_range() -> None:
-    hand = loaded()
-    wide, strict = LimitsConfig(), LimitsConfig(velocity=2.0, acceleration=50.0, margin=0.05)
-    for count in range(1, 12):
-        first = Limiter(hand, wide)
-        times, q = [0.0], [first.q]
-        for _ in range(count):
-            times.append(times[-1] + 0.008)
-            q.append(first.step(hand.limits[:, 1], 0.008))
-        second = Limiter(hand, strict)
-        second.succeed(first)
-        for k in range(200):
-            times.append(times[-1] + (0.0125, 0.0014)[k % 2])
-            q.append(second.step(hand.limits[:, 1], times[-1] - times[-2]))
-        holds(hand, wide, times, q)  # never harder than what held before
-        late = slice(len(q) - 100, None)
-        holds(hand, strict, times[late], q[late])
-        np.testing.assert_allclose(q[-1], hand.limits[:, 1] - 0.05, atol=1e-4)
-
-
-def test_a_successor_knows_how_long_the_last_step_was() -> None:
-    """The first step of new limits is held against both steps, as any other is."""
-    hand, limits = loaded(), LimitsConfig(acceleration=100.0)
-    first = Limiter(hand, limits)
-    times, q = [0.0], [first.q]
-    for dt in [0.001] * 20:
-        times.append(times[-1] + dt)
-        q.append(first.step(hand.limits[:, 1], times[-1] - times[-2]))
-    second = Limiter(hand, limits)
-    second.succeed(first)
-    for dt in [0.0125] * 5:
-        times.append(times[-1] + dt)
-        q.append(second.step(hand.limits[:, 1], times[-1] - times[-2]))
-    holds(hand, limits, times, q)
-
-
 def test_a_target_that_moves_is_followed_exactly_with_uneven_steps() -> None:
     hand, rng = loaded(), np.random.default_rng(3)
     middle, half = hand.limits.mean(axis=1), np.diff(hand.limits, axis=1)[:, 0] / 2

@@ -1,5 +1,4 @@
-"""The live page: what it offers of a configuration, what its controls do, who may open it; and the
-page itself in a Chromium."""
+"""The live page: what its controls do, who may open it; and the page itself in a Chromium."""
 
 from __future__ import annotations
 
@@ -25,7 +24,6 @@ from hostile_texts import ATTACK, guarded_page, hostile_hand
 
 from smooth_operator import HandFrame, Retargeter, load_hand
 from smooth_operator.errors import ConfigError, RecordingError
-from smooth_operator.methods.presets import PRESETS, live_presets
 from smooth_operator.planning import make_request
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop import PageSettings, teleoperate
@@ -36,20 +34,12 @@ from smooth_operator.teleop.pages.live.live_page import LivePage, PageSetup
 from smooth_operator.teleop.pages.live.live_panel import LivePanel
 from smooth_operator.teleop.pages.live.live_scene import LiveScene
 from smooth_operator.teleop.pages.live.live_session import LiveSession, RateMeter
-from smooth_operator.teleop.pages.live.settings import (
-    LOOP_SETTINGS,
-    METHOD_SETTINGS,
-    SettingSliders,
-    changed,
-    values,
-)
 from smooth_operator.teleop.pages.viser_server import close_server, open_server, page_url
 from smooth_operator.teleop.recording import read_log
 from smooth_operator.teleop.recording.take_quality import take_quality
-from smooth_operator.teleop.runtime.limiter import Limiter
 from smooth_operator.teleop.runtime.loop import TeleopLoop
 from smooth_operator.teleop.runtime.pipeline import HandPipeline
-from smooth_operator.teleop.runtime.settings import LimitsConfig, LoopConfig, SafetyConfig
+from smooth_operator.teleop.runtime.settings import LoopConfig, SafetyConfig
 from smooth_operator.teleop.sinks.runner import SinkRunner
 from smooth_operator.teleop.sinks.sink import Sink
 from smooth_operator.teleop.sinks.tick import HandState, Mode, Tick
@@ -58,12 +48,6 @@ from smooth_operator.types import Side
 
 RATE = 50.0
 PATIENT_S = 30.0
-EVERY_PRESET = [
-    pytest.param(config, id=f"{method}-{preset}")
-    for method, presets in PRESETS.items()
-    for preset, config in presets.items()
-    if preset in live_presets()[method]
-]
 
 
 def eventually(condition: Callable[[], object], seconds: float = 90.0) -> None:
@@ -71,52 +55,6 @@ def eventually(condition: Callable[[], object], seconds: float = 90.0) -> None:
     while not condition():
         assert time.monotonic() < end, "it did not come to be"
         time.sleep(0.02)
-
-
-# -- settings ---------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("config", [*EVERY_PRESET, LoopConfig()])
-def test_settings_of_every_preset_fit_their_sliders(config: Any) -> None:
-    table = LOOP_SETTINGS if isinstance(config, LoopConfig) else METHOD_SETTINGS
-    shown = values(config, table)
-    first = "limits.velocity" if table is LOOP_SETTINGS else "alignment.scale"
-    assert next(iter(shown)) == first
-    for setting in table:
-        if setting.path not in shown:
-            continue
-        value = shown[setting.path]
-        assert value is None or setting.low <= value <= setting.high
-        assert 10 <= (setting.high - setting.low) / setting.step <= 1000
-        assert (value is None) <= setting.automatic
-        assert changed(config, table, setting.path, value) == config
-        json.dumps(shown)
-
-
-def test_a_change_reaches_its_field_and_no_other() -> None:
-    config = PRESETS["sbr"]["realtime"]
-    after: Any = changed(config, METHOD_SETTINGS, "objective.targets.project", 0.012)
-    assert after.objective.targets.project == 0.012
-    assert changed(after, METHOD_SETTINGS, "objective.targets.project", 0.01) == config
-    assert changed(config, METHOD_SETTINGS, "alignment.scale", 1.2).alignment.scale == 1.2
-    assert changed(config, METHOD_SETTINGS, "alignment.scale", None) == config
-
-
-@pytest.mark.parametrize(
-    ("path", "value", "words"),
-    [
-        ("objective.targets.project", 0.05, "0 < project <= escape"),
-        ("objective.targets.project", True, "project can't be True"),
-        ("objective.targets.project", None, "project can't be None"),
-        ("objective.velocity_weight", float("nan"), "velocity_weight can't be nan"),
-        ("objective.velocity_weight", "much", "velocity_weight can't be 'much'"),
-        ("sampling.samples", 12, "no setting 'sampling.samples'"),
-        ("joint_speed", 1.0, "no setting 'joint_speed'"),
-    ],
-)
-def test_what_cannot_be_is_refused_with_the_reason(path: str, value: Any, words: str) -> None:
-    with pytest.raises(ConfigError, match=words):
-        changed(PRESETS["sbr"]["realtime"], METHOD_SETTINGS, path, value)
 
 
 # -- the session ------------------------------------------------------------------------------
@@ -152,8 +90,8 @@ class Stage:
     def mode(self) -> Mode:
         return self.ticks[-1].mode
 
-    def see(self, **more: Any) -> dict[str, Any]:
-        return self.session.look(text=True, settings=more.get("settings", 0))
+    def see(self) -> dict[str, Any]:
+        return self.session.look(text=True)
 
 
 @pytest.fixture(scope="module")
@@ -220,8 +158,6 @@ def test_what_is_shown_is_what_the_loop_does(stage: Stage) -> None:
     controls = seen["controls"]
     assert (controls["method"], controls["preset"]) == ("joint_angle", "default")
     assert controls["presets"]["sbr"] == ["realtime", "paper"]
-    again = stage.see(settings=controls["settings_number"])["controls"]
-    assert "settings" not in again  # known already
 
 
 def test_the_trackers_rate_is_not_the_command_rate(stage: Stage) -> None:
@@ -368,26 +304,6 @@ def test_latches_are_shown_for_methods_that_have_them() -> None:
     )
 
 
-def test_sliders_are_those_of_the_method() -> None:
-    server = open_server("127.0.0.1", 0)
-    try:
-        clicks: list[Any] = []
-        sliders = SettingSliders(
-            server.gui, "Settings", METHOD_SETTINGS, lambda *c: clicks.append(c)
-        )
-        for method, preset in (("smooth", "teleop"), ("geort", "default"), ("sbr", "paper")):
-            shown = values(PRESETS[method][preset], METHOD_SETTINGS)
-            sliders.show(shown)
-            assert list(sliders.sliders) == list(shown)
-            assert sliders.sliders["alignment.scale"].disabled  # automatic
-        sliders.show({**shown, "alignment.scale": 1.5})
-        assert sliders.sliders["alignment.scale"].value == 1.5
-        assert not sliders.sliders["alignment.scale"].disabled
-        assert clicks == []  # what the program writes is no request of a person
-    finally:
-        close_server(server)
-
-
 def plain(markup: str) -> str:
     return re.sub(r"<[^>]*>", "", markup)
 
@@ -416,53 +332,6 @@ def test_another_method_while_the_hand_moves(stage: Stage) -> None:
     assert stage.session.switcher.target is stage.session.switcher.used
     stage.session.do("method", "joint_angle")
     eventually(lambda: stage.session.switcher.used.method == "joint_angle")
-
-
-def test_a_setting_that_cannot_be_is_said_and_shown_as_before(stage: Stage) -> None:
-    known = stage.see()["controls"]["settings_number"]
-    stage.session.do("set", "alignment.scale", 100.0)
-    controls = stage.see(settings=known)["controls"]
-    assert "between 0.1 and 10" in controls["message"]
-    assert controls["settings"]["alignment.scale"] is None
-    stage.session.do("set", "alignment.scale", 1.1)
-    stage.session.do("set", "alignment.scale", 1.2)
-    eventually(lambda: stage.loop.pipelines["right"].retargeter.config.alignment.scale == 1.2)
-    assert json.loads(stage.session.configuration())["config"]["right"]["alignment"]["scale"] == 1.2
-
-
-def test_limits_and_policies_change_at_once(stage: Stage) -> None:
-    stage.session.do("set_loop", "limits.velocity", 3.0)
-    stage.session.do("set_loop", "safety.stale_s", 29.0)
-    eventually(lambda: stage.loop.pipelines["right"].config.safety.stale_s == 29.0)
-    first = len(stage.ticks) + 2
-    eventually(lambda: len(stage.ticks) > first + 50)
-    assert max(np.abs(tick.velocity).max() for tick in stage.ticks[first:]) <= 3.0 + 1e-6
-    known = stage.see()["controls"]["settings_number"]
-    stage.session.do("set_loop", "safety.lost_s", 0.1)
-    seen = stage.see(settings=known)["controls"]
-    assert "lost_s must not be below stale_s" in seen["message"]
-    assert seen["loop_settings"]["safety.lost_s"] == PATIENT_S
-    stage.session.do("set_loop", "limits.margin", 5.0)
-    assert "leaves nothing" in stage.see()["controls"]["message"]
-    stage.session.do("set_loop", "limits.velocity", 15.0)
-    stage.session.do("set_loop", "safety.stale_s", PATIENT_S)
-
-
-def test_a_wider_margin_brings_a_hand_in_without_a_jump() -> None:
-    hand = load_hand("mimic_p050")
-    wide = Limiter(hand, LimitsConfig())
-    low = hand.limits[:, 0]
-    while not np.allclose(wide.step(low, 0.01), low):
-        pass
-    narrow = Limiter(hand, LimitsConfig(margin=0.1, velocity=2.0))
-    narrow.succeed(wide)
-    np.testing.assert_allclose(narrow.rest(0.01), low, atol=1e-9)  # where it stands it stays
-    before = narrow.q
-    for _ in range(60):
-        q = narrow.step(low, 0.01)
-        assert np.abs(hand.coupling_matrix @ (q - before)).max() <= 2.0 * 0.01 + 1e-9
-        before = q
-    np.testing.assert_allclose(before, low + 0.1, atol=1e-6)
 
 
 def recorded(path: Path) -> int:
@@ -579,7 +448,6 @@ def test_the_page_cannot_ask_for_what_is_not_there(stage: Stage) -> None:
         ("explode",),
         ("stop", "now", "please"),
         ("calibrate", "left"),
-        ("set", "mass", 1.0),
         ("method", "x"),
     ):
         stage.session.do(*click)
@@ -789,7 +657,7 @@ def test_what_others_worded_is_shown_and_never_run(
     try:
         server.scene.configure_environment_map(None)
         scene = LiveScene(server, hands, False)
-        panel = LivePanel(server, hands, lambda *_: None, scene, lambda: None)
+        panel = LivePanel(server, hands, lambda *_: None, scene)
         panel.show(seen)
         panel.show_meshes(False, f"{ATTACK} note")
         with guarded_page(chromium) as page:
@@ -975,17 +843,17 @@ def test_another_hand_while_it_runs(monkeypatch: pytest.MonkeyPatch, tmp_path: P
     )  # fmt: skip
     thread.start()
     try:
-        eventually(lambda: sessions and sessions[0].look(text=False, settings=0)["hands"])
+        eventually(lambda: sessions and sessions[0].look(text=False)["hands"])
         assert lines[0].startswith("page: http://127.0.0.1:")  # before anything else
         first = sessions[0]
-        assert "leap_hand" in first.look(text=True, settings=0)["controls"]["hands"]
+        assert "leap_hand" in first.look(text=True)["controls"]["hands"]
         first.do("hand", "no_such_hand")
-        controls = first.look(text=True, settings=0)["controls"]
+        controls = first.look(text=True)["controls"]
         assert "can't go on with the hand 'no_such_hand'" in controls["message"]
         assert len(sessions) == 1
         first.do("hand", "leap_hand")
         eventually(lambda: len(sessions) == 2)
-        eventually(lambda: sessions[1].look(text=False, settings=0)["hands"])
+        eventually(lambda: sessions[1].look(text=False)["hands"])
         assert hands == ["mimic_p050", "leap_hand"]
         assert sum(line.startswith("page: ") for line in lines) == 1
         assert sessions[1].switcher.used.method == "joint_angle"

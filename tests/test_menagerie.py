@@ -337,7 +337,7 @@ def test_a_player_has_both_in_one_place(root: Path, tmp_path: Path) -> None:
         recording.landmarks, hand.tips(q), hand.wrist, hand.fingers, q, hand.joint_limits,
         recording.stamps, np.zeros(len(recording), np.int8), np.ones(len(recording)),
     )  # fmt: skip
-    run = playback("t", hand, trace, {}, there)
+    run = playback("t", hand, trace, there)
     server = open_server("127.0.0.1", 0)
     try:
         view = RobotView(server.scene, run, "/robot")

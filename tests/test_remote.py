@@ -37,10 +37,10 @@ from smooth_operator.simulation.tasks.trial_runner import TrialRunner
 from smooth_operator.teleop.components import build_source
 from smooth_operator.teleop.control.method_switcher import MethodSwitcher
 from smooth_operator.teleop.control.rpc_handlers import RpcHandlers
-from smooth_operator.teleop.pages.live.link import Link
 from smooth_operator.teleop.pages.live.live_panel import LivePanel
 from smooth_operator.teleop.pages.live.live_scene import LiveScene
 from smooth_operator.teleop.pages.live.live_session import LiveSession
+from smooth_operator.teleop.pages.live.process import Link
 from smooth_operator.teleop.pages.viser_server import close_server, open_server
 from smooth_operator.teleop.recording import read_log
 from smooth_operator.teleop.runtime.loop import TeleopLoop
@@ -155,8 +155,6 @@ def test_the_rate_is_what_another_program_asks_for(stage: Stage) -> None:
             with pytest.raises(RemoteRefusedError, match="rate"):
                 stage.do("rate", rate=wrong)
         assert stage.do("status")["rate"] == 20.0
-        stage.loop.configure(LoopConfig(rate=80.0))  # policies and limits: the pace stays
-        assert stage.loop.config.rate == 20.0
     finally:
         stage.do("rate", rate=50.0)
 
@@ -326,18 +324,16 @@ def test_blind_nothing_that_is_shown_names_the_method(stage: Stage) -> None:
     stage.do("method", method="joint_angle")
     with contextlib.suppress(RemoteRefusedError):
         stage.do("method", method="geort", preset="no-such")
-    for word in (("method", "geort"), ("set", "model", "x"), ("record",), ("record",)):
+    for word in (("method", "geort"), ("record",), ("record",)):
         stage.session.do(*word)
-    shown = json.dumps(stage.session.look(text=True, settings=0))
+    shown = json.dumps(stage.session.look(text=True))
     assert not [name for name in method_names() if name in shown]
     assert '"default"' not in shown  # nor the preset
     open_eyed = LiveSession(stage.loop, make_request(), switcher=stage.switcher)
-    assert "joint_angle" in json.dumps(open_eyed.look(text=True, settings=0))
-    assert not stage.session.configuration()
+    assert "joint_angle" in json.dumps(open_eyed.look(text=True))
     assert stage.do("status")["method"] == "joint_angle"  # whom the page asked in vain
-    seen = stage.session.look(text=True, settings=0)
-    assert "settings" not in seen["controls"]
-    assert seen["controls"]["loop_settings"]
+    seen = stage.session.look(text=True)
+    assert not {"method", "preset", "presets"} & set(seen["controls"])
     assert not {"solve", "total"} & set(seen["status"]["stages"])
     assert seen["hands"]["right"]["latched"] is None
 
@@ -348,11 +344,11 @@ def test_blind_the_panel_has_no_switch(stage: Stage) -> None:
         hands = {side: p.retargeter.hand for side, p in stage.loop.pipelines.items()}
         scene = LiveScene(server, hands, simulated=True)
         sent = io.BytesIO()
-        panel = LivePanel(server, hands, Link(io.BytesIO(), sent).do, scene, None)
+        panel = LivePanel(server, hands, Link(io.BytesIO(), sent).do, scene, True)
         stage.do("method", method="geort")
 
         def tracking() -> bool:
-            panel.show(json.loads(json.dumps(stage.session.look(text=True, settings=-1))))
+            panel.show(json.loads(json.dumps(stage.session.look(text=True))))
             return "tracking" in panel._modes.content
 
         until(tracking, LONG)
@@ -361,7 +357,6 @@ def test_blind_the_panel_has_no_switch(stage: Stage) -> None:
         assert not [name for name in method_names() if name in shown]
         assert "latches" not in shown
         assert not hasattr(panel, "_method")
-        assert panel.settings_number == stage.session.settings_number
         assert not sent.getvalue()
     finally:
         close_server(server)
@@ -374,7 +369,7 @@ def test_blind_the_terminal_does_not_name_it(
     with contextlib.suppress(SystemExit):
         main(
             ["teleop", "--method", "joint_angle", "--blind", "--no-view", "--duration", "0.4",
-             "--sink", f"record:{record}", "table", "--control", "tcp://127.0.0.1:*"]
+             "--sink", f"record:{record}", "--control", "tcp://127.0.0.1:*"]
         )  # fmt: skip
     printed = "".join(capsys.readouterr())
     assert "compiling the method for mimic_p050" in printed
@@ -392,23 +387,23 @@ def test_a_task_is_loaded_switched_and_left(stage: Stage) -> None:
     answer = stage.do("task", task="A")
     assert (answer["task"], answer["title"]) == ("card", "Card pickup")
     assert {"done", "dropped"} <= {line["name"] for line in answer["rubric"]}
-    look = stage.session.look(text=False, settings=0)["scenery"]
+    look = stage.session.look(text=False)["scenery"]
     assert {part["name"] for part in look["parts"]["right"]} == {"platform", "card"}
     assert len(look["poses"]["right"]) == 7
     axes = np.array(look["views"]["right"])
     np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-4)
-    again = stage.session.look(text=False, settings=0, scenery=look["number"])["scenery"]
+    again = stage.session.look(text=False, scenery=look["number"])["scenery"]
     assert "parts" not in again
     assert stage.do("status")["task"] == "card"
     stage.do("task", task="cube")
-    look = stage.session.look(text=False, settings=0, scenery=look["number"])["scenery"]
+    look = stage.session.look(text=False, scenery=look["number"])["scenery"]
     assert "cube" in {part["name"] for part in look["parts"]["right"]}
     for bad, words in (("chess", "unknown task 'chess'"), (3, "expected a text")):
         with pytest.raises(RemoteRefusedError, match=words):
             stage.do("task", task=bad)
     assert stage.do("status")["task"] == "cube"
     assert stage.do("task")["task"] is None
-    look = stage.session.look(text=False, settings=0, scenery=look["number"])["scenery"]
+    look = stage.session.look(text=False, scenery=look["number"])["scenery"]
     assert (look["parts"], look["poses"]) == ({}, {})
     numbers = [tick.number for tick in stage.ticks[first:]]
     assert numbers == list(range(numbers[0], numbers[-1] + 1))  # no command was left out

@@ -44,10 +44,9 @@ pytest.importorskip("cyclonedds", reason="needs CycloneDDS's Python binding: the
 from smooth_operator.teleop.ros2 import messages as ros
 from smooth_operator.teleop.ros2 import sink as sink_module
 from smooth_operator.teleop.ros2 import transport as transport_module
-from smooth_operator.teleop.ros2.hand_poses import HandPoseReader
 from smooth_operator.teleop.ros2.messages import Message
 from smooth_operator.teleop.ros2.sink import Ros2Sink
-from smooth_operator.teleop.ros2.source import Ros2Source
+from smooth_operator.teleop.ros2.source import HandPoseReader, Ros2Source
 from smooth_operator.teleop.ros2.transport import Endpoint, Transport, reach_of
 
 DOMAINS = (1 + (os.getpid() * 13 + i) % 100 for i in count())
@@ -127,9 +126,6 @@ SAMPLES: list[Message] = [
     ros.Float64MultiArray(data=[0.25]),
     ros.PoseStamped(ros.Header(ros.Time(5, 6), "w"), ros.Pose(ros.Point(1.0, 2.0, 3.0))),
     ros.PoseArray(ros.Header(ros.Time(5, 6), "odd"), [ros.Pose()] * 2),
-    ros.TFMessage(
-        [ros.TransformStamped(ros.Header(ros.Time(), "base"), "wrist", ros.Transform())] * 2
-    ),
 ]
 
 
@@ -166,18 +162,13 @@ def test_bytes_are_those_of_rosbags(release: str) -> None:
 # --- the sink
 
 
-def test_another_process_gets_joints_mode_wrist_and_transforms(
-    peer: Peer, domain: int, hand: Hand
-) -> None:
-    sink = Ros2Sink(
-        domain=domain, tf=True, human_wrist="/{side}/human", base="panda_link0", **LOCAL
-    )
+def test_another_process_gets_joints_mode_and_wrists(peer: Peer, domain: int, hand: Hand) -> None:
+    sink = Ros2Sink(domain=domain, human_wrist="/{side}/human", base="panda_link0", **LOCAL)
     for topic, kind in {
         "rt/mimic_p050/right/joint_commands": "JointState",
         "rt/mimic_p050/right/joint_commands_mode": "String",
         "rt/mimic_p050/right/wrist_pose": "PoseStamped",
         "rt/right/human": "PoseStamped",
-        "rt/tf": "TFMessage",
     }.items():
         peer.order(domain=domain, subscribe=topic, type=kind)
     sink.check({"right": hand})
@@ -194,7 +185,7 @@ def test_another_process_gets_joints_mode_wrist_and_transforms(
         arrival=replace(tick.arrival, frame=frame),
         velocity=np.linspace(-1.0, 1.0, len(hand.joint_names)),
     )
-    send_until(sink, tick, lambda: peer.of("rt/right/human") and peer.of("rt/tf"))
+    send_until(sink, tick, lambda: peer.of("rt/right/human"))
     until(lambda: peer.of("rt/mimic_p050/right/joint_commands"))
     until(lambda: peer.of("rt/mimic_p050/right/wrist_pose"))
     sink.stalled(0.3)
@@ -223,23 +214,13 @@ def test_another_process_gets_joints_mode_wrist_and_transforms(
     tracked = peer.of("rt/right/human")[-1]
     assert tracked["header"]["frame_id"] == "headset"
     assert list(tracked["pose"]["orientation"].values()) == [-0.5, 0.5, 0.5, 0.5]
-    for transforms in (m["transforms"] for m in peer.of("rt/tf")):
-        frames = [(t["header"]["frame_id"], t["child_frame_id"]) for t in transforms]
-        assert frames == [
-            ("panda_link0", "mimic_p050_right_wrist"),
-            ("headset", "human_right_wrist"),
-        ]
-        assert list(transforms[1]["transform"]["translation"].values()) == [0.125, 0.25, 0.375]
-        assert transforms[0]["header"]["stamp"] == transforms[1]["header"]["stamp"]
     stamps = {
         json.dumps(m["header"]["stamp"]) for m in peer.of("rt/mimic_p050/right/joint_commands")
     }
     assert json.dumps(wrist["header"]["stamp"]) in stamps  # wrist and fingers bear one stamp
 
 
-def test_controllers_get_the_actuated_joints_by_their_names_and_unit(
-    peer: Peer, domain: int
-) -> None:
+def test_controllers_get_the_actuated_joints_by_their_names(peer: Peer, domain: int) -> None:
     hand = load_hand("mimic_p050")
     assert len(hand.actuated) < len(hand.joint_names)
     tick = make_tick(hand, 7)
@@ -252,8 +233,8 @@ def test_controllers_get_the_actuated_joints_by_their_names_and_unit(
         Ros2Sink(
             "/JointTrajectory", "trajectory", prefix="r_", duration=0.125, domain=domain, **LOCAL
         ),
-        Ros2Sink("/Float64MultiArray", "array", scale=2.0, offset=1.0, domain=domain, **LOCAL),
-        Ros2Sink("/JointState", joints=f"{last} {first[:-1]}*", unit="deg", domain=domain, **LOCAL),
+        Ros2Sink("/Float64MultiArray", "array", domain=domain, **LOCAL),
+        Ros2Sink("/JointState", joints=f"{last} {first[:-1]}*", domain=domain, **LOCAL),
     ]
     for sink in sinks:  # three participants in one process, in one domain
         sink.open({"right": hand}, {})
@@ -266,9 +247,9 @@ def test_controllers_get_the_actuated_joints_by_their_names_and_unit(
     assert point["velocities"] == []
     assert point["time_from_start"] == {"sec": 0, "nanosec": 125_000_000}
     assert trajectory["header"]["stamp"] == {"sec": 0, "nanosec": 0}  # from now on
-    assert array["data"] == [2.0 * actuated[name] + 1.0 for name in names]
+    assert array["data"] == [actuated[name] for name in names]
     assert state["name"][:2] == [last, first]
-    assert state["position"] == pytest.approx([np.degrees(actuated[n]) for n in state["name"]])
+    assert state["position"] == [actuated[name] for name in state["name"]]
     for sink in sinks:
         sink.close()
 
@@ -282,7 +263,7 @@ class Recorded:
         self.sent: dict[str, list[Any]] = {}
         self.closed = False
 
-    def publisher(self, kind: type[Message], topic: str, depth: int = 10) -> Callable[[Any], None]:
+    def publisher(self, kind: type[Message], topic: str) -> Callable[[Any], None]:
         return self.sent.setdefault(topic, []).append
 
     def now(self) -> ros.Time:
@@ -358,8 +339,8 @@ def test_a_table_gives_names_order_and_commands(
         Ros2Sink(table=str(file)).connect({"right": hand}, {})
     with pytest.raises(ConfigError, match=r"there is no table nowhere_right\.toml"):
         Ros2Sink(table="nowhere").connect({"right": hand}, {})
-    with pytest.raises(ConfigError, match="the table says names, order and unit"):
-        Ros2Sink(table="x", unit="deg")
+    with pytest.raises(ConfigError, match="the table says names and order"):
+        Ros2Sink(table="x", prefix="r_")
 
 
 def test_the_drivers_of_the_page_get_their_joints_in_their_order(recorded: Recorded) -> None:
@@ -404,15 +385,14 @@ def test_the_drivers_of_the_page_get_their_joints_in_their_order(recorded: Recor
 
 
 def test_no_wrist_no_message(hand: Hand, recorded: Recorded) -> None:
-    link = Ros2Sink("/x", tf=True, human_wrist="/h", velocity=False).connect({"right": hand}, {})
+    link = Ros2Sink("/x", human_wrist="/h").connect({"right": hand}, {})
     tick = make_tick(hand)
     assert tick.arrival is not None
     lost = replace(tick.arrival.frame, T_world_wrist=np.full(7, np.nan), world="headset")
     link.deliver(replace(tick, arrival=replace(tick.arrival, frame=lost)))
-    assert recorded.sent["/tf"] == recorded.sent["/h"] == []
-    assert recorded.sent["/mimic_p050/right/wrist_pose"] == []
+    assert recorded.sent["/h"] == recorded.sent["/mimic_p050/right/wrist_pose"] == []
     (sent,) = recorded.sent["/x"]
-    assert (len(sent.position), sent.velocity) == (len(hand.joint_names), [])
+    assert len(sent.position) == len(sent.velocity) == len(hand.joint_names)
 
 
 def test_the_arm_and_the_measured_joints_go_along(hand: Hand, recorded: Recorded) -> None:
@@ -465,7 +445,6 @@ def test_wrong_names_and_settings_say_what_is_expected(hand: Hand, recorded: Rec
         "ros2:domain=233": "0 to 232",
         "ros2:network=all": "localhost or subnet",
         "ros2:message=twist": "joint_state or trajectory or array",
-        "ros2:scale=0": "scale not zero",
         "ros2:rate=-1": "rate must be",
         "ros2:joints= ": "joints must be",
     }.items():

@@ -89,35 +89,6 @@ def test_a_step_is_reached_without_overshoot(hand: Hand) -> None:
     assert arrived < needed + 5 * PERIOD
 
 
-def test_a_slow_target_is_followed_exactly(hand: Hand) -> None:
-    limiter = Limiter(hand, LimitsConfig())
-    middle, half = hand.limits.mean(axis=1), np.diff(hand.limits, axis=1)[:, 0] / 2
-    for _ in range(300):
-        limiter.step(middle, PERIOD)
-    for t in np.arange(0, 2, PERIOD):
-        target = middle + 0.8 * half * np.sin(2 * np.pi * t)
-        np.testing.assert_allclose(limiter.step(target, PERIOD), target, atol=1e-9)
-
-
-def test_rest_brakes_and_stands(hand: Hand) -> None:
-    config = LimitsConfig(velocity=5.0, acceleration=100.0)
-    limiter = Limiter(hand, config)
-    path = [limiter.step(hand.limits[:, 1], PERIOD) for _ in range(6)]
-    path += [limiter.rest(PERIOD) for _ in range(100)]
-    within(hand, config, np.array(path), PERIOD)
-    assert (limiter.velocity == 0).all()
-    np.testing.assert_array_equal(path[-1], path[-50])
-
-
-def test_a_pause_of_the_loop_is_not_caught_up_with(hand: Hand) -> None:
-    limiter = Limiter(hand, LimitsConfig(velocity=1.0, acceleration=1e6))
-    before = limiter.q
-    after = limiter.step(hand.limits[:, 1], 60.0)
-    assert (
-        np.abs(hand.full_configuration(after) - hand.full_configuration(before)).max() <= 0.1 + 1e-9
-    )
-
-
 def test_a_margin_that_leaves_nothing_is_refused(hand: Hand) -> None:
     with pytest.raises(ConfigError, match="margin"):
         Limiter(hand, LimitsConfig(margin=2.0))

@@ -24,7 +24,7 @@ from smooth_operator.human.palm_axes import human_palm_axes
 from smooth_operator.lab.discovery import discover
 from smooth_operator.simulation.physics import HandPhysics
 from smooth_operator.teleop.components import build_sink
-from smooth_operator.teleop.pages.hand_view import HandView, above
+from smooth_operator.teleop.pages.hand_view import HandView
 from smooth_operator.teleop.pages.live.live_scene import LiveScene
 from smooth_operator.teleop.pages.live.live_session import Scenery
 from smooth_operator.teleop.pages.viser_server import close_server, open_server
@@ -487,15 +487,6 @@ def test_the_forearm_is_cut_off_and_the_picture_holds_the_label() -> None:
     assert heights(cut).min() == pytest.approx(-0.03, abs=1e-9)
     assert heights(cut).max() == heights(whole.meshes).max()
     assert set(cut) == set(whole.meshes)
-    # nothing is lost above the plane, and nothing stays below it
-    box = trimesh.creation.box(extents=(2.0, 2.0, 2.0))
-    half = above(box, np.array([0.0, 0.0, 0.25]), np.array([0.0, 0.0, 1.0]))
-    assert half is not None
-    np.testing.assert_allclose(half.bounds, [[-1, -1, 0.25], [1, 1, 1]])
-    assert half.area == pytest.approx(4 + 4 * 2 * 0.75)
-    assert half.face_normals[:, 2].min() == pytest.approx(0.0)  # they still point outward
-    assert above(box, np.array([0.0, 0.0, 2.0]), np.array([0.0, 0.0, 1.0])) is None
-    assert above(box, np.array([0.0, 0.0, -2.0]), np.array([0.0, 0.0, 1.0])) is box
 
 
 def test_the_card_is_seen(

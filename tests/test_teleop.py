@@ -362,17 +362,6 @@ def test_a_source_is_opened_once_though_it_was_prepared(frames: list[HandFrame])
         assert source.opened == count
 
 
-def test_a_mailbox_keeps_the_newest(frames: list[HandFrame]) -> None:
-    box = Mailbox()
-    for frame in frames[:5]:
-        box.post(frame)
-    taken = box.take("right")
-    assert taken is not None
-    assert taken.frame is frames[4]
-    assert box.take("right") is None
-    assert (box.received, box.overwritten) == (5, 4)
-
-
 def test_an_emergency_stop_does_not_wait_for_the_next_tick(
     retargeters: dict[Side, Retargeter],
 ) -> None:

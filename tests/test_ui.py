@@ -12,7 +12,6 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from concurrent.futures import Future, ThreadPoolExecutor, wait
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -36,15 +35,8 @@ from smooth_operator.teleop.pages.hand_view import (
 )
 from smooth_operator.teleop.pages.page_layout import FOV, camera_for, plan, view_axes
 from smooth_operator.teleop.pages.playback import PlaybackClock
-from smooth_operator.teleop.pages.player_panel import (
-    GapCurves,
-    Timeline,
-    cursor_line,
-    metrics_table,
-    status_line,
-)
 from smooth_operator.teleop.pages.scene import _turn_z, lit_tips
-from smooth_operator.teleop.pages.viser_server import close_server, open_server, plain
+from smooth_operator.teleop.pages.viser_server import plain
 from smooth_operator.types import Status
 from smooth_operator.web import browser
 
@@ -125,7 +117,6 @@ def make_playback(frames: int = 60, rate: float = 100.0, sign: int = 1, **change
         "latency_ms": np.full(frames, 0.8),
         "human_tips": TIPS,
         "fingers": FINGERS,
-        "metrics": {"cosine_similarity": 0.99, "latency_ms": {"p50": 0.81}},
     }
     return Playback(**(fields | changes))
 
@@ -352,38 +343,13 @@ def test_the_status_line_says_frame_time_reason_and_latency() -> None:
     latency = np.full(60, 1.25)
     latency[8] = np.nan
     playback = make_playback(status=status, latency_ms=latency)
-    line = status_line([playback], 7)
+    line = player.status_line([playback], 7)
     assert 'data-frame="7"' in line
     assert "0.07" in line
     assert "1.25 ms" in line
     assert Status.DEGENERATE_PALM.reason in line
-    assert "status 99" in status_line([playback], 8)
-    assert "no latency" in status_line([playback], 8)
-
-
-def test_the_metrics_come_in_groups_with_unit_direction_and_meaning() -> None:
-    figures = {"scale_ratio": 0.93712345, "self_collision": {"share": 0.25},
-               "latency_ms": {"p50": 1}, "pinch_error_per_finger_mm": {"index": 4.5},
-               "q<": "<b>{x}|", "n": None, "curve": np.zeros(100), "pair": (1.5, 2)}  # fmt: skip
-    table = metrics_table([make_playback(metrics=figures)])
-    shown = re.sub(r"\s+", " ", re.sub(r"<[^>]*>", " ", table))
-    order = ["Grasping", "self collision share", "less is better", "0.25",
-             "pinch error per finger mm index", "4.5", "Accuracy", "scale ratio",
-             "robot over human; best at 1", "0.9371", "Latency",
-             "latency ms p50 [ms]", "Other", "q&lt;", "&lt;b&gt;{x}|",
-             "1.5, 2"]  # fmt: skip
-    places = [shown.index(words) for words in order]
-    assert places == sorted(places)
-    assert "curve" not in shown
-    assert "<b>" not in table
-
-
-def test_the_metrics_of_several_runs_stand_in_columns() -> None:
-    runs = [make_playback(metrics={"scale_ratio": v}, label=f"m{v}<") for v in (0.5, 0.75)]
-    rows = re.findall(r"<tr>(.*?)</tr>", metrics_table(runs))
-    cells = [[re.sub(r"<[^>]*>", "", c) for c in re.findall(r"<t[hd].*?</t[hd]>", r)] for r in rows]
-    assert cells[0] == ["", "m0.5&lt;", "m0.75&lt;"]
-    assert cells[1][1:] == ["0.5", "0.75"]
+    assert "status 99" in player.status_line([playback], 8)
+    assert "no latency" in player.status_line([playback], 8)
 
 
 @pytest.mark.parametrize(
@@ -403,62 +369,6 @@ def test_text_from_elsewhere_is_never_markup(text: str) -> None:
     assert not set(re.sub(r"&#\d+;", "", shown)) & set(string.punctuation)
     assert not shown.startswith(("import", "export"))
     assert "\n" not in plain("export\nconst")
-
-
-def test_the_timeline_holds_the_whole_recording() -> None:
-    playback = make_playback(4000, rate=100.0)
-    curves = GapCurves([playback])
-    times, *gaps = curves.data()
-    assert len(gaps) == 4  # index and pinky, human and robot
-    assert len(curves.series) == 5
-    assert (times[0], times[-1]) == (0.0, playback.times[-1])
-    assert len(times) <= 1500
-    rows = np.searchsorted(playback.times, times)
-    np.testing.assert_allclose(gaps[2], 1e3 * playback.robot_gaps()[rows, 0], rtol=1e-5)
-    assert max(gap.max() for gap in gaps) <= curves.top
-
-
-def test_the_cursor_is_replaced_while_playback_moves_it() -> None:
-    server = open_server("127.0.0.1", 0)
-    try:
-        timeline = Timeline(server.gui, [make_playback(101)], lambda frame: None)
-        timeline.fit(0, 900.0)
-        old, add = timeline._cursor, timeline._add_plot
-        before = old.content
-        with ThreadPoolExecutor() as playback:
-
-            def meanwhile() -> None:
-                moves.append(playback.submit(timeline.show, 50))
-                wait(moves, 0.2)
-                add()
-
-            moves: list[Future[None]] = []
-            timeline._add_plot = meanwhile  # type: ignore[method-assign]
-            timeline.fit(0, 500.0)  # a narrower browser
-            moves[0].result()
-        assert old.content == before  # a browser knows no handle that was removed
-        assert timeline._cursor.content == cursor_line(0.5)
-    finally:
-        close_server(server)
-
-
-def test_several_runs_are_compared_by_one_finger() -> None:
-    shift = np.array([[0.0], [0.01], [0.02]])
-    first = make_playback(label="a")
-    second = make_playback(label="b", robot_tips=first.robot_tips + shift)
-    curves = GapCurves([first, second])
-    labels = [series["label"] for series in curves.series]
-    assert labels == ["time", "human", "a", "b"]
-    colors = [series["stroke"] for series in curves.series[2:4]]
-    assert len(set(colors)) == 2
-    fingers = ["#{:02x}{:02x}{:02x}".format(*color) for color in FINGER_COLORS]
-    assert not set(colors) & set(fingers)  # a colour means one thing
-    for finger in (0, 1):
-        curves.show(finger)
-        _, human, one, other = curves.data()
-        for values, run in ((one, first), (other, second)):
-            np.testing.assert_allclose(values, 1e3 * run.robot_gaps()[:, finger], rtol=1e-5)
-        np.testing.assert_allclose(human, 1e3 * first.human_gaps()[:, finger], rtol=1e-5)
 
 
 def test_runs_of_other_frames_or_fingers_do_not_stand_side_by_side() -> None:
@@ -526,7 +436,7 @@ def test_the_scene_shows_the_kinematics_of_its_frame(
     data = mujoco.MjData(playback.model)
     data.qpos[:] = playback.qpos[40]
     mujoco.mj_kinematics(playback.model, data)
-    eventually(lambda: server._panel._timeline.slider.value == 40)
+    eventually(lambda: server._panel._slider.value == 40)
     for body, node in robot.bodies.nodes.items():
         np.testing.assert_allclose(node.batched_positions[0], data.xpos[body], atol=1e-5)
         np.testing.assert_allclose(node.batched_wxyzs[0], data.xquat[body], atol=1e-4)
@@ -553,7 +463,7 @@ def test_missing_landmarks_vanish_and_pinches_light_up() -> None:
         hand, lines = server._scene.row.human, server._scene.row.lines
         for frame in (1, 2):
             server.set_frame(frame)
-            eventually(lambda frame=frame: server._panel._timeline.slider.value == frame)
+            eventually(lambda frame=frame: server._panel._slider.value == frame)
             scales = hand._joints.batched_scales
             assert np.isfinite(hand._joints.batched_positions).all()
             assert (scales == 0).nonzero()[0].tolist() == ([6] if frame == 1 else [])
@@ -785,14 +695,6 @@ def test_the_page_plays_pauses_and_scrubs(opened: tuple[PlaybackServer, Any, lis
     for left, right in ((0, 235), (235, 470)):  # the human hand has moved, and the robot
         part = np.s_[:, left:right]
         settled(page, 470, 600, lambda p, part=part: changed(p[part], start[part]) > 0.01)
-    marked = page.evaluate(
-        """() => {
-        const plot = document.querySelector(".u-over").getBoundingClientRect();
-        const line = document.querySelector("#timeline-cursor > div").getBoundingClientRect();
-        return [line.left - plot.right, line.top - plot.top, line.bottom - plot.bottom];
-        }"""
-    )
-    assert np.abs(marked).max() < 5  # the cursor stands at the end of the curves [px]
     page.get_by_role("button", name="-1", exact=True).click()
     page.wait_for_function(f"{FRAME} == 298")
     page.keyboard.press("k")
@@ -801,8 +703,6 @@ def test_the_page_plays_pauses_and_scrubs(opened: tuple[PlaybackServer, Any, lis
 
     page.get_by_label("Overlay").check()
     eventually(lambda: np.allclose(server._scene.row.roots["robot_0"].position, 0))
-    page.get_by_role("tab", name="Metrics").click()
-    page.get_by_role("cell", name="cosine similarity").first.wait_for()
     assert problems == []
 
 

@@ -40,7 +40,7 @@ KINDS = (
     "drop-out", "long drop-out", "wrist lost", "wrist untracked", "landmarks lost", "frame of NaN",
     "wrist teleports", "wrist turns over", "quaternion changes sign", "noise of 2 cm",
     "clutch pumped", "pause", "emergency stop", "late frames", "stamps go back", "stamps repeat",
-    "tracker starts again", "world changes", "method switched", "limits changed",
+    "tracker starts again", "world changes", "method switched",
     "actuator stuck", "bus errors", "loop stalls", "uneven steps", "arm not measured",
     "out of reach", "into the table", "fingers opened and closed",
 )  # fmt: skip
@@ -179,10 +179,6 @@ class Run:
             frame = replace(frame, world="another room" if step % 10 < 5 else "room")
         elif kind == "method switched" and step % 10 == 0:
             self.pipeline.switch(self.retargeter)
-        elif kind == "limits changed" and step % 8 == 0:
-            speed = float(rng.uniform(0.1, 1.0))
-            wrist_config = replace(self.config.wrist, velocity=speed)
-            self.pipeline.configure(replace(self.config, wrist=wrist_config))
         elif kind == "actuator stuck":
             self.stuck = None if last else self.stuck or float(self.physics.arm_positions[1])
         elif kind == "bus errors":
@@ -202,8 +198,6 @@ class Run:
             frame = replace(
                 frame, landmarks=self.frames[int(rng.integers(len(self.frames)))].landmarks
             )
-        if last and kind == "limits changed":
-            self.pipeline.configure(self.config)
         dt = PERIOD
         if kind == "loop stalls" and step % 12 == 0:
             dt = 0.35

@@ -90,7 +90,7 @@ def demo(options: Demo) -> None:
         from smooth_operator.teleop.pages import serve
 
         drawn = hand_to_draw(todo.hand, options)
-        page = playback(title, todo.hand, trace, metrics, drawn)
+        page = playback(title, todo.hand, trace, drawn)
         serve(page, host=options.host, port=options.port, open_browser=not options.no_browser)
 
 

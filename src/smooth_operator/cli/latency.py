@@ -109,6 +109,10 @@ def _print(path: Path, timing: Mapping[str, Any]) -> None:
 def _figure(logs: Mapping[Path, Log]) -> Figure:
     """Latencies over time, and their distribution."""
     import numpy as np
+
+    from smooth_operator.errors import require
+
+    require("a figure of latencies", "lab", "matplotlib")
     from matplotlib.figure import Figure
 
     from smooth_operator.teleop.runtime.statistics import added_latency

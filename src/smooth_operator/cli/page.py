@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -45,7 +44,6 @@ def playback(
     title: str,
     hand: Hand,
     trace: Trace,
-    metrics: Mapping[str, Any],
     drawn: Hand | None = None,
     label: str = "robot",
 ) -> Playback:
@@ -55,7 +53,6 @@ def playback(
         title: title of the page.
         hand: the robot hand.
         trace: the run, in the palm frame.
-        metrics: figures for the table on the page.
         drawn: the same hand on the model to draw, with the same joints by name, in any order; see
             ``on_model``. Simple shapes if left out; with it, they are there for a switch.
         label: text above the robot.
@@ -86,7 +83,6 @@ def playback(
         latency_ms=trace.latency_ms,
         human_tips=tuple(TIPS[FINGERS.index(name)] for name in trace.fingers),
         fingers=trace.fingers,
-        metrics=metrics,
         bodies=model.bodies,
         label=label,
         simple=simple,

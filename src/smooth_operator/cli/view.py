@@ -75,6 +75,7 @@ def view(options: View) -> None:
         from smooth_operator.simulation.renderer import draw_off_screen
 
         draw_off_screen()
+    from smooth_operator.cli.console import print_metrics
     from smooth_operator.cli.page import hand_to_draw, playback
     from smooth_operator.metrics import evaluate
     from smooth_operator.teleop.pages import serve
@@ -100,12 +101,14 @@ def view(options: View) -> None:
     if len(runs) == 1 and runs[0].made_by:
         title += f": {runs[0].made_by}"
     pages = [
-        playback(title, run.hand, run.trace, evaluate(run.trace), drawn, label)
+        playback(title, run.hand, run.trace, drawn, label)
         for run, label in zip(runs, labels, strict=True)
     ]
     if options.save is not None:
         _save(pages, options.save)
         return
+    for run, label in zip(runs, labels, strict=True):
+        print_metrics(label if len(runs) > 1 else title, evaluate(run.trace))
     serve(pages, host=options.host, port=options.port, open_browser=not options.no_browser)
 
 

@@ -140,13 +140,6 @@ HTS: Final = Reader(
     ),
     (".hts",),
 )
-HTS_JSON: Final = Reader(
-    "the .jsonl of hand-tracking-sdk",
-    Entry("smooth_operator.headsets.recordings:read_hts_json"),
-    (b'{"event_type"',),
-    (".jsonl",),
-)
-
 READERS: Final = Registry(
     "reader",
     {
@@ -156,7 +149,6 @@ READERS: Final = Registry(
         "hdf5": Entry(f"{_HERE}:HDF5", HDF5.what),
         "avp": Entry(f"{_HERE}:AVP", AVP.what),
         "hts": Entry(f"{_HERE}:HTS", HTS.what),
-        "hts_json": Entry(f"{_HERE}:HTS_JSON", HTS_JSON.what),
     },
     needs=("what", "recognises", "read_file", "count_frames"),
 )
@@ -189,7 +181,6 @@ def readable() -> str:
         "a .npy or .npz of landmarks (T, 21, 3) [m]",
         AVP.what,
         HTS.what,
-        HTS_JSON.what,
         LOG.what,
         HDF5.what,
         *(readers[name].what for name in READERS.plugins if name in readers),

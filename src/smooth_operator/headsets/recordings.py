@@ -5,7 +5,6 @@
   each 16 numbers, column by column.
 - Hand Tracking Streamer's lines as received (``nc -lu 9000 > hands.hts``); they have stamps with
   the app's debug option, else they need a rate.
-- The JSON lines that the example ``log_to_jsonl.py`` of ``hand-tracking-sdk`` writes.
 
 Frames without a new measurement of the hand are left out.
 """
@@ -24,10 +23,10 @@ from smooth_operator.errors import DocumentError, RecordingError, brief
 from smooth_operator.formats.bounds import Allowance, TooLargeError
 from smooth_operator.formats.checks import stamps_from_rate
 from smooth_operator.headsets.avp import JOINTS, avp_frame
-from smooth_operator.headsets.hts_lines import HtsHands, HtsLine, hts_frame, parse_line
+from smooth_operator.headsets.hts_lines import HtsHands, parse_line
 from smooth_operator.headsets.repeats import Repeats
 from smooth_operator.io import documents
-from smooth_operator.types import HandFrame, HandRecording, Side, as_side
+from smooth_operator.types import HandFrame, HandRecording, Side
 
 MOST_LINE: Final = 65_536
 """Longest accepted line of JSON [bytes]; one with both hands has 8,000."""
@@ -47,7 +46,6 @@ _FRAME_BYTES: Final = 4096
 """Memory of a frame with its arrays [bytes]."""
 _LABEL: Final = re.compile(rb"(?=(?:Right|Left) (?:wrist|landmarks)|Head pose)")
 _NUMBER: Final = {int, float}  # excludes bool, a subclass of int
-_WRIST: Final = ("x", "y", "z", "qx", "qy", "qz", "qw")
 
 
 class _Collected:
@@ -229,39 +227,9 @@ def _hts(path: Path, side: Side | None) -> _Collected:
     return frames
 
 
-def read_hts_json(
-    path: Path, rate: float | None, side: Side | None, layout: str | None
-) -> HandRecording:
-    """A hand of the JSON lines of ``hand-tracking-sdk``; arguments as ``read_recording``.
-
-    Stamps are those of the headset if it sends them, else the times of receipt.
-
-    Raises:
-        RecordingError: there is no such hand in it, or there are both and ``side`` is None.
-    """
-    return _hts_json(path, side).recording(rate, "hts_json")
-
-
-def _hts_json(path: Path, side: Side | None) -> _Collected:
-    frames, packets = _Collected(path, side), _Collected(path, side)
-    hands, whole = HtsHands(), False
-    for message in _objects(path, frames):
-        try:
-            if message.get("event_type") == "frame":
-                whole = True
-                frames.add(_sdk_frame(message.get("data")))
-            elif not whole:
-                packets.add(_sdk_packet(message, hands))
-        except (RecordingError, ValueError, TypeError, KeyError, AttributeError) as error:
-            frames.damaged(error)
-            packets.damaged(error)
-    return frames if whole else packets
-
-
 _COLLECTORS: Final[Mapping[str, Callable[[Path, Side | None], _Collected]]] = {
     "avp": _avp,
     "hts": _hts,
-    "hts_json": _hts_json,
 }
 
 
@@ -271,44 +239,12 @@ def read_both_hands(path: Path, rate: float | None, form: str) -> dict[Side, Han
     Args:
         path: the file.
         rate: frames a second [Hz], for a file without stamps.
-        form: name of its reader: ``avp``, ``hts`` or ``hts_json``.
+        form: name of its reader: ``avp`` or ``hts``.
 
     Raises:
         RecordingError: there is no hand in it, or it has no stamps and there is no rate.
     """
     return _COLLECTORS[form](path, None).recordings(rate, form)
-
-
-def _sdk_frame(data: Any) -> HandFrame | None:
-    if "head" in data:
-        return None
-    wrist = _numbers([data["wrist"][name] for name in _WRIST], 7, "wrist")
-    stamp = data.get("source_ts_ns")
-    if stamp is None:
-        stamp = data["recv_ts_ns"]
-    points = _points(data["landmarks"])
-    return hts_frame(points, wrist, as_side(data["side"]), int(stamp) / 1_000_000_000)
-
-
-def _sdk_packet(message: dict[str, Any], hands: HtsHands) -> HandFrame | None:
-    at = int(message["logged_at_unix_ns"]) / 1_000_000_000
-    data, kind, side = message["data"], message["packet_type"], as_side(message["side"])
-    if kind == "wrist":
-        values = _numbers([data[name] for name in _WRIST], 7, "wrist")
-        return hands.add(HtsLine("wrist", side, values, stamp=at), at)
-    if kind == "landmarks":
-        return hands.add(HtsLine("landmarks", side, _points(data).ravel(), stamp=at), at)
-    return None
-
-
-def _points(data: Any) -> Float[np.ndarray, "21 3"]:
-    return np.stack([_numbers(point, 3, "points") for point in _checked(data["points"], 21)])
-
-
-def _checked(rows: Any, count: int) -> list[Any]:
-    if not isinstance(rows, list) or len(rows) != count:
-        raise RecordingError(f"'points' must be {count} points, not {brief(rows)}")
-    return rows
 
 
 def _numbers(value: Any, count: int, what: str) -> Float[np.ndarray, " n"]:

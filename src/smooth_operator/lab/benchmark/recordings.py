@@ -37,7 +37,7 @@ UNKNOWN_TRACKER: Final = "other"
 """Kind of the recordings that name none and whose format does not tell."""
 
 _TRACKER_OF: Final = {
-    "manus": "glove", "avp": "headset", "hts": "headset", "hts_json": "headset",
+    "manus": "glove", "avp": "headset", "hts": "headset",
     "egodex": "headset",
 }  # fmt: skip
 _NOTED: Final = ("side_assumed", "implausible_frames", "format")  # what a report reads of it

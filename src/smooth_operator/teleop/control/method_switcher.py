@@ -1,14 +1,12 @@
-"""Switches method, preset or settings of a running loop, compiling on a thread of its own."""
+"""Switches method, preset or operator of a running loop, compiling on a thread of its own."""
 
 from __future__ import annotations
 
 import contextlib
 import threading
-import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from concurrent.futures import Future, InvalidStateError
 from dataclasses import dataclass, replace
-from typing import Final
 
 from smooth_operator.errors import ConfigError, SmoothOperatorError
 from smooth_operator.human.operator import OperatorProfile
@@ -21,9 +19,6 @@ from smooth_operator.teleop.runtime.pipeline import HandPipeline
 from smooth_operator.teleop.sinks.tick import Driver
 from smooth_operator.types import Side
 
-_DEBOUNCE_S: Final = 0.4
-"""Time without a motion after which a slider counts as released [s]."""
-
 
 @dataclass(frozen=True, eq=False)
 class DriverSpec:
@@ -32,19 +27,14 @@ class DriverSpec:
     Attributes:
         method: name of the method.
         preset: name of its preset, never empty.
-        base: configuration of the preset, which determines the ranges of sliders.
-        configs: side -> configuration, with all changes.
+        base: configuration of the preset.
+        configs: side -> configuration, with the operator.
     """
 
     method: str
     preset: str
     base: MethodConfig
     configs: Mapping[Side, MethodConfig]
-
-    @property
-    def shown(self) -> MethodConfig:
-        """Configuration of the first hand; those of others differ only in their operators."""
-        return next(iter(self.configs.values()))
 
     def driver(self, side: Side) -> Driver:
         """The driver of one side, for records of the run."""
@@ -66,7 +56,6 @@ class MethodSwitcher:
         used: current method and configurations.
         target: the last request; ``used`` if none is pending.
         error: reason of the failure of the last request; empty if it did not fail.
-        refused: number of failed requests, at whose change a page shows the old values again.
     """
 
     def __init__(self, loop: TeleopLoop, request: RetargetRequest) -> None:
@@ -79,9 +68,7 @@ class MethodSwitcher:
         self.used = DriverSpec(request.method, request.preset, request.config, configs)
         self.target = self.used
         self.error = ""
-        self.refused = 0
         self.building = ""
-        self._due = 0.0
         self._request: Future[DriverSpec] = Future()
         self._request.set_result(self.used)
         self._changed = threading.Condition()
@@ -101,27 +88,12 @@ class MethodSwitcher:
             ConfigError: the operator was calibrated for another hand.
         """
         with self._changed:
-            return self._want(self._settled(method, preset), 0.0)
-
-    def adjust(self, change: Callable[[MethodConfig], MethodConfig]) -> Future[DriverSpec]:
-        """Request a change of every hand's configuration; see ``choose``.
-
-        Raises:
-            SmoothOperatorError: ``change`` raised it.
-        """
-        with self._changed:
-            target = self.target
-            try:
-                configs = {side: change(config) for side, config in target.configs.items()}
-            except SmoothOperatorError:
-                self.refused += 1
-                raise
-            return self._want(replace(target, configs=configs), _DEBOUNCE_S)
+            return self._want(self._settled(method, preset))
 
     def operate(self, operators: Mapping[Side, OperatorProfile | None]) -> Future[DriverSpec]:
         """Request the use of calibrations; see ``choose``.
 
-        Changed settings return to the preset's. Other hands keep their calibration.
+        Other hands keep their calibration.
 
         Raises:
             ConfigError: a calibration is for another hand, or for one that is not driven.
@@ -133,7 +105,7 @@ class MethodSwitcher:
             before = dict(self.operators)
             self.operators.update(operators)
             try:
-                return self._want(self._settled(self.target.method, self.target.preset), 0.0)
+                return self._want(self._settled(self.target.method, self.target.preset))
             except SmoothOperatorError:
                 self.operators.update(before)
                 raise
@@ -155,11 +127,10 @@ class MethodSwitcher:
         }
         return DriverSpec(method, preset, base, configs)
 
-    def _want(self, spec: DriverSpec, after: float) -> Future[DriverSpec]:
+    def _want(self, spec: DriverSpec) -> Future[DriverSpec]:
         self._settle(ConfigError("something else was asked for meanwhile"))
         self._request = Future()
         self.target, self.error = spec, ""
-        self._due = time.monotonic() + after
         self._changed.notify_all()
         return self._request
 
@@ -171,8 +142,6 @@ class MethodSwitcher:
         while True:
             with self._changed:
                 self._changed.wait_for(lambda: self._ending or self.target is not self.used)
-                while not self._ending and (rest := self._due - time.monotonic()) > 0:
-                    self._changed.wait(rest)
                 if self._ending:
                     return
                 spec, used = self.target, self.used
@@ -219,7 +188,6 @@ class MethodSwitcher:
             self.building = ""
             if spec is self.target:
                 self.target, self.error = self.used, str(error)
-                self.refused += 1
                 self._loop.controls.change(lambda hand: hand.go_on())
                 self._settle(error)
 

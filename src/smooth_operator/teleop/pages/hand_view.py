@@ -11,6 +11,7 @@ import numpy as np
 import trimesh
 from jaxtyping import Bool, Float, Int, UInt8
 from trimesh.graph import smooth_shade
+from trimesh.intersections import slice_faces_plane
 
 from smooth_operator import landmarks
 from smooth_operator.hand_files.vendor_model import has_meshes
@@ -300,50 +301,6 @@ def body_meshes(
     return merged
 
 
-def above(
-    mesh: trimesh.Trimesh, point: Float[np.ndarray, "3"], normal: Float[np.ndarray, "3"]
-) -> trimesh.Trimesh | None:
-    """The part of a surface on one side of a plane, open where it was cut; None if there is none.
-
-    Args:
-        mesh: the surface.
-        point: point of the plane, in the mesh's frame [m].
-        normal: normal of the plane, toward the part that stays.
-    """
-    vertices, faces = mesh.vertices, mesh.faces
-    height = (vertices - point) @ normal
-    inside = height > 0
-    if inside.all():
-        return mesh
-    if not inside.any():
-        return None
-    count = inside[faces].sum(axis=1)
-
-    def turned(chosen: Int[np.ndarray, "n 3"], first: Int[np.ndarray, " n"]) -> Any:
-        """The corners of each face in their order, from another one on; as three columns."""
-        return np.take_along_axis(chosen, (first[:, None] + np.arange(3)) % 3, axis=1).T
-
-    def crossing(a: Int[np.ndarray, " n"], b: Int[np.ndarray, " n"]) -> Float[np.ndarray, "n 3"]:
-        share = height[a] / (height[a] - height[b])
-        return np.asarray(vertices[a] + share[:, None] * (vertices[b] - vertices[a]))
-
-    one, two = faces[count == 1], faces[count == 2]
-    a, b, c = turned(one, inside[one].argmax(axis=1))  # a stays
-    d, e, f = turned(two, inside[two].argmin(axis=1))  # d goes
-    edges = [crossing(a, b), crossing(a, c), crossing(e, d), crossing(f, d)]
-    ends = np.cumsum([len(vertices), *map(len, edges)])
-    ab, ac, ed, fd = (np.arange(ends[k], ends[k + 1]) for k in range(4))
-    new = [np.stack(face, axis=1) for face in ((a, ab, ac), (ed, e, f), (ed, f, fd))]
-    # process: merged vertices would average the normals across the edges
-    cut = trimesh.Trimesh(
-        np.concatenate([vertices, *edges]),
-        np.concatenate([faces[count == 3], *new]),
-        process=False,
-    )
-    cut.remove_unreferenced_vertices()
-    return cut
-
-
 def without_forearm(
     meshes: Mapping[int, trimesh.Trimesh],
     poses: Mapping[int, tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]],
@@ -362,11 +319,15 @@ def without_forearm(
     """
     cut: dict[int, trimesh.Trimesh] = {}
     for body, whole in meshes.items():
-        mesh: trimesh.Trimesh | None = whole
+        mesh = whole
         if owner[body] < 0:
             rotation, position = poses[body]
-            mesh = above(whole, rotation.T @ (point - position), rotation.T @ distal)
-        if mesh is not None:
+            vertices, faces, *_ = slice_faces_plane(
+                whole.vertices, whole.faces, rotation.T @ distal, rotation.T @ (point - position)
+            )
+            # process: merged vertices would average the normals across the edges
+            mesh = trimesh.Trimesh(vertices, faces, process=False)
+        if len(mesh.faces):
             cut[body] = mesh
     return cut
 
@@ -467,14 +428,6 @@ FINGER_COLORS: Final[tuple[Rgb, ...]] = tuple(
     (int(code[1:3], 16), int(code[3:5], 16), int(code[5:7], 16)) for code in landmarks.FINGER_COLORS
 )
 """One colour per finger, thumb first."""
-RUN_COLORS: Final[tuple[Rgb, ...]] = (
-    (255, 255, 255),
-    (178, 150, 255),
-    (188, 220, 90),
-    (255, 150, 170),
-    (120, 230, 220),
-)
-"""Colours of runs that are compared, in plots and tables; no finger has any of them."""
 HIGHLIGHT: Final[Rgb] = (240, 228, 66)
 """A pinching fingertip."""
 SIMULATED: Final[Rgb] = (240, 228, 66)

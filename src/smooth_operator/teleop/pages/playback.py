@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -14,9 +13,7 @@ from numpy.typing import ArrayLike, DTypeLike
 
 from smooth_operator.errors import HandModelError, RecordingError
 from smooth_operator.landmarks import FINGERS, NUM_LANDMARKS, TIPS
-
-PINCH_DISTANCE = 0.015
-"""A human thumb-finger tip distance below this counts as a pinch [m]."""
+from smooth_operator.metrics.accuracy import PINCH_DISTANCE
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +52,6 @@ class Playback:
         latency_ms: (T,) time from landmarks to command [ms]; NaN where unknown.
         human_tips: (F,) landmark index of the human fingertip that each robot fingertip follows.
         fingers: (F,) names of the fingers, thumb first.
-        metrics: figures for the page's table; nested mappings are flattened. None: no table.
         bodies: (nbody,) which bodies of the model to draw, where it holds more than the hand; all
             if None.
         label: label above the robot; with several robots, the origin of its motion.
@@ -79,7 +75,6 @@ class Playback:
     latency_ms: Float[np.ndarray, " T"]
     human_tips: tuple[int, ...] = TIPS
     fingers: tuple[str, ...] = FINGERS
-    metrics: Mapping[str, Any] | None = None
     bodies: Bool[np.ndarray, " nbody"] | None = None
     label: str = "robot"
     simple: SimpleShapes | None = None
@@ -136,20 +131,12 @@ class Playback:
         """(T,) seconds since the first frame."""
         return np.asarray(self.stamps - self.stamps[0])
 
-    def human_gaps(self) -> Float[np.ndarray, "T G"]:
-        """(T, F-1) distances of the human thumb tip to each other fingertip [m], NaN if missing."""
-        tips = self.human[:, list(self.human_tips)]
-        return np.asarray(np.linalg.norm(tips[:, 1:] - tips[:, :1], axis=-1))
-
-    def robot_gaps(self) -> Float[np.ndarray, "T G"]:
-        """(T, F-1) distances of the robot thumb tip to each other fingertip [m]."""
-        gaps = self.robot_tips[:, 1:] - self.robot_tips[:, :1]
-        return np.asarray(np.linalg.norm(gaps, axis=-1))
-
     def pinches(self) -> Bool[np.ndarray, "T G"]:
         """(T, F-1) True where the human pinches: gap under ``PINCH_DISTANCE``."""
+        tips = self.human[:, list(self.human_tips)]
         # NaN compares False: a lost hand never pinches
-        return np.asarray(self.human_gaps() < PINCH_DISTANCE)
+        gaps = np.linalg.norm(tips[:, 1:] - tips[:, :1], axis=-1)
+        return np.asarray(gaps < PINCH_DISTANCE)
 
 
 def check_runs(runs: Sequence[Playback]) -> None:

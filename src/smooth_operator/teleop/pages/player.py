@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import html
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -14,17 +16,15 @@ import viser
 from jaxtyping import Float, Int
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.teleop.pages.hand_view import body_meshes, finger_of_body, without_forearm
+from smooth_operator.teleop.pages.hand_view import (
+    body_meshes,
+    css,
+    finger_colors,
+    finger_of_body,
+    without_forearm,
+)
 from smooth_operator.teleop.pages.page_layout import FOREARM, Aiming, plan, view_axes
 from smooth_operator.teleop.pages.playback import Playback, PlaybackClock, SimpleShapes, check_runs
-from smooth_operator.teleop.pages.player_panel import (
-    HEIGHT,
-    SPEEDS,
-    Timeline,
-    legend,
-    metrics_table,
-    status_line,
-)
 from smooth_operator.teleop.pages.scene import TRANSLUCENT, BodyNodes, HandRow
 from smooth_operator.teleop.pages.viser_server import (
     PageServer,
@@ -32,6 +32,10 @@ from smooth_operator.teleop.pages.viser_server import (
     from_person,
     serve_page,
 )
+from smooth_operator.types import Status
+
+SPEEDS = (0.1, 4.0)
+"""Slowest and fastest playback, as a multiple of real time."""
 
 _TICK = 1 / 60  # shortest time between two drawn frames [s]: what a display shows
 _TEXT_TICK = 1 / 10  # same for text, slider and plot, which cost the browser far more than poses
@@ -82,7 +86,7 @@ class PlaybackServer(PageServer):
     # -- life ---------------------------------------------------------------------------------
 
     def _build(self, server: viser.ViserServer) -> None:
-        self._scene = Scene(server, self.runs, below=HEIGHT)
+        self._scene = Scene(server, self.runs)
         self._panel = Panel(server.gui, self.runs, self, self._clock.loop)
         self._scene.draw(0)
 
@@ -209,22 +213,11 @@ class PlaybackServer(PageServer):
 
     async def _greet(self, client: viser.ClientHandle) -> None:
         self._scene.aiming.greet(client)
-        self._fit(client.client_id, client.camera.image_width)
-
-        async def fit(camera: viser.CameraHandle) -> None:
-            self._fit(client.client_id, camera.image_width)
-
-        client.camera.on_update(fit)
         with self._change():  # while nobody watched, nothing was drawn
             pass
 
     async def _forget(self, client: viser.ClientHandle) -> None:
         self._scene.aiming.forget(client)
-        self._fit(client.client_id, None)
-
-    def _fit(self, client: int, canvas_width: float | None) -> None:
-        with self._change():  # browsers come and go on their own threads
-            self._jobs.append(lambda: self._panel.fit(client, canvas_width))
 
     def _run(self) -> None:
         assert self._server is not None
@@ -312,12 +305,9 @@ class Scene:
     Args:
         server: the viser server to draw on.
         runs: runs to draw: the human of the first, the robot of each.
-        below: height of a panel that covers the lower edge of the canvas [px].
     """
 
-    def __init__(
-        self, server: viser.ViserServer, runs: Sequence[Playback], below: float = 0.0
-    ) -> None:
+    def __init__(self, server: viser.ViserServer, runs: Sequence[Playback]) -> None:
         self._runs = tuple(runs)
         first = self._runs[0]
         self._pinches = first.pinches()
@@ -329,7 +319,7 @@ class Scene:
         for label, top in zip(self.row.labels.values(), layout.tops, strict=True):
             label.position = top
         axes = np.stack([layout.right, layout.up, layout.toward])
-        self.aiming = Aiming(server, axes, layout.centre, layout.half, below)
+        self.aiming = Aiming(server, axes, layout.centre, layout.half)
         self.set_overlay(False)
 
     def draw(self, frame: int) -> None:
@@ -439,6 +429,10 @@ class Panel:
         gui.set_panel_label(runs[0].title)
         gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
         self._status = gui.add_html(status_line(runs, 0))
+        last = len(runs[0]) - 1
+        self._slider: Any = gui.add_slider(
+            "Frame", min=0, max=max(last, 1), step=1, initial_value=0, disabled=last == 0
+        )
         self._play = gui.add_button("Play", icon=viser.Icon.PLAYER_PLAY, hint="key K")
         step = gui.add_button_group("Step", ("-1", "+1"), hint="keys J and L")
         speed = gui.add_slider(
@@ -454,9 +448,10 @@ class Panel:
             )
             meshes.on_update(from_person(lambda event: controls.set_meshes(event.target.value)))
         view = gui.add_button("Reset view", color="gray", icon=viser.Icon.FOCUS_CENTERED)
-        gui.add_html(legend(runs))
+        gui.add_html(legend(runs[0].fingers))
 
         self._play.on_click(from_person(lambda _: controls.toggle()))
+        self._slider.on_update(from_person(lambda event: controls.scrub(event.target.value)))
         step.on_click(from_person(lambda event: controls.step(int(event.target.value))))
         speed.on_update(from_person(lambda event: controls.set_speed(event.target.value)))
         looping.on_update(from_person(lambda event: controls.set_loop(event.target.value)))
@@ -470,28 +465,51 @@ class Panel:
             ("Step back", "J", lambda: controls.step(-1)),
             ("Step forward", "L", lambda: controls.step(1)),
         )
-        self._timeline = Timeline(gui, runs, controls.scrub)
-        self._build_side_panel(gui)
+        gui.main_panel.dock_right()
 
     def show_frame(self, frame: int) -> None:
-        """Move status line and timeline to a frame."""
+        """Move status line and slider to a frame."""
         self._status.content = status_line(self._runs, frame)
-        self._timeline.show(frame)
-
-    def fit(self, client: int, canvas_width: float | None) -> None:
-        """Fit the timeline to a browser's canvas [px]; None once the browser has left."""
-        self._timeline.fit(client, canvas_width)
+        self._slider.value = frame
 
     def show_playing(self, playing: bool) -> None:
         """Make the button say what it would do."""
         self._play.label = "Pause" if playing else "Play"
         self._play.icon = viser.Icon.PLAYER_PAUSE if playing else viser.Icon.PLAYER_PLAY
 
-    def _build_side_panel(self, gui: viser.GuiApi) -> None:
-        gui.main_panel.dock_right()
-        if any(run.metrics for run in self._runs):
-            # A separate panel: on a phone it starts folded, so that the hands stay visible.
-            panel = gui.add_panel()
-            with panel.add_tab("Metrics", icon=viser.Icon.TABLE):
-                gui.add_html(metrics_table(self._runs))
-            panel.dock_below(gui.main_panel)
+
+def status_line(runs: Sequence[Playback], frame: int) -> str:
+    """The line under the title as HTML: frame, time; of each run what it said, and its latency."""
+    times = runs[0].times
+    parts = (
+        f"<b>frame {frame}</b>/{len(times) - 1}",
+        f"<b>{times[frame]:.2f}</b>/{times[-1]:.2f} s",
+    )
+    lines = [_status_text(run, frame, named=len(runs) > 1) for run in runs]
+    return (
+        f'<div id="playback-status" data-frame="{frame}" role="status" '
+        'style="padding:0.4em 0.8em;font-size:0.875em;font-variant-numeric:tabular-nums">'
+        f"{' · '.join(parts)}<br>{'<br>'.join(lines)}</div>"
+    )
+
+
+def _status_text(run: Playback, frame: int, named: bool) -> str:
+    try:
+        status = Status(int(run.status[frame]))
+        reason, good = status.reason, status is Status.OK
+    except ValueError:  # a file from a newer release; say what it holds
+        reason, good = f"status {int(run.status[frame])}", False
+    latency = run.latency_ms[frame]
+    time = f"{latency:.2f} ms" if np.isfinite(latency) else "no latency"
+    name = f"{html.escape(run.label)}: " if named else ""
+    return f"{name}<b>{'✓' if good else '⚠'}</b> {html.escape(reason)} · {time}"
+
+
+def legend(fingers: Sequence[str]) -> str:
+    """Colours of the fingers as HTML."""
+    chips = "".join(
+        f'<span style="white-space:nowrap;margin-right:0.7em"><span style="color:{css(color)}">⬤'
+        f"</span> {html.escape(name)}</span>"
+        for name, color in zip(fingers, finger_colors(len(fingers)), strict=True)
+    )
+    return f'<div style="padding:0 0.8em 0.5em;font-size:0.75em">{chips}</div>'

@@ -1,7 +1,7 @@
 """ROS 2 messages as classes of CycloneDDS, without a ROS 2 installation.
 
 Fields are those of the public interface definitions (builtin_interfaces, std_msgs, geometry_msgs,
-sensor_msgs, trajectory_msgs, tf2_msgs), the same from Humble to Rolling, and of manus_ros2_msgs.
+sensor_msgs, trajectory_msgs), the same from Humble to Rolling, and of manus_ros2_msgs.
 The type ``std_msgs/msg/String`` is ``std_msgs::msg::dds_::String_`` in DDS. Without
 ``annotations`` from the future: CycloneDDS evaluates them.
 """
@@ -116,15 +116,6 @@ class Point(IdlStruct, typename="geometry_msgs.msg.dds_.Point_"):
 
 
 @_message
-class Vector3(IdlStruct, typename="geometry_msgs.msg.dds_.Vector3_"):
-    """A vector."""
-
-    x: float64 = 0.0
-    y: float64 = 0.0
-    z: float64 = 0.0
-
-
-@_message
 class Quaternion(IdlStruct, typename="geometry_msgs.msg.dds_.Quaternion_"):
     """A rotation; ROS 2 writes w last."""
 
@@ -156,30 +147,6 @@ class PoseArray(IdlStruct, typename="geometry_msgs.msg.dds_.PoseArray_"):
 
     header: Header = field(default_factory=Header)
     poses: sequence[Pose] = field(default_factory=list)
-
-
-@_message
-class Transform(IdlStruct, typename="geometry_msgs.msg.dds_.Transform_"):
-    """A transform from a child's frame to its parent's."""
-
-    translation: Vector3 = field(default_factory=Vector3)
-    rotation: Quaternion = field(default_factory=Quaternion)
-
-
-@_message
-class TransformStamped(IdlStruct, typename="geometry_msgs.msg.dds_.TransformStamped_"):
-    """A transform at a time; its header names the parent."""
-
-    header: Header = field(default_factory=Header)
-    child_frame_id: str = ""
-    transform: Transform = field(default_factory=Transform)
-
-
-@_message
-class TFMessage(IdlStruct, typename="tf2_msgs.msg.dds_.TFMessage_"):
-    """Transforms of the topic ``/tf``."""
-
-    transforms: sequence[TransformStamped] = field(default_factory=list)
 
 
 @_message

@@ -1,40 +1,37 @@
-"""Commands as ROS 2 messages: ``--sink ros2``."""
+"""Commands as ROS 2 messages: ``--sink ros2``. Quaternions of messages have w last."""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from fnmatch import fnmatchcase
+from typing import Any, Final, Literal, TypeAlias
 
 import numpy as np
+from jaxtyping import Float
 
-from smooth_operator.errors import ConfigError, SinkError
+from smooth_operator.errors import ConfigError, SinkError, UnknownNameError
 from smooth_operator.hands.hand import Hand
-from smooth_operator.teleop.ros2.commands import (
-    KINDS,
-    UNITS,
-    Kind,
-    Layout,
-    Unit,
-    joint_layout,
-    joint_message,
-    pose_message,
-    table_layout,
-    transform_message,
-)
+from smooth_operator.teleop.hardware.actuator_map import BoundMap
+from smooth_operator.teleop.hardware.table_file import find_table, read_table
 from smooth_operator.teleop.ros2.messages import (
+    Duration,
+    Float64MultiArray,
     Header,
     JointState,
+    JointTrajectory,
+    JointTrajectoryPoint,
     Message,
+    Point,
+    Pose,
     PoseStamped,
+    Quaternion,
     String,
-    TFMessage,
     Time,
 )
 from smooth_operator.teleop.ros2.transport import (
-    TF_DEPTH,
     Endpoint,
     Network,
     Transport,
@@ -43,6 +40,162 @@ from smooth_operator.teleop.ros2.transport import (
 from smooth_operator.teleop.sinks.sink import Link, ThreadedSink
 from smooth_operator.teleop.sinks.tick import HandState, Tick
 from smooth_operator.types import Side
+
+Kind: TypeAlias = Literal["joint_state", "trajectory", "array"]
+"""Type of the message: ``sensor_msgs/JointState``, ``trajectory_msgs/JointTrajectory`` or
+``std_msgs/Float64MultiArray``."""
+
+KINDS: Final[dict[Kind, type[Message]]] = {
+    "joint_state": JointState,
+    "trajectory": JointTrajectory,
+    "array": Float64MultiArray,
+}
+
+
+def joint_message(
+    kind: Kind,
+    stamp: Time,
+    names: Sequence[str],
+    positions: list[float],
+    velocities: list[float],
+    duration: float,
+) -> Message:
+    """Message with a command to joints.
+
+    Args:
+        kind: type of the message.
+        stamp: stamp of a joint state.
+        names: (k,) names of the joints.
+        positions: (k,) positions in the driver's unit.
+        velocities: (k,) velocities of a joint state; may be empty.
+        duration: time from the start to the point of a trajectory [s].
+
+    Raises:
+        SinkError: a position is not finite.
+    """
+    if not all(map(math.isfinite, positions)):
+        raise SinkError(f"ros2: a command that is not finite is not sent: {positions}")
+    if kind == "array":
+        return Float64MultiArray(data=positions)
+    if kind == "trajectory":
+        # No stamp: it begins when it comes, by the controller's clock. No velocity: some
+        # controllers refuse a last point that moves.
+        time = Time.of(round(duration * 1e9))
+        point = JointTrajectoryPoint(positions, time_from_start=Duration(time.sec, time.nanosec))
+        return JointTrajectory(Header(), list(names), [point])
+    return JointState(Header(stamp), list(names), positions, velocities)
+
+
+@dataclass(frozen=True)
+class JointLayout:
+    """Order and names of a hand's joints in a driver, which takes radians.
+
+    Attributes:
+        names: (k,) the driver's names of the joints.
+        indices: (k,) indices of the joints in the hand.
+    """
+
+    names: tuple[str, ...]
+    indices: tuple[int, ...]
+
+    def values(self, positions: Float[np.ndarray, " n"]) -> list[float]:
+        """(k,) positions of these joints [rad]."""
+        picked: list[float] = positions[list(self.indices)].tolist()
+        return picked
+
+    def rates(self, velocities: Float[np.ndarray, " n"]) -> list[float]:
+        """(k,) velocities of these joints [rad/s]."""
+        return self.values(velocities)
+
+
+@dataclass(frozen=True)
+class TableLayout:
+    """Actuators of a table, which maps joints to them within their ends.
+
+    Attributes:
+        table: the table, bound to the joints of the hand.
+    """
+
+    table: BoundMap
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """(k,) names of the actuators."""
+        return self.table.table.names
+
+    def values(self, positions: Float[np.ndarray, " n"]) -> list[float]:
+        """(k,) commands for joint positions [rad]."""
+        commands = self.table.commands(self.table.angles(positions))
+        within: list[float] = self.table.clip(commands).tolist()
+        return within
+
+    def rates(self, velocities: Float[np.ndarray, " n"]) -> list[float]:
+        """Empty: drivers with a unit of their own use ``velocity`` for another quantity."""
+        del velocities
+        return []
+
+
+Layout: TypeAlias = JointLayout | TableLayout
+"""Order, names and unit of joints in a driver."""
+
+
+def table_layout(hand: Hand, table: str) -> TableLayout:
+    """The layout of a table for a hand.
+
+    Args:
+        hand: the hand.
+        table: a file, ``{side}`` in its name stands for the side; or the name of a table.
+
+    Raises:
+        ConfigError: there is no such table, it is of the other side, or it can't be read.
+        UnknownNameError: the hand has no joint of a name in it.
+    """
+    side = hand.spec.side
+    read = read_table(find_table(table.replace("{side}", side), "ros2", side))
+    if read.side != side:
+        raise ConfigError(
+            f"ros2: {read.file} is of the {read.side} hand, and commands are for the {side} one; "
+            "put {side} into the name of the table"
+        )
+    return TableLayout(read.bind(hand))
+
+
+def joint_layout(hand: Hand, joints: str, prefix: str = "") -> JointLayout:
+    """The layout for a hand.
+
+    Args:
+        hand: the hand.
+        joints: ``all``, ``actuated`` (those without couplings to another), or names with ``*`` for
+            any letters, separated by blanks, in the order in which they are sent.
+        prefix: put before each name.
+
+    Raises:
+        UnknownNameError: the hand has no joint of a name.
+    """
+    if joints in ("all", "actuated"):
+        indices = hand.actuated if joints == "actuated" else tuple(range(len(hand.joint_names)))
+    else:
+        indices = tuple(dict.fromkeys(i for word in joints.split() for i in _matching(hand, word)))
+    names = tuple(prefix + hand.joint_names[i] for i in indices)
+    return JointLayout(names, indices)
+
+
+def _matching(hand: Hand, pattern: str) -> list[int]:
+    indices = [i for i, name in enumerate(hand.joint_names) if fnmatchcase(name, pattern)]
+    if not indices:
+        raise UnknownNameError(
+            f"joint of hand {hand.name!r}:",
+            pattern,
+            hand.joint_names,
+            "joints= takes all, actuated, or names separated by blanks.",
+        )
+    return indices
+
+
+def pose_message(pose: Float[np.ndarray, "7"]) -> Pose:
+    """A pose x y z [m] and quaternion w x y z as a message."""
+    x, y, z, w, a, b, c = pose.tolist()
+    return Pose(Point(x, y, z), Quaternion(a, b, c, w))
 
 
 @dataclass(frozen=True)
@@ -62,13 +215,9 @@ class Ros2Sink(ThreadedSink):
             ``*`` for any letters. Default: all in a ``joint_state``, else the actuated ones, since
             controllers refuse joints that they do not have.
         table: a table of actuators, as real hands have them: names, order, and a map from angle to
-            command for each; ``{side}`` stands for the side. In place of ``joints``, ``prefix``,
-            ``unit``, ``scale`` and ``offset``.
+            command for each; ``{side}`` stands for the side. In place of ``joints`` and
+            ``prefix``.
         prefix: prefix of each joint's name.
-        unit: ``rad`` or ``deg``.
-        scale: factor on each value, after the unit.
-        offset: offset of each value, after the scale.
-        velocity: send velocities in a ``joint_state``; never with a table.
         rate: largest rate of commands [Hz]; 0 for the rate of the loop.
         duration: time from start of the point of a ``trajectory`` [s].
         wrist: topic of the wrist's target, ``geometry_msgs/PoseStamped``, if the run has one;
@@ -79,9 +228,7 @@ class Ros2Sink(ThreadedSink):
         arm_message: message of the arm; as ``message``.
         measured: topic of the measured joints [rad], ``sensor_msgs/JointState``, if a sink
             measures them; ``none`` for no topic.
-        tf: send both wrists as transforms on ``/tf``, too.
         base: name of the frame of the target; default: the one in the command.
-        frame: name of the frame of the target on ``/tf``.
         domain: ROS domain, 0 to 232; default: ``ROS_DOMAIN_ID``.
         network: ``localhost`` or ``subnet``; default: what ROS 2's variables say,
             else localhost.
@@ -95,10 +242,6 @@ class Ros2Sink(ThreadedSink):
     joints: str = "auto"
     table: str | None = None
     prefix: str = ""
-    unit: Unit = "rad"
-    scale: float = 1.0
-    offset: float = 0.0
-    velocity: bool = True
     rate: float = 0.0
     duration: float = 0.05
     wrist: str | None = "/{hand}/{side}/wrist_pose"
@@ -106,9 +249,7 @@ class Ros2Sink(ThreadedSink):
     arm: str | None = "/arm/{side}/joint_commands"
     arm_message: Kind = "joint_state"
     measured: str | None = "/{hand}/{side}/joint_states"
-    tf: bool = False
     base: str | None = None
-    frame: str = "{hand}_{side}_wrist"
     domain: int | None = None
     network: Network | None = None
 
@@ -118,18 +259,12 @@ class Ros2Sink(ThreadedSink):
         self._endpoint()
         if not self.joints.strip():
             raise ConfigError("ros2: joints must be all, actuated or names of joints, not nothing")
-        settings = (self.joints, self.prefix, self.unit, self.scale, self.offset)
-        if self.table is not None and settings != ("auto", "", "rad", 1.0, 0.0):
-            raise ConfigError(
-                "ros2: the table says names, order and unit; leave out joints, prefix, unit, scale "
-                "and offset"
-            )
+        if self.table is not None and (self.joints, self.prefix) != ("auto", ""):
+            raise ConfigError("ros2: the table says names and order; leave out joints and prefix")
         for name, low, high in (("rate", 0.0, 10_000.0), ("duration", 0.0, 60.0)):
             value = getattr(self, name)
             if not low <= value <= high:
                 raise ConfigError(f"ros2: {name} must be {low:g} to {high:g}, not {value:g}")
-        if not (math.isfinite(self.scale) and self.scale and math.isfinite(self.offset)):
-            raise ConfigError("ros2: scale and offset must be finite numbers, and scale not zero")
 
     @property
     def label(self) -> str:
@@ -166,12 +301,11 @@ class Ros2Sink(ThreadedSink):
         joints = self.joints
         if joints == "auto":
             joints = "all" if self.message == "joint_state" else "actuated"
-        gain = self.scale * UNITS[self.unit]
-        return joint_layout(hand, joints, prefix=self.prefix, gain=gain, offset=self.offset)
+        return joint_layout(hand, joints, self.prefix)
 
     def _topics(self, hand: str, side: str) -> dict[str, str]:
-        """Names of the topics, and of the frame of the wrist."""
-        names = ("topic", "wrist", "human_wrist", "frame", "arm", "measured")
+        """Names of the topics."""
+        names = ("topic", "wrist", "human_wrist", "arm", "measured")
         return {
             name: topic_name(template, "ros2", hand=hand, side=side)
             for name in names
@@ -190,7 +324,6 @@ class _Publisher:
         layouts: Mapping[Side, Layout],
     ) -> None:
         self._sink, self._transport, self._layouts = sink, transport, layouts
-        self._frames = {side: each["frame"] for side, each in topics.items()}
         self._modes: dict[Side, str] = {}
         self._due: dict[Side, float] = {}
         self._states: dict[Side, HandState] = {}
@@ -206,7 +339,6 @@ class _Publisher:
             }
             for side, each in topics.items()
         }
-        self._tf = transport.publisher(TFMessage, "/tf", TF_DEPTH) if sink.tf else None
 
     def _kinds(self) -> dict[str, type[Message]]:
         """Messages of the topics that may be left out."""
@@ -242,13 +374,11 @@ class _Publisher:
                 self._say(side, "ended")
         finally:
             self._publish.clear()
-            self._tf = None
             self._transport.close()
 
     def _command(self, tick: Tick, stamp: Time) -> Message:
         layout, sink = self._layouts[tick.side], self._sink
-        values = layout.values(tick.command.positions)
-        rates = layout.rates(tick.velocity) if sink.velocity else []
+        values, rates = layout.values(tick.command.positions), layout.rates(tick.velocity)
         return joint_message(sink.message, stamp, layout.names, values, rates, sink.duration)
 
     def _arm(self, tick: Tick, stamp: Time) -> None:
@@ -257,7 +387,6 @@ class _Publisher:
         if tick.arm is not None and publish:
             positions, rates = tick.arm.positions.tolist(), tick.arm.velocity.tolist()
             names, sink = tick.arm.joint_names, self._sink
-            rates = rates if sink.velocity else []
             publish(joint_message(sink.arm_message, stamp, names, positions, rates, sink.duration))
 
     def _state(self, tick: Tick, stamp: Time) -> None:
@@ -278,19 +407,14 @@ class _Publisher:
         """Publish the wrist's target and the operator's wrist, as far as there are."""
         poses = []
         if tick.wrist is not None:
-            parent = self._sink.base or tick.wrist.world
-            poses.append(("wrist", parent, self._frames[tick.side], tick.wrist.pose))
+            poses.append(("wrist", self._sink.base or tick.wrist.world, tick.wrist.pose))
         frame = None if tick.arrival is None else tick.arrival.frame
         if frame is not None and frame.T_world_wrist is not None:
-            child = f"human_{tick.side}_wrist"
-            poses.append(("human_wrist", frame.world or "world", child, frame.T_world_wrist))
-        poses = [each for each in poses if all(map(math.isfinite, each[-1].tolist()))]
-        for name, parent, _, pose in poses:
-            if publish := self._publish[tick.side].get(name):
+            poses.append(("human_wrist", frame.world or "world", frame.T_world_wrist))
+        for name, parent, pose in poses:
+            publish = self._publish[tick.side].get(name)
+            if publish is not None and all(map(math.isfinite, pose.tolist())):
                 publish(PoseStamped(Header(stamp, parent), pose_message(pose)))
-        if self._tf is not None and poses:
-            transforms = [transform_message(Header(stamp, p), c, pose) for _, p, c, pose in poses]
-            self._tf(TFMessage(transforms))
 
     def _is_due(self, tick: Tick) -> bool:
         if not self._sink.rate:

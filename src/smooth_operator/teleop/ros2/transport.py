@@ -44,8 +44,6 @@ DEPTH: Final = 10
 """Number of messages that are kept for a slow subscriber, as in ROS 2 by default."""
 MANY: Final = 256
 """Largest number of messages per call, so that a flood can't keep a source from stopping."""
-TF_DEPTH: Final = 100
-"""Messages that are kept on ``/tf``."""
 
 _TOPIC = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 Reach: TypeAlias = Literal["localhost", "subnet", "own"]
@@ -94,10 +92,10 @@ class Transport:
         self._error = endpoint.error
         self.label = f"CycloneDDS, domain {number}, {_WHOM[reach]}"
 
-    def publisher(self, kind: type[M], topic: str, depth: int = DEPTH) -> Callable[[M], None]:
-        """A function that publishes messages: reliable, volatile, the last ``depth`` are kept."""
-        # Never waits for a slow subscriber: what is kept beyond ``depth`` is overwritten.
-        qos = _qos(Policy.Reliability.Reliable(duration(milliseconds=100)), depth)
+    def publisher(self, kind: type[M], topic: str) -> Callable[[M], None]:
+        """A function that publishes messages: reliable, volatile, the last ``DEPTH`` are kept."""
+        # Never waits for a slow subscriber: what is kept beyond ``DEPTH`` is overwritten.
+        qos = _qos(Policy.Reliability.Reliable(duration(milliseconds=100)), DEPTH)
         writer = DataWriter(self._participant, self._topic(kind, topic), qos=qos)
         publish: Callable[[M], None] = writer.write
         return publish

@@ -88,14 +88,6 @@ class Clutch:
         """Let the operator's wrist move the robot's, or hold the robot's wrist."""
         self.released = not on
 
-    def configure(self, config: LoopConfig) -> None:
-        """Change the limits, from the last command on; another scale needs a new latch."""
-        old, new = self.config.wrist, config.wrist
-        if (old.scale, old.yaw) != (new.scale, new.yaw):
-            self._let_go("other settings")
-            self._last = None  # it is in the old axes
-        self.config, self.limiter.config = config, new
-
     def events(self) -> list[str]:
         """Events since the last call, one sentence each."""
         events_now, self._events = self._events, []

@@ -130,20 +130,11 @@ class JointLimiter:
         """
         return self._go(np.where(np.isfinite(velocity), velocity, 0.0), max(dt, SHORTEST_S))
 
-    def succeed(self, other: JointLimiter) -> None:
-        """Continue from the last command of another limiter of the same joints."""
-        self.q, self.velocity, self._last_dt = other.q, other.velocity, other._last_dt
-
     def _room(
         self, dt: float
     ) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
         """Highest speeds down and up, and largest change of velocity, in a step."""
-        # Limits may have become stricter in mid-motion. Where the new acceleration can no longer
-        # stop a joint within its range, it brakes as hard as that takes; no harder than before.
-        ahead = np.where(self.velocity > 0, self._end - self.q, self.q - self._start)
-        needed = self.velocity**2 / np.maximum(ahead, 1e-9)
-        exceeded = needed > self._acceleration * 1.001  # not by rounding
-        a = np.where(exceeded, needed, self._acceleration)
+        a = self._acceleration
         top = self._velocity * min(1.0, MAX_STEP_S / dt)
         down = np.minimum(stoppable_speed(self.q - self._low, dt, a), top)
         up = np.minimum(stoppable_speed(self._high - self.q, dt, a), top)
@@ -152,7 +143,7 @@ class JointLimiter:
     def _go(self, target: Float[np.ndarray, " m"], dt: float) -> Float[np.ndarray, " m"]:
         """Take a step at the velocity within the limits that is nearest to the one wanted."""
         down, up, change = self._room(dt)
-        # Acceleration comes last: a joint that is too fast for new limits slows down to them.
+        # Acceleration comes last: a joint that is too fast for `max_velocity` slows down to it.
         velocity = np.clip(target, -down, up)
         velocity = np.clip(velocity, self.velocity - change, self.velocity + change)
         q = np.asarray(np.clip(self.q + velocity * dt, self._start, self._end))
@@ -312,17 +303,12 @@ class PoseLimiter:
         shorter = min(dt, (self._last_dt + dt) / 2)
         brief = min(1.0, MAX_STEP_S / dt)  # after a pause the robot does not catch up
 
-        # Limits may have become stricter in mid-motion: then it brakes as hard as the workspace
-        # takes, no harder than before.
-        ahead = np.where(self.velocity > 0, high - place, place - low)
-        usual = config.acceleration * _AXIS_SHARE
-        needed = self.velocity**2 / np.maximum(ahead, 1e-9)
-        each = np.where(needed > usual * 1.001, needed, usual)
+        each = np.full(3, config.acceleration * _AXIS_SHARE)
         velocity = _nearest(
             self.velocity,
             target,
             config.velocity * share * brief,
-            max(config.acceleration, math.sqrt(each @ each)) * shorter,
+            config.acceleration * shorter,
             stoppable_speed(place - low, dt, each),
             stoppable_speed(high - place, dt, each),
         )
@@ -376,7 +362,7 @@ def _nearest(
     Args:
         before: the last velocity.
         target: the one that is asked for.
-        top: largest speed; it may have become lower.
+        top: largest speed; it may be lower than the last one.
         change: largest length of the change.
         down: largest speed against each axis.
         up: largest speed along each axis.

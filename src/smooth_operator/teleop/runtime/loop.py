@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.teleop.runtime.limiter import Limiter, RateLimiter
+from smooth_operator.teleop.runtime.limiter import RateLimiter
 from smooth_operator.teleop.runtime.pipeline import HandPipeline
 from smooth_operator.teleop.runtime.settings import LoopConfig
 from smooth_operator.teleop.runtime.statistics import LoopStatistics
@@ -102,18 +102,6 @@ class TeleopLoop:
         finally:
             self.sinks.close()
 
-    def configure(self, config: LoopConfig) -> None:
-        """Change policies and limits, before the next command; the pace stays as it is.
-
-        Raises:
-            ConfigError: the limits don't suit a hand; nothing is changed.
-        """
-        config = replace(config, rate=self.config.rate)
-        for pipeline in self.pipelines.values():
-            Limiter(pipeline.retargeter.hand, config.limits)
-        self.config = config
-        self.controls.change(lambda hand: hand.configure(config))
-
     def pace(self, rate: float) -> None:
         """Change the rate, before the next command.
 
@@ -124,11 +112,11 @@ class TeleopLoop:
             ConfigError: the rate is out of its range.
         """
         self.config = replace(self.config, rate=rate)
-        config = self.config
-        self.controls.change(lambda hand: hand.configure(replace(hand.config, rate=rate)))
-        self.statistics.period = config.period
+        period = self.config.period
+        self.controls.change(lambda hand: hand.pace(rate))
+        self.statistics.period = period
         for pace in self._rate_limiters.values():
-            pace.period = config.period
+            pace.period = period
 
     @property
     def silent_s(self) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -112,16 +113,9 @@ class HandPipeline:
         """Add an event to the next step, and so to the record."""
         self._next_events.append(text)
 
-    def configure(self, config: LoopConfig) -> None:
-        """Change policies and limits, from the last command on.
-
-        Raises:
-            ConfigError: the limits leave nothing of a joint's range; nothing is changed.
-        """
-        limiter = Limiter(self.retargeter.hand, config.limits)
-        limiter.succeed(self.limiter)
-        self.config, self.limiter, self.supervisor.config = config, limiter, config.safety
-        self.clutch.configure(config)
+    def pace(self, rate: float) -> None:
+        """Change the rate [Hz]."""
+        self.config = replace(self.config, rate=rate)
 
     @property
     def latched(self) -> tuple[str, ...] | None:

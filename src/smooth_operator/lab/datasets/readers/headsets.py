@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from smooth_operator.formats.registry import AVP, HTS, HTS_JSON, Reader
+from smooth_operator.formats.registry import AVP, HTS, Reader
 from smooth_operator.headsets.recordings import read_both_hands
 from smooth_operator.lab.datasets.clip import Clip
 from smooth_operator.lab.datasets.readers.both_hands import checked_hands, on_common_stamps
@@ -72,8 +72,7 @@ AVP_RECORDING: Final = HeadsetRecording(
 )
 HTS_RECORDING: Final = HeadsetRecording(
     "hts",
-    "the lines of Hand Tracking Streamer, or the .jsonl of hand-tracking-sdk",
-    "lines 'Right wrist:, ...' and 'Right landmarks:, ...', the same of 'Left', or JSON lines with "
-    "'event_type'",
-    {"hts": HTS, "hts_json": HTS_JSON},
+    HTS.what,
+    "lines 'Right wrist:, ...' and 'Right landmarks:, ...', or the same of 'Left'",
+    {"hts": HTS},
 )

@@ -7,7 +7,7 @@ import time
 from collections import deque
 from collections.abc import Mapping
 from importlib import resources
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import viser
 
@@ -17,11 +17,13 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.teleop.arm.settings import ArmSettings
 from smooth_operator.teleop.pages.hand_view import HandView
-from smooth_operator.teleop.pages.live.link import Link
 from smooth_operator.teleop.pages.live.live_panel import LivePanel
 from smooth_operator.teleop.pages.live.live_scene import LiveScene
 from smooth_operator.teleop.pages.viser_server import name_tab, run_script
 from smooth_operator.types import Side
+
+if TYPE_CHECKING:  # it is the main module of its process
+    from smooth_operator.teleop.pages.live.process import Link
 
 _TEXT_S: Final = 0.25  # between two updates of text, which costs a browser more than poses [s]
 _IDLE_S: Final = 0.5  # while nobody watches
@@ -42,7 +44,6 @@ class LiveDrawing:
     def __init__(self, server: viser.ViserServer, link: Link, setup: Mapping[str, Any]) -> None:
         self._server, self._link = server, link
         self._wake = threading.Event()
-        self._configuration_wanted = False
         self._build(setup)
         script = resources.files(__package__).joinpath("live_page.js").read_text("utf-8")
         run_script(self._server, script)
@@ -64,8 +65,7 @@ class LiveDrawing:
                 self._server.scene.configure_environment_map(None)
             arm = None if setup["arm"] is None else ArmSettings(**setup["arm"])
             self._scene = LiveScene(self._server, hands, setup["simulated"], arm=arm)
-            download = None if setup["blind"] else self.download
-            self._panel = LivePanel(self._server, hands, self._link.do, self._scene, download)
+            self._panel = LivePanel(self._server, hands, self._link.do, self._scene, setup["blind"])
         for client in self._server.get_clients().values():
             self._scene.aiming.greet(client)
         self._hands = hands
@@ -81,24 +81,14 @@ class LiveDrawing:
         while True:
             begun = time.monotonic()
             watched = bool(self._server.get_clients())
-            configuration, self._configuration_wanted = self._configuration_wanted, False
             text = watched and begun >= next_text
-            state = self._link.look(
-                text=text,
-                settings=self._panel.settings_number,
-                scenery=self._scene.scenery_number,
-                configuration=configuration,
-            )
+            state = self._link.look(text=text, scenery=self._scene.scenery_number)
             if "setup" in state:
                 self._build(state["setup"])
                 continue
             if watched:
                 self._show_meshes()
                 self._draw(state)
-            if configuration:
-                self._server.send_file_download(
-                    "configuration.json", state["configuration"].encode(), save_immediately=True
-                )
             if text:
                 next_text = begun + _TEXT_S
             spent = time.monotonic() - begun
@@ -137,11 +127,6 @@ class LiveDrawing:
             if "scenery" in state:
                 self._scene.draw_scenery(state["scenery"])
         self._server.flush()
-
-    def download(self) -> None:
-        """Have the configuration sent to all browsers."""
-        self._configuration_wanted = True
-        self._wake.set()
 
     async def _greet(self, client: Any) -> None:
         self._scene.aiming.greet(client)

@@ -169,8 +169,6 @@ class LivePage:
                     answer["setup"] = asdict(setup)
                 elif session is not None:
                     answer = session.look(**message["look"])
-                if message.get("configuration"):
-                    answer["configuration"] = "" if session is None else session.configuration()
                 self._say(answer)
             elif "failed" in message:
                 failed = f": {message['failed']}"

@@ -14,16 +14,10 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.methods.default import DEFAULT_METHOD
 from smooth_operator.teleop.pages.live import live_texts
 from smooth_operator.teleop.pages.live.live_scene import LiveScene
-from smooth_operator.teleop.pages.live.settings import (
-    LOOP_SETTINGS,
-    METHOD_SETTINGS,
-    SettingSliders,
-)
 from smooth_operator.teleop.pages.viser_server import add_hotkeys, from_person, plain
 from smooth_operator.teleop.recording.take_quality import TakeQuality, take_quality
 from smooth_operator.types import Side
 
-_UNKNOWN: Final = -1
 _STYLE: Final = """<style>
 button:has(.icon-tabler-hand-stop), button:has(.icon-tabler-lock-open) {
   height: 3.2em !important; font-size: 1.25em !important; font-weight: 700}
@@ -57,8 +51,7 @@ class LivePanel:
         hands: side -> robot hand.
         do: sends the loop's process an action's name and values.
         scene: whose switches stand in the panel.
-        download: has the configuration sent to the browser; None where the operator is not to
-            know the method, and there is nothing that shows or changes it.
+        blind: the operator is not to know the method: nothing shows or changes it.
     """
 
     def __init__(
@@ -67,10 +60,9 @@ class LivePanel:
         hands: Mapping[Side, Hand],
         do: Callable[..., None],
         scene: LiveScene,
-        download: Callable[[], None] | None,
+        blind: bool = False,
     ) -> None:
         self._do, self._scene = do, scene
-        self.settings_number = _UNKNOWN
         self._operators: Mapping[str, Any] | None = None
         self._stopped = self._paused = self._released = False
         self._hands = hands
@@ -85,15 +77,9 @@ class LivePanel:
         panel = gui.add_panel()
         with panel.add_tab("Timing"):
             self._timing = gui.add_html("")
-        with panel.add_tab("Limits" if download is None else "Method"):
-            if download is not None:
-                self._build_method(gui, download)
-            self._limits = SettingSliders(
-                gui,
-                "Safety and limits",
-                LOOP_SETTINGS,
-                lambda *change: do("set_loop", *change),
-            )
+        if not blind:
+            with panel.add_tab("Method"):
+                self._build_method(gui)
         with panel.add_tab("View"):
             self._build_view(gui)
         gui.main_panel.dock_right()
@@ -164,7 +150,7 @@ class LivePanel:
             ("Record / end the recording", "R", lambda: do("record")),
         )
 
-    def _build_method(self, gui: viser.GuiApi, download: Callable[[], None]) -> None:
+    def _build_method(self, gui: viser.GuiApi) -> None:
         do = self._do
         self._hand = gui.add_dropdown(
             "Hand", (self._hand_name,), visible=False, hint="the run begins again with it"
@@ -173,16 +159,9 @@ class LivePanel:
         # until the loop says what it runs
         self._method = gui.add_dropdown("Method", (DEFAULT_METHOD,))
         self._preset = gui.add_dropdown("Preset", ("default",))
-        save = gui.add_button(
-            "Save configuration", color="gray", icon=viser.Icon.DOWNLOAD, hint="as JSON"
-        )
         self._method.on_update(from_person(lambda event: do("method", event.target.value)))
         self._preset.on_update(
             from_person(lambda event: do("method", self._method.value, event.target.value))
-        )
-        save.on_click(from_person(lambda _: download()))
-        self._settings = SettingSliders(
-            gui, "Settings", METHOD_SETTINGS, lambda *change: do("set", *change)
         )
 
     def _build_view(self, gui: viser.GuiApi) -> None:
@@ -230,18 +209,13 @@ class LivePanel:
         if controls["operators"] != self._operators:
             self._operators = controls["operators"]
             self._scene.set_operators(controls["operators"])
-        if "loop_settings" not in controls:
-            return
-        self.settings_number = controls["settings_number"]
-        self._limits.show(controls["loop_settings"])
-        if "settings" in controls:
-            if "hands" in controls:
-                self._hand.visible = True
-                _choose(self._hand, controls["hands"], self._hand_name)
+        if "hands" in controls:
+            self._hand.visible = True
+            _choose(self._hand, controls["hands"], self._hand_name)
+        if "method" in controls:
             presets = controls["presets"]
             _choose(self._method, list(presets), controls["method"])
             _choose(self._preset, presets[controls["method"]], controls["preset"])
-            self._settings.show(controls["settings"])
 
     def _show_take(self, take: Mapping[str, Any]) -> None:
         """The take that is recorded or the last one, and what can be done about it."""

@@ -11,21 +11,14 @@ from typing import Any, Final
 import numpy as np
 
 from smooth_operator.errors import ConfigError, SinkError, SmoothOperatorError
-from smooth_operator.formats.jsonable import to_json
 from smooth_operator.methods.presets import live_presets
-from smooth_operator.planning import RetargetRequest, live_configuration
+from smooth_operator.planning import RetargetRequest
 from smooth_operator.poses import is_valid
 from smooth_operator.simulation.arms.rigid import Matrix, inverse, pose_of, rigid
 from smooth_operator.simulation.live import LiveSimulation
 from smooth_operator.simulation.scenes import Scene, ScenePart, SceneState
 from smooth_operator.simulation.scenes.mount import Mount
 from smooth_operator.teleop.control.method_switcher import MethodSwitcher
-from smooth_operator.teleop.pages.live.settings import (
-    LOOP_SETTINGS,
-    METHOD_SETTINGS,
-    changed,
-    values,
-)
 from smooth_operator.teleop.pages.live.takes import Takes
 from smooth_operator.teleop.runtime.loop import TeleopLoop
 from smooth_operator.teleop.sinks.sink import Sink, simulated_hands
@@ -79,7 +72,6 @@ class LiveSession:
         self.switcher = MethodSwitcher(loop, request) if switcher is None else switcher
         self.blind = blind
         self.takes = Takes(loop.sinks, folder / "takes", self._configuration)
-        self._request, self._folder = request, folder
         self._simulation = simulated_hands(sinks)
         self._scenery = None if self._simulation is None else Scenery(self._simulation)
         self._ticks: dict[Side, Tick] = {}
@@ -88,7 +80,6 @@ class LiveSession:
         self._commands = {side: RateMeter(_RATE_S) for side in loop.pipelines}
         self._frames = {side: RateMeter(_FRAME_RATE_S) for side in loop.pipelines}
         self._message = ""
-        self._settings_changed = 0
         self._actions: dict[str, Callable[..., None]] = {
             "stop": loop.controls.stop,
             "release": loop.controls.release,
@@ -98,16 +89,12 @@ class LiveSession:
             "record": self.takes.toggle,
             "keep": self.takes.keep,
             "discard": self.takes.discard,
-            "method": self._choose,
-            "set": self._set,
-            "set_loop": self._set_loop,
         }
         if change_hand is not None:
             self._actions["hand"] = change_hand
+        if not blind:
+            self._actions["method"] = self._choose
         self._begun: dict[str, float] = {}
-        if blind:
-            for name in ("method", "set"):
-                del self._actions[name]
 
     def watch(self, tick: Tick) -> None:
         """Take note of a tick; called by the loop after its sinks."""
@@ -130,12 +117,11 @@ class LiveSession:
         except TypeError:
             self._message = f"the page asks for {name!r} with the wrong values"
 
-    def look(self, *, text: bool, settings: int, scenery: int = 0) -> dict[str, Any]:
+    def look(self, *, text: bool, scenery: int = 0) -> dict[str, Any]:
         """The state to show now, as JSON values.
 
         Args:
             text: with figures and controls, not the hands alone.
-            settings: the ``settings_number`` that the page has.
             scenery: the number of the task's scene whose shapes the page has.
         """
         now = self.loop.mailbox.clock()
@@ -148,23 +134,8 @@ class LiveSession:
             shown["scenery"] = self._scenery.look(tuple(self.loop.pipelines), scenery)
         if text:
             shown["status"] = self._status(now)
-            shown["controls"] = self._controls(settings)
+            shown["controls"] = self._controls()
         return shown
-
-    @property
-    def settings_number(self) -> int:
-        """Changes when the page has to update its settings: another method, a value refused."""
-        shown = self.switcher.target
-        return hash((shown.method, shown.preset, self.switcher.refused, self._settings_changed))
-
-    def configuration(self) -> str:
-        """The configuration as it is now, as JSON text; empty where it is not to be known."""
-        if self.blind:
-            return ""
-        used = self.switcher.used
-        content = live_configuration("teleop", self._request, used.configs, loop=self.loop.config,
-                                     source=self.loop.source)  # fmt: skip
-        return to_json({**content, **self._configuration()}, indent=2) + "\n"
 
     def close(self) -> None:
         """End what runs in the background."""
@@ -242,10 +213,9 @@ class LiveSession:
             "events": [(round(now - at, 1), words) for at, words in list(self._events)],
         }
 
-    def _controls(self, shown_number: int) -> dict[str, Any]:
+    def _controls(self) -> dict[str, Any]:
         switcher = self.switcher
         supervisors = [pipeline.supervisor for pipeline in self.loop.pipelines.values()]
-        shown, number = switcher.target, self.settings_number
         building = self._masked(switcher.building, "getting ready")
         since = self._elapsed("building", bool(building), self.loop.mailbox.clock())
         controls: dict[str, Any] = {
@@ -260,17 +230,13 @@ class LiveSession:
                 side: None if operator is None else asdict(operator)
                 for side, operator in switcher.operators.items()
             },
-            "settings_number": number,
         }
         if not self.blind:
-            controls["method"], controls["preset"] = shown.method, shown.preset
+            target = switcher.target
+            controls["method"], controls["preset"] = target.method, target.preset
             controls["presets"] = live_presets()
             if "hand" in self._actions:
                 controls["hands"] = self._other_hands
-        if number != shown_number:
-            if not self.blind:
-                controls["settings"] = values(shown.shown, METHOD_SETTINGS)
-            controls["loop_settings"] = values(self.loop.config, LOOP_SETTINGS)
         return controls
 
     def _elapsed(self, what: str, going_on: bool, now: float) -> float | None:
@@ -286,16 +252,6 @@ class LiveSession:
 
     def _choose(self, method: str, preset: str | None = None) -> None:
         self.switcher.choose(method, preset)
-
-    def _set(self, path: str, value: Any) -> None:
-        self.switcher.adjust(lambda config: changed(config, METHOD_SETTINGS, path, value))
-
-    def _set_loop(self, path: str, value: Any) -> None:
-        try:
-            self.loop.configure(changed(self.loop.config, LOOP_SETTINGS, path, value))
-        except SmoothOperatorError:
-            self._settings_changed += 1
-            raise
 
     def _note(self, tick: Tick) -> None:
         for words in tick.events:
