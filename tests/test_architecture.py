@@ -492,7 +492,7 @@ def test_the_closure_follows_statements_texts_and_public_names(tmp_path: Path) -
         ("hands/mjcf/load.py", "from ..limits import Limits\nfrom ...types import Side"),
         ("metrics/cosine.py", "from smooth_operator.methods import sbr"),
         ("cli.py", "from smooth_operator import __version__\nfrom smooth_operator import teleop"),
-        ("teleop/sinks/record.py", "from smooth_operator.teleop.runtime import loop"),
+        ("teleop/sinks/table.py", "from smooth_operator.teleop.runtime import loop"),
         ("__init__.py", "from smooth_operator.methods import sbr as sbr"),
         ("__init__.pyi", "from smooth_operator import teleop as teleop"),
         ("types.py", "import numpy as np\nfrom hands import spec"),

@@ -257,6 +257,7 @@ LACK = {
     "latency x.mcap": "teleop",
     "sample x.mcap": "teleop",
     "hands show leap_hand": "teleop",
+    "hands render leap_hand": "teleop",
     "convert in.npz --output x.h5": "hdf5",
     "bench in.npz --output bench": "lab",
     "calibrate in.npz --output operator.json": "lab",
