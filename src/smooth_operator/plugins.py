@@ -13,7 +13,6 @@ import importlib.util
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from importlib.metadata import entry_points
 from typing import Any, Final, TypeVar
 
 from smooth_operator.errors import ConfigError, SmoothOperatorError, UnknownNameError
@@ -80,6 +79,8 @@ def _broken(where: str, error: Exception) -> ConfigError:
 @functools.cache
 def _installed(group: str) -> dict[str, Entry]:
     """Parts that installed distributions offer, by name. Read once in a process."""
+    from importlib.metadata import entry_points  # here, since the import takes a while
+
     parts: dict[str, Entry] = {}
     for point in entry_points(group=group):
         owner = point.dist.name if point.dist is not None else "an installed distribution"
