@@ -28,6 +28,9 @@ _KEPT = (_MARK,)
 """Variables of this program that a run passes on to its own workers."""
 
 
+HOME = Path(__file__).resolve().parent
+
+
 def _set_up_environment() -> None:
     if _MARK in os.environ:
         return
@@ -45,12 +48,17 @@ def _set_up_environment() -> None:
         os.environ["JAX_COMPILATION_CACHE_DIR"] = os.path.join(home, "jax")
         os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
         os.environ["JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES"] = "-1"
+    # An operation outside of a program compiles in 60 % of the time without XLA's newer emitter of
+    # loops, which the package's programs go without, too. XLA ends a process for a flag that it
+    # doesn't know, so other versions have none.
+    locked = (HOME / "requirements.lock").read_text(encoding="utf-8").split()
+    if f"jaxlib=={metadata.version('jaxlib')}" in locked:
+        os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false")
     # Threads of one matrix product wait for each other: on busy cores least squares took 24 s so,
     # and 0.1 s on one thread. Workers of pytest-xdist load NumPy after this, so it holds for them.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
-HOME = Path(__file__).resolve().parent
 PARTS = ((HOME / "research", "src"), (HOME / "packages" / "smooth_hand_datasets", ""))
 """Folder of a distribution of this repository, and the folder in it of its modules."""
 
