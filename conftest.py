@@ -44,10 +44,9 @@ def _set_up_environment() -> None:
             os.environ[name] = home
     os.environ[_MARK] = home
     # One compile cache for the whole run: many tests build the same retargeter.
-    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
-        os.environ["JAX_COMPILATION_CACHE_DIR"] = os.path.join(home, "jax")
-        os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
-        os.environ["JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES"] = "-1"
+    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", os.path.join(home, "jax"))
+    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
     # An operation outside of a program compiles in 60 % of the time without XLA's newer emitter of
     # loops, which the package's programs go without, too. XLA ends a process for a flag that it
     # doesn't know, so other versions have none.

@@ -511,7 +511,7 @@ def round_trip(hand: Hand, config: SbrConfig, count: int) -> np.ndarray:
 
 
 def test_a_random_pose_comes_back() -> None:
-    miss = round_trip(load_hand(), EXACT, 200).max(axis=1)
+    miss = round_trip(load_hand(), EXACT, 100).max(axis=1)
     assert np.mean(miss < 0.005) >= 0.95
     assert np.median(miss) < 0.001
 
