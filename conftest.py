@@ -101,10 +101,9 @@ for name in ("SIGHUP", "SIGQUIT"):  # ignored in the same way; commands that tes
 SHARED = Path(__file__).resolve().parents[1] / "shared"
 
 LONG_FILES = (
-    "test_hand_matrix.py", "test_lint.py", "test_operator_profile.py",
-    "test_retarget_folder.py", "test_smooth_terms.py", "test_slsqp_method.py",
-    "test_published_methods.py",
-    "test_rest_pose.py", "test_calibration.py",
+    "test_lint.py", "test_hand_matrix.py", "test_smooth_posture.py", "test_calibration.py",
+    "test_hand_validation.py", "test_tune.py", "test_bench.py", "test_smooth.py",
+    "test_rest_pose.py", "test_compiled_program.py", "test_batch.py",
 )  # fmt: skip
 """Files that take long for how few tests they have, the longest first. They run first: the worker
 that took one of them last would be alone with it. The others follow by number of tests, as
@@ -153,27 +152,34 @@ def hand() -> Any:
     return load_hand("mimic_p050")
 
 
+few_optimised: list[dict[Any, Any]] = [{}, {}]
+"""Programs that this process has compiled with few optimisations."""
+
+
 @pytest.fixture(scope="module")
 def few_optimisations() -> Iterator[None]:
     """Programs are compiled with few optimisations: for files where compiling is most of the time.
 
-    The files before and after it have their own programs.
+    The files without it have their own programs.
     """
     import jax
 
     from smooth_operator.compilation import batching
     from smooth_operator.methods import shared
 
-    option, made = "jax_disable_most_optimizations", (shared._programs, batching._programs)
-    before, programs = jax.config.read(option), [dict(each) for each in made]
-    for known in made:
-        known.clear()
-    jax.config.update(option, True)
+    option, stores = "jax_disable_most_optimizations", (shared._programs, batching._programs)
+    before, others = jax.config.read(option), [dict(store) for store in stores]
+
+    def change(programs: list[dict[Any, Any]], few: bool) -> None:
+        jax.config.update(option, few)
+        for store, each in zip(stores, programs, strict=True):
+            store.clear()
+            store.update(each)
+
+    change(few_optimised, True)
     yield
-    jax.config.update(option, before)
-    for known, each in zip(made, programs, strict=True):
-        known.clear()
-        known.update(each)
+    few_optimised[:] = [dict(store) for store in stores]
+    change(others, before)
 
 
 @pytest.fixture(scope="module")
