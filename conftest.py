@@ -28,6 +28,9 @@ _KEPT = (_MARK,)
 """Variables of this program that a run passes on to its own workers."""
 
 
+HOME = Path(__file__).resolve().parent
+
+
 def _set_up_environment() -> None:
     if _MARK in os.environ:
         return
@@ -41,16 +44,20 @@ def _set_up_environment() -> None:
             os.environ[name] = home
     os.environ[_MARK] = home
     # One compile cache for the whole run: many tests build the same retargeter.
-    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
-        os.environ["JAX_COMPILATION_CACHE_DIR"] = os.path.join(home, "jax")
-        os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
-        os.environ["JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES"] = "-1"
+    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", os.path.join(home, "jax"))
+    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
+    # An operation outside of a program compiles in 60 % of the time without XLA's newer emitter of
+    # loops, which the package's programs go without, too. XLA ends a process for a flag that it
+    # doesn't know, so other versions have none.
+    locked = (HOME / "requirements.lock").read_text(encoding="utf-8").split()
+    if f"jaxlib=={metadata.version('jaxlib')}" in locked:
+        os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false")
     # Threads of one matrix product wait for each other: on busy cores least squares took 24 s so,
     # and 0.1 s on one thread. Workers of pytest-xdist load NumPy after this, so it holds for them.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
-HOME = Path(__file__).resolve().parent
 PARTS = ((HOME / "research", "src"), (HOME / "packages" / "smooth_hand_datasets", ""))
 """Folder of a distribution of this repository, and the folder in it of its modules."""
 
@@ -94,10 +101,9 @@ for name in ("SIGHUP", "SIGQUIT"):  # ignored in the same way; commands that tes
 SHARED = Path(__file__).resolve().parents[1] / "shared"
 
 LONG_FILES = (
-    "test_hand_matrix.py", "test_lint.py", "test_operator_profile.py",
-    "test_retarget_folder.py", "test_smooth_terms.py", "test_slsqp_method.py",
-    "test_published_methods.py",
-    "test_rest_pose.py", "test_calibration.py",
+    "test_lint.py", "test_hand_matrix.py", "test_smooth_posture.py", "test_calibration.py",
+    "test_hand_validation.py", "test_tune.py", "test_bench.py", "test_smooth.py",
+    "test_rest_pose.py", "test_compiled_program.py", "test_batch.py",
 )  # fmt: skip
 """Files that take long for how few tests they have, the longest first. They run first: the worker
 that took one of them last would be alone with it. The others follow by number of tests, as
@@ -146,27 +152,34 @@ def hand() -> Any:
     return load_hand("mimic_p050")
 
 
+few_optimised: list[dict[Any, Any]] = [{}, {}]
+"""Programs that this process has compiled with few optimisations."""
+
+
 @pytest.fixture(scope="module")
 def few_optimisations() -> Iterator[None]:
     """Programs are compiled with few optimisations: for files where compiling is most of the time.
 
-    The files before and after it have their own programs.
+    The files without it have their own programs.
     """
     import jax
 
     from smooth_operator.compilation import batching
     from smooth_operator.methods import shared
 
-    option, made = "jax_disable_most_optimizations", (shared._programs, batching._programs)
-    before, programs = jax.config.read(option), [dict(each) for each in made]
-    for known in made:
-        known.clear()
-    jax.config.update(option, True)
+    option, stores = "jax_disable_most_optimizations", (shared._programs, batching._programs)
+    before, others = jax.config.read(option), [dict(store) for store in stores]
+
+    def change(programs: list[dict[Any, Any]], few: bool) -> None:
+        jax.config.update(option, few)
+        for store, each in zip(stores, programs, strict=True):
+            store.clear()
+            store.update(each)
+
+    change(few_optimised, True)
     yield
-    jax.config.update(option, before)
-    for known, each in zip(made, programs, strict=True):
-        known.clear()
-        known.update(each)
+    few_optimised[:] = [dict(store) for store in stores]
+    change(others, before)
 
 
 @pytest.fixture(scope="module")

@@ -203,8 +203,9 @@ def test_random_orders_of_real_recordings_are_refused(shared: Path, name: str) -
 
 
 @pytest.mark.shared
-@pytest.mark.parametrize("size", [0.6, 1.0, 1.25])
-@pytest.mark.parametrize("side", ["right", "left"])
+@pytest.mark.parametrize(
+    ("side", "size"), [("right", 0.6), ("right", 1.0), ("right", 1.25), ("left", 1.0)]
+)
 @pytest.mark.parametrize("name", RECORDINGS)
 def test_no_real_hand_of_any_size_is_refused(
     shared: Path, name: str, side: str, size: float

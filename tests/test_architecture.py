@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import re
 from collections.abc import Iterator, Mapping
 from graphlib import CycleError, TopologicalSorter
@@ -112,7 +113,17 @@ def imported_modules(source: Path, path: Path) -> Iterator[tuple[int, str]]:
     Relative imports are resolved, and so are constant names given to ``import_module``.
     """
     package = (PACKAGE, *path.relative_to(source).parent.parts)
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"), str(path))):
+    yield from imports_in(path.read_text(encoding="utf-8"), package)
+
+
+@functools.cache
+def imports_in(text: str, package: tuple[str, ...]) -> list[tuple[int, str]]:
+    """(line, name) of the imports in a module of a package, as ``imported_modules``."""
+    return list(_imports_in(text, package))
+
+
+def _imports_in(text: str, package: tuple[str, ...]) -> Iterator[tuple[int, str]]:
+    for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.Import):
             yield from ((node.lineno, alias.name) for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -309,7 +320,8 @@ def unpickling(source: Path) -> list[str]:
             for line, name in imported_modules(source, path)
             if name.split(".")[0] in UNPICKLERS and where not in RESTRICTED
         ]
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"), str(path))):
+        text = path.read_text(encoding="utf-8")
+        for node in ast.walk(ast.parse(text, str(path))) if "allow_pickle" in text else ():
             if isinstance(node, ast.keyword) and node.arg == "allow_pickle":
                 off = isinstance(node.value, ast.Constant) and node.value.value is False
                 if not off:
@@ -322,16 +334,19 @@ def missing_code(source: Path) -> list[str]:
     found = []
     for path in modules(source):
         where = path.relative_to(source.parent).as_posix()
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"), str(path))):
+        text = path.read_text(encoding="utf-8")
+        if "code_digest" not in text and "imported_modules" not in text:
+            continue
+        for node in ast.walk(ast.parse(text, str(path))):
             name = isinstance(node, ast.Call) and getattr(node.func, "id", "")
             if name != "code_digest":
                 continue
             given = [n.value for n in ast.walk(node) if isinstance(n, ast.Constant)]
             found += [
-                f"{where}:{node.lineno}: {text!r} is not in the package: results would be used "
+                f"{where}:{node.lineno}: {place!r} is not in the package: results would be used "
                 "again though their code has changed; name the place that it moved to"
-                for text in given
-                if isinstance(text, str) and not (source / text).exists()
+                for place in given
+                if isinstance(place, str) and not (source / place).exists()
             ]
     return found
 

@@ -360,7 +360,10 @@ def test_settings_of_an_arm_are_read_and_checked() -> None:
         read_arm("panda:spacing=0.1")
 
 
-@pytest.mark.parametrize(("arm", "task"), [("xarm7", "cube"), ("ur5e", "screwdriver")])
+@pytest.mark.parametrize(
+    ("arm", "task"),
+    [("xarm7", "cube"), pytest.param("ur5e", "screwdriver", marks=pytest.mark.weekly)],
+)
 def test_a_task_of_the_study_is_done_with_an_arm(arm: str, task: str) -> None:
     path = Path(__file__).parents[1] / "research" / "benchmarks" / "arm_tasks.py"
     trial = runpy.run_path(str(path))["trial"](task, "mimic_p050", arm, 0, 1)

@@ -91,7 +91,16 @@ def bits(result: Any) -> tuple[bytes, bytes, bytes]:
     return commands.joint_positions.tobytes(), commands.status.tobytes(), loss.tobytes()
 
 
-@pytest.fixture(scope="module", params=["sbr", "sbr:paper", "smooth", "geort", "joint_angle"])
+@pytest.fixture(
+    scope="module",
+    params=[
+        "sbr",
+        pytest.param("sbr:paper", marks=pytest.mark.weekly),
+        "smooth",
+        "geort",
+        "joint_angle",
+    ],
+)
 def retargeter(request: pytest.FixtureRequest) -> Retargeter:
     config = {"sbr": SBR, "sbr:paper": PAPER}.get(request.param) or method_config(request.param)
     return Retargeter(config=config, seed=3)

@@ -89,7 +89,6 @@ def small() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(PRESETS["sbr"], "tiny", TINY)
         patch.setitem(METHODS.built_in, "picky", Entry(f"{__name__}:PICKY"))
-        patch.setenv("SMOOTH_OPERATOR_CACHE", "off")
         patch.delenv("SMOOTH_OPERATOR_DEBUG", raising=False)
         # Other work in this checkout must not look like a change of a method between two runs.
         patch.setattr("smooth_operator.lab.benchmark.cells.code_digest", lambda *_: "fixed")

@@ -33,6 +33,8 @@ from smooth_operator.planning import make_request
 from smooth_operator.teleop.pages import Playback
 from smooth_operator.types import HandRecording, Side
 
+pytestmark = pytest.mark.usefixtures("few_optimisations")
+
 THREE = "thumb,index,pinky=ring"
 CHOSEN = {"thumb": "thumb", "index": "index", "pinky": "ring"}
 
@@ -295,6 +297,7 @@ def test_the_second_half_gains_from_a_fit_on_the_first(shared: Path, hand: Hand)
     assert after[1] < 0.9 * before[1]
 
 
+@pytest.mark.weekly
 @pytest.mark.shared
 def test_the_precise_preset_closes_pinches_and_keeps_its_directions(
     shared: Path, hand: Hand
@@ -341,7 +344,6 @@ def test_the_report_promises_what_held_for_frames_it_was_not_fitted_on(
 
 @pytest.fixture
 def run(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Run:
-    monkeypatch.setenv("SMOOTH_OPERATOR_CACHE", "off")
     monkeypatch.delenv("SMOOTH_OPERATOR_DEBUG", raising=False)
 
     def call(*arguments: object) -> tuple[int, str, str]:

@@ -50,7 +50,7 @@ def view(folder: Path, *options: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-@pytest.mark.parametrize("suffix", ["gif", "webp"])
+@pytest.mark.parametrize("suffix", ["gif", pytest.param("webp", marks=pytest.mark.weekly)])
 def test_a_clip_shows_every_hand_in_real_time(made: Path, suffix: str) -> None:
     done = view(made, "--frames", "20:100", "--save", f"new/clip.{suffix}")
     if done.returncode == 2 and "can't draw with OpenGL" in done.stderr:

@@ -190,21 +190,21 @@ def test_results_are_those_of_the_traced_program_to_the_last_bit(
     assert made == read == results()
 
 
-@pytest.mark.parametrize("method", ["keyvector", "geort"])
+@pytest.mark.parametrize("method", ["dexpilot", "geort"])
 def test_other_methods_too(folder: Path, method: str) -> None:
     recording = SyntheticOperator(rate_hz=20).record(0.5)
 
     def result(cache: bool) -> bytes:
         forget()
         retargeter = Retargeter(method=method, cache=cache)
-        assert (retargeter.shared.method.host is not None) == (method == "keyvector")
+        assert (retargeter.shared.method.host is not None) == (method == "dexpilot")
         return retargeter.run(recording)[0].joint_positions.tobytes()
 
     without = result(cache=False)
     assert not folder.exists() or not list(folder.iterdir())
     made = result(cache=True)
     files = {file: file.stat().st_size for file in folder.iterdir()}
-    assert len(files) == (2 if method == "keyvector" else 1)
+    assert len(files) == (2 if method == "dexpilot" else 1)
     assert without == made == result(cache=True)
     assert files == {file: file.stat().st_size for file in folder.iterdir()}
 

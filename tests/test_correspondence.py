@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -16,6 +19,8 @@ from smooth_operator.human.alignment import reference_landmarks
 from smooth_operator.human.correspondence import Correspondence, CorrespondenceConfig
 from smooth_operator.landmarks import BASES, TIPS
 from smooth_operator.synthetic.robot_landmarks import human_landmarks
+
+pytestmark = pytest.mark.usefixtures("few_optimisations")
 
 DT = jnp.float32(1 / 60)
 
@@ -34,12 +39,17 @@ def operator_of(hand: Hand, size: float = 0.6) -> np.ndarray:
     return points.astype(np.float32)
 
 
+@cache
+def program(correspondence: Correspondence) -> Callable[..., Any]:
+    return jax.jit(correspondence.step)
+
+
 def follow(
     correspondence: Correspondence, frames: np.ndarray, restarts: tuple[int, ...] = (0,)
 ) -> tuple[list[np.ndarray], np.ndarray]:
     """Lengths after each frame, and (T, F, 3) places."""
     state, lengths, places = correspondence.init(), [], []
-    step = jax.jit(correspondence.step)
+    step = program(correspondence)
     last = frames[0]
     for i, points in enumerate(frames):
         tips = jnp.asarray(points[list(TIPS)])
@@ -70,9 +80,10 @@ def test_the_robots_own_landmarks_stay_where_they_are(hand: Hand) -> None:
     rng = np.random.default_rng(0)
     low, high = hand.limits.T
     poses = hand.neutral + 0.3 * (rng.uniform(low, high, (8, len(low))) - hand.neutral)
+    correspondence = Correspondence(hand, CorrespondenceConfig())
     for landmarks in human_landmarks(hand, poses).astype(np.float32):
         frames = np.tile(landmarks, (3, 1, 1))
-        _, places = follow(Correspondence(hand, CorrespondenceConfig()), frames)
+        _, places = follow(correspondence, frames)
         off = np.linalg.norm(places[-1] - landmarks[list(TIPS)], axis=-1)
         assert off.max() < 6e-3
         assert off.mean() < 2.5e-3

@@ -39,22 +39,28 @@ NAMES = (
     "ability_hand", "allegro_hand", "inspire_hand", "leap_hand", "mimic_p050", "orca_v2",
     "schunk_svh", "shadow_dexee", "shadow_hand", "wuji_hand",
 )  # fmt: skip
-EVERY_RUN = ("inspire_hand", "leap_hand", "mimic_p050", "shadow_hand")
-"""Hands of each run of the tests: coupled joints, four fingers, mirrored, a model for each side."""
-ALL_METHODS = "mimic_p050"
-"""The hand that each run of the tests tries with all methods, the weekly run all hands."""
-HANDS = [
-    *EVERY_RUN,
-    *(pytest.param(name, id=f"{name}-all", marks=pytest.mark.weekly)
-      for name in NAMES if name != ALL_METHODS),
-]  # fmt: skip
+EVERY_RUN = {
+    "inspire_hand": ("sbr", "keyvector"),
+    "leap_hand": ("ako", "joint_angle"),
+    "mimic_p050": ("smooth", "hybrid", "geort"),
+    "shadow_hand": ("dexpilot",),
+}
+"""Hands of each run of the tests (coupled joints, four fingers, mirrored, a model for each side)
+and their methods: each method once, since compiling is the time. The weekly run has all pairs."""
 SIDES = ("right", "left")
+BOTH_SIDES = ("mimic_p050", "shadow_hand")
+"""Hands of each run of the tests whose left side is tried, too."""
+SIDED = [
+    *((name, side) for name in EVERY_RUN for side in SIDES
+      if side == "right" or name in BOTH_SIDES),
+    *(pytest.param(name, side, id=f"{name}-{side}-all", marks=pytest.mark.weekly)
+      for name in NAMES for side in SIDES),
+]  # fmt: skip
+WEEKLY = [pytest.param(name, id=f"{name}-all", marks=pytest.mark.weekly) for name in NAMES]
 METHODS = ("sbr", "smooth", "dexpilot", "ako", "keyvector", "hybrid", "joint_angle", "geort")
 MIRRORED = ("mimic_p050", "orca_v2", "shadow_dexee", "wuji_hand")
 LEFT = ("sbr", "smooth", "dexpilot")
 """Methods on the left model of a hand that has two: one of each way to solve."""
-QUICK = ("smooth", "dexpilot")
-"""Methods of each run of the tests on other hands than ``ALL_METHODS``: compiling is the time."""
 REFUSED: dict[tuple[str, str], str] = {}
 """(hand, method) -> why the method can't serve the hand; none so far."""
 
@@ -101,8 +107,8 @@ def operator(side: str) -> SyntheticOperator:
 
 def methods_of(name: str, side: str, weekly: bool) -> tuple[str, ...]:
     """The methods that are tried on a side of a hand."""
-    if not weekly and name != ALL_METHODS:
-        return QUICK
+    if not weekly:
+        return EVERY_RUN[name]
     all_of_them = side == "right" or name in MIRRORED
     return tuple(m for m in (METHODS if all_of_them else LEFT) if (name, m) not in REFUSED)
 
@@ -187,16 +193,22 @@ def matrix(request: pytest.FixtureRequest) -> Matrix:
 
     The sides of a mirrored hand share their programs, so one process has both.
     """
-    chosen: dict[str, bool] = {}
+    chosen: dict[str, set[str]] = {}
+    every_method: set[str] = set()
     for item in request.session.items:
-        if isinstance(item, pytest.Function) and item.path == request.path:
-            name = getattr(item, "callspec", None) and item.callspec.params.get("name")
-            if name:
-                chosen[name] = chosen.get(name, False) or bool(item.get_closest_marker("weekly"))
+        if (
+            isinstance(item, pytest.Function)
+            and item.path == request.path
+            and {"matrix", "name"} <= {*item.fixturenames}
+        ):
+            name, side = item.callspec.params["name"], item.callspec.params.get("side")
+            chosen.setdefault(name, set()).update([side] if side else SIDES)
+            if item.get_closest_marker("weekly"):
+                every_method.add(name)
     tasks = [
-        (name, sides, weekly)
-        for name, weekly in chosen.items()
-        for sides in ([SIDES] if name in MIRRORED else [(side,) for side in SIDES])
+        (name, each, name in every_method)
+        for name, sides in chosen.items()
+        for each in ([tuple(sides)] if name in MIRRORED else [(side,) for side in sides])
     ]
     runs_of: Matrix = {}
     for result in run_tasks(run_hand, tasks):
@@ -209,13 +221,14 @@ def matrix(request: pytest.FixtureRequest) -> Matrix:
 
 def test_all_methods_are_in_the_matrix() -> None:
     assert sorted(METHODS) == sorted(method_names())
+    assert sorted(METHODS) == sorted(m for methods in EVERY_RUN.values() for m in methods)
 
 
-@pytest.mark.parametrize("side", SIDES)
-@pytest.mark.parametrize("name", HANDS)
+@pytest.mark.parametrize(("name", "side"), SIDED)
 def test_every_method_moves_the_hand_as_a_hand_can(matrix: Matrix, name: str, side: str) -> None:
     hand, runs = load_hand(name, side), matrix[name, side]
-    assert {*runs} in [{*methods_of(name, side, weekly)} for weekly in (False, True)]
+    expected = [methods_of(name, side, True), EVERY_RUN.get(name, ())]
+    assert {*runs} in [{*methods} for methods in expected]
     low, high = hand.joint_limits.T
     for method, run in runs.items():
         at = f"{name} {side} {method}"
@@ -233,8 +246,7 @@ def test_every_method_moves_the_hand_as_a_hand_can(matrix: Matrix, name: str, si
             )
 
 
-@pytest.mark.parametrize("side", SIDES)
-@pytest.mark.parametrize("name", HANDS)
+@pytest.mark.parametrize(("name", "side"), SIDED)
 def test_no_method_freezes_the_hand(matrix: Matrix, name: str, side: str) -> None:
     hand = load_hand(name, side)
     for method, run in matrix[name, side].items():
@@ -243,8 +255,7 @@ def test_no_method_freezes_the_hand(matrix: Matrix, name: str, side: str) -> Non
             assert way > 0.02, (method, finger, way)
 
 
-@pytest.mark.parametrize("side", SIDES)
-@pytest.mark.parametrize("name", HANDS)
+@pytest.mark.parametrize(("name", "side"), SIDED)
 def test_fingertips_follow(matrix: Matrix, name: str, side: str) -> None:
     for method, run in matrix[name, side].items():
         floor = LOWER.get((name, method), FLOORS[method])
@@ -254,7 +265,7 @@ def test_fingertips_follow(matrix: Matrix, name: str, side: str) -> None:
         assert cosine > floor, (method, cosine, floor)
 
 
-@pytest.mark.parametrize("name", HANDS)
+@pytest.mark.parametrize("name", [*BOTH_SIDES, *WEEKLY])
 def test_the_two_sides_are_alike(matrix: Matrix, name: str) -> None:
     """A mirrored hand gives the same joints; one with a left model of its own follows as well."""
     right, left = matrix[name, "right"], matrix[name, "left"]
@@ -267,7 +278,7 @@ def test_the_two_sides_are_alike(matrix: Matrix, name: str) -> None:
             assert a == pytest.approx(b, abs=0.05), method
 
 
-@pytest.mark.parametrize("name", HANDS)
+@pytest.mark.parametrize("name", NAMES)
 def test_geort_without_a_model_says_how_to_train_one(name: str) -> None:
     if built_in_model(name) is None:
         with pytest.raises(ConfigError, match=rf"no built-in GeoRT model for hand '{name}'.*train"):

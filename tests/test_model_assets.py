@@ -291,24 +291,27 @@ def test_a_hand_of_one_side_has_that_side_by_default(
     path = ros_package(tmp_path / "lefty", "package://lefty/meshes/box.stl", side="left")
     assert main(["hands", "add", str(path), "--name", "lefty"]) == 0
     assert load_hand("lefty").spec.side == "left"
-    assert Retargeter("lefty", method="keyvector").hand.spec.side == "left"
+    assert Retargeter("lefty", method="joint_angle").hand.spec.side == "left"
+    picture = tmp_path / "lefty.png"
+    assert main(["hands", "render", "lefty", "--output", str(picture)]) == 0
     assert main(["hands", "show", "lefty", "--no-view"]) == 0
+    assert picture.stat().st_size > 1000
     assert (only_side(("lefty",)), only_side(("lefty", "mimic_p050"))) == ("left", None)
     with pytest.raises(HandModelError, match="--side left or right"):
         load_hand("lefty", "right")
     capfd.readouterr()
     out = tmp_path / "out"
-    demo = ["demo", "--hand", "lefty", "--method", "keyvector", "--duration", "0.3", "--no-view"]
+    demo = ["demo", "--hand", "lefty", "--method", "joint_angle", "--duration", "0.3", "--no-view"]
     assert main([*demo, "--output", str(out), "--quiet"]) == 0, capfd.readouterr().err
     # landmarks that do not say their side
     recording = tmp_path / "hand.npy"
     np.save(recording, [frame.landmarks for frame in _left_frames()])
-    request = make_request(hand="lefty", method="keyvector")
+    request = make_request(hand="lefty", method="joint_angle")
     assert request.read_recording(recording, 100.0).side == "left"
     np.save(right := tmp_path / "right.npy", np.load(recording) * (-1, 1, 1))
     assert request.read_recording(right, 100.0).side == "right"  # as its shape says
     with pytest.raises(RecordingError):
-        make_request(hand="mimic_p050", method="keyvector").read_recording(recording, 100.0)
+        make_request(hand="mimic_p050", method="joint_angle").read_recording(recording, 100.0)
 
 
 def _left_frames() -> list:

@@ -96,7 +96,7 @@ def _nothing_left_behind() -> Iterator[None]:
     assert multiprocessing.active_children() == []
 
 
-@pytest.mark.parametrize("workers", [0, 1, 2, 5])
+@pytest.mark.parametrize("workers", [0, 1, 3])
 def test_every_task_has_its_result(workers: int) -> None:
     tasks = [0.1 * i for i in range(7)]
     results = by_index(run_tasks(square, tasks, workers=workers))
@@ -351,7 +351,7 @@ GUARD = "if __name__ =="
         (GUARDED + "os.write(2, b'x' * 5000); sys.exit(7)", "(exit status 7); xxx", "x" * 4096),
     ],
 )
-@pytest.mark.parametrize("workers", [1, 5])
+@pytest.mark.parametrize("workers", [1, pytest.param(5, marks=pytest.mark.weekly)])
 def test_workers_that_do_not_start_say_why(
     tmp_path: Path, code: str, reason: str, written: str, workers: int
 ) -> None:

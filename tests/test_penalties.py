@@ -44,13 +44,14 @@ def test_price_and_slopes(loss: Loss) -> None:
         def price(e: jax.Array, weight: jax.Array) -> jax.Array:
             return vector_price([e[0], e[1], e[2]], weight, loss, TRANSITION)
 
-        found = jax.vmap(price)(vectors, weights)
+        found = jax.jit(jax.vmap(price))(vectors, weights)
         expected = [written_out(e, w, loss) for e, w in zip(*errors(), strict=True)]
         np.testing.assert_allclose(found, expected, rtol=1e-6)
-        force, bend = vector_slopes(vectors, weights, loss, TRANSITION)
-        np.testing.assert_allclose(force, jax.vmap(jax.grad(price))(vectors, weights), rtol=1e-9)
-        full = bend if bend.ndim == 3 else jax.vmap(jnp.diag)(bend)
-        second = jax.vmap(jax.hessian(price))(vectors, weights)
+        force, bend = jax.jit(lambda v, w: vector_slopes(v, w, loss, TRANSITION))(vectors, weights)
+        slopes = jax.jit(jax.vmap(jax.grad(price)))(vectors, weights)
+        np.testing.assert_allclose(force, slopes, rtol=1e-9)
+        full = bend if bend.ndim == 3 else np.asarray(bend)[..., None] * np.eye(3)
+        second = jax.jit(jax.vmap(jax.hessian(price)))(vectors, weights)
         np.testing.assert_allclose(full, second, rtol=1e-9, atol=1e-9)
 
 
@@ -84,11 +85,10 @@ def test_regularisation(centre: str, velocity: str) -> None:
         def cost(x: jax.Array) -> jax.Array:
             return objective.regularisation(x, goal)
 
-        slope, bend = objective.regularisation_derivatives(at, goal)
-        np.testing.assert_allclose(slope, jax.grad(cost)(at), rtol=1e-9)
-        np.testing.assert_allclose(
-            bend * np.eye(len(q)), jax.hessian(cost)(at), rtol=1e-9, atol=1e-12
-        )
+        slope, bend = jax.jit(lambda x: objective.regularisation_derivatives(x, goal))(at)
+        np.testing.assert_allclose(slope, jax.jit(jax.grad(cost))(at), rtol=1e-9)
+        second = jax.jit(jax.hessian(cost))(at)
+        np.testing.assert_allclose(bend * np.eye(len(q)), second, rtol=1e-9, atol=1e-12)
 
 
 def test_unknown_words_are_refused() -> None:

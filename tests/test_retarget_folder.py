@@ -236,6 +236,7 @@ def test_a_killed_run_is_resumed(folder: Path, expected: Bytes, tmp_path: Path) 
     assert contents(output) == expected
 
 
+@pytest.mark.weekly
 def test_ray_makes_the_same_bytes(folder: Path, expected: Bytes, tmp_path: Path) -> None:
     pytest.importorskip("ray", reason="needs ray: in the clone, pip install '.[cluster]'")
     todo = survey(folder, tmp_path / "out", ASKED)

@@ -275,9 +275,10 @@ def test_normals_do_not_repeat(normals: np.ndarray) -> None:
 
 def test_frame_keys_do_not_repeat() -> None:
     counts = jnp.arange(200_000, dtype=jnp.uint32)
-    keys = np.asarray(jax.vmap(lambda c: frame_key(jnp.asarray(seed_words(3)), c))(counts))
+    keys_of = jax.jit(jax.vmap(frame_key, (None, 0)))
+    keys = np.asarray(keys_of(jnp.asarray(seed_words(3)), counts))
     assert len(np.unique(keys, axis=0)) == len(keys)
-    other = np.asarray(jax.vmap(lambda c: frame_key(jnp.asarray(seed_words(4)), c))(counts))
+    other = np.asarray(keys_of(jnp.asarray(seed_words(4)), counts))
     assert len(np.unique(np.concatenate([keys, other]), axis=0)) == 2 * len(keys)
     bits = np.unpackbits(keys.view(np.uint8), axis=1).mean(axis=0)
     assert abs(bits - 0.5).max() < 0.01
@@ -295,11 +296,12 @@ def test_seeds_give_words() -> None:
 def test_the_matrix_holds_the_same_normals(count: int) -> None:
     index = jnp.asarray([0, 5, 4095, 2**20, 17], jnp.uint32)
     words = jnp.asarray([123, 2**32 - 5], jnp.uint32)
-    rows = counter_normals(index, words, count)
-    matrix = counter_normal_matrix(index, words, count)
+    rows_of = jax.jit(counter_normals, static_argnums=2)
+    rows = rows_of(index, words, count)
+    matrix = jax.jit(counter_normal_matrix, static_argnums=2)(index, words, count)
     assert matrix.shape == (count, 5)
     np.testing.assert_allclose(np.stack(rows), matrix, atol=5e-7)  # one may fuse, one not
-    alone = counter_normals(index[1:2], words, count)  # a function of the index, not of its place
+    alone = rows_of(index[1:2], words, count)  # a function of the index, not of its place
     np.testing.assert_allclose(np.stack(alone)[:, 0], np.stack(rows)[:, 1], atol=5e-7)
 
 

@@ -106,7 +106,7 @@ TELEOP = (
 
 
 @posix
-@pytest.mark.parametrize("how", ["closed", "SIGTERM", "SIGQUIT"])
+@pytest.mark.parametrize("how", ["closed", "SIGTERM"])
 def test_a_run_ends_with_torque_off_and_a_whole_recording(
     bank: ServoBank, tmp_path: Path, how: str
 ) -> None:
@@ -136,7 +136,7 @@ def test_a_check_of_a_hand_ends_with_torque_off(bank: ServoBank, how: str) -> No
 
 
 @posix
-@pytest.mark.parametrize("how", ["SIGINT", "SIGTERM", "SIGHUP"])
+@pytest.mark.parametrize("how", ["SIGINT", "SIGHUP"])
 def test_a_run_that_has_not_begun_ends_too(bank: ServoBank, tmp_path: Path, how: str) -> None:
     sink = ("--sink", f"leap:{bank.path},baud=57600")
     waiting = ("--method", "smooth", "--duration", "9", "--no-browser", "--port", "0")
@@ -151,7 +151,7 @@ def test_a_run_that_has_not_begun_ends_too(bank: ServoBank, tmp_path: Path, how:
 
 
 @posix
-@pytest.mark.parametrize("how", ["SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT"])
+@pytest.mark.parametrize("how", ["SIGINT", "SIGQUIT"])
 def test_a_progress_bar_leaves_the_cursor_and_no_file(tmp_path: Path, how: str) -> None:
     motion = SyntheticOperator().record(300.0)
     np.savez(tmp_path / "long.npz", landmarks=motion.landmarks, timestamps=motion.stamps)

@@ -76,7 +76,11 @@ def test_follows_a_sine(name: str) -> None:
     assert free >= 0.5 * len(hand.actuated)
 
 
-@pytest.mark.parametrize("name", BUILT_IN)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=[pytest.mark.weekly] * (name not in ("mimic_p050", "inspire_hand")))
+     for name in BUILT_IN],
+)  # fmt: skip
 def test_a_minute_of_random_commands(name: str) -> None:
     """Twelve jumps a second to anywhere, fingers through fingers: it stays whole and in bounds."""
     hand = load_hand(name, "right" if BUILT_IN.index(name) % 2 else "left")

@@ -21,6 +21,8 @@ from smooth_operator.metrics.consistency import frozen_share, motion_preservatio
 from smooth_operator.objective.terms.self_collision import SelfCollisionConfig
 from smooth_operator.types import HandFrame, HandRecording, Status
 
+pytestmark = pytest.mark.usefixtures("few_optimisations")
+
 RATE = 115.0
 
 

@@ -74,8 +74,9 @@ def test_a_fault_is_forgotten_within_a_second(name: str, operator: HandRecording
     faulty[61, TIPS[1]] += 0.04
     mirrored = HandRecording(faulty, operator.stamps, "right")
     hand = load_hand(name)
-    runs = Retargeter(hand, method="smooth").batch([operator, mirrored, operator[60:]])
-    answer, after_fault, begun_later = (commands for commands, _ in runs)
+    smooth = Retargeter(hand, method="smooth")
+    recordings = (operator, mirrored, operator[60:])
+    answer, after_fault, begun_later = (smooth.run(each)[0] for each in recordings)
     assert tips_apart(hand, after_fault, answer)[125:].max() < 3e-3
     tips = [hand.tips(c.joint_positions) for c in (begun_later, answer)]
     apart = np.linalg.norm(tips[0] - tips[1][60:], axis=-1).mean(axis=1)

@@ -116,7 +116,8 @@ def test_the_price_is_that_of_the_depths() -> None:
     assert (expected > 0).sum() > 5
     with float64():
         term, no_joints = config.build(hand), jnp.zeros((len(pairs.names), 0, 3))
-        found = [term.expand(jnp.asarray(one), no_joints, NO_GOAL).cost for one in ends]
+        price = jax.jit(lambda one: term.expand(one, no_joints, NO_GOAL).cost)
+        found = [price(jnp.asarray(one)) for one in ends]
     np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-9)
 
 
@@ -137,7 +138,8 @@ def test_thumb_and_finger_whose_tips_are_there_may_be_deeper_by_the_grip() -> No
     with float64():
         goal = NO_GOAL._replace(near=jnp.array([near.get(name, 0.0) for name in hand.fingers]))
         term, no_joints = config.build(hand), jnp.zeros((len(pairs.names), 0, 3))
-        found = [term.expand(jnp.asarray(one), no_joints, goal).cost for one in ends[closed]]
+        price = jax.jit(lambda one: term.expand(one, no_joints, goal).cost)
+        found = [price(jnp.asarray(one)) for one in ends[closed]]
     np.testing.assert_allclose(found, expected[closed], rtol=1e-6, atol=1e-9)
 
 
@@ -216,7 +218,7 @@ def test_it_is_eq_1_where_nothing_is_added() -> None:
         goal = goal._replace(motion_weights=jnp.zeros_like(goal.motion_weights))
         poses = limited_poses(np.random.default_rng(6), hand.limits, 4)
         eq_1 = Objective(hand, plain.config)
-        expected = eq_1(list(jnp.asarray(poses).T), goal, within_limits=False)
+        expected = jax.jit(lambda q: eq_1(list(q.T), goal, within_limits=False))(poses)
         found = jax.jit(lambda q: plain.values(q, goal))(jnp.asarray(poses))
         np.testing.assert_allclose(found, expected, rtol=1e-10)
 
@@ -241,7 +243,8 @@ def test_the_descent_reaches_a_bounded_minimum() -> None:
         low, high = hand.limits.T
         free = np.clip(found - gradient, low, high) - found
         assert np.abs(free).max() < 1e-5
-        assert cost < smooth.values(jnp.asarray(hand.neutral, float)[None], goal)[0]
+        first = jax.jit(lambda few: smooth.values(few, goal))(jnp.asarray(hand.neutral)[None])
+        assert cost < first[0]
 
 
 def test_the_cost_never_rises() -> None:
@@ -393,12 +396,15 @@ def test_target_settings_are_checked(bad: dict[str, float]) -> None:
 # The landmark filter
 
 
+filtered = jax.jit(filter_landmarks, static_argnames="config")
+
+
 def filter_states(
     path: np.ndarray, config: LandmarkFilterConfig, dt: float = 0.01
 ) -> list[FilterState]:
     followed, out = FilterState.unseen(path.shape[1]), []
     for t, points in enumerate(path):
-        followed, _ = filter_landmarks(followed, jnp.asarray(points), dt, config, restart=t == 0)
+        followed, _ = filtered(followed, jnp.asarray(points), dt, config=config, restart=t == 0)
         out.append(followed)
     return out
 

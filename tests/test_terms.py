@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
+import runpy
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from jax import Array
 from trees import float64, limited_poses
 
@@ -19,6 +19,8 @@ from smooth_operator.objective import LeastSquaresTerm, ObjectiveConfig
 from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.loss import Objective
 from smooth_operator.objective.terms.term import JointTerm
+
+pytestmark = pytest.mark.usefixtures("few_optimisations")
 
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "06_custom_term.py"
 
@@ -93,11 +95,11 @@ def test_a_term_of_weight_zero_changes_nothing_and_a_heavy_one_wins() -> None:
     assert gaps[1e5] < gaps[None] - 0.005
 
 
-def test_the_example_is_short_and_its_term_keeps_the_tips_apart() -> None:
+def test_the_example_is_short_and_its_term_keeps_the_tips_apart(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     text = EXAMPLE.read_text(encoding="utf-8")
     assert len(text.splitlines()) <= 60
-    done = subprocess.run(
-        [sys.executable, str(EXAMPLE)], capture_output=True, text=True, check=True
-    )
-    gaps = [float(line.split()[-3]) for line in done.stdout.splitlines()]
+    runpy.run_path(str(EXAMPLE), run_name="__main__")
+    gaps = [float(line.split()[-3]) for line in capsys.readouterr().out.splitlines()]
     assert gaps[1] > 35.0 > gaps[0] + 5.0

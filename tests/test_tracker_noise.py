@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
@@ -25,6 +26,8 @@ from smooth_operator.landmarks import TIPS, WRIST
 from smooth_operator.methods.presets import method_config
 from smooth_operator.methods.program import align_frame
 from smooth_operator.types import Status
+
+pytestmark = pytest.mark.usefixtures("few_optimisations")
 
 NEEDS = (WRIST, *TIPS)
 DT = 0.01
@@ -51,18 +54,23 @@ def lasting(sigma: float, keep: float) -> np.ndarray:
     return noise
 
 
-def play(path: np.ndarray, config: NoiseConfig = CONFIG) -> tuple[NoiseState, np.ndarray]:
-    """States after each frame, and (T, 6, 3) the points."""
+@lru_cache
+def program(config: NoiseConfig) -> Callable[[Any], Any]:
+    """The filter of a whole path."""
 
     def frame(state: NoiseState, given: Any) -> Any:
         landmarks, restart = given
         state, points = remove_noise(state, landmarks, NEEDS, DT, config, restart)
         return state, (state, points)
 
-    first = jnp.arange(len(path)) == 0
     start = NoiseState.unseen(len(NEEDS))
-    run = jax.jit(lambda x: lax.scan(frame, start, x)[1])
-    states, points = run((jnp.asarray(path, jnp.float32), first))
+    return jax.jit(lambda x: lax.scan(frame, start, x)[1])
+
+
+def play(path: np.ndarray, config: NoiseConfig = CONFIG) -> tuple[NoiseState, np.ndarray]:
+    """States after each frame, and (T, 6, 3) the points."""
+    first = jnp.arange(len(path)) == 0
+    states, points = program(config)((jnp.asarray(path, jnp.float32), first))
     return states, np.asarray(points)
 
 
@@ -151,7 +159,8 @@ def test_landmarks_that_are_marked_invalid_are_not_known():
     method = config.build(hand)
     landmarks = jnp.asarray(reference_landmarks(hand), jnp.float32).at[9].add(0.5)
     valid = jnp.ones(21, bool).at[9].set(False)
-    frame = align_frame(method, config.alignment, landmarks, valid)
+    align = jax.jit(lambda *seen: align_frame(method, config.alignment, *seen))
+    frame = align(landmarks, valid)
     assert int(frame.status) == Status.OK
     unknown = np.isnan(np.asarray(frame.aligned)).any(axis=-1)
     assert np.flatnonzero(unknown).tolist() == [9]

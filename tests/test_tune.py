@@ -361,13 +361,13 @@ def test_what_cannot_be_traced_is_compiled_and_what_cannot_be_is_left_out(
             settings(
                 tmp_path / "out",
                 vary=("escape=0.001:0.05", "w_thumb=1:2"),
-                trials=3,
+                trials=2,
                 recordings=("synthetic:4@:10",),
             )
         ),
         lambda count, best, reason: reasons.append(reason),
     )
-    assert found.trials == len(reasons) == 3
+    assert found.trials == len(reasons) == 2
     assert reasons[0] is None
     assert all(reason is None or "project <= escape" in reason for reason in reasons)
 
