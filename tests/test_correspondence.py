@@ -17,7 +17,13 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.alignment import reference_landmarks
 from smooth_operator.human.correspondence import Correspondence, CorrespondenceConfig
+from smooth_operator.human.palm_axes import palm_tilt_deg
 from smooth_operator.landmarks import BASES, TIPS
+from smooth_operator.methods.presets import SBR_REALTIME
+from smooth_operator.methods.retargeter import Retargeter
+from smooth_operator.metrics import evaluate
+from smooth_operator.metrics.assemble import assemble_trace
+from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.synthetic.robot_landmarks import human_landmarks
 
 pytestmark = pytest.mark.usefixtures("few_optimisations")
@@ -157,3 +163,21 @@ def test_no_share_is_the_palms_alignment(hand: Hand) -> None:
 def test_impossible_settings_are_refused(setting: dict[str, float]) -> None:
     with pytest.raises(ConfigError):
         CorrespondenceConfig(**setting)
+
+
+def test_sbr_takes_the_places_of_fingertips(hand: Hand) -> None:
+    """Fingers as straight as the human's, with the objective of ``sbr`` as it is."""
+    recording = SyntheticOperator(rate_hz=60.0).record(3.0)
+    errors = []
+    for share in (0.0, 1.0):
+        config = replace(SBR_REALTIME, correspondence=CorrespondenceConfig(share=share))
+        commands, _ = Retargeter(hand, config=config).run(recording)
+        trace = assemble_trace(recording, commands, hand, reach_samples=0)
+        errors.append(evaluate(trace)["finger_extension_error"])
+    assert errors[1] < 0.7 * errors[0]
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+def test_the_tilt_of_palms(side: str) -> None:
+    tilts = {name: palm_tilt_deg(load_hand(name, side)) for name in ("mimic_p050", "shadow_hand")}
+    assert tilts == pytest.approx({"mimic_p050": 37.0, "shadow_hand": 1.1}, abs=1.0)

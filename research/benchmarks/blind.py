@@ -1,14 +1,16 @@
 """Blind scores of pictures of robot hands: methods hidden, order shuffled, a written rubric.
 
     python research/benchmarks/blind.py draw FOLDER RECORDING... --methods smooth sbr ako
-        --hands mimic_p050 shadow_hand
+        --hands mimic_p050 shadow_hand [--poses flat fist]
     python research/benchmarks/blind.py judge FOLDER --judge NAME
-    python research/benchmarks/blind.py tell FOLDER
+    python research/benchmarks/blind.py tell FOLDER [--scores FILE.csv...]
 
 ``draw`` finds the poses of each recording and writes a numbered picture for each pose, hand and
-method: the human hand left, the robot hand right. ``FOLDER-key.csv``, outside the folder that a
-judge gets, says which is which. ``judge`` asks for scores in an order of the judge's own, and may
-be stopped and continued. ``tell`` prints mean scores by hand and method, and the judges' agreement.
+method: the human hand left, the robot hand right; and sheets of twelve, for a judge who scores by
+hand. ``FOLDER-key.csv``, outside the folder that a judge gets, says which is which. ``judge`` asks
+for scores in an order of the judge's own, and may be stopped and continued. ``tell`` prints mean
+scores by hand and method, with intervals over the pictures, and the judges' agreement; scores
+written by hand are CSV files with the columns ``number`` and ``score``.
 """
 
 from __future__ import annotations
@@ -20,15 +22,20 @@ import zlib
 from collections.abc import Sequence
 from itertools import combinations
 from pathlib import Path
-from typing import Final
+from typing import Final, TypeAlias
 
 import numpy as np
 from looks import panel_of, run
-from PIL import Image
+from PIL import Image, ImageDraw, ImageFont
 
 from smooth_operator.cli.hand_shape import ModelShape
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.lab.benchmark.contact_sheet import HandPicture, common_frame, find_poses
+from smooth_operator.lab.benchmark.contact_sheet import (
+    POSES,
+    HandPicture,
+    common_frame,
+    find_poses,
+)
 from smooth_operator.lab.benchmark.recordings import load_sources, parse_request
 
 RUBRIC: Final = """Left the human hand, right the robot hand; each from the palm and from the thumb.
@@ -40,38 +47,70 @@ Does the robot hand show the human's pose?
 Judge only the pose, not the shape of the robot. Numbers 0 to 3; q stops."""
 SIZE: Final = 220
 """Width of a view [px]."""
+ON_SHEET: Final = (6, 2)
+"""Rows and columns of pictures on a sheet."""
+RESAMPLES: Final = 10_000
+"""Bootstrap resamples for an interval."""
+
+
+Key: TypeAlias = tuple[str, str, int, str, str]
+"""Recording, pose, frame, hand and method of a picture."""
+
+
+def pictures_on(hand: str, options: argparse.Namespace) -> list[tuple[Key, np.ndarray]]:
+    """Pictures of the poses of all recordings by each method, on one hand."""
+    drawn: list[tuple[Key, np.ndarray]] = []
+    sources = load_sources([parse_request(text) for text in options.recordings])
+    recordings = {s.name: s.recording for s in sources if s.recording is not None}
+    shape = ModelShape(load_hand(hand))
+    traces = {method: run(method, hand, recordings) for method in options.methods}
+    for name in recordings:
+        panel = panel_of(name, hand, {m: own[name] for m, own in traces.items()})
+        for pose in find_poses([panel]):
+            if pose.name not in options.poses:
+                continue
+            human = HandPicture.of_human(panel.runs[0].human[pose.frame], "right")
+            robots = [
+                HandPicture.of_robot(shape, r.joints[pose.frame], "right") for r in panel.runs
+            ]
+            frame = common_frame(robots)  # the same for all methods
+            left = human.draw(common_frame([human]), SIZE)
+            for one, robot in zip(panel.runs, robots, strict=True):
+                key = (name, pose.name, pose.frame, hand, one.method)
+                drawn.append((key, np.concatenate([left, robot.draw(frame, SIZE)], axis=1)))
+    return drawn
 
 
 def draw(options: argparse.Namespace) -> None:
     """Writes numbered pictures, shuffled, and their key."""
-    drawn: list[tuple[tuple[object, ...], np.ndarray]] = []
-    sources = load_sources([parse_request(text) for text in options.recordings])
-    recordings = {s.name: s.recording for s in sources if s.recording is not None}
-    for hand in options.hands:
-        shape = ModelShape(load_hand(hand))
-        traces = {method: run(method, hand, recordings) for method in options.methods}
-        for name in recordings:
-            panel = panel_of(name, hand, {m: own[name] for m, own in traces.items()})
-            for pose in find_poses([panel]):
-                human = HandPicture.of_human(panel.runs[0].human[pose.frame], "right")
-                robots = [
-                    HandPicture.of_robot(shape, r.joints[pose.frame], "right") for r in panel.runs
-                ]
-                frame = common_frame(robots)  # the same for all methods
-                left = human.draw(common_frame([human]), SIZE)
-                for one, robot in zip(panel.runs, robots, strict=True):
-                    key = (name, pose.name, pose.frame, hand, one.method)
-                    drawn.append((key, np.concatenate([left, robot.draw(frame, SIZE)], axis=1)))
+    drawn = [picture for hand in options.hands for picture in pictures_on(hand, options)]
     options.folder.mkdir(parents=True, exist_ok=True)
     with _key_of(options.folder).open("w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(("number", "recording", "pose", "frame", "hand", "method"))
-        for number, i in enumerate(np.random.default_rng().permutation(len(drawn))):
-            key, picture = drawn[i]
+        shuffled = [drawn[i] for i in np.random.default_rng().permutation(len(drawn))]
+        for number, (key, picture) in enumerate(shuffled):
             Image.fromarray(picture).save(options.folder / f"{number:04d}.png")
             writer.writerow((number, *key))
+    _write_sheets(options.folder, [picture for _, picture in shuffled])
     (options.folder / "rubric.txt").write_text(RUBRIC + "\n")
     print(f"wrote {len(drawn)} pictures to {options.folder}; the rubric is in rubric.txt")
+
+
+def _write_sheets(folder: Path, pictures: Sequence[np.ndarray]) -> None:
+    """Writes ``sheet-00.png`` and so on: the pictures with their numbers, in order."""
+    rows, columns = ON_SHEET
+    height, width = pictures[0].shape[:2]
+    height, width = height + 4, width + 44
+    for first in range(0, len(pictures), rows * columns):
+        sheet = Image.new("RGB", (columns * width, rows * height), "white")
+        pen = ImageDraw.Draw(sheet)
+        for i, picture in enumerate(pictures[first : first + rows * columns]):
+            top, left = i // columns * height, i % columns * width
+            sheet.paste(Image.fromarray(picture), (left + 40, top))
+            pen.text((left + 4, top + 4), str(first + i), "black", ImageFont.load_default(20))
+            pen.rectangle((left, top, left + width - 2, top + height - 2), outline="gray")
+        sheet.save(folder / f"sheet-{first // (rows * columns):02d}.png")
 
 
 def judge(options: argparse.Namespace) -> None:
@@ -102,26 +141,41 @@ def tell(options: argparse.Namespace) -> None:
     key = {int(row["number"]): row for row in _rows(_key_of(options.folder))}
     scores = {
         path.stem.removeprefix("scores-"): {int(r["number"]): int(r["score"]) for r in _rows(path)}
-        for path in sorted(options.folder.glob("scores-*.csv"))
+        for path in options.scores or sorted(options.folder.glob("scores-*.csv"))
     }
     if not any(scores.values()):
         raise SystemExit(f"{options.folder}: no scores yet; run judge")
+    means = {  # a picture's score is the mean of its judges'
+        number: float(np.mean([judged[number] for judged in scores.values() if number in judged]))
+        for number in key
+        if any(number in judged for judged in scores.values())
+    }
     hands, methods = (list(dict.fromkeys(r[k] for r in key.values())) for k in ("hand", "method"))
-    print("| method | " + " | ".join(hands) + " | mean | pictures |")
-    print("|---|" + "---:|" * (len(hands) + 2))
+    print("| method | " + " | ".join(hands) + " | mean | interval | pictures |")
+    print("|---|" + "---:|" * (len(hands) + 3))
     for method in sorted(methods):
-        by_hand = []
-        for hand in hands:
-            own = [n for n, row in key.items() if (row["hand"], row["method"]) == (hand, method)]
-            by_hand.append([judged[n] for judged in scores.values() for n in own if n in judged])
-        means = [float(np.mean(own)) if own else np.nan for own in by_hand]
-        cells = [*means, float(np.nanmean(means))]
-        print(f"| `{method}` | " + " | ".join(f"{x:.2f}" for x in cells), end="")
-        print(f" | {sum(map(len, by_hand))} |")
+        by_hand = [
+            [
+                score
+                for number, score in means.items()
+                if (key[number]["hand"], key[number]["method"]) == (hand, method)
+            ]
+            for hand in hands
+        ]
+        cells = " | ".join(f"{np.mean(own):.2f}" if own else "" for own in by_hand)
+        own = np.concatenate(by_hand)
+        samples = np.random.default_rng(0).choice(own, (RESAMPLES, len(own))).mean(axis=1)
+        low, high = np.percentile(samples, (2.5, 97.5))
+        print(f"| `{method}` | {cells} | {own.mean():.2f} | {low:.2f} to {high:.2f} | {len(own)} |")
     for (one, first), (other, second) in combinations(scores.items(), 2):
-        both = first.keys() & second.keys()
-        apart = np.mean([abs(first[n] - second[n]) for n in both]) if both else np.nan
-        print(f"{one} and {other}: {len(both)} pictures in common, {apart:.2f} apart in the mean")
+        both = sorted(first.keys() & second.keys())
+        a, b = (np.array([judged[n] for n in both], float) for judged in (first, second))
+        if len(both) > 1:
+            equal, apart = (a == b).mean(), abs(a - b).mean()
+            print(
+                f"{one} and {other}: {len(both)} pictures in common, {equal:.0%} equal, "
+                f"{apart:.2f} apart in the mean, correlation {np.corrcoef(a, b)[0, 1]:.2f}"
+            )
 
 
 def _rows(path: Path) -> list[dict[str, str]]:
@@ -145,8 +199,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
             one.add_argument("recordings", nargs="+")
             one.add_argument("--methods", nargs="+", required=True)
             one.add_argument("--hands", nargs="+", default=["mimic_p050"])
+            one.add_argument("--poses", nargs="+", default=POSES)
         elif step is judge:
             one.add_argument("--judge", required=True, metavar="NAME")
+        else:
+            one.add_argument(
+                "--scores", type=Path, nargs="+", help="FOLDER/scores-*.csv if left out"
+            )
     options = parser.parse_args(arguments)
     options.step(options)
 

@@ -13,7 +13,7 @@ from smooth_operator.calibration.features import Features, measure_features
 from smooth_operator.calibration.segments import Segment, find_segments, poses
 from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.hands.hand import Hand
-from smooth_operator.hands.straight_pose import StraightPose, straight_pose
+from smooth_operator.hands.straight_pose import StraightPose, open_rays, straight_pose
 from smooth_operator.human.alignment import MIN_CONDITION, palm_alignment
 from smooth_operator.human.anatomical_axes import PalmAxes
 from smooth_operator.human.operator import (
@@ -124,7 +124,7 @@ def calibrate(
         after = apart + shift[:, 1] - shift[:, 0]
         gaps[finger] = np.linalg.norm(np.stack([apart, after], axis=1), axis=-1)
     straight = straight_pose(hand)
-    rotation, angle = _palm_rotation(points, straight, hand, features, segments)
+    rotation, angle = _palm_rotation(points, hand, segments)
     project = _project(gaps, scale, 1 if "tips" in apply else 0)
     operator = OperatorProfile(
         hand=hand.name,
@@ -263,11 +263,7 @@ def _project(gaps: dict[str, np.ndarray], scale: float, corrected: int) -> float
 
 
 def _palm_rotation(
-    points: np.ndarray,
-    straight: StraightPose,
-    hand: Hand,
-    features: Features,
-    segments: Sequence[Segment],
+    points: np.ndarray, hand: Hand, segments: Sequence[Segment]
 ) -> tuple[tuple[float, float, float, float], float | None]:
     """Smallest rotation from the flat hand's fingers to the robot's: w x y z, and in degrees."""
     usable = np.isfinite(points).all(axis=(1, 2))
@@ -277,7 +273,7 @@ def _palm_rotation(
     long = [FINGERS.index(name) for name in hand.fingers[1:]]
     rays = points[frames][:, [TIPS[i] for i in long]] - points[frames][:, [BASES[i] for i in long]]
     human = _direction(np.median(rays, axis=0))
-    robot = _direction(straight.rays[1:])
+    robot = _direction(open_rays(hand)[1:])
     cosine = float(np.clip(human @ robot, -1, 1))
     axis = np.cross(human, robot)
     q = np.array([1 + cosine, *axis])

@@ -35,23 +35,31 @@ def straight_pose(hand: Hand) -> StraightPose:
     A coordinate search over the joints' ranges, repeated ``_ROUNDS`` times. A joint that does not
     extend the reach, such as a spread, stays at neutral.
     """
-    names = hand.tree.names
-    fingers = [FINGERS.index(name) for name in hand.fingers]
-    tips = [names.index(LANDMARKS[TIPS[i]]) for i in fingers]
-    bases = [names.index(LANDMARKS[BASES[i]]) for i in fingers]
-
-    def rays(q: np.ndarray) -> np.ndarray:
-        points = hand.landmark_positions(q)
-        return np.asarray(points[..., tips, :] - points[..., bases, :])
-
     q = hand.neutral.copy()
     for _ in range(_ROUNDS):
         for joint, (low, high) in enumerate(hand.limits):
             trial = np.tile(q, (_STEPS + 1, 1))
             trial[1:, joint] = np.linspace(low, high, _STEPS)
-            total = np.linalg.norm(rays(trial), axis=-1).sum(axis=-1)
+            total = np.linalg.norm(_rays(hand, trial), axis=-1).sum(axis=-1)
             best = int(np.argmax(total))
             if total[best] > total[0] + _GAIN:
                 q = trial[best]
-    directions = rays(q)
+    directions = _rays(hand, q)
     return StraightPose(q, np.linalg.norm(directions, axis=-1), directions)
+
+
+def open_rays(hand: Hand) -> Float[np.ndarray, "F 3"]:
+    """(F, 3) vectors from base to tip of the open hand, palm frame [m].
+
+    Its joints are at zero, or as near as their limits allow: there makers put the open hand. At the
+    neutral pose, and so at ``straight_pose``, many hands have bent knuckles.
+    """
+    return _rays(hand, np.clip(0.0, *hand.limits.T))
+
+
+def _rays(hand: Hand, q: Float[np.ndarray, "*n m"]) -> Float[np.ndarray, "*n F 3"]:
+    names, points = hand.tree.names, hand.landmark_positions(q)
+    fingers = [FINGERS.index(name) for name in hand.fingers]
+    tips = [names.index(LANDMARKS[TIPS[i]]) for i in fingers]
+    bases = [names.index(LANDMARKS[BASES[i]]) for i in fingers]
+    return np.asarray(points[..., tips, :] - points[..., bases, :])

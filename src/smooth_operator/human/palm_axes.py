@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.straight_pose import open_rays
 from smooth_operator.human.alignment import palm_alignment
 from smooth_operator.human.anatomical_axes import PalmAxes, palm_axes
 
@@ -53,3 +54,16 @@ def human_palm_axes(hand: Hand) -> PalmAxes[np.ndarray]:
     mirrored = hand.spec.side == "left"
     landmarks = FLAT_HAND * (1.0, -1.0, 1.0) if mirrored else FLAT_HAND
     return palm_axes(palm_alignment(landmarks, hand).apply(landmarks), hand.spec.side)
+
+
+def palm_tilt_deg(hand: Hand) -> float:
+    """Angle by which a flat human hand, once aligned, bends the long fingers at their bases [deg].
+
+    Three landmarks of the palm align the hands; the fingers of a flat human hand and of a flat
+    robot hand (``open_rays``) then point in different directions. Above 0 a flat human hand asks
+    the robot's fingers to bend towards the palm, below 0 to the back of the hand.
+    """
+    axes = human_palm_axes(hand)
+    rays = open_rays(hand)[1:]
+    fingers = (rays / np.linalg.norm(rays, axis=-1, keepdims=True)).mean(axis=0)
+    return float(np.degrees(np.arctan2(-(fingers @ axes.palmar), fingers @ axes.distal)))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -15,13 +15,27 @@ from jaxtyping import Array, Bool, Float, UInt32
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import AlignmentConfig
+from smooth_operator.human.correspondence import (
+    Correspondence,
+    CorrespondenceConfig,
+    CorrespondenceState,
+)
+from smooth_operator.landmarks import WRIST
+from smooth_operator.methods.frame_clock import FrameClock
 from smooth_operator.methods.frame_goals import FrameGoals
 from smooth_operator.methods.method import Method, MethodOutput, ObjectiveMethodConfig
 from smooth_operator.objective.goal import FrameGoal
+from smooth_operator.objective.keyvectors import tips_of
 from smooth_operator.objective.loss import Objective, ObjectiveConfig
+from smooth_operator.settings import is_off
 from smooth_operator.solvers.newton import NewtonConfig, newton_minimise
 from smooth_operator.solvers.normals import frame_key, seed_words
 from smooth_operator.solvers.sampling import SamplingConfig, sample_minimise
+
+_RATE: Final = 100.0
+"""Rate that is assumed where stamps stand still [Hz]."""
+_GAP: Final = 0.25
+"""Longest time between frames that counts as motion [s]."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +53,8 @@ class SbrConfig(ObjectiveMethodConfig):
             several frames. 1 is as published: once, velocity term and all.
         settle_sigma: initial standard deviation of the sampler while it settles [rad]: the first
             pose may be anywhere, and the wrong basin would last.
+        correspondence: places of the fingertips by the correspondence of human and robot fingers,
+            as in ``smooth``; share 0, as published, leaves them the human's.
     """
 
     alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
@@ -47,6 +63,9 @@ class SbrConfig(ObjectiveMethodConfig):
     polish: NewtonConfig = field(default_factory=lambda: NewtonConfig(iterations=0))
     settle_rounds: int = 1
     settle_sigma: float = 0.4
+    correspondence: CorrespondenceConfig = field(
+        default_factory=lambda: CorrespondenceConfig(share=0.0)
+    )
 
     def __post_init__(self) -> None:
         if self.settle_rounds < 1:
@@ -64,6 +83,22 @@ class SbrConfig(ObjectiveMethodConfig):
         return Sbr(hand, self)
 
 
+class OperatorState(NamedTuple):
+    """The operator between frames.
+
+    Attributes:
+        fingers: lengths of the operator's fingers, and the last places of the robot's fingertips.
+        tips: (F, 3) the human's fingertips in the last frame [m].
+        ticks: time of the last frame, in microseconds modulo 2^32.
+        period: usual time between frames [s].
+    """
+
+    fingers: CorrespondenceState
+    tips: Float[Array, "F 3"]
+    ticks: UInt32[Array, ""]
+    period: Float[Array, ""]
+
+
 class SbrState(NamedTuple):
     """All that SBR remembers between frames.
 
@@ -72,12 +107,14 @@ class SbrState(NamedTuple):
         targets: state of the target policy.
         seed: two words, constant.
         frames: frames answered so far; with the seed it gives each frame its random numbers.
+        operator: lengths of the operator's fingers; empty without a correspondence.
     """
 
     q: Float[Array, " m"]
     targets: Any
     seed: UInt32[Array, "2"]
     frames: UInt32[Array, ""]
+    operator: OperatorState | tuple[()]
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,12 +134,28 @@ class Sbr(Method):
         """Wrist and fingertips."""
         return self.objective.layout.landmarks
 
+    @cached_property
+    def correspondence(self) -> Correspondence:
+        """The correspondence of human and robot fingers."""
+        return Correspondence(self.hand, self.config.correspondence)
+
+    @property
+    def optional_landmarks(self) -> tuple[int, ...]:
+        """All of the fingers, for their lengths, with a correspondence."""
+        return () if is_off(self.config.correspondence.share) else self.correspondence.landmarks
+
     def init(self, seed: int) -> SbrState:
         """Neutral pose, the target policy's first state."""
+        operator: OperatorState | tuple[()] = ()
+        if not is_off(self.config.correspondence.share):
+            fingers = self.correspondence.init()
+            clock = jax.device_put((np.uint32(0), np.float32(1 / _RATE)))
+            operator = OperatorState(fingers, fingers.places, *clock)
         return SbrState(
             jax.device_put(self.hand.neutral.astype(np.float32)),
             self.config.objective.targets.init(self.objective.layout),
             *jax.device_put((seed_words(seed), np.uint32(0))),
+            operator,
         )
 
     def latched(self, state: SbrState) -> Bool[Array, " P"] | None:
@@ -117,7 +170,7 @@ class Sbr(Method):
         self, state: SbrState, aligned: Float[Array, "21 3"], ticks: UInt32[Array, ""]
     ) -> tuple[SbrState, MethodOutput]:
         """One frame."""
-        del ticks
+        aligned, operator = self._placed(state, aligned, jnp.asarray(ticks, jnp.uint32))
         config, limits, layout = self.config, self.hand.limits, self.objective.layout
         targets, policy_state = config.objective.targets(
             state.targets, layout, layout.human(aligned)
@@ -151,5 +204,23 @@ class Sbr(Method):
         else:
             q, cost = solve(0, state.q)
         tracking = cost - self.objective.regularisation(q, goal)
-        after = SbrState(q, policy_state, state.seed, state.frames + jnp.uint32(1))
+        after = SbrState(q, policy_state, state.seed, state.frames + jnp.uint32(1), operator)
         return after, MethodOutput(q, tracking)
+
+    def _placed(
+        self, state: SbrState, aligned: Float[Array, "21 3"], now: UInt32[Array, ""]
+    ) -> tuple[Float[Array, "21 3"], OperatorState | tuple[()]]:
+        """Landmarks with the fingertips at their places, and the operator after the frame."""
+        before = state.operator
+        if not before:  # a tuple of arrays; empty without a correspondence
+            return aligned, ()
+        clock = FrameClock.of(now - before.ticks, state.frames, before.period, _RATE, _GAP)
+        at = np.array(tips_of(self.hand.fingers))
+        tips = aligned[at]
+        steps = jnp.where(clock.restart, 0.0, tips - before.tips)
+        fingers, places = self.correspondence.step(
+            before.fingers, aligned, tips, steps, steps, clock.dt, clock.restart
+        )
+        wrist = jnp.asarray(self.hand.wrist, aligned.dtype)
+        placed = aligned.at[at].set(places.tips).at[WRIST].set(wrist)
+        return placed, OperatorState(fingers, tips, now, clock.period)

@@ -18,7 +18,7 @@ from smooth_operator.lab.validation.joints import (
     check_shapes,
 )
 from smooth_operator.lab.validation.methods import MEASURE, check_method
-from smooth_operator.lab.validation.palm import check_palm, check_size
+from smooth_operator.lab.validation.palm import check_palm, check_size, check_tilt
 from smooth_operator.lab.validation.pinches import check_pinches
 from smooth_operator.lab.validation.samples import Samples
 from smooth_operator.lab.validation.tips import check_tips
@@ -84,9 +84,11 @@ def _checks(
     tips, sound = check_tips(hand)
     yield tips
     if ranges.verdict == "failed":
-        for name in ("neutral pose", "shapes", "flexion", "side", "pinches"):
+        for name in ("palm tilt", "neutral pose", "shapes", "flexion", "side", "pinches"):
             yield _after(name, ranges)
     else:
+        failed = palm.verdict == "failed"
+        yield _after("palm tilt", palm) if failed else check_tilt(samples)
         yield check_neutral(hand)
         yield check_shapes(hand)
         axes = find_flexion_axes(samples, sound)

@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 
 from smooth_operator.human.alignment import MIN_CONDITION, palm_alignment, reference_landmarks
+from smooth_operator.human.palm_axes import palm_tilt_deg
 from smooth_operator.lab.validation.checks import Check
 from smooth_operator.lab.validation.samples import Samples
 from smooth_operator.landmarks import LANDMARKS
@@ -54,6 +55,14 @@ def check_palm(samples: Samples) -> Check:
             figures,
         )
     return Check("palm frame", "ok", text, "", figures)
+
+
+def check_tilt(samples: Samples) -> Check:
+    """Measures the angle between the fingers of a flat human hand and the robot's straight ones."""
+    tilt = palm_tilt_deg(samples.hand)
+    way = "towards the palm" if tilt > 0 else "to the back of the hand"
+    text = f"a flat human hand bends the straight fingers by {abs(tilt):.0f}° {way}"
+    return Check("palm tilt", "unjudged", text, "", {"tilt_deg": round(tilt, 1)})
 
 
 def check_size(samples: Samples) -> Check:
