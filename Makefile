@@ -27,7 +27,7 @@ docs: ## build the documentation site into build/site, and fail on a warning
 bench: ## latency per frame of the presets on a built-in recording, under build/
 	mkdir -p build
 	$(PYTHON) -m smooth_operator sample build/sample.npz --duration 10
-	$(PYTHON) research/benchmarks/retarget.py build/sample.npz
+	$(PYTHON) -m smooth_operator bench build/sample.npz --methods sbr,sbr:paper,smooth --output build/bench
 
 smoke: ## build sdist and wheel, and use each in an empty environment
 	bash .ci/smoke

@@ -40,8 +40,6 @@ class FakeSimulation(FakeTeleop):
 
     Attributes:
         simulated: whether there is a simulation.
-        pausing: whether a trial can be paused; older versions can't.
-        in_the_way: whether the hand is not clear of the object.
         there: whether the scene has its object.
         marked: entries of the records that were marked, with the words.
     """
@@ -49,7 +47,7 @@ class FakeSimulation(FakeTeleop):
     def __init__(self, task: str | None = "cube") -> None:
         super().__init__()
         self.task, self.there = task, True
-        self.simulated, self.in_the_way, self.pausing = True, False, True
+        self.simulated = True
         self.marked: list[tuple[str, Mapping[str, Any]]] = []
         self.trial = _ready(task)
 
@@ -67,8 +65,6 @@ class FakeSimulation(FakeTeleop):
             raise RemoteRefusedError("there is no task; load one first")
         if do == "trial":
             self._trial(fields)
-        if self.trial["phase"] == "waiting" and not self.in_the_way:
-            self.trial["phase"] = "running"
         if do == "reset":
             self.trial["resets"] += self.trial["phase"] == "running"
         return {
@@ -85,18 +81,17 @@ class FakeSimulation(FakeTeleop):
     def _trial(self, fields: Mapping[str, Any]) -> None:
         phase = self.trial["phase"]
         if fields.get("begin"):
-            if phase in ("running", "waiting"):
+            if phase == "running":
                 raise RemoteRefusedError("a trial is running; finish or cancel it first")
             self.there, self.trial = True, _ready(self.task)
-            self.trial |= {"phase": "waiting" if fields.get("when_clear") else "running",
-                           "about": dict(fields.get("about", {}))}  # fmt: skip
+            self.trial |= {"phase": "running", "about": dict(fields.get("about", {}))}
             self.trial["limit_s"] = fields.get("limit_s", self.trial["limit_s"])
         elif fields.get("cancel"):
-            if phase in ("running", "waiting"):
+            if phase == "running":
                 self.trial["phase"] = "ready"
             elif phase == "done" and (word := fields.get("mark")) is not None:
                 self.marked.append((word, self.trial["about"]))
-        elif self.pausing and (fields.get("pause") or fields.get("resume")):
+        elif fields.get("pause") or fields.get("resume"):
             self.trial["pauses"] += bool(fields.get("pause")) and not self.trial["paused"]
             self.trial["paused"] = bool(fields.get("pause"))
         elif fields.get("finish"):

@@ -209,15 +209,15 @@ def seeds(folder: Path) -> dict[str, list[tuple[str, bytes, Mutate]]]:
 
 def _packed(folder: Path) -> bytes:
     """Three clips in the format of the Parquet writer."""
-    from smooth_operator.lab.datasets.readers.synthetic import SyntheticCorpus
+    from made_clips import made_clip
+
     from smooth_operator.lab.datasets.robot_clip import RobotClip
     from smooth_operator.lab.datasets.writers.parquet import PARQUET
     from smooth_operator.lab.datasets.writers.registry import WritingOptions
 
-    corpus = SyntheticCorpus(3, 0.3, 0.6, people=1)
     with PARQUET.open(folder / "packed", WritingOptions()) as writer:
         for number in range(3):
-            writer.write(RobotClip(corpus.clip(number), {}, {}, {}, {}, key=str(number)))
+            writer.write(RobotClip(made_clip(number, (0.3, 0.6)), {}, {}, {}, {}, key=str(number)))
     (path,) = (folder / "packed" / "data").iterdir()
     return path.read_bytes()
 

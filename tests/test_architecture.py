@@ -324,13 +324,13 @@ def unpickling(source: Path) -> list[str]:
 
 
 def missing_code(source: Path) -> list[str]:
-    """Paths given to ``code_digest`` and ``imported_modules`` that do not exist (any more)."""
+    """Paths given to ``code_digest`` that do not exist (any more)."""
     found = []
     for path in modules(source):
         where = path.relative_to(source.parent).as_posix()
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"), str(path))):
             name = isinstance(node, ast.Call) and getattr(node.func, "id", "")
-            if name not in ("code_digest", "imported_modules"):
+            if name != "code_digest":
                 continue
             given = [n.value for n in ast.walk(node) if isinstance(n, ast.Constant)]
             found += [
@@ -492,7 +492,7 @@ def test_the_closure_follows_statements_texts_and_public_names(tmp_path: Path) -
         ("hands/mjcf/load.py", "from ..limits import Limits\nfrom ...types import Side"),
         ("metrics/cosine.py", "from smooth_operator.methods import sbr"),
         ("cli.py", "from smooth_operator import __version__\nfrom smooth_operator import teleop"),
-        ("teleop/sinks/record.py", "from smooth_operator.teleop.runtime import loop"),
+        ("teleop/sinks/table.py", "from smooth_operator.teleop.runtime import loop"),
         ("__init__.py", "from smooth_operator.methods import sbr as sbr"),
         ("__init__.pyi", "from smooth_operator import teleop as teleop"),
         ("types.py", "import numpy as np\nfrom hands import spec"),
@@ -567,7 +567,7 @@ def test_refusing_to_unpickle_passes(tmp_path: Path) -> None:
 
 
 def test_code_that_moved_away_is_found(tmp_path: Path) -> None:
-    text = 'code_digest("types.py", *imported_modules("moved.py"))'
+    text = 'code_digest("types.py", "moved.py")'
     found = missing_code(package(tmp_path, {"types.py": "", "lab/cells.py": text}))
     assert found
     assert all("'moved.py'" in line for line in found)

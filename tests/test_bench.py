@@ -209,7 +209,7 @@ def test_the_terminal_shows_the_table_and_the_failures_once(done: Bench) -> None
 
 def test_plots_are_there_as_png_and_svg(done: Bench) -> None:
     plots = {path.name for path in (done.folder / "plots").iterdir()}
-    kinds = ("accuracy-smoothness-", "latency-", "fingertips-", "joints-", "stills-")
+    kinds = ("accuracy-smoothness-", "latency-", "fingertips-", "joints-")
     for kind in kinds:
         files = sorted(name for name in plots if name.startswith(kind))
         assert [Path(name).suffix for name in files] == [".png", ".svg"], kind
@@ -820,7 +820,6 @@ def test_the_page_plays_without_complaints(done: Bench, scheme: str) -> None:
         assert read() == "0.00 s"
         assert page.evaluate("document.documentElement.scrollWidth") <= 700  # nothing sticks out
         page.emulate_media(media="print")
-        assert page.locator(".stills svg").is_visible()
         assert not page.locator(".player").is_visible()
         browser.close()
     assert problems == []

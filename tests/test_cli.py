@@ -77,7 +77,11 @@ def test_demo_writes_a_consistent_folder(run: Run, tmp_path: Path) -> None:
     assert len(re.findall(r"^(good|look|–) +[A-Z0-9]", out, re.MULTILINE)) == 5
     assert "Next: smooth-operator teleop" in out
     found = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
-    plots = {f"plots/{name}.png" for name in ("fingertips", "joints", "latency", "thumb_distances")}
+    plots = {
+        f"plots/{name}.{kind}"
+        for name in ("fingertips", "joints", "latency")
+        for kind in ("png", "svg")
+    }
     files = {"commands.npz", "commands.json", "config.json", "log.mcap", "metrics.json"}
     assert found == files | plots
 

@@ -1,4 +1,4 @@
-"""Corpora in shards: clips made on the fly, packed, resumed after kills, and run on Ray."""
+"""Many clips: packed, written in parts, resumed after kills, and run on Ray."""
 
 from __future__ import annotations
 
@@ -11,13 +11,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import made_clips
 import numpy as np
 import pytest
+from made_clips import CLIPS, LAYOUT
 
 from smooth_operator.lab.datasets import writing
 from smooth_operator.lab.datasets.filters import NO_LIMITS, Limits
 from smooth_operator.lab.datasets.pipeline import DatasetRequest, Progress, make_dataset
-from smooth_operator.lab.datasets.readers.synthetic import SYNTHETIC, SyntheticCorpus
 from smooth_operator.lab.datasets.registry import DATASETS, ClipRef, ReadingOptions
 from smooth_operator.lab.datasets.retargeting import Recipe
 from smooth_operator.lab.datasets.sources import Item, each_item
@@ -25,25 +26,25 @@ from smooth_operator.planning import make_request
 
 NEEDS_ARROW = "needs pyarrow: in the clone, pip install '.[cluster]'"
 OPTIONS = ReadingOptions()
-SMALL = SyntheticCorpus(clips=10, shortest=0.3, longest=1.0, people=1, lost=0.5)
 
 
 @pytest.fixture
 def source(tmp_path: Path) -> Path:
-    path = tmp_path / "hands.synthetic.json"
-    SMALL.write(path)
-    return path
+    return made_clips.write(tmp_path / "hands.made.json", 10, (0.3, 1.0), lost=0.5)
 
 
-def items(source: Path) -> list[Item]:
-    return [each for each in each_item([str(source)]) if isinstance(each, Item)]
+def items(source: Path, layout: str | None = LAYOUT) -> list[Item]:
+    every = each_item([str(source)], layout=layout)
+    return [each for each in every if isinstance(each, Item)]
 
 
 # The pipeline.
 
 
 def request(source: Path, output: Path, **more: Any) -> DatasetRequest:
-    options: dict[str, Any] = {"limits": NO_LIMITS, "format": "parquet", "workers": 0, **more}
+    options: dict[str, Any] = {
+        "limits": NO_LIMITS, "format": "parquet", "workers": 0, "layout": LAYOUT, **more,
+    }  # fmt: skip
     recipe = Recipe(make_request(hand="leap_hand", method="joint_angle"))  # the quickest to compile
     return DatasetRequest((str(source),), output, recipe, **options)
 
@@ -100,17 +101,29 @@ def test_a_run_that_is_killed_while_it_writes_goes_on(
     assert first.stat().st_mtime_ns == before  # what is whole is not written again
 
 
+def test_a_file_that_hangs_its_reader_ends_its_worker_and_is_reported(tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow", reason=NEEDS_ARROW)
+    source = made_clips.write(tmp_path / "hands.made.json", 4, (0.3, 0.5))
+    options = {"pack": True, "layout": "hanging_clips:CLIPS", "workers": 1}
+    summary = make_dataset(request(source, tmp_path / "out", **options))
+    assert summary.episodes == 3
+    (name, reason), *more = summary.failed.items()
+    assert not more
+    assert name == "made/0002"
+    assert "exit status 1" in reason
+
+
 def test_packed_clips_are_read_as_they_were(tmp_path: Path, source: Path) -> None:
     pytest.importorskip("pyarrow", reason=NEEDS_ARROW)
     make_dataset(request(source, tmp_path, pack=True))
-    packed = items(tmp_path / "dataset" / "data")
+    packed = items(tmp_path / "dataset" / "data", None)
     assert [each.ref.layout for each in packed if each.ref] == ["parquet"] * 10
     reader = DATASETS.load("parquet")
     for before, after in zip(items(source), packed, strict=True):
         assert before.ref is not None
         assert after.ref is not None
-        want, found = SYNTHETIC.read(before.ref, OPTIONS), reader.read(after.ref, OPTIONS)
-        assert (found.name, found.task, found.layout) == (before.name, want.task, "synthetic")
+        want, found = CLIPS.read(before.ref, OPTIONS), reader.read(after.ref, OPTIONS)
+        assert (found.name, found.task, found.layout) == (before.name, want.task, "made")
         np.testing.assert_array_equal(found.stamps, want.stamps)
         for side, hand in want.hands.items():
             own = found.hands[side]
@@ -127,9 +140,7 @@ def test_episodes_of_the_pipeline_are_those_of_the_class_for_map_batches(tmp_pat
     pq = pytest.importorskip("pyarrow.parquet")
     from smooth_operator.lab.datasets.map_batches import RetargetClips
 
-    source = tmp_path / "x.synthetic.json"
-    replace(SMALL, clips=3, shortest=0.8, lost=0.0).write(source)
-    # The first clip is shorter than the others, by its number.
+    source = made_clips.write(tmp_path / "x.made.json", 3, (0.8, 1.0))
     limits = {"cut": False, "min_seconds": 0.9, "min_reach": 0.0, "max_tip_error": 200.0}
     limits |= {"max_collision": 1.0}
     summary = make_dataset(request(source, tmp_path / "out", limits=Limits(**limits)))
@@ -153,7 +164,7 @@ def test_episodes_of_the_pipeline_are_those_of_the_class_for_map_batches(tmp_pat
     assert "no clip '7'" in reasons[-1]
     # What Ray Data writes of it is a source again.
     pq.write_table(kept, tmp_path / "kept.parquet")
-    found = [each.ref for each in items(tmp_path / "kept.parquet") if each.ref is not None]
+    found = [each.ref for each in items(tmp_path / "kept.parquet", None) if each.ref is not None]
     assert [(ref.name, ref.layout) for ref in found] == [
         (name, "parquet") for name in kept["name"].to_pylist()
     ]
@@ -173,18 +184,18 @@ def test_episodes_of_the_pipeline_are_those_of_the_class_for_map_batches(tmp_pat
 class Fatal:
     """A reader that kills the process which first reads its fourth clip."""
 
-    what, expects = SYNTHETIC.what, SYNTHETIC.expects
-    matches = SYNTHETIC.matches
+    what, expects = CLIPS.what, CLIPS.expects
+    matches = CLIPS.matches
 
     def clips(self, path: Path) -> Iterator[ClipRef]:
-        return (replace(ref, layout="test_corpus:FATAL") for ref in SYNTHETIC.clips(path))
+        return (replace(ref, layout="test_corpus:FATAL") for ref in CLIPS.clips(path))
 
     def read(self, ref: Any, options: ReadingOptions) -> Any:
         mark = ref.path.with_name("killed")
         if ref.key == "3" and not mark.exists():
             mark.touch()
             os.kill(os.getpid(), signal.SIGKILL)
-        return SYNTHETIC.read(ref, options)
+        return CLIPS.read(ref, options)
 
 
 FATAL = Fatal()

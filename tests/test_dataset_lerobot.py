@@ -204,12 +204,6 @@ def test_a_one_handed_first_clip_takes_the_columns_that_are_asked_for(tmp_path: 
     assert frames.num_rows == 80
 
 
-def test_parts_are_data_sets_of_their_own(tmp_path: Path) -> None:
-    for part in range(2):
-        write(tmp_path / "out", [robot_clip(part)], part=part, parts=2)
-    assert [read(tmp_path / "out" / f"part-{i:05d}")[0]["total_episodes"] for i in (0, 1)] == [1, 1]
-
-
 def test_many_clips_are_few_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("smooth_operator.lab.datasets.writers.lerobot._Writer.most_clips", 50)
     write(tmp_path / "out", [robot_clip(i, frames=3) for i in range(120)])
@@ -393,25 +387,6 @@ def test_lerobot_shows_the_picture_of_each_frame(rate: str, tmp_path: Path) -> N
         assert seen.shape == (3, 48, 64)
         # Colours lose a little on their way through the codec, less than the step of two frames.
         assert abs(float(seen.mean()) * 255 - (20 + 2 * picture)) < 1.9
-
-
-@pytest.mark.lerobot
-@real
-def test_parts_are_aggregated_by_lerobot(tmp_path: Path) -> None:
-    for part in range(2):
-        clips = [robot_clip(10 * part + i, frames=20) for i in range(3)]
-        write(tmp_path / "out", clips, part=part, parts=2)
-    os.environ["HF_HUB_OFFLINE"] = "1"
-    from lerobot.datasets.aggregate import aggregate_datasets
-
-    roots = [tmp_path / "out" / f"part-{i:05d}" for i in range(2)]
-    aggregate_datasets(["test/a", "test/b"], "test/clips", roots=roots, aggr_root=tmp_path / "all")
-    dataset = load(tmp_path / "all")
-    assert dataset.num_episodes == 6
-    assert len(dataset) == 120
-    exact = robot_clip(11, frames=20).commands["right"].joint_positions
-    found = np.stack([np.asarray(dataset[80 + i]["observation.state"][:6]) for i in range(20)])
-    np.testing.assert_allclose(found, exact, atol=1e-6)
 
 
 @pytest.mark.lerobot

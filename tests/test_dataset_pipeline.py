@@ -18,6 +18,7 @@ from two_hands import LAYOUT, PAIRS, save_pair
 from smooth_operator import Retargeter, poses
 from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError, OutputError, RecordingError
+from smooth_operator.lab.datasets import gpu
 from smooth_operator.lab.datasets.clip import CAMERA, SIDES, Clip
 from smooth_operator.lab.datasets.filters import NO_LIMITS, Dropped, Limits, select
 from smooth_operator.lab.datasets.parts import in_frame
@@ -579,3 +580,54 @@ def test_results_do_not_stand_among_the_sources(folder: Path, tmp_path: Path) ->
         make_dataset(request(folder / "a.pair.npz", tmp_path))
     with pytest.raises(RecordingError, match="no such file or folder"):
         make_dataset(request(tmp_path / "nothing", tmp_path / "out"))
+
+
+# On a GPU: the same code on this machine's processor.
+
+
+def test_clips_for_a_gpu_are_read_by_workers_and_retargeted_here(
+    folder: Path, whole: tuple[Path, Summary], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(gpu.GpuUse, "of_this_machine", lambda: gpu.GpuUse("a processor"))
+    monkeypatch.setattr(gpu, "BATCH", 3)  # several batches
+    bad = folder.parent / "with-bad"
+    shutil.copytree(folder, bad)
+    (bad / "broken.pair.npz").write_bytes(b"PK nothing")
+    asked = replace(request(bad, tmp_path / "out"), recipe=replace(RECIPE, device="gpu"))
+    summary = make_dataset(replace(asked, workers=1))
+    assert len(summary.failed) == 1
+    assert "broken" in next(iter(summary.failed))
+    assert "a processor: 205 frames in" in summary.notes[0]
+    assert "retargeting and packing" in summary.notes[0]
+    assert "a processor" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    mine, others = finished(tmp_path / "out"), finished(whole[0])
+    assert mine.keys() == others.keys()
+    for name, clip in mine.items():
+        for side in SIDES:
+            np.testing.assert_array_equal(
+                clip.commands[side].joint_positions,
+                others[name].commands[side].joint_positions,
+            )
+    again = make_dataset(replace(asked, workers=1))  # nothing is left to do
+    assert again.notes == []
+
+
+def test_a_gpu_that_is_not_there_and_work_that_is_not_for_it(tmp_path: Path, folder: Path) -> None:
+    asked = replace(request(folder, tmp_path / "out"), recipe=replace(RECIPE, device="gpu"))
+    with pytest.raises(ConfigError, match=r"it sees only .*--device cpu"):
+        make_dataset(asked)
+    one_by_one = replace(RECIPE.request, scale="calibrate")
+    with pytest.raises(ConfigError, match="side by side"):
+        Recipe(one_by_one, device="gpu")
+    line = ["dataset", str(folder), "--output", str(tmp_path), "--device", "gpu"]
+    assert main([*line, "--cluster", "auto"]) == 2
+
+
+def test_workers_leave_the_gpu_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    for before in (None, "cuda"):
+        monkeypatch.delenv("JAX_PLATFORMS", raising=False)
+        if before is not None:
+            monkeypatch.setenv("JAX_PLATFORMS", before)
+        with gpu.only_cpus_in_children():
+            assert os.environ["JAX_PLATFORMS"] == "cpu"
+        assert os.environ.get("JAX_PLATFORMS") == before

@@ -245,7 +245,7 @@ WORK = [
     "retarget in.npz --method joint_angle --output out.npz --quiet",
     "convert in.npz --output copy.npz --quiet",
     "teleop --no-view --method joint_angle --duration 0.3 --quiet",
-    "study new plan --no-wizard",
+    "study new plan",
 ]
 LACK = {
     "demo": "lab",
@@ -257,6 +257,7 @@ LACK = {
     "latency x.mcap": "teleop",
     "sample x.mcap": "teleop",
     "hands show leap_hand": "teleop",
+    "hands render leap_hand": "teleop",
     "convert in.npz --output x.h5": "hdf5",
     "bench in.npz --output bench": "lab",
     "calibrate in.npz --output operator.json": "lab",

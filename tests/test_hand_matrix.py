@@ -1,6 +1,6 @@
 """Every hand of the catalogue, by every method, and its left side, with the built-in operator.
 
-What is asked here is that a hand follows at all; how well is measured by ``benchmarks/hands.py``.
+What is asked here is that a hand follows at all; ``bench --hands all`` measures how well.
 Compiling is nearly all of the time, so hands are shared out among the cores, and programs are
 compiled with few optimisations.
 """

@@ -1,4 +1,4 @@
-"""From a take to a policy with the real LeRobot: record, convert, merge, train, evaluate.
+"""From a take to a policy with the real LeRobot: record, convert, merge, train, roll out, evaluate.
 
 Needs LeRobot and our three plug-ins installed; CI has a job with them (``lerobot-policy``).
 """
@@ -129,6 +129,13 @@ def test_act_is_trained_on_a_recording_with_a_simulated_camera(recorded: Path) -
     model = train(recorded, recorded / "seen", "seen-policy")
     inputs = json.loads((model / "config.json").read_text())["input_features"]
     assert set(inputs) == {"observation.state", "observation.images.front"}
+    # the policy moves the simulated robot that the take was recorded with
+    text = run("lerobot_rollout", recorded, {
+        "policy.path": model, "policy.device": "cpu", "robot.type": "smooth_hand",
+        "robot.hand": "mimic_p050", "robot.cameras": CAMERA, "task": TASK, "fps": FPS,
+        "duration": 2, "play_sounds": "false",
+    })  # fmt: skip
+    assert "Rollout finished" in text
 
 
 def test_a_log_merges_with_a_recording_by_lerobots_tool(recorded: Path) -> None:

@@ -124,15 +124,18 @@ def test_what_the_package_has_not_is_said(root: Path, capsys: pytest.CaptureFixt
 
 
 def test_without_the_package_one_line_says_how_to_install_it(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     monkeypatch.setitem(sys.modules, "mujoco_menagerie", None)
     with pytest.raises(MissingExtraError):
         drawn_on(load_hand("shadow_hand"), "menagerie")
-    assert main(["hands", "show", "shadow_hand", "--model", "menagerie"]) == 2
+    output = tmp_path / "s.png"
+    arguments = ["hands", "render", "shadow_hand", "--model", "menagerie", "--output", str(output)]
+    assert main(arguments) == 2
     said = capsys.readouterr().err
     assert install_command("menagerie") in said
     assert said.count("\n") == 1
+    assert not output.exists()
 
 
 def run_of(hand: Hand, folder: Path) -> tuple[Path, Path, np.ndarray]:

@@ -25,9 +25,9 @@ from smooth_operator.methods.registry import COLORS, METHODS
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.plugins import Entry
 from smooth_operator.reporting.drawing import colors_of
-from smooth_operator.teleop.sinks.record import RecordSink
 from smooth_operator.teleop.sinks.simulation import Simulation
 from smooth_operator.teleop.sinks.sink import Sink, simulated_hands
+from smooth_operator.teleop.sinks.table import TableSink
 from smooth_operator.types import HandFrame, Status
 
 SOURCE = Path(smooth_operator.__file__).parent
@@ -239,9 +239,9 @@ def test_a_plugins_method_brings_its_colour(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_sinks_say_whether_they_simulate_and_observe() -> None:
-    simulation, record = Simulation(), RecordSink(Path("takes"))
-    assert simulated_hands([record]) is None
-    assert simulated_hands([record, simulation]) is simulation
-    assert (simulation.observes, record.observes) == (False, True)
+    simulation, table = Simulation(), TableSink()
+    assert simulated_hands([table]) is None
+    assert simulated_hands([table, simulation]) is simulation
+    assert (simulation.observes, table.observes) == (False, True)
     with pytest.raises(TypeError, match="abstract"):
         Sink()  # type: ignore[abstract]

@@ -369,7 +369,7 @@ def test_blind_the_terminal_does_not_name_it(
     with contextlib.suppress(SystemExit):
         main(
             ["teleop", "--method", "joint_angle", "--blind", "--no-view", "--duration", "0.4",
-             "--sink", f"record:{record}", "--control", "tcp://127.0.0.1:*"]
+             "--sink", f"record:{record}", "table", "--control", "tcp://127.0.0.1:*"]
         )  # fmt: skip
     printed = "".join(capsys.readouterr())
     assert "compiling the method for mimic_p050" in printed

@@ -5,7 +5,6 @@ from __future__ import annotations
 import multiprocessing
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,19 +12,20 @@ import pytest
 from smooth_operator.errors import OutputError
 from smooth_operator.parallel import TaskResult, run_tasks
 from smooth_operator.result_cache import (
-    ArrayCache,
     Job,
+    JobResult,
     ResultCache,
     ResultLog,
     code_digest,
-    imported_modules,
-    run_jobs,
+    compute_results,
+    find_results,
+    longest_first,
 )
 
 
 @pytest.fixture
 def home(tmp_path: Path) -> Path:
-    """A package whose ``a`` imports ``b`` and the package ``c``; ``d`` is nobody's."""
+    """A package of three modules and a package."""
     folder = tmp_path / "toy"
     (folder / "c").mkdir(parents=True)
     (folder / "a.py").write_text("from toy import b\ndef f():\n    import toy.c\n")
@@ -53,28 +53,18 @@ def test_a_digest_changes_with_a_file_below_a_folder(home: Path) -> None:
 def test_a_digest_refuses_a_path_that_does_not_exist(home: Path) -> None:
     with pytest.raises(FileNotFoundError, match=r"'moved' is not in the package 'toy'"):
         code_digest("a.py", "moved", home=home)
-    with pytest.raises(FileNotFoundError, match=r"moved\.py"):
-        imported_modules("moved.py", home=home)
-    with pytest.raises(FileNotFoundError, match=r"moved\.py"):
-        imported_modules("a.py", leave_out=("moved.py",), home=home)
 
 
-def test_modules_that_are_imported_in_functions_count(home: Path) -> None:
-    assert imported_modules("a.py", home=home) == ("a.py", "b.py", "c/__init__.py")
-    assert imported_modules("a.py", leave_out=("c/__init__.py",), home=home) == ("a.py", "b.py")
+VALUE = {"x": [1.5]}
 
 
-VALUES: dict[type, Any] = {ResultCache: {"x": [1.5]}, ArrayCache: {"x": np.arange(3.0)}}
-
-
-@pytest.mark.parametrize("kind", [ResultCache, ArrayCache])
-def test_a_result_is_found_by_key_and_code(tmp_path: Path, kind: type[ResultCache]) -> None:
+def test_a_result_is_found_by_key_and_code(tmp_path: Path) -> None:
     notes: list[str] = []
-    cache = kind(tmp_path / "results", notes.append)
+    cache = ResultCache(tmp_path / "results", notes.append)
     assert cache.find("one", {"seed": 1}, "code") is None
-    cache.keep("one", {"seed": 1}, "code", VALUES[kind])
-    again = kind(tmp_path / "results", notes.append)
-    np.testing.assert_equal(again.find("one", {"seed": 1}, "code"), VALUES[kind])
+    cache.keep("one", {"seed": 1}, "code", VALUE)
+    again = ResultCache(tmp_path / "results", notes.append)
+    np.testing.assert_equal(again.find("one", {"seed": 1}, "code"), VALUE)
     assert again.find("one", {"seed": 2}, "code") is None
     again.note_outdated()
     assert notes == []
@@ -83,28 +73,24 @@ def test_a_result_is_found_by_key_and_code(tmp_path: Path, kind: type[ResultCach
     (note,) = notes
     assert note.startswith("1 result in ")
     assert "another version of the code" in note
-    lenient = kind(tmp_path / "results", other_code=True)
-    np.testing.assert_equal(lenient.find("one", {"seed": 1}, "other code"), VALUES[kind])
-    assert lenient.found_by_other_code == {"one"}
 
 
-@pytest.mark.parametrize("kind", [ResultCache, ArrayCache])
 @pytest.mark.parametrize(
     "damage", [lambda text: text[: len(text) // 2], lambda text: b"", lambda text: b"[1]"]
 )
 def test_a_damaged_result_is_ignored_with_a_note(
-    tmp_path: Path, kind: type[ResultCache], damage: Callable[[bytes], bytes]
+    tmp_path: Path, damage: Callable[[bytes], bytes]
 ) -> None:
     notes: list[str] = []
-    cache = kind(tmp_path, notes.append)
-    cache.keep("one", "key", "code", VALUES[kind])
+    cache = ResultCache(tmp_path, notes.append)
+    cache.keep("one", "key", "code", VALUE)
     path = cache.path("one")
     path.write_bytes(damage(path.read_bytes()))
     assert cache.find("one", "key", "code") is None
     (note,) = notes
     assert str(path) in note
     assert "computed again" in note
-    cache.keep("one", "key", "code", VALUES[kind])
+    cache.keep("one", "key", "code", VALUE)
     assert cache.find("one", "key", "code") is not None
 
 
@@ -188,12 +174,18 @@ def test_only_missing_jobs_are_computed_and_failures_are_tried_again(tmp_path: P
         return run_tasks(square, tasks, workers=0)
 
     cache = ResultCache(tmp_path)
-    first = {r.job.task: r for r in run_jobs(jobs([1, 2, 3]), cache, execute)}
+
+    def run(numbers: list[int]) -> dict[int, JobResult[int]]:
+        finished, missing = find_results(jobs(numbers), cache)
+        fresh = compute_results(longest_first(missing), cache, execute)
+        return {r.job.task: r for r in (*finished, *fresh)}
+
+    first = run([1, 2, 3])
     assert begun == [3, 2, 1]  # the longest first
     assert first[3].error == "ValueError: three"
     assert (first[2].value, first[2].fresh) == (4, True)
     begun.clear()
-    second = {r.job.task: r for r in run_jobs(jobs([1, 2, 3, 4]), cache, execute)}
+    second = run([1, 2, 3, 4])
     assert begun == [4, 3]
     assert (second[2].value, second[2].fresh) == (4, False)
 
@@ -202,7 +194,7 @@ def test_what_is_done_is_kept_when_a_run_is_stopped(tmp_path: Path) -> None:
     def execute(tasks: Sequence[int]) -> Iterator[TaskResult[int]]:
         return run_tasks(square, tasks, workers=0)
 
-    results = run_jobs(jobs([1, 2]), ResultCache(tmp_path), execute)
+    results = compute_results(longest_first(jobs([1, 2])), ResultCache(tmp_path), execute)
     assert next(results).job.task == 2
     results.close()  # type: ignore[attr-defined]
     assert ResultCache(tmp_path).find("n2", {"n": 2}, "code") == 4

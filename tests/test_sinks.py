@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import re
 import subprocess
@@ -16,6 +17,7 @@ import numpy as np
 import pytest
 from free_port import free_port
 from live_time import until
+from rich.console import Console
 from ticks import make_tick
 
 from smooth_operator.errors import ConfigError, MissingExtraError, SinkError, install_command
@@ -24,6 +26,7 @@ from smooth_operator.hands.registry import load_hand
 from smooth_operator.teleop.components import SINKS, build_sink
 from smooth_operator.teleop.sinks.runner import SinkRunner
 from smooth_operator.teleop.sinks.sink import Sink
+from smooth_operator.teleop.sinks.table import HandPanel, TableSink
 from smooth_operator.teleop.sinks.tick import Mode, Tick
 from smooth_operator.teleop.sinks.zmq_sink import ZmqSink
 from smooth_operator.types import Side
@@ -335,7 +338,7 @@ def test_zmq_never_sends_what_is_not_finite(hand: Hand) -> None:
     sink.close()
 
 
-@pytest.mark.parametrize("text", ["zmq:5556", "zmq:valid_for_s=0"])
+@pytest.mark.parametrize("text", ["zmq:5556", "zmq:valid_for_s=0", "table:0"])
 def test_bad_settings(text: str) -> None:
     with pytest.raises(ConfigError):
         build_sink(text)
@@ -345,3 +348,65 @@ def test_missing_extra(hand: Hand, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "zmq", None)
     with pytest.raises(MissingExtraError, match=re.escape(install_command("zmq"))):
         ZmqSink().open({"right": hand}, {})
+
+
+# --- table
+
+
+def test_table_shows_joints_mode_and_latency(hand: Hand) -> None:
+    panel = HandPanel("right", hand)
+    console = Console(file=io.StringIO(), width=100)
+    console.print(panel.table())
+    assert "no command yet" in console.file.getvalue()  # type: ignore[attr-defined]
+    for i in range(200):
+        panel.see(make_tick(hand, i, at=10.0 + 0.01 * i))
+    line = panel.line()
+    assert "tracking, 100 Hz, latency p50 2.00 ms, p99 2.00 ms" in line
+    console.print(panel.table())
+    text = console.file.getvalue()  # type: ignore[attr-defined]
+    last = make_tick(hand, 199)
+    for name, q in zip(hand.joint_names, last.command.positions, strict=True):
+        (row,) = [row for row in text.splitlines() if f"│{name} " in row]
+        assert f"{q:+.3f}" in row
+        low, high = hand.joint_limits[hand.joint_names.index(name)]
+        assert row.count("█") == round(24 * (q - low) / (high - low))
+    panel.silence = 1.5
+    assert "stalled" in panel.line()
+
+
+def test_table_writes_lines_where_no_terminal_is(
+    hands: dict[Side, Hand], capfd: pytest.CaptureFixture[str]
+) -> None:
+    sink = TableSink()
+    sink.open(hands, {})
+    for i in range(50):
+        for hand in hands.values():
+            sink.send(make_tick(hand, i, at=10.0 + 0.01 * i))
+    sink.stalled(0.5)
+    sink.close()
+    out, err = capfd.readouterr()
+    assert out == ""
+    lines = err.splitlines()
+    assert [line.split(",")[0] for line in lines] == [
+        "mimic_p050 right: stalled",
+        "mimic_p050 left: stalled",
+    ]
+
+
+def test_table_draws_in_a_terminal(hand: Hand, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Screen(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+    screen = Screen()
+    monkeypatch.setattr(sys, "stderr", screen)
+    monkeypatch.setenv("TERM", "xterm-256color")
+    sink = TableSink(rate=20)
+    sink.open({"right": hand}, {})
+    for i in range(30):
+        sink.send(make_tick(hand, i, at=10.0 + 0.01 * i))
+        time.sleep(0.01)
+    sink.close()
+    text = screen.getvalue()
+    assert text.count("index_mcp2pp") >= 3
+    assert "█" in text

@@ -11,13 +11,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tyro
+from PIL import Image
 from trees import pincer
 
 from smooth_operator.cli.hands import Hands
 from smooth_operator.errors import ConfigError, HandModelError, OutputError, UnknownNameError
 from smooth_operator.hand_files.spec_writer import write_hand_spec
 from smooth_operator.hand_files.user_hands import save_hand
-from smooth_operator.hands.registry import find_hand, hand_names, known_hands, load_hand
+from smooth_operator.hands.registry import MODELS, find_hand, hand_names, known_hands, load_hand
 from smooth_operator.hands.spec import HandSpec, JointMap, Point
 from smooth_operator.hands.spec_file import read_hand_spec
 from smooth_operator.hands.user_folder import user_hands_folder
@@ -332,6 +333,26 @@ def test_one_hand_in_words(capsys: pytest.CaptureFixture[str]) -> None:
     assert joints["right_hand_j5"]["follows"] == "right_hand_Thumb_Opposition"
     assert not joints["right_hand_j5"]["actuated"]
     assert not any("torque" in joint for joint in joints.values())
+
+
+def test_a_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run("render", "shadow_dexee", "--output", str(tmp_path / "d.png"))
+    assert capsys.readouterr().out.strip() == str(tmp_path / "d.png")
+    with Image.open(tmp_path / "d.png") as picture:
+        assert picture.width > 800
+        colors = picture.convert("RGB").getcolors(1 << 24)
+    assert colors is not None
+    assert len(colors) > 40  # shaded, not blank
+    assert (tmp_path / "d.png").stat().st_size < 60_000
+    with pytest.raises(OutputError, match="does not exist"):
+        run("render", "mimic_p050", "--output", str(tmp_path / "none" / "d.png"))
+
+
+def test_a_picture_on_another_model(tmp_path: Path) -> None:
+    run("render", "ability_hand", "--model", str(MODELS / "ability_hand_right.xml"),
+        "--output", str(tmp_path / "a.png"))  # fmt: skip
+    with pytest.raises(HandModelError, match="lacks the joints"):
+        run("render", "ability_hand", "--model", str(MODELS / "leap_hand_right.xml"))
 
 
 @pytest.mark.parametrize("arguments", [["list", "--help"], ["show", "--help"], ["--help"]])

@@ -357,29 +357,3 @@ def test_the_list_of_operators_shows_who_is_on(chromium: Any, tmp_path: Path) ->
         assert not page.evaluate(hidden, "P10")
         assert not pages.problems
         pages.context.close()
-
-
-@pytest.mark.browser
-def test_the_page_waits_with_the_start_for_a_hand_in_the_way(chromium: Any, tmp_path: Path) -> None:
-    teleop = FakeSimulation()
-    with (
-        open_study(tmp_path, cube_plan()) as store,
-        served(SessionService(store, operator="P01", teleop=teleop), ConsoleAuth(None)) as port,
-    ):
-        pages = Pages(chromium, port)
-        page = pages.experimenter
-        teleop.in_the_way = True
-        pages.start_first_trial()
-        page.get_by_text("Waiting for the hand to be clear of the object").wait_for()
-        page.locator("#teleop", has_text="· cube").wait_for()
-        pages.press("e", "e")
-        page.get_by_text("its start was cancelled").wait_for()
-        assert store.progress("P01").running is None
-        teleop.in_the_way = False
-        pages.press(" ", "space")
-        page.locator('[data-key="stop"]').wait_for()
-        teleop.done("flipped", 0.5, 3.0)  # of which this plan's rubric has no line
-        page.get_by_text("The rubric of the plan has no such line").wait_for()
-        assert not page.locator("[data-key=take]").count()
-        assert not pages.problems
-        pages.context.close()

@@ -17,11 +17,9 @@ from smooth_operator.study.console.commands import Command
 from smooth_operator.study.console.session_service import SessionService
 from smooth_operator.study.design.plan import make_plan
 from smooth_operator.study.design.protocol import RubricLine
-from smooth_operator.study.store import study_store
-from smooth_operator.study.store.clock import Clock
-from smooth_operator.study.store.events import Amended, Replaces, TrialScored, Withdrawn
+from smooth_operator.study.store.events import Amended, TrialScored, Withdrawn
 from smooth_operator.study.store.export import study_json
-from smooth_operator.study.store.study_store import StudyStore, open_study
+from smooth_operator.study.store.study_store import Clock, StudyStore, open_study
 
 
 @pytest.fixture
@@ -49,7 +47,7 @@ class Hours:
         self.at = 1000.0
 
     def clock(self) -> Clock:
-        return Clock(lambda: self.at, lambda: self.at, "boot")
+        return Clock(lambda: self.at, lambda: self.at)
 
 
 # Amendments.
@@ -158,23 +156,6 @@ def test_a_pause_does_not_count_in_the_time_of_a_trial(tmp_path: Path) -> None:
         assert [(length, why) for _, length, why in trial.pauses] == [(100.0, "the robot tripped")]
 
 
-def test_a_simulation_that_ended_in_a_pause_keeps_the_time_before_it(tmp_path: Path) -> None:
-    hours, simulation = Hours(), FakeSimulation()
-    with open_study(tmp_path, console_plan()) as store:
-        store.clock = hours.clock()
-        service = SessionService(store, operator="P01", teleop=simulation)
-        simulation.pausing = False  # of an older version, whose clock goes on
-        walk(service, store, "trial")
-        hours.at += 5
-        give(service, store, "pause", reason="the glove slipped")
-        hours.at += 100
-        simulation.done("not-done", 0.0, 60.0)
-        give(service, store, "resume")
-        service.watch()
-        give(service, store, "score", line="failed")
-        assert store.progress("P01").trials[0].time_s == 5.0
-
-
 def test_a_simulation_stands_still_in_a_pause(tmp_path: Path) -> None:
     hours, simulation = Hours(), FakeSimulation()
 
@@ -191,16 +172,13 @@ def test_a_simulation_stands_still_in_a_pause(tmp_path: Path) -> None:
         undoable = store.progress("P01").undoable
         assert undoable is not None
         give(service, store, "undo", number=undoable.number)  # the pause was a slip
-        service.watch()
         assert not stands()
         give(service, store, "pause", reason="now it did")
-        simulation.trial["paused"] = False  # something else had it go on
-        service.watch()
         assert stands()
         hours.at += 100
         again = SessionService(store, operator="P01", teleop=simulation)  # the console, restarted
-        give(again, store, "resume")
         again.watch()
+        give(again, store, "resume")
         assert not stands()
         simulation.done("not-done", 0.0, 30.0)
         again.watch()
@@ -267,21 +245,11 @@ def test_who_withdraws_ends_whatever_was_on_and_can_be_replaced(store: StudyStor
     assert [trial.void is not None for trial in progress.trials] == [False, True]
     with pytest.raises(StudyError, match="already"):
         give(service, store, "withdraw", keep=True, reason="")
-    asked = Command("replace-1", "replace", "P01", None, {"by": "P09"})
-    service.carry_out(asked, "experimenter")
-    service.carry_out(asked, "experimenter")  # the answer was lost
+    service.carry_out(Command("enrol-P09", "enrol", "P09", None, {}), "experimenter")
     assert service.operator == "P09"
     assert store.plan.enrolment("P09").rows == store.plan.enrolment("P01").rows
-    assert store.progress("P09").replaces == "P01"
     assert kept[-1] == store.plan
     walk(service, store, "done", "P09")
-    with pytest.raises(StudyError, match="P09 has replaced P01"):
-        store.replace("P01", "P10")
-    choose(service, "P01")
-    last = store.progress("P01").undoable
-    assert last is not None
-    with pytest.raises(StudyError, match="P09 has replaced P01"):
-        give(service, store, "undo", number=last.number)
 
 
 def test_a_withdrawal_is_undone_with_the_trial_that_ran(store: StudyStore) -> None:
@@ -292,32 +260,6 @@ def test_a_withdrawal_is_undone_with_the_trial_that_ran(store: StudyStore) -> No
     assert last is not None
     give(service, store, "undo", number=last.number)
     assert store.progress("P01").step.what == "trial"
-    with pytest.raises(StudyError, match="has not withdrawn"):
-        store.replace("P01", "P10")
-    with pytest.raises(StudyError, match="begun already"):
-        store.append("P01", Replaces("P02"))
-
-
-def test_a_replacement_is_written_whole_or_not_at_all(
-    store: StudyStore, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    store.append("P01", Withdrawn(True))
-    plan = store.plan
-
-    def killed(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patched:
-        patched.setattr(study_store, "_insert", killed)  # the plan is written, the event is not
-        with pytest.raises(KeyboardInterrupt):
-            store.replace("P01", "P09")
-    with open_study(tmp_path) as again:
-        assert again.plan == plan
-        again.replace("P01", "P09")
-        assert again.plan.codes == (*plan.codes, "P09")
-        again.append("P02", Withdrawn(True))
-        with pytest.raises(StudyError, match="needs a new code"):
-            again.replace("P02", "P01")
 
 
 def test_who_comes_later_gets_the_row_of_who_was_left_out(store: StudyStore) -> None:

@@ -12,11 +12,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from rich.console import Console
 
 from smooth_operator.cli import main
-from smooth_operator.cli.study_new import ask_protocol
-from smooth_operator.errors import SmoothOperatorError, StudyError, UnknownNameError
+from smooth_operator.errors import SmoothOperatorError, StudyError
 from smooth_operator.methods.presets import live_presets
 from smooth_operator.simulation.tasks.task import PAPER_TASKS
 from smooth_operator.study.design.forms import DEFAULT_FORMS
@@ -26,8 +24,6 @@ from smooth_operator.study.design.plan import (
     imbalances,
     make_plan,
     scaled,
-    schedule_csv,
-    schedule_text,
     spread_of_rows,
 )
 from smooth_operator.study.design.plan_file import plan_of, plan_table, read_plan, write_plan
@@ -182,11 +178,6 @@ def test_labels_tell_nothing() -> None:
     own = make_plan(protocol(conditions=(Condition("sbr", label="Oak"), Condition("dexpilot"))))
     assert own.protocol.condition("sbr").label == "Oak"
     assert own.protocol.condition("dexpilot").label not in ("", "Oak")
-    text = schedule_text(make_plan(protocol()))
-    assert not any(name in text for name in METHODS)
-    blind = schedule_csv(make_plan(protocol()), blind=True)
-    assert "condition" not in blind
-    assert "sbr" not in blind
 
 
 @pytest.mark.parametrize("operators", [1, 3, 5, 7, 11, 29, 90])
@@ -341,7 +332,6 @@ def test_study_new_writes_plan_and_schedule(
     rows = list(csv.DictReader(io.StringIO((folder / "schedule.csv").read_text())))
     assert len(rows) == (7 + 5) * 3
     assert {row["condition"] for row in rows} == {"sbr", "dexpilot", "ako"}
-    assert "sbr" not in (folder / "schedule.txt").read_text()
     assert run("enrol", str(folder), "P08", "--tasks", "A") == 0
     assert read_plan(folder).codes[-1] == "P08"
     assert run("new", str(folder)) == 2
@@ -372,13 +362,6 @@ def test_a_condition_is_typed_and_shown_alike() -> None:
     assert Condition.of("sbr=sbr") == Condition("sbr")
 
 
-def test_enter_takes_the_papers_design(monkeypatch: pytest.MonkeyPatch) -> None:
-    conditions = tuple(map(Condition.of, PAPERS))
-    draft = protocol(conditions=conditions, rate_hz=30.0, margins={"success": 0.1, "time": 5.0})
-    monkeypatch.setattr("rich.console.Console.input", lambda *_, **__: "")
-    assert ask_protocol(draft, Console(quiet=True)) == draft
-
-
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
@@ -399,28 +382,3 @@ def test_study_new_refuses(
     assert run("new", str(tmp_path / "p"), *arguments) == 2
     assert says in capsys.readouterr().err
     assert not (tmp_path / "p").exists()
-
-
-def test_the_wizard_asks_until_answers_go_together(monkeypatch: pytest.MonkeyPatch) -> None:
-    answers = iter([
-        "hands", "sbr", "sbr ako=ako:slsqp", "", "many", "6", "A X", "8", "4", "5", "0", "3",
-        "grip", "", "60", "initial lunch", "initial final",
-        "time", "time/B", "time/X", "time=x", "time=3 tlx=8", "fast", "50", "4",
-        # 4 and 3 operators are 7, enough for 6; all fits, so nothing is asked again
-    ])  # fmt: skip
-    monkeypatch.setattr("rich.console.Console.input", lambda *_, **__: next(answers))
-    console = Console(quiet=True)
-    made = ask_protocol(protocol(), console)
-    assert next(answers, None) is None
-    assert made.name == "hands"
-    assert [(c.name, c.method, c.preset) for c in made.conditions] == [
-        ("sbr", "sbr", None), ("ako", "ako", "slsqp"),
-    ]  # fmt: skip
-    assert made.baseline == "sbr"
-    assert [(t.name, t.trials, t.operators) for t in made.tasks] == [("A", 8, 4), ("X", 5, 3)]
-    assert (made.operators, made.familiarisation_s, made.seed) == (6, 60.0, 4)
-    assert made.rate_hz == 50.0
-    assert (made.primary, made.margins) == ("time/X", {"time": 3.0, "tlx": 8.0})
-    assert made.questionnaires == ("initial", "final")
-    with pytest.raises(UnknownNameError):
-        made.task("B")

@@ -124,7 +124,7 @@ def test_the_tables_of_an_export_bring_the_plan_with_them(exported: Path) -> Non
         assert len(data.orders) == 2
     alone = read_study([exported / "study.json"])
     assert alone.flow == data.flow
-    assert alone.trials.duration.tolist() == data.trials.duration.tolist()
+    assert alone.trials.score.tolist() == data.trials.score.tolist()
 
 
 # Who is analysed.
@@ -222,7 +222,7 @@ def test_the_plans_baseline_is_the_analysis_baseline(
     printed = capsys.readouterr().out
     assert "baseline: sbr, as planned. primary endpoint: time/A" in printed
     assert "P05 was excluded (an author)" in printed
-    assert "completion time [s], A: " in printed
+    assert "Completion time (primary): " in printed
     results = json.loads((tmp_path / "a" / "results.json").read_text(encoding="utf-8"))
     assert results["study"]["baseline"] == results["study"]["planned_baseline"] == "sbr"
     small = results["small-sample"]

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from study_cases import Row, simulate, write_rows
+from study_cases import simulate
 
 from smooth_operator.errors import StudyError
 from smooth_operator.study.analysis import Analysis, analyze_study
@@ -16,56 +16,8 @@ from smooth_operator.study.analysis.preference import Preference, preference
 from smooth_operator.study.analysis.readings import equivalences, reading_rows
 from smooth_operator.study.analysis.results import Pair, Refused, ScopeResult, operator_weights
 from smooth_operator.study.analysis.spearman import correlation_within
-from smooth_operator.study.analysis.time_to_success import (
-    CENSORED,
-    COMPETING,
-    SUCCESS,
-    TimeToSuccess,
-    incidence,
-)
 from smooth_operator.study.data import read_study
 from smooth_operator.study.design.protocol import Condition, Protocol, Task
-
-
-def slow_incidence(times: list[float], events: list[int], until: float) -> float:
-    """Aalen and Johansen's estimate, one row after another."""
-    left, reached = 1.0, 0.0
-    for time in sorted(set(times)):
-        if time > until:
-            break
-        at_risk = sum(t >= time for t in times)
-        ended = [e for t, e in zip(times, events, strict=True) if t == time and e != CENSORED]
-        reached += left * ended.count(SUCCESS) / at_risk
-        left *= 1 - len(ended) / at_risk
-    return reached
-
-
-def test_the_incidence_of_weighted_samples_is_that_of_repeated_rows() -> None:
-    rng = np.random.default_rng(4)
-    times = rng.integers(1, 15, 60).astype(float)  # with ties
-    events = rng.choice([CENSORED, SUCCESS, COMPETING], 60)
-    weights = rng.integers(0, 3, (5, 60)).astype(float)
-    weights[4] = 0
-    found = incidence(times, events, weights)
-    for k in range(4):
-        repeated = np.repeat(np.arange(60), weights[k].astype(int))
-        rows = times[repeated].tolist(), events[repeated].tolist()
-        for until in (0.5, 3.0, 7.5, 40.0):
-            assert found.at(until)[k] == pytest.approx(slow_incidence(*rows, until), abs=1e-12)
-        steps = np.arange(0, 10, 0.5)  # times are whole: the curve is constant in between
-        waited = sum(0.5 * (1 - slow_incidence(*rows, t)) for t in steps)
-        assert found.restricted_mean(10.0)[k] == pytest.approx(waited, abs=1e-12)
-    assert np.isnan(found.at(3.0)[4])
-    assert np.isnan(found.restricted_mean(10.0)[4])
-
-
-def test_a_failure_counts_with_the_limit_and_never_as_a_quick_end() -> None:
-    times, events = np.array([10.0, 2.0]), np.array([SUCCESS, COMPETING])
-    found = incidence(times, events, np.ones((1, 2)))
-    assert found.restricted_mean(60.0)[0] == pytest.approx((10 + 60) / 2)
-    assert found.at(30.0)[0] == 0.5
-    censored = incidence(times, np.array([SUCCESS, CENSORED]), np.ones((1, 2)))
-    assert censored.restricted_mean(60.0)[0] == pytest.approx(10)
 
 
 def test_operators_are_drawn_whole_and_the_first_sample_is_everybody() -> None:
@@ -118,23 +70,18 @@ def test_joint_tests_are_those_of_one_difference_where_there_is_one() -> None:
         clustered_wald(np.ones(5), np.eye(5), 5)
 
 
-def test_rankings_become_strengths() -> None:
+def test_rankings_are_tested() -> None:
     rankings = {f"P{i}": ("b", "a", "c") for i in range(7)}
     rankings |= {"P7": ("a", "b", "c"), "P8": ("b", "a")}
     found = preference(rankings, ("a", "b", "c"))
     assert isinstance(found, Preference)
     assert (found.operators, found.left_out) == (8, 1)
-    assert found.mean_rank["a"].estimate == pytest.approx(15 / 8)
+    assert found.mean_rank["a"] == pytest.approx(15 / 8)
     assert found.wins["b"] == {"a": 7, "c": 8}
     # friedman.test of R: 12 / (8 * 3 * 4) * sum((R - 16)^2) with R = 15, 9, 24
     assert found.friedman == pytest.approx(12 / 96 * (1 + 49 + 64))
     assert found.kendall_w == pytest.approx(found.friedman / 16)
     assert found.p < 0.001
-    shares = {name: one.estimate for name, one in found.strength.items()}
-    assert sum(shares.values()) == pytest.approx(1)
-    # At the maximum of the likelihood expected wins are the counted ones (half a win each added).
-    expected = sum(9 * shares["b"] / (shares["b"] + shares[other]) for other in "ac")
-    assert expected == pytest.approx(16, rel=1e-6)
     assert isinstance(preference({"P1": ("a", "b")}, ("a", "b")), Refused)
 
 
@@ -148,17 +95,8 @@ def test_two_operators_who_disagree_prefer_nothing() -> None:
 def analysis(tmp_path_factory: pytest.TempPathFactory) -> Analysis:
     """A study with everything that a reading can use."""
     case = simulate(2, operators=range(12), retargeters=("dexpilot", "sbr", "hybrid"))
-    lines = {1: "done", 0.5: "nearly", 0: "dropped"}
-    trials: list[Row] = [
-        row
-        | {
-            "duration_s": row["time_s"] or 20 + int(str(row["trial_global"])),
-            "line": "not-done" if row["score"] == 0 and i % 2 else lines[row["score"]],  # type: ignore[index]
-        }
-        for i, row in enumerate(case.trials)
-    ]
     folder = tmp_path_factory.mktemp("study")
-    files = [write_rows(folder / "trials.csv", trials), write_rows(folder / "tlx.csv", case.tlx)]
+    files = case.write(folder)
     data = read_study(files)
     names = [f"P{i:02d}" for i in range(12)]
     plan = Protocol(
@@ -212,9 +150,6 @@ def test_what_one_retargeter_leaves_is_refused_and_never_an_error() -> None:
     readings = analyze_study(study).readings
     assert isinstance(readings.interaction["success"], Refused)
     assert readings.full_success["pooled"].separated["sbr"].rate == 0
-    found = readings.time_to_success["pooled"]
-    assert isinstance(found, TimeToSuccess)
-    assert found.by_limit["sbr"].estimate == 0
 
 
 def test_a_whole_study_has_every_reading(analysis: Analysis) -> None:
@@ -228,26 +163,14 @@ def test_a_whole_study_has_every_reading(analysis: Analysis) -> None:
 
     assert [name for name, entry in content.items() if refused(entry)] == []
     assert all(content.values())
-    time = content["time_to_success"]["pooled"]
-    assert time["planned"]
-    assert set(time["limits"].values()) == {60.0}
-    for name, one in time["restricted_mean"].items():
-        # Those who were still at it might have succeeded later, never earlier than they gave up.
-        assert one["estimate"] > time["if_gone_on"][name]["estimate"]
-        assert one["lower"] < one["estimate"] < one["upper"]
     assert content["equivalence"]["success"]["A"]["sbr-dexpilot"]["margin"] == 0.15
     assert content["equivalence"]["time"]["A"]["sbr-dexpilot"]["margin"] is None
-    assert content["preference"]["mean_rank"]["sbr"]["estimate"] == 1
+    assert content["preference"]["mean_rank"]["sbr"] == 1
 
 
 def test_readings_agree_with_the_models_where_they_are_the_same(analysis: Analysis) -> None:
     readings = analysis.readings
     trials = analysis.data.trials
-    rows = (trials.task == "A") & (trials.retargeter == "sbr")
-    followed = np.where(trials.success[rows], trials.time[rows], 60.0)
-    found = readings.time_to_success["A"]
-    assert isinstance(found, TimeToSuccess)
-    assert found.restricted_mean["sbr"].estimate == pytest.approx(followed.mean())
     observed = readings.full_success["pooled"].observed["sbr"]["mean"]
     assert observed == np.mean(trials.score[trials.retargeter == "sbr"] == 1)
 
@@ -259,8 +182,6 @@ def test_the_table_of_readings_names_every_figure(analysis: Analysis) -> None:
         row
         for row in rows
         if (row["reading"], row["where"], row["term"])
-        == ("time_to_success", "pooled/difference", "sbr")
+        == ("equivalence", "success/A", "sbr-dexpilot")
     ]
-    found = analysis.readings.time_to_success["pooled"]
-    assert isinstance(found, TimeToSuccess)
-    assert one["upper"] == found.difference["sbr"].upper
+    assert one["upper"] == analysis.readings.equivalence["success"]["A"]["sbr-dexpilot"].upper

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import Any
 
 import pytest
 from fake_teleop import FakeSimulation
-from study_console import command, console_plan, due_command, eventually
+from study_console import command, console_plan, due_command
 
 from smooth_operator.cli import main
 from smooth_operator.errors import StudyError
@@ -20,8 +19,6 @@ from smooth_operator.study.console.commands import Command
 from smooth_operator.study.console.session_service import SessionService
 from smooth_operator.study.design.plan import Plan, make_plan
 from smooth_operator.study.design.plan_file import read_plan
-from smooth_operator.study.design.protocol import RubricLine
-from smooth_operator.study.store.events import Noted
 from smooth_operator.study.store.study_store import StudyStore, open_study
 
 
@@ -58,10 +55,6 @@ def due(store: StudyStore, do: str, operator: str = "P01", **fields: Any) -> Com
     return command(store.progress(operator), do, **fields)
 
 
-def notes(store: StudyStore, operator: str = "P01") -> list[str]:
-    return [r.event.text for r in store.records(operator) if isinstance(r.event, Noted)]
-
-
 def begun(simulation: FakeSimulation) -> list[tuple[str | None, int]]:
     """Scene and number of the trials that began."""
     asked = (fields for do, fields in simulation.asked if do == "trial" and fields.get("begin"))
@@ -80,7 +73,6 @@ def test_a_trial_has_its_scene_after_a_restart_with_another(store: StudyStore) -
     assert simulation.task == "card"
     assert begun(simulation)[-1] == ("card", 2)
     assert simulation.trial["phase"] == "running"
-    assert any("had the scene screwdriver; the scene card was loaded" in n for n in notes(store))
 
 
 def test_between_trials_the_scene_is_watched(store: StudyStore) -> None:
@@ -110,19 +102,6 @@ def test_back_at_an_operator_in_mid_block_their_scene_is_there(store: StudyStore
     assert (simulation.task, begun(simulation)[-1]) == ("card", ("card", 2))
 
 
-def test_a_trial_that_can_not_have_its_scene_is_refused(store: StudyStore) -> None:
-    simulation = FakeSimulation()
-    service = SessionService(store, operator="P01", teleop=simulation)
-    walk(service, store, "start_trial")
-    simulation.simulated, simulation.task = False, None
-    with pytest.raises(StudyError, match=r"ran in a simulation.*--task card"):
-        service.carry_out(due(store, "start_trial"), "experimenter")
-    assert store.progress("P01").step.what == "start_trial"
-    simulation.simulated = True  # one without a task, which can have one
-    service.carry_out(due(store, "start_trial"), "experimenter")
-    assert simulation.task == "card"
-
-
 def test_before_the_first_trial_of_a_block_there_is_no_object(store: StudyStore) -> None:
     simulation = FakeSimulation()
     service = SessionService(store, operator="P01", teleop=simulation)
@@ -142,11 +121,11 @@ def test_a_console_that_is_started_again_leaves_the_hand_alone(store: StudyStore
     simulation = FakeSimulation()
     walk(SessionService(store, operator="P01", teleop=simulation), store, "trial")
     simulation.done("done", 1.0, 12.25)
-    before, asked = notes(store), len(simulation.asked)
+    written, asked = store.records("P01"), len(simulation.asked)
     service = SessionService(store, teleop=simulation)
     service.watch()
     assert {do for do, _ in simulation.asked[asked:]} <= {"status", "trial"}
-    assert notes(store) == before
+    assert store.records("P01") == written
     assert service.look()[0]["teleop"]["trial"]["time_s"] == 12.25  # and knows its trial
     service.carry_out(due(store, "score", line="done"), "experimenter")
     assert store.progress("P01").trials[-1].time_s == 12.25
@@ -168,93 +147,6 @@ def test_a_start_that_is_undone_ends_the_trial_of_the_simulation(store: StudySto
     simulation.done("done", 1.0, 3.0)
     service.carry_out(due(store, "void", reason="tracker"), "experimenter")
     assert [word for word, _ in simulation.marked] == ["undone", "void"]
-
-
-def test_a_trial_that_its_simulation_lost_is_noted_once(store: StudyStore) -> None:
-    simulation = FakeSimulation()
-    service = SessionService(store, operator="P01", teleop=simulation)
-    walk(service, store, "trial")
-    service.watch()
-    simulation.task, simulation.trial = "cube", {**simulation.trial, "phase": "ready", "about": {}}
-    service.watch()
-    service.watch()
-    assert [n for n in notes(store) if "no longer runs trial 1" in n and "scene cube" in n] == [
-        notes(store)[-1]
-    ]
-
-
-def test_the_clock_starts_when_the_hand_is_clear(store: StudyStore) -> None:
-    simulation = FakeSimulation()
-    service = SessionService(store, operator="P01", teleop=simulation)
-    walk(service, store, "start_trial")
-    simulation.in_the_way = True
-    refused: list[str] = []
-
-    def start() -> None:
-        try:
-            service.carry_out(due(store, "start_trial"), "experimenter")
-        except StudyError as error:
-            refused.append(str(error))
-
-    for clear in (False, True):
-        thread = threading.Thread(target=start)
-        thread.start()
-        eventually(lambda: service.look()[0]["teleop"]["waiting"], "waiting")
-        assert store.progress("P01").step.what == "start_trial"
-        if clear:
-            simulation.in_the_way = False
-        else:
-            service.carry_out(Command("g" * 16, "cancel_start", "P01", None, {}), "experimenter")
-        thread.join(60.0)
-        assert not service.look()[0]["teleop"]["waiting"]
-    assert len(refused) == 1
-    assert "cancelled" in refused[0]
-    assert store.progress("P01").step.what == "trial"
-    assert len(store.progress("P01").trials) == 1
-
-
-def test_a_start_that_was_never_logged_is_forgotten(store: StudyStore) -> None:
-    """A console that is killed between the simulation's start and its own."""
-    simulation = FakeSimulation()
-    service = SessionService(store, operator="P01", teleop=simulation)
-    walk(service, store, "start_trial")
-    about = {"operator": "P01", "after": store.progress("P01").number}
-    simulation.request("trial", begin=True, when_clear=True, about=about)
-    SessionService(store, teleop=simulation).watch()
-    assert simulation.trial["phase"] == "ready"
-
-
-def test_the_limit_of_the_plan_is_that_of_the_scene(tmp_path: Path) -> None:
-    with open_study(tmp_path, two_tasks(time_limit_s=45.0)) as store:
-        simulation = FakeSimulation()
-        service = SessionService(store, operator="P01", teleop=simulation)
-        walk(service, store, "trial")
-        assert simulation.trial["limit_s"] == 45.0
-        walk(service, store, "trial", "cube")  # whose plan has none
-        assert simulation.trial["limit_s"] == service.look()[0]["teleop"]["limit_s"] == 120.0
-
-    class Old(FakeSimulation):
-        def request(self, do: str, **fields: Any) -> dict[str, Any]:
-            fields.pop("limit_s", None)
-            return super().request(do, **fields)
-
-    with open_study(tmp_path / "old", two_tasks(time_limit_s=45.0)) as store:
-        service = SessionService(store, operator="P01", teleop=Old())
-        with pytest.raises(StudyError, match="45 s in the plan and 60 s in the scene"):
-            walk(service, store, "trial")
-        assert store.progress("P01").step.what == "start_trial"
-
-
-def test_a_rubric_that_contradicts_the_scene_is_refused(tmp_path: Path) -> None:
-    rubric = (
-        RubricLine("done", 1.0, "as told"),
-        RubricLine("done-after-reset", 0.0, "too late"),
-        RubricLine("failed", 0.0, "dropped"),
-    )
-    with open_study(tmp_path, two_tasks(rubric=rubric)) as store:
-        service = SessionService(store, operator="P01", teleop=FakeSimulation())
-        with pytest.raises(StudyError, match=r"done-after-reset.*0 in the plan and 0\.5 in the"):
-            walk(service, store, "start_familiarisation")
 
 
 def test_a_line_after_a_reset_needs_one(tmp_path: Path) -> None:

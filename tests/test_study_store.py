@@ -30,7 +30,6 @@ from smooth_operator.study.store.events import (
     TrialStarted,
     TrialVoided,
     Undone,
-    Withdrawn,
     event_of,
 )
 from smooth_operator.study.store.export import export_study, study_json
@@ -384,18 +383,6 @@ def check_together(target: str, folder: Path, events: int) -> None:
 @forks
 def test_twenty_sessions_at_once_into_sqlite(tmp_path: Path) -> None:
     check_together(str(tmp_path), tmp_path, 12)
-
-
-def test_who_is_replaced_keeps_the_log_and_the_rows_go_on(store: StudyStore) -> None:
-    walk(store, "P01", "questionnaire")
-    store.append("P01", Withdrawn(keep=False))
-    store.replace("P01", "P09", token="once")
-    assert store.replace("P01", "P09", token="once").number == 1
-    assert store.plan.enrolment("P09").rows == store.plan.enrolment("P01").rows
-    with pytest.raises(StudyError, match="P09 has replaced P01"):
-        store.append("P01", Undone(store.progress("P01").number))
-    assert store.erase("P01") > 0
-    assert store.records("P01") == []
 
 
 @forks

@@ -4,14 +4,9 @@
     python research/benchmarks/gpu.py --samples 1024 --batches smooth:teleop:8:100     # on a CPU
     python research/benchmarks/gpu.py --page JSON > research/docs/gpu.md
 
-Preset ``paper`` is compared with the same algorithm written plainly, where MJX is installed, and
-with a CPU. Batches are ``Retargeter.batch_arrays``, and ``batch``, which makes an object for each
-recording. The GPU's busy time is what ``nvidia-smi`` samples while batches run one after another.
-
-The plain version is what one writes first: Algorithm 1 as a ``lax.scan``, normals from
-``jax.random.normal``, ``mjx.kinematics`` under ``vmap``, a full ``argsort`` for the elite. It
-shares alignment and targets with the package, so that both answer the same question.
-Needs MJX: ``python -m pip install mujoco-mjx``.
+Commands of preset ``paper`` are compared with a CPU's. Batches are ``Retargeter.batch_arrays``, and
+``batch``, which makes an object for each recording. The GPU's busy time is what ``nvidia-smi``
+samples while batches run one after another.
 """
 
 from __future__ import annotations
@@ -30,23 +25,15 @@ from pathlib import Path
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import tyro
 from timing import percentiles
 
-from smooth_operator import Hand, HandFrame, Retargeter, SmoothOperatorError
+from smooth_operator import HandFrame, Retargeter, SmoothOperatorError
 from smooth_operator.errors import ConfigError
-from smooth_operator.human.alignment import palm_alignment
 from smooth_operator.methods.sbr import SbrConfig
-from smooth_operator.objective.keyvectors import KeyvectorLayout
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator_research.run_report import BenchmarkError, Report
-
-try:
-    from mujoco import mjx
-except ImportError:
-    mjx = None
 
 BLOCK = 10
 MOTIONS = 32
@@ -115,16 +102,11 @@ def main(settings: Settings) -> None:
         np.save(settings.commands, np.array(positions))
         return
     steps: dict[str, tuple[Any, Step]] = {"ours": (ours.init(), wrap(ours))}
-    if mjx is None:
-        report.notes.append("plain version: not measured; it needs `pip install mujoco-mjx`")
-    else:
-        steps["plain"] = plain(ours.hand, config)
     runs = interleave(steps, frames)
 
-    rows, medians = [], {}
+    rows = []
     for name, (_, losses, latency) in runs.items():
         p = percentiles(latency)
-        medians[name] = p["p50_ms"]
         loss = float(losses.mean())
         report.add(name, p | {"tracking_loss": loss})
         rows.append([name, *p.values(), loss])
@@ -134,14 +116,6 @@ def main(settings: Settings) -> None:
         header,
         rows,
     )
-    if "plain" in medians:
-        ratio = medians["plain"] / medians["ours"]
-        apart = float(np.abs(runs["plain"][0] - runs["ours"][0]).mean())
-        report.figures |= {"plain_over_ours": ratio, "mean_difference_rad": apart}
-        report.notes.append(
-            f"the plain version takes {ratio:.1f} times as long; its commands differ from ours by "
-            f"{apart:.4f} rad on average (other random numbers)"
-        )
     live(report, settings, frames)
     batches(report, settings)
     if jax.devices()[0].platform != "cpu":
@@ -239,7 +213,6 @@ def page(result: dict[str, Any]) -> str:
     ]
     for name, text in (
         ("ours", f"`sbr:paper`, {arguments['samples']} × {arguments['cycles']}"),
-        ("plain", "the same, plain JAX and MJX"),
         ("smooth", "`smooth`"),
     ):
         if f"{name}/p50_ms" in figures:
@@ -309,77 +282,6 @@ def wrap(retargeter: Retargeter) -> Step:
         return state, result.command.positions, result.tracking_loss
 
     return step
-
-
-def plain(hand: Hand, config: SbrConfig) -> tuple[Any, Step]:
-    """Algorithm 1 without any of our tricks: first state, and the step."""
-    model = mjx.put_model(hand.model)
-    data = mjx.make_data(model)
-    points = [hand.spec.wrist, *(finger.tip for finger in hand.spec.fingers)]
-    points = [p.mirrored for p in points] if hand.spec.mirror else points
-    bodies = np.array([hand.model.body(p.body).id for p in points])
-    offsets = np.array([p.offset for p in points], np.float32)
-    palm = hand.model.body(hand.spec.palm).id
-
-    layout = KeyvectorLayout(hand.fingers)
-    start, end = (np.array(side) for side in zip(*layout.pairs, strict=True))
-    matrix, offset = (
-        jnp.asarray(part, jnp.float32) for part in (hand.coupling_matrix, hand.coupling_offset)
-    )
-    low, high = (jnp.asarray(hand.limits[:, i], jnp.float32) for i in (0, 1))
-    neutral = jnp.asarray(hand.neutral, jnp.float32)
-    sampling, objective = config.sampling, config.objective
-    size, beta = len(hand.limits), objective.transition
-
-    def keyvectors(q: jax.Array) -> jax.Array:
-        moved = mjx.kinematics(model, data.replace(qpos=matrix @ q + offset))
-        world = moved.xpos[bodies] + jnp.einsum("fij,fj->fi", moved.xmat[bodies], offsets)
-        at_palm = (world - moved.xpos[palm]) @ moved.xmat[palm]
-        vectors: jax.Array = at_palm[end] - at_palm[start]
-        return vectors
-
-    def tracking(q: jax.Array, vectors: jax.Array, weights: jax.Array) -> jax.Array:
-        error = jnp.abs(keyvectors(q) - vectors)
-        near = 0.5 * error**2 / beta
-        return (weights[:, None] * jnp.where(error < beta, near, error - 0.5 * beta)).sum()
-
-    @jax.jit
-    def program(state: Any, landmarks: jax.Array) -> tuple[Any, jax.Array, jax.Array]:
-        q, held, key = state
-        aligned = palm_alignment(landmarks, hand, config.alignment).apply(landmarks)
-        goal, held = objective.targets(held, layout, layout.human(aligned))
-
-        def cost(u: jax.Array) -> jax.Array:
-            pull = objective.pose_weight * ((u - neutral) ** 2).sum()
-            drag = objective.velocity_weight * ((u - q) ** 2).sum()
-            total: jax.Array = tracking(u, goal.vectors, goal.weights) + pull + drag
-            return total
-
-        def cycle(carry: Any, key: jax.Array) -> tuple[Any, None]:
-            mean, cov = carry
-            normals = jax.random.normal(key, (sampling.samples, size))
-            u = jnp.clip(mean + normals @ jnp.linalg.cholesky(cov).T, low, high)
-            costs = jax.vmap(cost)(u)
-            best = jnp.argsort(costs)[: sampling.elites]
-            elite, least = u[best], costs[best]
-            weight = jax.nn.softmax(-(least - least.min()) / sampling.temperature)
-            mean = weight @ elite
-            spread = elite - mean
-            cov = (weight[:, None] * spread).T @ spread + sampling.jitter * jnp.eye(size)
-            return (mean, cov), None
-
-        key, now = jax.random.split(key)
-        first = q, (sampling.sigma**2 + sampling.jitter) * jnp.eye(size)
-        # as ours, without the last draw, which changes nothing
-        (mean, _), _ = jax.lax.scan(cycle, first, jax.random.split(now, sampling.cycles - 1))
-        q = jnp.clip(mean, low, high)
-        return (q, held, key), q, tracking(q, goal.vectors, goal.weights)
-
-    def step(state: Any, frame: HandFrame) -> tuple[Any, np.ndarray, float]:
-        state, q, loss = program(state, frame.landmarks.astype(np.float32))
-        return state, hand.full_configuration(np.asarray(q, float)), float(loss)
-
-    return (neutral, objective.targets.init(layout), jax.random.key(0)), step
 
 
 def against_cpu(report: Report, settings: Settings) -> None:

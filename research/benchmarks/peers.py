@@ -27,11 +27,11 @@ from typing import Annotated
 import numpy as np
 import tyro
 from batch import in_wrist_axes
-from retarget import number, read
 from timing import percentiles
 
 from smooth_operator import HandRecording, SmoothOperatorError, load_hand
 from smooth_operator.formats.frames import frame_slice
+from smooth_operator.formats.readers import rated_if_unstamped, read_recording
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import align_recording
 from smooth_operator.methods.presets import method_config
@@ -112,7 +112,9 @@ class Program:
 
 def main(settings: Settings) -> None:
     report = Report("peers", vars(settings))
-    whole = read(settings.recording, settings.rate)
+    whole, _ = rated_if_unstamped(
+        lambda rate: read_recording(settings.recording, rate=rate), settings.rate
+    )
     recording = whole[frame_slice(settings.frames, len(whole))]
     if recording.side != "right":
         raise BenchmarkError("the recording has a left hand; the peers are set up for right ones")
@@ -243,7 +245,10 @@ def judged(hand: Hand, recording: HandRecording, q: np.ndarray) -> dict[str, flo
     )
     low, high = hand.joint_limits.T
     outside = ((q < low - BEYOND_RAD) | (q > high + BEYOND_RAD)).any(axis=1)
-    values: dict[str, float | None] = {name: number(figures[name]) for name in QUALITY}
+    values: dict[str, float | None] = {
+        name: float(value) if isinstance(value := figures[name], float | int) else None
+        for name in QUALITY
+    }
     return values | {"beyond_limits": float(outside.mean())}
 
 

@@ -1,13 +1,11 @@
-"""Methods side by side: the tables of research/docs/benchmarks.md, and what SLSQP evaluates.
+"""Methods side by side: the tables of research/docs/benchmarks.md.
 
     smooth-operator bench RECORDING ... --methods all,sbr:paper,dexpilot:published --output FOLDER
     python research/benchmarks/side_by_side.py FOLDER
     python research/benchmarks/side_by_side.py FOLDER --columns "cos thumb" motion
-    python research/benchmarks/side_by_side.py --evaluations GLOVE.npz --frames 0:500
 
 The first prints a table for each recording from the results of ``smooth-operator bench``; with
-columns, one table whose cells have all recordings, in the order of the results. The last counts the
-evaluations that each frame takes with SLSQP alone.
+columns, one table whose cells have all recordings, in the order of the results.
 """
 
 from __future__ import annotations
@@ -17,12 +15,6 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
-
-from smooth_operator import Retargeter
-from smooth_operator.baselines import slsqp_method
-from smooth_operator.baselines.slsqp import SlsqpResult
-from smooth_operator.formats.readers import read_recording
 from smooth_operator.lab.benchmark import read_results
 from smooth_operator.lab.benchmark.results import Row, row_method
 from smooth_operator_research.run_report import markdown
@@ -41,10 +33,6 @@ COLUMNS: Final[dict[str, Callable[[dict[str, Any]], str]]] = {
     "frozen": lambda m: f"{100 * m['frozen_share']:.0f}%",
 }
 """Heading -> text from the metrics of a row."""
-
-DESCENDING: Final = ("dexpilot", "ako", "keyvector", "hybrid")
-ALONE: Final = ("slsqp", "published")
-"""Presets in which SLSQP does everything."""
 
 
 def _places(value: float | None, places: int) -> str:
@@ -96,42 +84,10 @@ def _joined(
     return " / ".join("–" if one is None else COLUMNS[column](one) for one in rows)
 
 
-def print_evaluations(path: Path, frames: slice, rate: float | None) -> None:
-    """Evaluations of the objective per frame with SLSQP alone, NLopt's and SciPy's."""
-    recording = read_recording(path, rate=rate)[frames]
-    lines = []
-    for method in DESCENDING:
-        counts = [_evaluations(method, preset, recording) for preset in ALONE]
-        halves = [f"{np.percentile(c, 50):.0f} / {np.percentile(c, 90):.0f}" for c in counts]
-        lines.append([f"`{method}`", *halves])
-    print(f"\n{recording.name}, {len(recording)} frames: evaluations a frame, p50 / p90\n")
-    print(markdown(["method", *(f"preset `{preset}`" for preset in ALONE)], lines))
-
-
-def _evaluations(method: str, preset: str, recording: Any) -> list[int]:
-    counts: list[int] = []
-
-    def counted(minimise: Callable[..., SlsqpResult]) -> Callable[..., SlsqpResult]:
-        def wrapped(*arguments: Any) -> SlsqpResult:
-            result = minimise(*arguments)
-            counts.append(result.evaluations)
-            return result
-
-        return wrapped
-
-    plain = slsqp_method.slsqp_minimise, slsqp_method.scipy_slsqp_minimise
-    try:
-        slsqp_method.slsqp_minimise, slsqp_method.scipy_slsqp_minimise = map(counted, plain)
-        Retargeter("mimic_p050", method=method, preset=preset).run(recording)
-    finally:
-        slsqp_method.slsqp_minimise, slsqp_method.scipy_slsqp_minimise = plain
-    return counts
-
-
 def main(arguments: Sequence[str] | None = None) -> None:
     """Reads the command line and prints."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("results", nargs="?", type=Path, help="folder of `smooth-operator bench`")
+    parser.add_argument("results", type=Path, help="folder of `smooth-operator bench`")
     parser.add_argument(
         "--columns",
         nargs="+",
@@ -139,19 +95,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
         metavar="COLUMN",
         help=f"one table of these for all recordings: {', '.join(COLUMNS)}",
     )
-    parser.add_argument("--evaluations", type=Path, metavar="RECORDING")
-    parser.add_argument("--frames", default=":", help="of the recording, as A:B")
-    parser.add_argument("--rate", type=float, help="of a recording without time stamps [Hz]")
     options = parser.parse_args(arguments)
-    if options.results is None and options.evaluations is None:
-        parser.error("give the folder of a benchmark, or --evaluations RECORDING")
-    if options.results is not None and options.columns:
+    if options.columns:
         print_columns(options.results, options.columns)
-    elif options.results is not None:
+    else:
         print_tables(options.results)
-    if options.evaluations is not None:
-        ends = [int(end) if end else None for end in options.frames.split(":")]
-        print_evaluations(options.evaluations, slice(*ends), options.rate)
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ from smooth_operator.metrics.consistency import motion_preservation
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.synthetic.robot_landmarks import human_landmarks
 from smooth_operator.types import HandRecording
-from smooth_operator_research.attainable.motion_bound import (
+from smooth_operator_research.judging.motion_bound import (
     curve_bound,
     motion_bounds,
     single_motors,

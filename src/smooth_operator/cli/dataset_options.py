@@ -50,9 +50,9 @@ Examples:
 Exit status: 0 done, 1 some clips could not be read or retargeted (the others are done), 2 the
 request is invalid, 130 stopped."""
     rare: ClassVar[frozenset[str]] = RARE | {
-        "frame", "mano", "objects", "whole", "hands", "min_confidence", "max_gap", "max_jump",
-        "min_seconds", "min_valid", "max_tip_error", "min_reach", "no_limits", "loose", "shard_mb",
-        "shard", "merge",
+        "device", "frame", "mano", "objects", "whole", "hands", "min_confidence", "max_gap",
+        "max_jump", "min_seconds", "min_valid", "max_tip_error", "min_reach", "no_limits", "loose",
+        "shard_mb", "shard", "merge",
     }  # fmt: skip
 
     sources: Annotated[Positional[tuple[str, ...]], arg(metavar="SOURCE...")]
@@ -136,6 +136,10 @@ request is invalid, 130 stopped."""
 
     workers: Annotated[int | None, arg(metavar="N")] = None
     """Processes; one per core if left out, 0 for none but this one."""
+
+    device: Literal["cpu", "gpu"] = "cpu"
+    """What retargets. gpu: this process, a thousand recordings side by side, on JAX's first GPU;
+    the workers read."""
 
     cluster: Annotated[str | None, arg(metavar="auto|local|ADDRESS")] = None
     """Work on a running Ray cluster (auto finds it), or start Ray here (local); its nodes need this

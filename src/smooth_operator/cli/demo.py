@@ -20,8 +20,7 @@ from smooth_operator.cli.common_options import (
 
 if TYPE_CHECKING:
     from smooth_operator.lab.offline import Outcome
-    from smooth_operator.metrics import Trace
-    from smooth_operator.types import HandRecording
+    from smooth_operator.planning import Plan
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,7 +77,7 @@ def demo(options: Demo) -> None:
         trace, metrics = measure_shown(todo, outcome, options.definition, progress)
         config = configuration("demo", todo, operator=operator, duration=options.duration)
         with progress.waiting("writing"), staged(options.output) as folder:
-            _write(folder, todo.recording, outcome, trace, metrics, config)
+            _write(folder, todo, outcome, metrics, config)
     title = f"{todo.hand.name} {todo.hand.spec.side}: {todo.method} {todo.preset}"
     heading = f"the built-in operator on {title}"
     if options.all:
@@ -103,16 +102,15 @@ _FOLLOWING: Final = (
 
 def _write(
     folder: Path,
-    recording: HandRecording,
+    todo: Plan,
     outcome: Outcome,
-    trace: Trace,
     metrics: dict[str, Any],
     config: dict[str, Any],
 ) -> None:
     from smooth_operator.atomic_files import atomic_write
     from smooth_operator.formats.commands import write_commands
     from smooth_operator.formats.jsonable import to_json
-    from smooth_operator.reporting.metric_plots import save_plots
+    from smooth_operator.lab.benchmark.figures import save_plots
     from smooth_operator.teleop.recording import LogWriter
     from smooth_operator.types import JointCommand, Status
 
@@ -120,11 +118,11 @@ def _write(
     write_commands(folder / "commands.npz", commands, config)
     with LogWriter(folder / "log.mcap") as log:
         log.write_config(config)
-        for i, frame in enumerate(recording):
+        for i, frame in enumerate(todo.recording):
             log.write_hand(frame)
             command = JointCommand(commands.joint_positions[i], commands.joint_names, frame.time)
             log.write_command(command, Status(commands.status[i]), float(commands.latency_ms[i]))
-    save_plots(trace, commands.joint_names, folder / "plots")
+    save_plots(todo, commands, folder / "plots")
     for name, content in (("metrics", metrics), ("config", config)):
         with atomic_write(folder / f"{name}.json") as file:
             file.write(to_json(content, indent=2).encode() + b"\n")

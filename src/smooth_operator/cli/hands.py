@@ -16,7 +16,7 @@ from tyro.conf import OmitSubcommandPrefixes, Positional, arg, subcommand
 from smooth_operator.cli.common_options import Common, HandSide
 from smooth_operator.cli.hands_add import Add
 from smooth_operator.cli.hands_check import Check
-from smooth_operator.cli.hands_show import Show
+from smooth_operator.cli.hands_show import Render, Show
 from smooth_operator.cli.subcommands import Group
 from smooth_operator.errors import ConfigError, SmoothOperatorError
 
@@ -61,6 +61,7 @@ Examples:
 What: TypeAlias = (
     Annotated[List, subcommand("list")]
     | Annotated[Show, subcommand("show")]
+    | Annotated[Render, subcommand("render")]
     | Annotated[Add, subcommand("add")]
     | Annotated[Remove, subcommand("remove")]
     | Annotated[Check, subcommand("check")]
@@ -70,11 +71,12 @@ What: TypeAlias = (
 
 @dataclass(frozen=True, kw_only=True)
 class Hands(Group):
-    """The robot hands: list them, show one, add your own, check or remove it."""
+    """The robot hands: list them, show one, draw one, add your own, check or remove it."""
 
     details: ClassVar[str] = """Examples:
   smooth-operator hands list
   smooth-operator hands show shadow_hand
+  smooth-operator hands render leap_hand --side left --output leap.png
 
 Each has its own help: smooth-operator hands show --help"""
 

@@ -1,14 +1,16 @@
-"""``smooth-operator hands show``: one hand, in words and on a page."""
+"""``smooth-operator hands show`` and ``render``: one hand, in words, on a page, as a picture."""
 
 from __future__ import annotations
 
 import json
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from tyro.conf import Positional, arg
 
 from smooth_operator.cli.common_options import Common, HandSide, Meshes, Page
+from smooth_operator.terminal import printable
 
 if TYPE_CHECKING:
     from smooth_operator.hands.hand import Hand
@@ -16,7 +18,18 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Show(Common, Meshes, Page):
+class _OneHand(Common, Meshes):
+    """Options of the subcommands about one hand."""
+
+    hand: Annotated[Positional[str], arg(metavar="NAME")]
+    """Name of a hand, or path of a spec file (.toml)."""
+
+    side: Annotated[HandSide | None, arg(metavar="right|left")] = None
+    """Which hand; right, or as the spec file says, if left out."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Show(_OneHand, Page):
     """Joints, limits and couplings of a hand, and the hand in the browser with a slider a joint."""
 
     work: ClassVar[str] = "smooth_operator.cli.hands_show:show_hand"
@@ -26,17 +39,23 @@ class Show(Common, Meshes, Page):
   smooth-operator hands show shadow_hand --model menagerie
   smooth-operator hands show my-hand.right.toml --json"""
 
-    hand: Annotated[Positional[str], arg(metavar="NAME")]
-    """Name of a hand, or path of a spec file (.toml)."""
-
-    side: Annotated[HandSide | None, arg(metavar="right|left")] = None
-    """Which hand; right, or as the spec file says, if left out."""
-
     no_view: bool = False
     """Print the tables, serve no page."""
 
     json: bool = False
     """One JSON object on standard output, and no page."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Render(_OneHand):
+    """A picture of a hand: shape, landmarks, palm frame, joint ranges. Needs no display."""
+
+    work: ClassVar[str] = "smooth_operator.cli.hands_show:render_hand"
+    details: ClassVar[str] = """Example:
+  smooth-operator hands render leap_hand --output leap.png"""
+
+    output: Annotated[Path | None, arg(metavar="PNG")] = None
+    """The picture; NAME_SIDE.png in the current folder if left out."""
 
 
 def show_hand(options: Show) -> None:
@@ -67,6 +86,25 @@ def show_hand(options: Show) -> None:
             port=options.port,
             open_browser=not options.no_browser,
         )
+
+
+def render_hand(options: Render) -> None:
+    """Writes a picture of a hand.
+
+    Raises:
+        UnknownNameError: there is no such hand.
+        HandModelError: it can't be used.
+        OutputError: the picture can't be written.
+    """
+    from smooth_operator.cli.page import hand_to_draw
+    from smooth_operator.hands.registry import load_hand
+    from smooth_operator.teleop.pages.hand_picture import save_hand_picture
+
+    hand = load_hand(options.hand, options.side)
+    drawn = hand_to_draw(hand, options)
+    output = options.output or Path(f"{hand.name}_{hand.spec.side}.png")
+    save_hand_picture(drawn or hand, output, simple=drawn is None)
+    print(printable(str(output)))
 
 
 def describe(hand: Hand) -> dict[str, Any]:

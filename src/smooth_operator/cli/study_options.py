@@ -81,14 +81,13 @@ Examples:
 
 @dataclass(frozen=True, kw_only=True)
 class New(Common):
-    """Write a plan: conditions, tasks, balanced orders, schedule. Asks in a terminal."""
+    """Write a plan: conditions, tasks, balanced orders, schedule."""
 
     work: ClassVar[str] = "smooth_operator.cli.study_new:new_study"
     details: ClassVar[str] = """It writes study.toml (the plan, which you may edit), schedule.csv
-(with the conditions, for the experimenter), schedule.txt (with labels only, for the wall) and
-PREREGISTRATION.md (hypotheses, design, models, corrections: complete it and register it).
-Without options a terminal asks; elsewhere, and with --no-wizard, what is left out is as in the
-paper: four retargeters as their authors run them, 30 commands a second, three tasks, 18 operators.
+and PREREGISTRATION.md (hypotheses, design, models, corrections: complete it and register it). What
+is left out is as in the paper: four retargeters as their authors run them, 30 commands a second,
+three tasks, 18 operators.
 
 Examples:
   smooth-operator study new my-study
@@ -145,9 +144,6 @@ Examples:
 
     from_: Annotated[Path | None, arg(name="from", metavar="TOML")] = None
     """A file to take the plan from, as study.toml; missing orders are generated."""
-
-    no_wizard: bool = False
-    """Ask nothing, even in a terminal."""
 
     overwrite: bool = False
     """Replace the plan of a study without stored data."""
@@ -326,10 +322,10 @@ Examples:
     """Write the results, but no report and no figures."""
 
     json: bool = False
-    """results.json on standard output instead of the tables."""
+    """results.json on standard output instead of the conclusion."""
 
     quiet: bool = False
-    """No progress on standard error, no tables on standard output."""
+    """No progress on standard error, no conclusion on standard output."""
 
 
 Subcommand: TypeAlias = (

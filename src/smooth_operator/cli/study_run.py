@@ -21,7 +21,6 @@ from smooth_operator.study.design.plan_file import (
     NAME,
     read_plan,
     write_plan_files,
-    write_preregistration,
 )
 from smooth_operator.study.store.database import FILE
 from smooth_operator.study.store.nasa_tlx import ENGLISH, TlxWords, read_words
@@ -47,7 +46,6 @@ def run_study(options: Run) -> None:
         port = int(listening.getsockname()[1])
         auth = auth_for(options.host, store.name)
         links = auth.links(options.host, port)
-        _write_preregistration(store, folder)
         service = SessionService(
             store,
             operator=options.operator,
@@ -134,16 +132,6 @@ def _write_plan(plan: Plan, folder: Path) -> None:
     """Writes the files of a plan that was changed on a page."""
     if (folder / NAME).is_file():
         write_plan_files(plan, folder)
-
-
-def _write_preregistration(store: StudyStore, folder: Path) -> None:
-    """Writes the pre-registration of a plan that was changed by hand, before anyone has begun."""
-    if not (folder / NAME).is_file():
-        return
-    if not any(store.records(code) for code in store.plan.codes):
-        path = write_preregistration(store.plan, folder)
-        if path is not None:
-            print_note(f"written for the plan as it is now: {path}")
 
 
 def _teleop(address: str | None) -> Teleop | None:

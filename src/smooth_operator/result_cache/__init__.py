@@ -4,7 +4,6 @@ The package is independent of hands: a result has a key, which is any JSON, and 
 code that computed it.
 """
 
-from smooth_operator.result_cache.cache import ArrayCache as ArrayCache
 from smooth_operator.result_cache.cache import Job as Job
 from smooth_operator.result_cache.cache import JobResult as JobResult
 from smooth_operator.result_cache.cache import Note as Note
@@ -16,6 +15,4 @@ from smooth_operator.result_cache.cache import find_results as find_results
 from smooth_operator.result_cache.cache import key_digest as key_digest
 from smooth_operator.result_cache.cache import longest_first as longest_first
 from smooth_operator.result_cache.cache import no_note as no_note
-from smooth_operator.result_cache.cache import run_jobs as run_jobs
 from smooth_operator.result_cache.code import code_digest as code_digest
-from smooth_operator.result_cache.code import imported_modules as imported_modules

@@ -10,12 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Final, Generic, TypeAlias, TypeVar
 
-import numpy as np
-
-from smooth_operator.atomic_files import atomic_write, output_error, write_json
+from smooth_operator.atomic_files import output_error, write_json
 from smooth_operator.errors import DocumentError, SmoothOperatorError
 from smooth_operator.formats.jsonable import to_json
-from smooth_operator.io.documents import check_plain_file, parse_json, read_json
+from smooth_operator.io.documents import parse_json, read_json
 from smooth_operator.parallel import TaskResult
 
 T = TypeVar("T")
@@ -57,7 +55,6 @@ class ResultCache:
     Args:
         folder: the folder; created if necessary.
         note: shows messages about results that could not be used.
-        other_code: True to use also results of other code; ``found_by_other_code`` has their names.
 
     Raises:
         OutputError: the folder can't be created.
@@ -65,9 +62,8 @@ class ResultCache:
 
     suffix: ClassVar[str] = ".json"
 
-    def __init__(self, folder: Path, note: Note = no_note, *, other_code: bool = False) -> None:
-        self.folder, self.note, self._other_code = folder, note, other_code
-        self.found_by_other_code: set[str] = set()
+    def __init__(self, folder: Path, note: Note = no_note) -> None:
+        self.folder, self.note = folder, note
         self._outdated = 0
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -102,10 +98,8 @@ class ResultCache:
         if own_key != key_digest(key):
             return None
         if own_code != code:
-            if not self._other_code:
-                self._outdated += 1
-                return None
-            self.found_by_other_code.add(name)
+            self._outdated += 1
+            return None
         return value
 
     def keep(self, name: str, key: object, code: str, value: Any) -> None:
@@ -121,7 +115,6 @@ class ResultCache:
             OutputError: the file can't be written.
             ConfigError: key or value have no JSON form.
         """
-        self.found_by_other_code.discard(name)
         self._write(self.path(name), {"key": key_digest(key), "code": code}, value)
 
     def note_outdated(self) -> None:
@@ -137,28 +130,6 @@ class ResultCache:
 
     def _write(self, path: Path, record: Mapping[str, str], value: Any) -> None:
         write_json(path, {**record, "value": value})
-
-
-class ArrayCache(ResultCache):
-    """Store of results as ``.npz`` files; each result is a mapping from names to arrays."""
-
-    suffix: ClassVar[str] = ".npz"
-
-    def _read(self, path: Path) -> tuple[Mapping[str, Any], dict[str, np.ndarray]]:
-        check_plain_file(path)
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-        if "key" not in arrays:
-            raise DocumentError("it has no key")
-        key = arrays.pop("key")
-        return {"key": str(key), "code": str(arrays.pop("code"))}, arrays
-
-    def _write(
-        self, path: Path, record: Mapping[str, str], value: Mapping[str, np.ndarray]
-    ) -> None:
-        content: dict[str, Any] = {**value, **{k: np.array(v) for k, v in record.items()}}
-        with atomic_write(path) as file:
-            np.savez(file, **content)
 
 
 class ResultLog:
@@ -341,25 +312,3 @@ def compute_results(
         close = getattr(results, "close", None)
         if close is not None:
             close()  # end the workers now rather than at garbage collection
-
-
-def run_jobs(
-    jobs: Sequence[Job[T]],
-    cache: Cache,
-    execute: Execute[T],
-    value: Callable[[Job[T], TaskResult[Any]], Any] = _value,
-) -> Iterator[JobResult[T]]:
-    """Results of jobs: the stored ones first, then the others as they are computed and stored.
-
-    Args:
-        jobs: computations.
-        cache: store of the results.
-        execute: as in ``compute_results``.
-        value: as in ``compute_results``.
-
-    Raises:
-        OutputError: a result can't be written.
-    """
-    finished, missing = find_results(jobs, cache)
-    yield from finished
-    yield from compute_results(longest_first(missing), cache, execute, value)

@@ -245,6 +245,7 @@ SINKS: Final = Registry(
         "rerun": Entry(
             f"{_SINKS}.rerun_sink:RerunSink", "Rerun's viewer, or a file for it (extra rerun)"
         ),
+        "table": Entry(f"{_SINKS}.table:TableSink", "a table in the terminal"),
         "dynamixel": Entry(
             f"{_DRIVERS}.dynamixel:DynamixelSink",
             "a hand of Dynamixel servos, by a table (extra dynamixel)",

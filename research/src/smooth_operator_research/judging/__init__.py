@@ -1,5 +1,5 @@
-"""Judging: methods by targets, parts of a method, a calibration, and the check of input.
+"""Judging: a calibration, the check of input, pinch damping, and a bound on motion.
 
-Programs, run as ``python -m smooth_operator_research.judging.NAME``: ``judge``, ``method_tables``,
-``calibration_gain`` and ``input_check``.
+Programs, run as ``python -m smooth_operator_research.judging.NAME``: ``calibration_gain``,
+``input_check``, ``pinch_front`` and ``motion_bound``.
 """

@@ -7,13 +7,15 @@ from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Protocol, TypeAlias
 
 import numpy as np
 
-from smooth_operator.atomic_files import output_error, write_json
+from smooth_operator.atomic_files import atomic_write, output_error, write_json
 from smooth_operator.baselines.slsqp_presets import DEXPILOT_PUBLISHED
+from smooth_operator.errors import DocumentError
 from smooth_operator.formats.environment import environment
+from smooth_operator.io.documents import check_plain_file
 from smooth_operator.lab.benchmark import benchmark_folder as benchmark_store
 from smooth_operator.lab.benchmark.recordings import Source, load_sources, parse_request
 from smooth_operator.lab.offline.finished import read_configuration
@@ -21,9 +23,9 @@ from smooth_operator.objective.loss import ObjectiveConfig
 from smooth_operator.parallel import TaskResult
 from smooth_operator.planning import PROGRAM
 from smooth_operator.result_cache import (
-    ArrayCache,
     Job,
     Note,
+    ResultCache,
     compute_results,
     content_name,
     find_results,
@@ -34,6 +36,28 @@ from smooth_operator_research.paper.compared_solvers import Solver
 from smooth_operator_research.paper.problems import Problem, make_problems
 from smooth_operator_research.paper.runs import Run, run_solver
 from smooth_operator_research.paper.verdicts import Verdict
+
+
+class ArrayCache(ResultCache):
+    """Store of results as ``.npz`` files; each result is a mapping from names to arrays."""
+
+    suffix: ClassVar[str] = ".npz"
+
+    def _read(self, path: Path) -> tuple[Mapping[str, Any], dict[str, np.ndarray]]:
+        check_plain_file(path)
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+        if "key" not in arrays:
+            raise DocumentError("it has no key")
+        key = arrays.pop("key")
+        return {"key": str(key), "code": str(arrays.pop("code"))}, arrays
+
+    def _write(
+        self, path: Path, record: Mapping[str, str], value: Mapping[str, np.ndarray]
+    ) -> None:
+        content: dict[str, Any] = {**value, **{k: np.array(v) for k, v in record.items()}}
+        with atomic_write(path) as file:
+            np.savez(file, **content)
 
 
 @dataclass(frozen=True)

@@ -1,18 +1,31 @@
-"""The plots of a report: accuracy against smoothness, latency, fingertips, joints, stills."""
+"""The plots of a report: accuracy against smoothness, latency, fingertips, joints."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.lab.benchmark.panels import Panel, robot_bones, view_basis
+from smooth_operator.atomic_files import output_error
+from smooth_operator.lab.benchmark.panels import Panel, run_of
 from smooth_operator.lab.benchmark.results import Row, row_method, value_of
-from smooth_operator.landmarks import BONES
 from smooth_operator.metrics import METRICS
-from smooth_operator.reporting.drawing import GRID, INK, MARKERS, name_points, plain_logs, series
+from smooth_operator.planning import Plan
+from smooth_operator.reporting.drawing import (
+    GRID,
+    INK,
+    MARKERS,
+    colors_of,
+    name_points,
+    plain_logs,
+    series,
+    styled,
+    write_figure,
+)
+from smooth_operator.types import CommandTrajectory
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,7 +33,6 @@ if TYPE_CHECKING:
 
 TRAJECTORY_SECONDS: Final = 4.0
 """How much of a recording the trajectories show [s]: enough to see a gesture and the jitter."""
-STILLS: Final = 3
 
 _METRIC: Final = {metric.name: metric for metric in METRICS}
 _HUMAN: Final[dict[str, Any]] = {"color": INK, "linewidth": 3.0, "alpha": 0.3, "label": "human"}
@@ -180,58 +192,34 @@ def joint_figure(panel: Panel, colors: Mapping[str, str]) -> Figure:
     return figure
 
 
-def still_figure(panel: Panel, colors: Mapping[str, str]) -> Figure:
-    """The human (grey) and the robot of every method at three moments, palm in sight."""
-    basis, bones = view_basis(panel.hand), robot_bones(panel.hand)
-    cut = panel.window(8.0)
-    moments = np.linspace(cut.start, cut.stop - 1, STILLS + 2).round().astype(int)[1:-1]
-    rows, columns = len(panel.runs), len(moments)
-    figure, axes = _grid(rows, columns, (2.1, 2.1), (0.1, 0.1), share=False)
-    drawn = [run.human[m] @ basis.T for run in panel.runs for m in moments]
-    drawn += [run.robot[m] @ basis.T for run in panel.runs for m in moments]
-    points = np.concatenate(drawn)
-    points = points[np.isfinite(points).all(axis=-1)]
-    middle, reach = _frame(points)
-    for i, run in enumerate(panel.runs):
-        for k, moment in enumerate(moments):
-            ax = axes[i, k]
-            _skeleton(ax, run.human[moment] @ basis.T, BONES, None)
-            _skeleton(ax, run.robot[moment] @ basis.T, bones, colors[run.method])
-            ax.set_xlim(middle[0] - reach, middle[0] + reach)
-            ax.set_ylim(middle[1] - reach, middle[1] + reach)
-            ax.set_aspect("equal")
-            ax.set_xticks([])
-            ax.set_yticks([])
-            ax.grid(visible=False)
-            for spine in ax.spines.values():
-                spine.set_visible(False)
-            if k == 0:
-                ax.set_ylabel(run.method)
-            if i == 0:
-                ax.set_title(f"{panel.stamps[moment]:.2f} s")
-    return figure
+def save_plots(todo: Plan, commands: CommandTrajectory, folder: Path) -> None:
+    """Writes the plots of one run: fingertips, joints and, where it was measured, latency.
 
+    Args:
+        todo: the plan.
+        commands: its result.
+        folder: folder of the ``.png`` and ``.svg``; made if it is not there.
 
-def _skeleton(
-    ax: Axes,
-    points: Float[np.ndarray, "21 3"],
-    bones: Sequence[tuple[int, int]],
-    color: str | None,
-) -> None:
-    for parent, child in bones:
-        pair = points[[parent, child]]
-        if np.isfinite(pair).all():
-            style = {"color": INK, "alpha": 0.3, "linewidth": 4.0} if color is None else {
-                "color": color, "linewidth": 1.8}  # fmt: skip
-            ax.plot(pair[:, 0], pair[:, 1], solid_capstyle="round", **style)  # type: ignore[arg-type]
-
-
-def _frame(points: Float[np.ndarray, "P 3"]) -> tuple[Float[np.ndarray, "3"], float]:
-    """The middle and half the size of a square that holds the points seen from the front."""
-    if not len(points):
-        return np.zeros(3), 0.1
-    low, high = points.min(axis=0), points.max(axis=0)
-    return (low + high) / 2, 0.54 * float(np.max((high - low)[:2]))
+    Raises:
+        OutputError: a file can't be written.
+    """
+    run = run_of(todo, commands)
+    key = (todo.recording.name, todo.hand.name, todo.hand.spec.side)
+    panel = Panel(key, todo.hand, todo.recording.stamps - todo.recording.stamps[0], (run,))
+    colors = colors_of([run.method])
+    with styled():
+        drawn = {
+            "fingertips": fingertip_figure(panel, colors),
+            "joints": joint_figure(panel, colors),
+            "latency": latency_figure({run.method: [commands.latency_ms]}, colors),
+        }
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise output_error(folder, error) from error
+    for name, figure in drawn.items():
+        if figure is not None:
+            write_figure(figure, folder / name)
 
 
 def _figure(size: tuple[float, float]) -> Figure:
@@ -245,7 +233,6 @@ def _grid(
     columns: int,
     cell: tuple[float, float],
     gap: tuple[float, float],
-    share: bool = True,
 ) -> tuple[Figure, np.ndarray]:
     left, right, top, bottom = 0.62, 0.12, 0.62, 0.5
     width = left + right + columns * cell[0] + (columns - 1) * gap[0]
@@ -255,7 +242,7 @@ def _grid(
         left=left / width, right=1 - right / width, top=1 - top / height,
         bottom=bottom / height, wspace=gap[0] / cell[0], hspace=gap[1] / cell[1],
     )  # fmt: skip
-    return figure, figure.subplots(rows, columns, sharex=share, squeeze=False)
+    return figure, figure.subplots(rows, columns, sharex=True, squeeze=False)
 
 
 def _legend(figure: Figure, ax: Axes) -> None:

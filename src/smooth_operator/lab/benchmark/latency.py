@@ -17,9 +17,9 @@ from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.lab.benchmark.built import built_for
 from smooth_operator.lab.benchmark.cells import Cell
 from smooth_operator.lab.benchmark.machine import Watch
+from smooth_operator.lab.offline import built_for
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.metrics import service
 from smooth_operator.planning import Plan

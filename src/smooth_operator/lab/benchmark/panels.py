@@ -17,6 +17,8 @@ from smooth_operator.lab.benchmark.quality import Measured
 from smooth_operator.lab.benchmark.settings import method_label
 from smooth_operator.lab.benchmark.suite import Finished
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS, NUM_LANDMARKS, TIPS, WRIST
+from smooth_operator.planning import Plan
+from smooth_operator.types import CommandTrajectory
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,10 +96,16 @@ def make_panels(finished: Iterable[Finished]) -> Iterator[Panel]:
 
 def _run(cell: Cell, measured: Measured, hand: Hand) -> Run:
     assert cell.source.recording is not None
-    human = align_recording(cell.source.recording, hand, cell.config.alignment)
-    joints = np.asarray(measured.commands.joint_positions, np.float64)
-    robot = robot_landmarks(hand, joints)
-    return Run(method_label(cell.method, cell.preset), human, robot, joints)
+    todo = Plan(cell.source.recording, hand, cell.method, cell.preset, cell.config, 0)
+    return run_of(todo, measured.commands)
+
+
+def run_of(todo: Plan, commands: CommandTrajectory) -> Run:
+    """The run of a plan with its commands."""
+    human = align_recording(todo.recording, todo.hand, todo.config.alignment)
+    joints = np.asarray(commands.joint_positions, np.float64)
+    label = method_label(todo.method, todo.preset)
+    return Run(label, human, robot_landmarks(todo.hand, joints), joints)
 
 
 def robot_landmarks(hand: Hand, joints: Float[np.ndarray, "T n"]) -> Float[np.ndarray, "T 21 3"]:

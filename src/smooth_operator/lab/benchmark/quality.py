@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.lab.benchmark.built import built_for
 from smooth_operator.lab.benchmark.per_finger import finger_metrics
-from smooth_operator.lab.offline import execute, measure
+from smooth_operator.lab.offline import built_for, execute, measure
 from smooth_operator.methods.method import MethodConfig
 from smooth_operator.metrics.evaluation import Definition
 from smooth_operator.metrics.registry import add_metrics

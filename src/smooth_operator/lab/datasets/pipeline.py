@@ -22,6 +22,7 @@ from typing import Any, Final
 
 from smooth_operator.errors import OutputError, RecordingError
 from smooth_operator.lab.datasets.filters import Limits
+from smooth_operator.lab.datasets.gpu import GpuUse, entries_of_gpu, only_cpus_in_children
 from smooth_operator.lab.datasets.retargeting import Recipe, SourceFile
 from smooth_operator.lab.datasets.sources import Found, Item, find_items, in_shard
 from smooth_operator.lab.datasets.store import Kept, Store, clear_unfinished
@@ -117,6 +118,7 @@ def make_dataset(request: DatasetRequest, progress: Progress | None = None) -> S
             + (f": no layout knows its files ({kinds})" if kinds else ": it is empty")
         )
     name = request.recipe.digest[:16]
+    gpu = GpuUse.of_this_machine() if request.recipe.device == "gpu" else None
     work = request.output / WORK / (f"packed-{name}" if request.pack else name)
     own = work if request.shard is None else work / "shard-{:05d}-of-{:05d}".format(*request.shard)
     own.mkdir(parents=True, exist_ok=True)
@@ -131,7 +133,10 @@ def make_dataset(request: DatasetRequest, progress: Progress | None = None) -> S
             missing = "no run has finished it yet; leave out --merge to retarget it now"
             reasons |= {item.name: missing for item in left}
         else:
-            with contextlib.closing(_retargeted(left, own, request, progress)) as entries:
+            with (
+                only_cpus_in_children(),
+                contextlib.closing(_retargeted(left, own, request, progress, gpu)) as entries,
+            ):
                 for entry in entries:  # whatever happens here, the workers end
                     if entry.kept is None:
                         reasons[entry.item] = entry.reason or "no clip is in it"
@@ -154,16 +159,17 @@ def make_dataset(request: DatasetRequest, progress: Progress | None = None) -> S
             reasons,
             survey.passed_over,
             progress.written,
+            [] if gpu is None or gpu.frames == 0 else [gpu.sentence()],
             workers=request.workers,
             cluster=request.cluster,
         )
 
 
 def check_output(request: DatasetRequest) -> None:
-    """Refuses a folder of results that is a source.
+    """Refuses a folder of results that is a source, or a file.
 
     Raises:
-        OutputError: they would, or a file stands in their place.
+        OutputError: with the folder.
     """
     if request.output.exists() and not request.output.is_dir():
         raise OutputError(
@@ -190,7 +196,11 @@ def _finished(store: Store, items: Sequence[Item]) -> dict[str, Kept]:
 
 
 def _retargeted(
-    items: Sequence[Item], folder: Path, request: DatasetRequest, progress: Progress
+    items: Sequence[Item],
+    folder: Path,
+    request: DatasetRequest,
+    progress: Progress,
+    gpu: GpuUse | None,
 ) -> Generator[Entry]:
     """Entries of all items; those of a worker that died are tried once more, each alone."""
 
@@ -199,6 +209,11 @@ def _retargeted(
 
     options: dict[str, Any] = {"workers": request.workers, "cluster": request.cluster, "retries": 1}
     jobs = list(_jobs(items, folder, request))
+    if gpu is not None:
+        for entries in entries_of_gpu(jobs, split, gpu, **options):
+            progress.retargeted(entries)
+            yield from entries
+        return
     for job, result in run_groups(do_job, jobs, split, **options):
         if result.error is not None and result.error.startswith(OutputError.__name__):
             raise OutputError(result.error.partition(": ")[2])  # no space: nothing would go on

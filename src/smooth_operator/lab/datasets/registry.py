@@ -100,7 +100,6 @@ DATASETS: Final = Registry(
             ("hts", "headsets:HTS_RECORDING", "Hand Tracking Streamer (Quest): lines, JSON lines"),
             ("landmarks", "landmarks:LANDMARKS_OF_BOTH_HANDS", "an .npz with 'right' and 'left'"),
             ("parquet", "packed:PACKED", "clips that the format 'parquet' has packed"),
-            ("synthetic", "synthetic:SYNTHETIC", "clips of the built-in operator, by description"),
             ("files", "files:FILES", "any recording of one hand that 'retarget' reads"),
         )
     },

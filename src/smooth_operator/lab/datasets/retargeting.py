@@ -7,7 +7,7 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 
@@ -83,10 +83,12 @@ class Recipe:
         side: retarget this hand only; None for all that a clip has.
         with_objects: keep the contacts of the human's fingertips with objects, in clips that have
             an object with a shape and the wrist's pose, with ``smooth_hand_datasets``.
+        device: device that retargets; the commands of a GPU differ from a CPU's by 1e-4 rad.
 
     Raises:
         ConfigError: objects are to be kept, and the configuration answers frame by frame, or the
-            distribution that does it is not installed.
+            distribution that does it is not installed; a GPU is to retarget what is not retargeted
+            side by side.
     """
 
     request: RetargetRequest
@@ -94,8 +96,14 @@ class Recipe:
     frame: Frame | None = None
     side: Side | None = None
     with_objects: bool = False
+    device: Literal["cpu", "gpu"] = "cpu"
 
     def __post_init__(self) -> None:
+        if self.device == "gpu" and (self.with_objects or self.request.scale == "calibrate"):
+            raise ConfigError(
+                "a GPU retargets clips side by side; clips with objects, or with a scale of their "
+                "own, are retargeted one by one: use --device cpu for them"
+            )
         if self.with_objects:
             if find_spec("smooth_hand_datasets") is None:
                 raise ConfigError(f"retargeting with objects is {RESEARCH_PACKAGE}")
@@ -109,6 +117,7 @@ class Recipe:
         models = [] if mano is None else [*sorted(mano.glob("MANO_*"))] if mano.is_dir() else [mano]
         parts = [package_version(), self.request, self.frame, self.side, specs]
         parts += ["with objects"] if self.with_objects else []
+        parts += ["gpu"] if self.device == "gpu" else []
         return key_digest([*parts, self.reading.rate, [(m.name, digest(m)) for m in models]])
 
     def of_item(self, side: Side | None, rate: float | None) -> Recipe:

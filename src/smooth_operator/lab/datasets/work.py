@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import faulthandler
 import functools
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field, replace
+from multiprocessing import parent_process
 from pathlib import Path
 
 from smooth_operator.compilation.start import dispatch_here
@@ -22,6 +24,9 @@ from smooth_operator.lab.offline.finished import digest
 from smooth_operator.parallel.tasks import describe
 
 _MOST_CLIPS = 1_000_000  # of one fetched file
+
+READING_S = 300.0
+"""Time for reading a clip in a worker [s]; a damaged file can hang a library such as libhdf5."""
 
 
 @dataclass(frozen=True)
@@ -82,16 +87,46 @@ def do_job(job: Job) -> list[Entry]:
         OutputError: the pack can't be written.
     """
     dispatch_here()
-    reasons: dict[str, str] = {}
-    read: list[ReadClip] = []
+    return finish_job(job, read_job(job))
+
+
+@dataclass
+class JobClips:
+    """The clips that were read for a job.
+
+    Attributes:
+        clips: clips, in the order of the items.
+        reasons: item -> reason why it could not be read.
+    """
+
+    clips: list[ReadClip] = field(default_factory=list)
+    reasons: dict[str, str] = field(default_factory=dict)
+
+
+def read_job(job: Job) -> JobClips:
+    """Reads the clips of a job.
+
+    An item that can't be read is an answer like another, and touches no other.
+    """
+    result = JobClips()
     for item in job.items:
         try:
-            read += read_item(item, job.recipe)
+            result.clips += read_item(item, job.recipe)
         except SmoothOperatorError as error:
-            reasons[item.name] = str(error)
+            result.reasons[item.name] = str(error)
         except Exception as error:  # of a damaged file, or a plugin: anything; the others go on
-            reasons[item.name] = describe(error)
-    finished = _retargeted(read, job, reasons)
+            result.reasons[item.name] = describe(error)
+    return result
+
+
+def finish_job(job: Job, read: JobClips) -> list[Entry]:
+    """Retargets the clips of a job and writes them to a pack.
+
+    Raises:
+        OutputError: the pack can't be written.
+    """
+    reasons = dict(read.reasons)
+    finished = _retargeted(read.clips, job, reasons)
     packs = write_pack(job.folder, finished) if finished else {}
     return [Entry(i.name, packs.get(i.name), reasons.get(i.name)) for i in job.items]
 
@@ -151,7 +186,8 @@ def read_item(item: Item, recipe: Recipe) -> Iterator[ReadClip]:
     own = recipe.of_item(item.side, item.rate)
     if item.ref is not None:
         reader = DATASETS.load(item.ref.layout)
-        clip = reader.read(item.ref, own.reading)
+        with _limited():
+            clip = reader.read(item.ref, own.reading)
         if item.frames:
             clip = clip_part(clip, frame_slice(item.frames, len(clip)))
         yield _read_clip(item, item.ref, clip, item.name, recipe)
@@ -169,7 +205,22 @@ def read_item(item: Item, recipe: Recipe) -> Iterator[ReadClip]:
         for ref in refs[:_MOST_CLIPS]:
             stem = item.name.rsplit(".", 1)[0]
             name = stem if len(refs) == 1 else f"{stem}/{ref.name}"
-            yield _read_clip(item, ref, reader.read(ref, own.reading), name, recipe)
+            with _limited():
+                clip = reader.read(ref, own.reading)
+            yield _read_clip(item, ref, clip, name, recipe)
+
+
+@contextmanager
+def _limited() -> Iterator[None]:
+    """Ends a worker of the pool after ``READING_S``, even in a library that never returns."""
+    if parent_process() is None:  # the user's own process, or one of Ray's
+        yield
+        return
+    faulthandler.dump_traceback_later(READING_S, exit=True)
+    try:
+        yield
+    finally:
+        faulthandler.cancel_dump_traceback_later()
 
 
 def _read_clip(item: Item, ref: ClipRef, clip: Clip, name: str, recipe: Recipe) -> ReadClip:

@@ -148,6 +148,7 @@ def write_episodes(
     failed: Mapping[str, str],
     passed_over: Mapping[str, int],
     written: Callable[[int, int], None] = lambda done, count: None,
+    notes: Sequence[str] = (),
     **workers: Any,
 ) -> Summary:
     """Writes the data set and the report; goes on where a run was stopped at this same data set.
@@ -160,6 +161,7 @@ def write_episodes(
         failed: name -> why a clip is missing, for the report.
         passed_over: suffix -> files that no reader knows, for the report.
         written: is called with the number of items that are done, and of all.
+        notes: notes of the run, for the report.
         workers: options of ``run_tasks``.
 
     Raises:
@@ -167,7 +169,9 @@ def write_episodes(
         RecordingError: a pack is damaged.
         WorkerError: the cluster can't be reached, or gave up.
     """
-    summary = Summary(order.output, failed=dict(failed), passed_over=dict(passed_over))
+    summary = Summary(
+        order.output, failed=dict(failed), passed_over=dict(passed_over), notes=[*notes]
+    )
     summary.clips = len(order.items)
     summary.frames = sum(pack.frames for _, pack in order.items)
     if not order.items:

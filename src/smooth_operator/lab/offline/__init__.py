@@ -3,6 +3,7 @@
 from smooth_operator.lab.offline.execution import Outcome as Outcome
 from smooth_operator.lab.offline.execution import Runner as Runner
 from smooth_operator.lab.offline.execution import build as build
+from smooth_operator.lab.offline.execution import built_for as built_for
 from smooth_operator.lab.offline.execution import execute as execute
 from smooth_operator.lab.offline.execution import measure as measure
 from smooth_operator.lab.offline.trajectory_retargeter import (

@@ -106,10 +106,10 @@ def measure(
 Answer: TypeAlias = tuple[CommandTrajectory, Float[np.ndarray, " T"]]
 """Commands without latencies, and the (T,) tracking loss of each frame."""
 
-_SHELF: Final[OrderedDict[object, Runner]] = OrderedDict()
+_SHELF: Final[OrderedDict[object, Any]] = OrderedDict()
 """The retargeters of this process: compiled once, used for every recording that they fit."""
 
-_SHELF_SIZE: Final = 4
+_SHELF_SIZE: Final = 16
 
 
 def tools_of(todo: Plan) -> object:
@@ -131,14 +131,24 @@ def answers(plans: Sequence[Plan], *, keep: bool = True) -> list[Answer]:
     """
     dispatch_here()
     with jax_cache():  # the first batch compiles
-        retargeter = _runner(plans[0]) if keep else runner(plans[0])
+        retargeter: Runner = _shelved(runner, plans[0]) if keep else runner(plans[0])
         return retargeter.batch([each.recording for each in plans])
 
 
-def _runner(todo: Plan) -> Runner:
-    key = tools_of(todo)
+def built_for(todo: Plan) -> tuple[Runner, float]:
+    """Result of ``build``, kept for the next plan of the same hand, configuration and seed.
+
+    Raises:
+        SmoothOperatorError: the method can't serve the hand.
+    """
+    result: tuple[Runner, float] = _shelved(build, todo)
+    return result
+
+
+def _shelved(make: Callable[[Plan], Any], todo: Plan) -> Any:
+    key = (make, tools_of(todo))
     if key not in _SHELF:
-        _SHELF[key] = runner(todo)
+        _SHELF[key] = make(todo)
         while len(_SHELF) > _SHELF_SIZE:
             _SHELF.popitem(last=False)
     _SHELF.move_to_end(key)

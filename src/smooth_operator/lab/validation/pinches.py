@@ -7,17 +7,14 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.hands.hand import Hand
 from smooth_operator.lab.validation.checks import Check
 from smooth_operator.lab.validation.samples import Samples
 
 _MEETS: Final = 0.010  # landmarks lie in the pads or inside the tips, so they need not touch [m]
 _NEAR: Final = 0.030  # [m]
 _MET: Final = 1e-4  # nearer is not worth looking for [m]
-_STARTS: Final = 24
-_STEPS: Final = 40
-_DAMPING: Final = (1e-6, 1e-4, 1e-2)  # of Levenberg and Marquardt, in half ranges [m^2]
-_DIFFERENCE: Final = 1e-5  # of a joint's half range
+_STARTS: Final = 4
+_STEPS: Final = 60
 
 
 def check_pinches(samples: Samples, sound: tuple[str, ...]) -> Check:
@@ -52,49 +49,24 @@ def check_pinches(samples: Samples, sound: tuple[str, ...]) -> Check:
 def closest_pinch(samples: Samples, finger: str) -> float:
     """Smallest distance of the tips of thumb and finger over all poses within the limits [m].
 
-    From the best of many random poses, Levenberg and Marquardt's steps within the limits.
+    Least squares within the limits, from the best of many random poses.
     """
+    from scipy.optimize import least_squares
+
     hand, k = samples.hand, samples.hand.fingers.index(finger)
     apart = np.linalg.norm(samples.tips[:, k] - samples.tips[:, 0], axis=1)
-    q = samples.poses[np.argsort(apart)[:_STARTS]]
-    low, half = hand.limits[:, 0], np.ptp(hand.limits, axis=1) / 2
-    x = (q - low) / half  # 0 to 2
-    used = np.flatnonzero(
-        [np.abs(_gaps(hand, k, low + half * (x + step)) - _gaps(hand, k, q)).max() > 1e-9
-         for step in 1e-3 * np.eye(len(low))]
-    )  # fmt: skip
-    gap = _gaps(hand, k, q)
-    best = (gap**2).sum(axis=1)
-    steps = _DIFFERENCE * np.eye(len(low))[used]
-    for _ in range(_STEPS):
-        if best.min() < _MET**2:
+    low, high = hand.limits.T
+    inset = 1e-6 * (high - low)  # least_squares begins within the limits
+
+    def gap(q: Float[np.ndarray, " m"]) -> Float[np.ndarray, "3"]:
+        tips = hand.tips(hand.full_configuration(q))
+        return np.asarray(tips[k] - tips[0])
+
+    best = np.inf
+    for start in samples.poses[np.argsort(apart)[:_STARTS]]:
+        inside = np.clip(start, low + inset, high - inset)
+        found = least_squares(gap, inside, bounds=(low, high), x_scale=high - low, max_nfev=_STEPS)
+        best = min(best, float(np.linalg.norm(found.fun)))
+        if best < _MET:
             break
-        ahead = _gaps(hand, k, low + half * (x[:, None] + steps))
-        jacobian = (ahead - gap[:, None]) / _DIFFERENCE  # (s, u, 3)
-        for damping in _DAMPING:
-            # (J J' + d I) is 3 x 3: the step in joints is J' of its solution
-            free = _free(x[:, used], np.einsum("suc,sc->su", jacobian, gap))
-            open_jacobian = jacobian * free[..., None]
-            system = np.einsum("suc,sud->scd", open_jacobian, open_jacobian)
-            solved = np.linalg.solve(system + damping * np.eye(3), gap[..., None])[..., 0]
-            trial = x.copy()
-            trial[:, used] -= np.einsum("suc,sc->su", open_jacobian, solved)
-            trial = np.clip(trial, 0, 2)
-            new = _gaps(hand, k, low + half * trial)
-            cost = (new**2).sum(axis=1)
-            better = cost < best
-            x[better], gap[better], best[better] = trial[better], new[better], cost[better]
-    return float(np.sqrt(best.min()))
-
-
-def _gaps(hand: Hand, k: int, q: Float[np.ndarray, "*b m"]) -> Float[np.ndarray, "*b 3"]:
-    tips = hand.tips(hand.full_configuration(q))
-    gap: np.ndarray = tips[..., k, :] - tips[..., 0, :]
-    return gap
-
-
-def _free(x: np.ndarray, uphill: np.ndarray) -> np.ndarray:
-    """Joints that are not pressed against a limit."""
-    pressed = ((x <= 0) & (uphill > 0)) | ((x >= 2) & (uphill < 0))
-    out: np.ndarray = (~pressed).astype(float)
-    return out
+    return best

@@ -82,8 +82,6 @@ def flow_rows(flow: Flow) -> list[dict[str, Any]]:
         add(step, len(codes), " ".join(codes))
     for code, left in flow.withdrawn.items():
         add(f"withdrawn, data {'kept' if left.keep else 'left out'}", 1, code, left.reason)
-    for code, before in flow.replaces.items():
-        add("replacement", 1, code, f"in place of {before}")
     for code, reason in flow.excluded.items():
         add("excluded", 1, code, reason)
     add("analysed", len(flow.analysed), " ".join(flow.analysed))
@@ -111,7 +109,6 @@ def flow_text(flow: Flow) -> str:
         f"{code} withdrew ({', '.join(filter(None, (one.reason, _keep_text(one.keep))))})"
         for code, one in flow.withdrawn.items()
     ]
-    left += [f"{code} took the place of {before}" for code, before in flow.replaces.items()]
     left += [f"{code} was excluded ({reason})" for code, reason in flow.excluded.items()]
     text = "; ".join([*([", ".join(parts)] if parts else []), *left])
     return f"{text}; {len(flow.analysed)} were analysed." if text else ""

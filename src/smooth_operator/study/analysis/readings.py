@@ -1,7 +1,7 @@
 """Further readings of a study, next to the models that are reported.
 
 Success as the full score only; equivalence by two one-sided tests (Schuirmann 1987); interaction of
-retargeter and task; time with failures; preference. Each has its figures, or the reason why it has
+retargeter and task; preference. Each has its figures, or the reason why it has
 none.
 """
 
@@ -38,7 +38,6 @@ from smooth_operator.study.analysis.results import (
     refusable,
 )
 from smooth_operator.study.analysis.separated import split
-from smooth_operator.study.analysis.time_to_success import TimeToSuccess, time_to_success
 from smooth_operator.study.data.rows import StudyData, Trials
 
 ALPHA: Final = 0.05
@@ -180,14 +179,12 @@ class Readings:
 
     Attributes:
         full_success: success as a score of 1, by scope.
-        time_to_success: time with failures, by scope.
         equivalence: equivalence tests by outcome, scope and pair.
         interaction: test of retargeter x task by outcome.
         preference: analysis of the rankings; None without rankings.
     """
 
     full_success: Mapping[str, ScopeResult]
-    time_to_success: Mapping[str, TimeToSuccess | Refused]
     equivalence: Mapping[Outcome, Mapping[str, Mapping[str, Equivalence]]]
     interaction: Mapping[Outcome, Interaction | Refused]
     preference: Preference | Refused | None = None
@@ -214,21 +211,13 @@ def read_further(
         scopes: ``pooled`` and the tasks.
         results: results of mode small-sample.
         interaction: result of ``interactions``.
-        seed: seed of bootstraps and permutations.
+        seed: seed of the permutations.
     """
-    trials, baseline, tasks = data.trials, retargeters[0], scopes[1:]
-    limits = {task.name: task.time_limit_s for task in data.plan.tasks} if data.plan else {}
+    trials, baseline = data.trials, retargeters[0]
     margins = data.plan.margins if data.plan else {}
     rankings = {who: tuple(order) for who, order in data.ranking.items()}
     return Readings(
         full_success={scope: full_success(trials, scope, baseline) for scope in scopes},
-        time_to_success={
-            scope: time_to_success(
-                trials, tasks if scope == POOLED else (scope,), retargeters,
-                limits=limits, seed=seed,
-            )
-            for scope in scopes
-        },
         equivalence={
             outcome: {
                 scope: equivalences(results[outcome][scope], baseline, margins.get(outcome))
@@ -238,7 +227,7 @@ def read_further(
         },
         interaction=interaction,
         preference=preference(rankings, retargeters, seed=seed) if rankings else None,
-    )  # fmt: skip
+    )
 
 
 def interactions(data: StudyData, baseline: str) -> dict[Outcome, Interaction | Refused]:

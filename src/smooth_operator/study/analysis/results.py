@@ -184,22 +184,6 @@ class ScopeResult:
     refused: str | None = None
 
 
-@dataclass(frozen=True)
-class Drawn:
-    """Number with its 95 % percentile interval from a bootstrap over operators."""
-
-    estimate: float
-    lower: float
-    upper: float
-
-
-def drawn(value: float, draws: np.ndarray) -> Drawn:
-    """Returns a number with the 2.5 and 97.5 % points of its draws (draws,), without NaN."""
-    finite = draws[np.isfinite(draws)]
-    low, high = np.percentile(finite, [2.5, 97.5]) if len(finite) else (np.nan, np.nan)
-    return Drawn(float(value), float(low), float(high))
-
-
 def operator_weights(operators: int, *, seed: int, draws: int = DRAWS) -> Float[np.ndarray, "k g"]:
     """Draws counts of each operator in each sample; the first sample has each operator once.
 

@@ -14,13 +14,12 @@ from typing import Any, Final, Literal, TypeAlias
 
 from smooth_operator.errors import StudyError
 from smooth_operator.study.store import events
-from smooth_operator.study.store.clock import Elapsed
 from smooth_operator.study.store.progress import Progress, Trial
 
 Role: TypeAlias = Literal["experimenter", "operator"]
 EVENTS: Final = {event.command: kind for kind, event in events.EVENTS.items() if event.command}
 """Command -> kind of the event that it causes."""
-OTHER: Final = ("choose", "enrol", "replace", "switch", "cancel_start")
+OTHER: Final = ("choose", "enrol", "switch")
 """Commands that cause no event of the current operator."""
 OPERATOR_COMMANDS: Final = ("answer", "form")
 """Commands of the operator's page; the experimenter's page has all others."""
@@ -77,7 +76,7 @@ def command_of(message: Mapping[str, Any], role: Role) -> Command:
 def event_for(
     command: Command,
     progress: Progress,
-    elapsed: Elapsed | None,
+    elapsed_s: float | None,
     measured_s: float | None = None,
     more: Mapping[str, Any] | None = None,
 ) -> events.Event:
@@ -86,7 +85,7 @@ def event_for(
     Args:
         command: request of the page.
         progress: progress of its operator.
-        elapsed: time from the start of the trial to the command; None without a trial.
+        elapsed_s: time from the start of the trial to the command [s]; None without a trial.
         measured_s: time of the trial by a simulation [s]; None without one.
         more: fields that the console knows and the page does not send.
 
@@ -99,7 +98,7 @@ def event_for(
         line = str(values.get("line"))
         values["score"] = progress.capped(line)
         _check_reset(line, progress.running)
-        values["time_s"] = trial_time(progress, elapsed, command.waited_s, measured_s)
+        values["time_s"] = trial_time(progress, elapsed_s, command.waited_s, measured_s)
     elif command.do == "start_block":
         block = progress.step.block
         values["condition"] = "" if block is None else block.condition.name
@@ -133,7 +132,7 @@ def _whole(value: Any) -> int:
 
 def trial_time(
     progress: Progress,
-    elapsed: Elapsed | None,
+    elapsed_s: float | None,
     waited_s: float,
     measured_s: float | None = None,
 ) -> float:
@@ -144,18 +143,18 @@ def trial_time(
 
     Args:
         progress: progress of the operator.
-        elapsed: time from the start of the trial until now.
+        elapsed_s: time from the start of the trial until now [s].
         waited_s: time since the page stopped the clock [s].
         measured_s: time by the clock of a simulation, without pauses [s].
     """
     trial = progress.running
-    if trial is None or elapsed is None:
+    if trial is None or elapsed_s is None:
         raise StudyError(f"operator {progress.operator}: no trial runs that could be scored")
     if trial.undone_time_s is not None:
         return trial.undone_time_s
     if measured_s is not None:
         return round(measured_s, 3)
-    return round(max(0.0, elapsed.seconds - waited_s - trial.paused_s), 3)
+    return round(max(0.0, elapsed_s - waited_s - trial.paused_s), 3)
 
 
 def check_seen(command: Command, progress: Progress) -> None:
@@ -169,7 +168,7 @@ def check_seen(command: Command, progress: Progress) -> None:
     for record in progress.records[command.after :]:
         if isinstance(record.event, events.Amended) and command.do not in ("amend", "undo"):
             continue  # it concerns an earlier trial: the step that is due is the same
-        if not isinstance(record.event, events.ASIDE):
+        if not isinstance(record.event, events.Noted):
             what = record.event.kind.replace("_", " ")
             raise StudyError(
                 f"not done: meanwhile another page, or this console itself, wrote event "

@@ -196,7 +196,6 @@ def _overview(progress: Progress, naming: Naming) -> dict[str, Any]:
         "step": str(step),
         "what": step.what,
         "begun": progress.number > 0,
-        "replaces": progress.replaces,
         "blocks": blocks,
     }
 

@@ -24,7 +24,7 @@ from urllib.parse import urlsplit
 from smooth_operator.errors import MissingExtraError, SmoothOperatorError, StudyError
 from smooth_operator.io.documents import json_object
 from smooth_operator.study.console.access import HOME, LINK, ConsoleAuth, qr_code
-from smooth_operator.study.console.commands import Command, Role, command_of
+from smooth_operator.study.console.commands import Role, command_of
 from smooth_operator.study.console.session_service import SessionService, StoreFailedError
 from smooth_operator.web.files import answer_with, page_files, shielded
 from smooth_operator.web.listening import quiet_options
@@ -80,7 +80,6 @@ class Console:
         self._looks = self._shown = 0
         self._states: dict[Role, dict[str, Any]] = {}
         self._troubles: dict[str, tuple[str, float]] = {}
-        self._under_way: dict[tuple[str, ...], asyncio.Future[int]] = {}
         self._stale = asyncio.Event()
         self._loop: asyncio.AbstractEventLoop | None = None
         self._threads = ThreadPoolExecutor(8, "study-console")
@@ -126,7 +125,6 @@ class Console:
                 ready()
                 await stop.wait()
         finally:
-            self._service.give_up_start()
             for job in jobs:
                 job.cancel()
             await asyncio.gather(*jobs, return_exceptions=True)
@@ -182,7 +180,8 @@ class Console:
     async def _command(self, page: _Page, request: dict[str, Any]) -> None:
         answer: dict[str, Any] = {"type": "done", "token": request.get("token")}
         try:
-            answer["number"] = await self._carried_out(command_of(request, page.role), page.role)
+            command = command_of(request, page.role)
+            answer["number"] = await self._in_thread(self._service.carry_out, command, page.role)
             self._note_trouble("command", None)
         except SmoothOperatorError as error:
             again = isinstance(error, StoreFailedError)
@@ -196,20 +195,6 @@ class Console:
         await self._draw()  # so that "done" comes with the state after it
         page.answers.append(answer)
         page.news.set()
-
-    def _carried_out(self, command: Command, role: Role) -> asyncio.Future[int]:
-        """Carries out a command in a thread; a command that is sent again joins the first thread.
-
-        A start may wait for minutes, and a page that is loaded again sends it again: all threads
-        would wait, and no page could cancel the start.
-        """
-        key = (role, command.token, command.do, command.operator)
-        job = self._under_way.get(key)
-        if job is None:
-            job = self._in_thread(self._service.carry_out, command, role)
-            self._under_way[key] = job
-            job.add_done_callback(lambda _: self._under_way.pop(key))
-        return job
 
     async def _send_news(self, page: _Page) -> None:
         """Sends news to a page; a slow page gets only the newest state."""

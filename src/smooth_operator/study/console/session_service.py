@@ -8,8 +8,7 @@ from __future__ import annotations
 import sqlite3
 import threading
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, nullcontext, suppress
-from dataclasses import replace
+from contextlib import contextmanager, nullcontext
 from datetime import datetime
 from typing import Any, Final
 
@@ -19,12 +18,10 @@ from smooth_operator.study.console.page_state import experimenter_view, operator
 from smooth_operator.study.console.session_teleop import SessionTeleop
 from smooth_operator.study.console.switching import Switch, Teleop
 from smooth_operator.study.design.plan import Plan
-from smooth_operator.study.store.clock import Elapsed
 from smooth_operator.study.store.events import (
     FamiliarisationEnded,
     FamiliarisationStarted,
     Noted,
-    TrialScored,
 )
 from smooth_operator.study.store.nasa_tlx import ENGLISH, TlxWords
 from smooth_operator.study.store.progress import Progress, check_event
@@ -122,20 +119,15 @@ class SessionService:
             StoreFailedError: the event can't be written now.
             SmoothOperatorError: the command is refused; nothing was written.
         """
-        at = self._store.clock.seconds()  # time that is spent here does not count for the trial
+        at = self._store.clock.now()  # time that is spent here does not count for the trial
         with store_failures():
             match command.do:
                 case "choose":
                     return self._choose(command.operator)
-                case "replace":
-                    return self._replace(command, role)
                 case "enrol":
                     return self._enrol(command)
                 case "switch":
                     return self._switch_again()
-                case "cancel_start":
-                    self.give_up_start()
-                    return 0
             if self._hand is not None and command.do in _TELEOP_COMMANDS:
                 return self._write_with(self._hand, command, role, at)
             return self._write(command, role, at)
@@ -170,16 +162,6 @@ class SessionService:
             return self._choose(operator)
         self._changed()
         return 0
-
-    def _replace(self, command: Command, role: Role) -> int:
-        """Gives the rows of an operator who withdrew to a new one."""
-        by = command.fields.get("by")
-        if not isinstance(by, str):
-            raise StudyError("the code of the new operator is missing")
-        with self._lock:
-            self._store.replace(command.operator, by, author=role, token=command.token)
-            self._report_plan(by)
-            return self._choose_new(by)
 
     def _enrol(self, command: Command) -> int:
         """Adds an operator, or tasks for one, to the plan."""
@@ -223,13 +205,12 @@ class SessionService:
         operator = self.operator
         if operator is None:
             return False
-        self._note_clock_steps(operator)
         with store_failures(), self._lock:
             progress = self._store.progress(operator)
             step, block = progress.step, progress.step.block
             if step.what != "familiarise" or block is None or step.since is None:
                 return False
-            moved = self._store.clock.since(step.since, step.clock).seconds
+            moved = (self._store.clock.now() - step.since).total_seconds()
             if moved < progress.plan.protocol.familiarisation_s:
                 return False
             started = max(
@@ -243,17 +224,6 @@ class SessionService:
             self._store.append(operator, event, author="system", token=token)
         return True
 
-    def _note_clock_steps(self, operator: str) -> None:
-        step = self._store.clock.step()
-        if step:
-            text = (
-                f"the machine's clock was set by {step:+.0f} s; this console goes on by its own, "
-                "so durations are right, and moments are as they would be without that"
-            )
-            self._report(text)
-            with store_failures():
-                self._store.append(operator, Noted(text), author="system")
-
     def watch(self) -> None:
         """Looks at the teleoperation, and puts it back on the condition of the current block.
 
@@ -265,16 +235,11 @@ class SessionService:
         try:
             with store_failures():
                 progress = None if self.operator is None else self._store.progress(self.operator)
-                for text in self._hand.watch(progress):
-                    assert progress is not None  # or there is nothing to note
+                text = self._hand.watch(progress)
+                if text and progress is not None:
                     self._store.append(progress.operator, Noted(text), author="system")
         finally:
             self._switching.release()
-
-    def give_up_start(self) -> None:
-        """Ends the wait of a trial for the hand to be clear of the object."""
-        if self._hand is not None:
-            self._hand.scenes.give_up()
 
     # Content of the pages.
 
@@ -307,7 +272,7 @@ class SessionService:
         self,
         command: Command,
         role: Role,
-        at: float,
+        at: datetime,
         measured_s: float | None = None,
         more: Mapping[str, Any] | None = None,
     ) -> int:
@@ -325,12 +290,10 @@ class SessionService:
                 # A connection that was lost may have committed what it did not acknowledge.
                 if (number := self._written_number(command)) is None:
                     raise
-            if isinstance(event, TrialScored) and elapsed is not None and measured_s is None:
-                self._note_doubt(command, progress, elapsed)
         self._changed()
         return number
 
-    def _write_with(self, hand: SessionTeleop, command: Command, role: Role, at: float) -> int:
+    def _write_with(self, hand: SessionTeleop, command: Command, role: Role, at: datetime) -> int:
         """Writes the event of a command, and lets the teleoperation follow it."""
         with self._switching if command.do in _STARTS else nullcontext():
             if (number := self._written_number(command)) is not None:
@@ -339,7 +302,7 @@ class SessionService:
                 progress = self._due(command)
                 elapsed = self._elapsed(progress, at)
                 check_event(progress, event_for(command, progress, elapsed))
-            note = hand.before(command, progress)
+            hand.before(command, progress)
             measured = hand.measured(progress) if command.do == "score" else None
             facts = hand.facts(command, progress)
             try:
@@ -348,9 +311,6 @@ class SessionService:
                 if command.do == "start_trial":
                     hand.scenes.abandon()
                 raise
-            if note:
-                with suppress(StudyError):
-                    self._store.append(command.operator, Noted(note), author="system")
         # ``watch`` compares the hand with the log, so a pause is not seen half done.
         with self._switching if command.do in ("pause", "resume") else nullcontext():
             hand.along(command.do, progress)
@@ -377,22 +337,7 @@ class SessionService:
         check_seen(command, progress)
         return progress
 
-    def _elapsed(self, progress: Progress, at: float) -> Elapsed | None:
-        """Time from the start of the running trial to a moment of the steady clock."""
-        trial, clock = progress.running, self._store.clock
-        if trial is None:
-            return None
-        elapsed = clock.since(trial.started, trial.clock)
-        return replace(elapsed, seconds=elapsed.seconds - (clock.seconds() - at))
-
-    def _note_doubt(self, command: Command, progress: Progress, elapsed: Elapsed) -> None:
-        """Notes in the log why the time of a trial may be wrong."""
-        trial, doubt = progress.running, elapsed.doubt
-        if trial is None or trial.undone_time_s is not None:
-            return
-        if elapsed.seconds < command.waited_s:
-            doubt = "it has no time, since a clock was set: it would have ended before it began"
-        if doubt:
-            with suppress(StudyError):
-                text = f"Trial {trial.number} of {trial.block.task.name}: {doubt}"
-                self._store.append(command.operator, Noted(text), author="system")
+    def _elapsed(self, progress: Progress, at: datetime) -> float | None:
+        """Time from the start of the running trial to a moment [s]."""
+        trial = progress.running
+        return None if trial is None else (at - trial.started).total_seconds()

@@ -16,8 +16,6 @@ from typing import Any, Final
 from smooth_operator.errors import StudyError
 from smooth_operator.study.console.commands import Command
 from smooth_operator.study.console.switching import SceneTrials, Switch
-from smooth_operator.study.design.plan import Block
-from smooth_operator.study.store.events import TrialStarted
 from smooth_operator.study.store.progress import Progress
 
 HIDDEN: Final = "the teleoperation could not be switched; the terminal of the console says why"
@@ -41,11 +39,8 @@ class SessionTeleop:
         self._loaded: tuple[str, tuple[tuple[str, str], ...]] | None = None
         self.scenes = SceneTrials(switch)
 
-    def before(self, command: Command, progress: Progress) -> str:
+    def before(self, command: Command, progress: Progress) -> None:
         """Prepares the hand before a calibration counts, or a block or a trial starts.
-
-        Returns:
-            Text to note in the log; empty for none.
 
         Raises:
             StudyError: the hand can't be prepared; nothing may start.
@@ -60,9 +55,9 @@ class SessionTeleop:
                 ) from error
         if block is not None and command.do == "start_familiarisation":
             with contextlib.suppress(StudyError):  # watching tries again
-                return self.scenes.load(block, with_object=False)
+                self.scenes.load(block, with_object=False)
         if block is None or command.do not in ("start_block", "start_trial"):
-            return ""
+            return
         what = "block" if command.do == "start_block" else "trial"
         try:
             if command.do == "start_block":
@@ -81,10 +76,9 @@ class SessionTeleop:
             if command.do == "start_block":
                 self.switch.look()
                 self.scenes.load(block, with_object=False)
-                return ""
-            note = self.scenes.load(block)
-            self.scenes.begin(progress, block)
-            return note
+            else:
+                self.scenes.load(block)
+                self.scenes.begin(progress, block)
         except StudyError as error:
             raise StudyError(f"the {what} does not start: the simulation: {error}") from error
 
@@ -124,32 +118,24 @@ class SessionTeleop:
 
         Never raises.
         """
-        # An event before the start of a trial can't be undone while the trial runs.
-        undone = progress.undoable
-        if do != "undo" or (undone is not None and isinstance(undone.event, TrialStarted)):
-            self.scenes.along(do, progress)
+        self.scenes.along(do, progress)
 
     def measured(self, progress: Progress) -> float | None:
         """Time of the running trial by the simulation [s]; None where the trial is not over."""
         trial = self.scenes.current(progress, fresh=True)
-        if trial is None or trial.phase != "done" or trial.time_s is None:
-            return None
-        running = progress.running
-        if running is None or trial.pauses >= len(running.pauses):
-            return trial.time_s  # the simulation's own clock was paused, too
-        return max(0.0, trial.time_s - running.paused_within(trial.time_s))
+        return trial.time_s if trial is not None and trial.phase == "done" else None
 
-    def watch(self, progress: Progress | None) -> list[str]:
+    def watch(self, progress: Progress | None) -> str:
         """Looks at the teleoperation; restores condition and scene of the current block.
 
         Returns:
-            Texts to note in the log.
+            Text to note in the log; empty for none.
         """
         block = None if progress is None else progress.begun
         if progress is None or block is None:
             self.switch.look()
-            return []
-        switched, notes = False, []
+            return ""
+        switched = False
         try:
             self.switch.remember(block.condition, progress.begun_with)
             if not self.switch.runs(block.condition) and self.switch.status.state != "refused":
@@ -158,22 +144,15 @@ class SessionTeleop:
             self._set_rate(progress)
             if switched or self._loaded is not None:
                 self._calibrate(_file(progress.calibrations.get(block.task.name, "")))
-            if switched and progress.running is not None:
-                notes.append("the teleoperation ran something else during a trial; switched back")
-            notes.append(self._watch_scene(progress, block))
+            if progress.running is None:
+                # Before the first trial of a block the operator moves without the object.
+                tried = any(trial.block == block for trial in progress.trials)
+                self.scenes.load(block, with_object=None if tried else False)
         except StudyError as error:
             self._report_once(error)
-        return [note for note in notes if note]
-
-    def _watch_scene(self, progress: Progress, block: Block) -> str:
-        if progress.running is None:
-            self.scenes.abandon_stray(progress.operator)
-            # Before the first trial of a block the operator moves without the object.
-            tried = any(trial.block == block for trial in progress.trials)
-            return self.scenes.load(block, with_object=None if tried else False)
-        self.scenes.match_pause(progress)
-        self.scenes.current(progress)
-        return self.scenes.lost(progress)
+        if switched and progress.running is not None:
+            return "the teleoperation ran something else during a trial; switched back"
+        return ""
 
     def again(self, progress: Progress) -> None:
         """Switches once more, on request.
@@ -204,7 +183,6 @@ class SessionTeleop:
             "running": None if self._blind else running,
             "scene": status.task,
             "limit_s": None if block is None else self.scenes.limit_s(block),
-            "waiting": self.scenes.waiting,
             "trial": None if trial is None else {**asdict(trial), "about": None},
         }
 

@@ -2,14 +2,13 @@
 
 The simulation has the scene of the current block, without the object before the first trial of the
 block. Each trial of the protocol has one trial in the simulation, whose record names study,
-operator, block and trial: a console that was started again recognises it.
+operator, block and trial.
 """
 
 from __future__ import annotations
 
 import contextlib
 import threading
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Final, Literal, Protocol, TypeAlias
@@ -22,15 +21,15 @@ from smooth_operator.errors import (
 )
 from smooth_operator.study.design.plan import Block
 from smooth_operator.study.design.protocol import Condition
-from smooth_operator.study.store.events import ASIDE, TrialStarted
 from smooth_operator.study.store.progress import Progress
 
 State: TypeAlias = Literal["unknown", "ready", "switching", "refused", "gone"]
-CLEAR_WAIT_S: Final = 120.0
-"""Longest time that a trial waits for the hand to be clear of the object [s]."""
-_POLL_S: Final = 0.05
-_KEYS: Final = ("operator", "task", "block", "trial", "after")
+_KEYS: Final = ("operator", "task", "block", "trial")
 """Entries that match a simulated trial with one of the log."""
+_OPPOSITES: Final = {
+    "trial_started": "undone", "trial_paused": "resume", "trial_resumed": "pause",
+}  # fmt: skip
+"""Kind of an event -> what the simulation does when it is undone."""
 
 
 class Teleop(Protocol):
@@ -56,8 +55,6 @@ class TrialStatus:
         resets: number of times that the object was put back.
         time_s: time of the trial [s]; None before it is done.
         about: entries that the trial was started with; they name the condition.
-        paused: whether the scene stands still.
-        pauses: number of pauses.
     """
 
     phase: str
@@ -67,8 +64,6 @@ class TrialStatus:
     resets: int
     time_s: float | None
     about: Mapping[str, Any] = field(default_factory=dict)
-    paused: bool = False
-    pauses: int = 0
 
 
 @dataclass(frozen=True)
@@ -215,8 +210,6 @@ def trial_status(answer: object) -> TrialStatus | None:
             int(answer["resets"]),
             None if time_s is None else float(time_s),
             dict(about) if isinstance(about, Mapping) else {},
-            answer.get("paused") is True,
-            int(answer.get("pauses", 0)),
         )
     except (KeyError, TypeError, ValueError):
         return None
@@ -255,7 +248,7 @@ def _default_preset(running: tuple[str, str | None]) -> str | None:
 
 
 class SceneTrials:
-    """Lets the simulation follow the steps of the protocol.
+    """Lets the simulation follow the blocks and trials of the protocol.
 
     Args:
         switch: switch of the running teleoperation.
@@ -263,60 +256,31 @@ class SceneTrials:
 
     def __init__(self, switch: Switch) -> None:
         self._switch = switch
-        self._simulated = False  # there was a scene at some time
-        self._gave_up = threading.Event()
-        self._followed: object = None  # start of the logged trial that the simulation ran
 
-    @property
-    def waiting(self) -> bool:
-        """True while a trial waits for the hand to be clear of the object."""
-        trial = self._switch.status.trial
-        return trial is not None and trial.phase == "waiting"
-
-    def load(self, block: Block, *, with_object: bool | None = None) -> str:
+    def load(self, block: Block, *, with_object: bool | None = None) -> None:
         """Loads the scene of a block, unless the simulation has it.
 
         Args:
             block: the current block.
             with_object: whether the scene is to have its object; None leaves it unchanged.
 
-        Returns:
-            Text for the log; empty if the scene was right.
-
         Raises:
-            StudyError: the scene can't be loaded, or plan and scene contradict each other.
+            StudyError: the scene can't be loaded.
         """
         status, scene = self._switch.status, scene_of(block)
-        self._simulated = self._simulated or status.task is not None
-        if scene is None or not self._simulated or status.state == "gone":
-            return ""
-        check_rubric(block)
-        has_object = status.has_object
-        wrong = with_object is not None and has_object is not None and has_object is not with_object
-        if status.task == scene and not wrong:
-            return ""
-        if status.task is None and not status.simulated:
-            raise StudyError(
-                f"task {block.task.name} ran in a simulation, and the teleoperation has none now; "
-                f"start it with --task {scene}, or this console again if the hand is real"
-            )
+        if scene is None or not status.simulated:
+            return
+        if status.task == scene and with_object in (None, status.has_object):
+            return
         fields = {} if with_object is None else {"object": with_object}
         self._switch.request("task", task=scene, **fields)
         self._switch.look()
-        if self._switch.status.task != scene:
-            raise StudyError(
-                f"task {block.task.name} needs the scene {scene}, but the teleoperation answers "
-                f"that it has {self._switch.status.task or 'none'}"
-            )
-        if status.task == scene:
-            return ""
-        return f"the simulation had {_scene_text(status.task)}; the scene {scene} was loaded"
 
     def begin(self, progress: Progress, block: Block) -> None:
-        """Starts the simulated trial; returns when its clock runs, the hand clear of the object.
+        """Starts the simulated trial.
 
         Raises:
-            StudyError: it can't start, the hand stays at the object, or the start was cancelled.
+            StudyError: it can't start.
         """
         if not self.in_scene(block):
             return
@@ -331,45 +295,16 @@ class SceneTrials:
             "block": block.number,
             "trial": progress.step.trial,
             "trials": block.task.trials,
-            "after": progress.number,
         }
         fields = {} if limit is None else {"limit_s": limit}
-        self._gave_up.clear()
-        answer = self._switch.request("trial", begin=True, when_clear=True, about=about, **fields)
-        try:
-            _check_limit(block, answer)
-            self._wait_until_clear()
-        except StudyError:
-            self.abandon()
-            raise
-
-    def _wait_until_clear(self) -> None:
-        end = time.monotonic() + CLEAR_WAIT_S
-        while (trial := self._switch.look_at_trial()) is not None and trial.phase == "waiting":
-            if self._gave_up.wait(_POLL_S):
-                raise StudyError("its start was cancelled while the hand was in the way")
-            if time.monotonic() > end:
-                raise StudyError(f"the hand was not clear of the object within {CLEAR_WAIT_S:g} s")
-        if trial is None or trial.phase == "ready":
-            raise StudyError("it ended before its clock ran")
-
-    def give_up(self) -> None:
-        """Ends the wait for the hand to be clear."""
-        self._gave_up.set()
+        self._switch.request("trial", begin=True, about=about, **fields)
+        self._switch.look_at_trial()
 
     def abandon(self) -> None:
         """Cancels the simulated trial of a trial that the log does not have."""
         with contextlib.suppress(StudyError):
             self._switch.request("trial", cancel=True)
             self._switch.look_at_trial()
-
-    def abandon_stray(self, operator: str) -> None:
-        """Cancels a simulated trial whose console was killed before it logged the trial."""
-        trial = self._switch.status.trial
-        if trial is None or trial.phase not in ("waiting", "running"):
-            return
-        if "after" in trial.about and trial.about.get("operator") == operator:
-            self.abandon()
 
     def along(self, do: str, progress: Progress) -> None:
         """Lets the simulation follow a trial that was reset, paused, scored, undone or void.
@@ -378,35 +313,25 @@ class SceneTrials:
             do: the command.
             progress: progress before the command.
         """
-        running = progress.running
+        running, undone = progress.running, progress.undoable
         if running is None or not self.in_scene(running.block):
             return
-        if self._switch.status.state == "gone":
-            return
+        if do == "undo" and undone is not None:
+            do = _OPPOSITES.get(undone.event.kind, "")
         with contextlib.suppress(StudyError):
             trial = self._switch.look_at_trial()
             if trial is None or not same_trial(trial.about, progress):
                 return
             if do == "reset":
                 self._switch.request("reset")
-            elif do in ("pause", "resume") and trial.phase == "running":
+            elif do in ("pause", "resume"):
                 self._switch.request("trial", **{do: True})
             elif do == "score" and trial.phase == "running":
                 self._switch.request("trial", finish=True)
-            elif do in ("void", "undo", "withdraw"):
-                mark = "undone" if do == "undo" else "void"
+            elif do in ("void", "undone", "withdraw"):
+                mark = "undone" if do == "undone" else "void"
                 about = {key: trial.about[key] for key in _KEYS}
                 self._switch.request("trial", cancel=True, mark=mark, about=about)
-
-    def match_pause(self, progress: Progress) -> None:
-        """Pauses or resumes the scene as the trial in the log is paused or not."""
-        running, trial = progress.running, self._switch.status.trial
-        if running is None or trial is None or trial.phase != "running":
-            return
-        if running.paused != trial.paused and same_trial(trial.about, progress):
-            with contextlib.suppress(StudyError):
-                self._switch.request("trial", **{"pause" if running.paused else "resume": True})
-                self._switch.look_at_trial()
 
     def current(self, progress: Progress, *, fresh: bool = False) -> TrialStatus | None:
         """Status of the running trial, if the simulation knows all of its resets.
@@ -419,29 +344,14 @@ class SceneTrials:
         if running is None or not self.in_scene(running.block):
             return None
         trial = self._switch.status.trial
-        if fresh and self._switch.status.state != "gone":
+        if fresh:
             trial = None
             with contextlib.suppress(StudyError):
                 trial = self._switch.look_at_trial()
         if trial is None or not same_trial(trial.about, progress):
             return None
-        self._followed = running.started
         right = trial.phase in ("running", "done") and trial.resets == running.resets
         return trial if right else None
-
-    def lost(self, progress: Progress) -> str:
-        """Text for the log, once, where the simulation no longer runs the trial that it ran."""
-        running, status = progress.running, self._switch.status
-        if running is None or status.state == "gone" or self._followed != running.started:
-            return ""
-        trial = status.trial
-        if self.in_scene(running.block) and trial and same_trial(trial.about, progress):
-            return ""
-        self._followed = None
-        return (
-            f"the simulation no longer runs trial {running.number}, but has "
-            f"{_scene_text(status.task)}: void it, or score what was seen"
-        )
 
     def limit_s(self, block: Block) -> float | None:
         """Time limit of the simulated task [s]; None if the simulation has another scene."""
@@ -451,26 +361,17 @@ class SceneTrials:
 
     def in_scene(self, block: Block) -> bool:
         """True if the simulation has the scene of a block."""
-        task = self._switch.status.task
-        return task is not None and task == scene_of(block)
+        status = self._switch.status
+        return status.task is not None and status.task == scene_of(block)
 
 
 def same_trial(about: Mapping[str, Any], progress: Progress) -> bool:
-    """True if a simulated trial was started for the running trial of the log.
-
-    Args:
-        about: entries of the simulated trial.
-        progress: progress of an operator; between ``after`` and the start came only notes.
-    """
-    running, after = progress.running, about.get("after")
-    if running is None or not isinstance(after, int):
+    """True if a simulated trial was started for the running trial of an operator."""
+    running = progress.running
+    if running is None:
         return False
     place = (progress.operator, running.block.task.name, running.block.number, running.number)
-    if tuple(about.get(key) for key in _KEYS[:-1]) != place:
-        return False
-    started = max(r.number for r in progress.records if isinstance(r.event, TrialStarted))
-    between = progress.records[after : started - 1]
-    return after < started and all(isinstance(r.event, ASIDE) for r in between)
+    return tuple(about.get(key) for key in _KEYS) == place
 
 
 def scene_of(block: Block) -> str | None:
@@ -481,38 +382,3 @@ def scene_of(block: Block) -> str | None:
         return task_named(block.task.name).name
     except UnknownNameError:
         return None
-
-
-def check_rubric(block: Block) -> None:
-    """Refuses a plan whose rubric gives another score than the scene for the same line.
-
-    Raises:
-        StudyError: names both scores.
-    """
-    from smooth_operator.simulation.tasks.task_registry import task_named
-
-    planned = {line.name: line.score for line in block.task.rubric}
-    for line in task_named(block.task.name).task.rubric:
-        if planned.get(line.name, line.score) != line.score:
-            raise StudyError(
-                f"line {line.name!r} of the rubric of task {block.task.name} scores "
-                f"{planned[line.name]:g} in the plan and {line.score:g} in the scene; give it "
-                "another name in study.toml, or the same score"
-            )
-
-
-def _check_limit(block: Block, answer: Mapping[str, Any]) -> None:
-    """Refuses a scene that ends a trial at another time than the plan says."""
-    from smooth_operator.simulation.tasks.task_registry import task_named
-
-    planned, limit = block.task.time_limit_s, answer.get("limit_s")
-    used = float(limit) if isinstance(limit, int | float) else task_named(block.task.name).seconds
-    if planned is not None and abs(planned - used) > 1e-6:
-        raise StudyError(
-            f"the time limit of task {block.task.name} is {planned:g} s in the plan and {used:g} s "
-            "in the scene; run console and teleoperation in the same version of smooth-operator"
-        )
-
-
-def _scene_text(scene: str | None) -> str:
-    return "no scene" if scene is None else f"the scene {scene}"

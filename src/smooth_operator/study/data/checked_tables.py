@@ -159,7 +159,7 @@ TRIAL_COLUMNS: Final = (
     "operator", "task", "retargeter", "block", "trial_in_block", "trial_global", "score", "time_s",
 )  # fmt: skip
 MORE_TRIAL_COLUMNS: Final = ("duration_s", "line", "resets", "started_at", "place", "amended")
-"""Further columns of exported trials; an analysis reads the first two if they exist."""
+"""Further columns of exported trials, which the analysis does not read."""
 QUESTIONNAIRE_COLUMNS: Final = ("operator", "task", "retargeter", "block", "point", *ITEMS)
 METRIC_COLUMNS: Final = ("operator", "retargeter")
 """Columns of metrics, followed by one column for each metric."""
@@ -181,13 +181,6 @@ def make_trials(name: str, rows: Rows, unit: str = "row") -> tuple[Trials, tuple
         StudyError: a value does not fit its column; lists problems by row and column.
     """
     table = Checked(name, rows, unit)
-    more: dict[str, np.ndarray] = {}
-    if "duration_s" in rows[0][1]:
-        expected = "a time in seconds from 0, or nothing"
-        more["duration"] = table.numbers("duration_s", expected, lambda x: x >= 0)
-    if "line" in rows[0][1]:
-        lines = ["" if is_missing(row["line"]) else str(row["line"]) for _, row in rows]
-        more["line"] = np.array(lines, str)
     trials = Trials(
         operator=table.words("operator"),
         task=table.words("task"),
@@ -197,7 +190,6 @@ def make_trials(name: str, rows: Rows, unit: str = "row") -> tuple[Trials, tuple
         trial_global=table.counts("trial_global"),
         score=table.numbers("score", "0, 0.5 or 1", lambda x: x in SCORES, optional=False),
         time=table.numbers("time_s", "a time in seconds above 0, or nothing", lambda x: x > 0),
-        **more,
     )
     table.unique(("operator", "task", "block", "trial_in_block"))
     table.unique(("operator", "task", "trial_global"))

@@ -106,7 +106,6 @@ def _flow(plan: Plan, operators: list[Mapping[str, Any]], trials: Any) -> Flow:
             str(o["operator"]) for o in operators if o.get("done") and not o.get("ended_early")
         ),
         withdrawn=withdrawn,
-        replaces={str(o["operator"]): str(o["replaces"]) for o in operators if o.get("replaces")},
         voids={name: voids[name] for name in names},
         undone={name: undone[name] for name in names},
         amended={name: amended[name] for name in names},

@@ -39,7 +39,6 @@ class Flow:
         started: operators who started a block.
         completed: operators who did all of their plan.
         withdrawn: operator -> withdrawal.
-        replaces: operator -> withdrawn operator whose place they took.
         excluded: operator -> reason why their data are left out of the analysis.
         analysed: operators whose data are in the analysis.
         voids: retargeter -> number of trials that were declared void and repeated.
@@ -56,7 +55,6 @@ class Flow:
     started: tuple[str, ...] = ()
     completed: tuple[str, ...] = ()
     withdrawn: Mapping[str, Withdrawal] = field(default_factory=dict)
-    replaces: Mapping[str, str] = field(default_factory=dict)
     excluded: Mapping[str, str] = field(default_factory=dict)
     analysed: tuple[str, ...] = ()
     voids: Mapping[str, int] = field(default_factory=dict)
@@ -107,8 +105,6 @@ class Trials(_Table):
         trial_global: number of the trial in the operator's task, from 1 (n,).
         score: 0, 0.5 or 1 (n,).
         time: completion time [s], NaN where there is none (n,).
-        duration: time from the start to the score, also of failures [s], NaN where unknown (n,).
-        line: line of the rubric, "" where unknown (n,) of str.
     """
 
     task: np.ndarray
@@ -118,13 +114,6 @@ class Trials(_Table):
     trial_global: Int[np.ndarray, " n"]
     score: Float[np.ndarray, " n"]
     time: Float[np.ndarray, " n"]
-    duration: Float[np.ndarray, " n"] = field(default_factory=lambda: np.empty(0))
-    line: np.ndarray = field(default_factory=lambda: np.empty(0, str))
-
-    def __post_init__(self) -> None:
-        for name, unknown in (("duration", np.nan), ("line", "")):
-            if len(getattr(self, name)) == 0:
-                object.__setattr__(self, name, np.full(len(self), unknown))
 
     @property
     def success(self) -> np.ndarray:

@@ -29,16 +29,10 @@ COLUMNS: Final = (
 )  # fmt: skip
 
 
-def schedule_csv(plan: Plan, *, blind: bool = False) -> str:
-    """Returns the schedule as CSV, one row for each block.
-
-    Args:
-        plan: plan of the study.
-        blind: leave out the columns that show the condition of a label.
-    """
-    columns = [name for name in COLUMNS if not (blind and name in ("condition", "row"))]
+def schedule_csv(plan: Plan) -> str:
+    """Returns the schedule as CSV, one row for each block."""
     return csv_text(
-        columns,
+        COLUMNS,
         (
             {
                 "operator": block.operator,
@@ -58,40 +52,17 @@ def schedule_csv(plan: Plan, *, blind: bool = False) -> str:
     )
 
 
-def schedule_table(plan: Plan, *, blind: bool = True) -> list[list[str]]:
-    """Returns a heading and one row for each operator and task, for printing.
-
-    Args:
-        plan: plan of the study.
-        blind: show labels instead of conditions.
-    """
+def schedule_table(plan: Plan) -> list[list[str]]:
+    """Returns a heading and one row for each operator and task, for printing."""
     count = len(plan.protocol.conditions)
-    heading = ["operator", "task", *(f"block {k}" for k in range(1, count + 1)), "done"]
-    rows = [heading]
-    for one in plan.enrolled:
-        for task in one.rows:
-            blocks = plan.blocks(one.code, task)
-            shown = [b.condition.label if blind else b.condition.name for b in blocks]
-            rows.append([one.code, task, *shown, "[ ]"])
-    return rows
-
-
-def schedule_text(plan: Plan) -> str:
-    """Returns the schedule as plain text for the wall, with labels instead of conditions."""
-    protocol = plan.protocol
-    rows = schedule_table(plan)
-    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-    lines = [protocol.name, "=" * len(protocol.name), ""]
-    for task in protocol.tasks:
-        after = ", ".join(map(str, protocol.questionnaire_trials(task))) or "none"
-        lines.append(
-            f"Task {task.name} ({task.title or 'untitled'}): {protocol.familiarisation_s:g} s of "
-            f"free movement, then blocks of {task.trials} trials; questionnaires after {after}"
-        )
-    lines.append("")
-    lines += ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip()
-              for row in rows]  # fmt: skip
-    return "\n".join(lines) + "\n"
+    return [
+        ["operator", "task", *(f"block {k}" for k in range(1, count + 1))],
+        *(
+            [one.code, task, *(block.condition.name for block in plan.blocks(one.code, task))]
+            for one in plan.enrolled
+            for task in one.rows
+        ),
+    ]
 
 
 def imbalances(plan: Plan) -> Iterator[str]:
@@ -405,11 +376,6 @@ class Plan:
         """Returns the plan without an operator."""
         self.enrolment(operator)
         return replace(self, enrolled=tuple(o for o in self.enrolled if o.code != operator))
-
-    def replace_operator(self, operator: str, by: str) -> Plan:
-        """Returns the plan with a new operator who has the rows of one who left."""
-        new = Enrolment(check_name(by, "operator"), dict(self.enrolment(operator).rows))
-        return replace(self, enrolled=(*self.enrolled, new))
 
     def balance(self, task: str) -> Balance:
         """Counts of places and neighbours of the conditions over the operators of a task."""

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import tomllib
 from collections.abc import Iterator, Mapping
-from dataclasses import MISSING, fields, is_dataclass, replace
+from dataclasses import MISSING, fields, is_dataclass
 from pathlib import Path
 from typing import Any, Final, Literal, TypeVar, get_args, get_origin, get_type_hints
 
@@ -20,7 +19,6 @@ from smooth_operator.study.design.plan import (
     Plan,
     make_plan,
     schedule_csv,
-    schedule_text,
 )
 from smooth_operator.study.design.preregistration import NAME as PREREGISTRATION
 from smooth_operator.study.design.preregistration import preregistration
@@ -271,7 +269,7 @@ def _key(name: str) -> str:
 
 
 def write_plan_files(plan: Plan, folder: Path) -> list[Path]:
-    """Writes plan and schedules; replaces earlier ones.
+    """Writes plan and schedule; replaces earlier ones.
 
     Args:
         plan: plan of the study.
@@ -283,42 +281,24 @@ def write_plan_files(plan: Plan, folder: Path) -> list[Path]:
     Raises:
         OutputError: a file can't be written.
     """
-    written = [write_plan(plan, folder / NAME)]
-    texts = {"schedule.csv": schedule_csv(plan), "schedule.txt": schedule_text(plan)}
-    for name, text in texts.items():
-        with atomic_write(folder / name) as file:
-            file.write(text.encode("utf-8"))
-        written.append(folder / name)
-    return written
+    schedule = folder / "schedule.csv"
+    with atomic_write(schedule) as file:
+        file.write(schedule_csv(plan).encode("utf-8"))
+    return [write_plan(plan, folder / NAME), schedule]
 
 
-def write_preregistration(plan: Plan, folder: Path) -> Path | None:
-    """Writes ``PREREGISTRATION.md``, unless the folder has that of this plan.
-
-    Call it only before anyone has begun. The text of another plan, which may have been completed by
-    hand, is renamed to ``EARLIER``.
-
-    Returns:
-        The file; None if it was not written.
+def write_preregistration(plan: Plan, folder: Path) -> Path:
+    """Writes ``PREREGISTRATION.md``; an earlier one is renamed to ``EARLIER``.
 
     Raises:
         OutputError: it can't be written.
     """
     path = folder / PREREGISTRATION
-    mark = f"<!-- plan {_digest(plan)} -->"
     try:
-        there = path.read_text("utf-8", errors="replace") if path.is_file() else None
-        if there is not None and mark in there:
-            return None
-        if there is not None:
+        if path.is_file():
             path.replace(folder / EARLIER)
     except OSError as error:
         raise output_error(path, error) from error
     with atomic_write(path) as file:
-        file.write(f"{preregistration(plan)}\n{mark}\n".encode())
+        file.write(preregistration(plan).encode())
     return path
-
-
-def _digest(plan: Plan) -> str:
-    """Digest of the plan without its operators."""
-    return hashlib.sha256(plan_text(replace(plan, enrolled=())).encode()).hexdigest()[:16]

@@ -115,13 +115,7 @@ class FamiliarisationStarted(
     due=("start_familiarisation",),
     line="Free movement began",
 ):
-    """Free movement and its countdown started.
-
-    Attributes:
-        clock: reading of the steady clock, see ``smooth_operator.study.store.clock``.
-    """
-
-    clock: str = field(default="", compare=False)
+    """Free movement and its countdown started."""
 
 
 @dataclass(frozen=True)
@@ -135,13 +129,7 @@ class FamiliarisationEnded(
 class TrialStarted(
     _TrialEvent, command="start_trial", due=("start_trial",), line="Trial {0.trial} started"
 ):
-    """The clock of a trial started.
-
-    Attributes:
-        clock: reading of the steady clock, see ``smooth_operator.study.store.clock``.
-    """
-
-    clock: str = field(default="", compare=False)
+    """The clock of a trial started."""
 
 
 @dataclass(frozen=True)
@@ -193,11 +181,9 @@ class TrialPaused(
 
     Attributes:
         reason: reason of the pause.
-        clock: reading of the steady clock, see ``smooth_operator.study.store.clock``.
     """
 
     reason: str = ""
-    clock: str = field(default="", compare=False)
 
 
 @dataclass(frozen=True)
@@ -287,17 +273,6 @@ class Withdrawn(Event, command="withdraw"):
 
 
 @dataclass(frozen=True)
-class Replaces(Event, line="Takes the place of {0.operator}"):
-    """The operator has the rows of one who withdrew.
-
-    Attributes:
-        operator: pseudonym of the operator who withdrew.
-    """
-
-    operator: str
-
-
-@dataclass(frozen=True)
 class FormAnswered(Event, command="form", due=("form",), line="Form {0.form} filled in"):
     """A form of the study was filled in.
 
@@ -355,10 +330,6 @@ class Undone(Event, command="undo", line="Event {0.number} undone{why}"):
 
     number: int
     reason: str = ""
-
-
-ASIDE: Final = (Noted, Replaces)
-"""Events that do not change the next step, and can't be undone."""
 
 
 @dataclass(frozen=True)

@@ -160,7 +160,6 @@ def operator_json(progress: Progress) -> dict[str, Any]:
         "operator": progress.operator,
         "done": progress.step.what == "done",
         "withdrawn": next(iter(events(Withdrawn)), None),
-        "replaces": progress.replaces or None,
         "forms": {
             name: {"at": at.isoformat(), "answers": answers}
             for name, (at, answers) in progress.forms.items()

@@ -17,7 +17,6 @@ from smooth_operator.study.design.forms import Form, When
 from smooth_operator.study.design.plan import Block, Plan
 from smooth_operator.study.design.protocol import Point
 from smooth_operator.study.store.events import (
-    ASIDE,
     Amended,
     BlockEnded,
     BlockStarted,
@@ -28,10 +27,10 @@ from smooth_operator.study.store.events import (
     FamiliarisationEnded,
     FamiliarisationStarted,
     FormAnswered,
+    Noted,
     QuestionnaireAnswered,
     Recalibrated,
     Record,
-    Replaces,
     TrialPaused,
     TrialReset,
     TrialResumed,
@@ -64,7 +63,6 @@ class Step:
         trial: number of the trial in the block, from 1; None without a trial.
         point: initial, midpoint or final, for a questionnaire.
         since: start of the free movement, trial, pause or break.
-        clock: reading of the steady clock at that start, for free movement, trial and pause.
         form: name of the form that is due.
     """
 
@@ -73,7 +71,6 @@ class Step:
     trial: int | None = None
     point: Point | None = None
     since: datetime | None = None
-    clock: str = ""
     form: str | None = None
 
     def __str__(self) -> str:
@@ -104,7 +101,6 @@ class Trial:
         block: block of the plan.
         number: number in the block, from 1.
         started: time of the start.
-        clock: reading of the steady clock at the start; empty if there is none.
         resets: number of times that the object was put back.
         line: line of the rubric; None while the trial runs, or if it is void.
         score: score of that line; None like ``line``.
@@ -112,14 +108,12 @@ class Trial:
         void: reason why the trial does not count; None if it counts.
         undone_time_s: time of a score that was undone, for scoring the trial again [s].
         pauses: start, length [s] (None while it lasts) and reason of each pause of the clock.
-        paused_clock: reading of the steady clock at the start of the last pause.
         amended: whether line, score or time differ from the first scoring.
     """
 
     block: Block
     number: int
     started: datetime
-    clock: str = ""
     resets: int = 0
     line: str | None = None
     score: float | None = None
@@ -127,21 +121,12 @@ class Trial:
     void: str | None = None
     undone_time_s: float | None = None
     pauses: tuple[tuple[datetime, float | None, str], ...] = ()
-    paused_clock: str = ""
     amended: bool = False
 
     @property
     def paused_s(self) -> float:
         """Length of the pauses that are over [s]."""
         return sum(length or 0.0 for _, length, _ in self.pauses)
-
-    def paused_within(self, seconds: float) -> float:
-        """Length of the pauses in the first ``seconds`` of the trial [s].
-
-        For a simulation whose own clock ran on in the pauses.
-        """
-        parts = ((at - self.started, length or 0.0) for at, length, _ in self.pauses)
-        return sum(min(max(0.0, seconds - a.total_seconds()), length) for a, length in parts)
 
     @property
     def paused(self) -> bool:
@@ -184,13 +169,12 @@ class Progress:
         amendments: record of each correction, its trial, and line, score and time [s] before it.
         ended_early: (task, block) of blocks whose rest was left out.
         withdrawn: withdrawal of the operator; None while the operator takes part.
-        replaces: operator whose rows this one has; empty if they are new.
         forms: name of a form -> time of the answers, and the answers.
         scored: (task, block) -> number of scored trials.
         answered: (task, block, point) of answered questionnaires.
         calibrations: task -> file or remark of the last calibration.
         started: (task, block) -> method and preset that the hand reported to run.
-        moving: start of the free movement and clock reading then; None without free movement.
+        moving: start of the free movement; None without free movement.
         moved: (task, block) whose free movement is over.
     """
 
@@ -204,13 +188,12 @@ class Progress:
     amendments: list[tuple[Record, Trial, tuple[Any, ...]]] = field(default_factory=list)
     ended_early: set[tuple[str, int]] = field(default_factory=set)
     withdrawn: Withdrawn | None = None
-    replaces: str = ""
     forms: dict[str, tuple[datetime, dict[str, Any]]] = field(default_factory=dict)
     scored: Counter[tuple[str, int]] = field(default_factory=Counter)
     answered: set[tuple[str, int, Point]] = field(default_factory=set)
     calibrations: dict[str, str] = field(default_factory=dict)
     started: dict[tuple[str, int], tuple[str, str]] = field(default_factory=dict)
-    moving: tuple[datetime, str] | None = None
+    moving: datetime | None = None
     moved: set[tuple[str, int]] = field(default_factory=set)
 
     def __post_init__(self) -> None:
@@ -237,15 +220,12 @@ class Progress:
             return Step("start_block", block)
         if key not in self.moved and self.plan.protocol.familiarisation_s > 0:
             if self.moving is not None:
-                since, clock = self.moving
-                return Step("familiarise", block, since=since, clock=clock)
+                return Step("familiarise", block, since=self.moving)
             return Step("start_familiarisation", block)
         if (running := self.running) is not None:
             if running.paused:
-                since, clock = running.pauses[-1][0], running.paused_clock
-                return Step("paused", block, running.number, since=since, clock=clock)
-            since, clock = running.started, running.clock
-            return Step("trial", block, running.number, since=since, clock=clock)
+                return Step("paused", block, running.number, since=running.pauses[-1][0])
+            return Step("trial", block, running.number, since=running.started)
         done = self.scored[key]
         point = block.questionnaires.get(done)
         if point is not None and (*key, point) not in self.answered:
@@ -261,7 +241,7 @@ class Progress:
     def undoable(self) -> Record | None:
         """The event that ``Undone`` would take back now: the last one that counts."""
         for record in reversed(self.effective):
-            if not isinstance(record.event, ASIDE):
+            if not isinstance(record.event, Noted):
                 return record
         return None
 
@@ -409,17 +389,16 @@ class Progress:
             case BlockStarted():
                 self.started[place] = (event.method, event.preset)
             case FamiliarisationStarted():
-                self.moving = (at, event.clock)
+                self.moving = at
             case FamiliarisationEnded():
                 self.moving = None
                 self.moved.add(place)
             case TrialStarted():
-                self.trials.append(Trial(self._current(), event.trial, at, event.clock))
+                self.trials.append(Trial(self._current(), event.trial, at))
             case TrialReset() if last is not None:
                 last.resets += 1
             case TrialPaused() if last is not None:
                 last.pauses += ((at, None, event.reason),)
-                last.paused_clock = event.clock
             case TrialResumed() if last is not None:
                 last.end_pause(event.paused_s)
             case TrialScored() if last is not None:
@@ -445,8 +424,6 @@ class Progress:
                 self.breaks.append((at, None))
             case BreakEnded():
                 self._end_break(at)
-            case Replaces():
-                self.replaces = event.operator
             case Withdrawn():
                 if self.running is not None:
                     self._void(WITHDREW, at)
@@ -501,10 +478,7 @@ def check_event(state: Progress, event: Event) -> None:
     """
     step = state.step
     match event:
-        case Replaces():
-            if state.records:
-                raise _refusal(state, "has begun already, and can't replace anybody")
-        case _ if isinstance(event, ASIDE):
+        case Noted():
             return
         case Undone():
             due = state.undoable

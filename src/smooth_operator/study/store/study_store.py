@@ -7,9 +7,10 @@ to one store; each decides on what is stored when its turn comes.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from sqlite3 import Connection, Row
 from typing import Final
@@ -17,18 +18,11 @@ from typing import Final
 from smooth_operator.errors import StudyError
 from smooth_operator.study.design.plan import Plan
 from smooth_operator.study.design.plan_file import plan_of, plan_table
-from smooth_operator.study.store.clock import Clock
 from smooth_operator.study.store.database import Database, stored
 from smooth_operator.study.store.events import (
     Event,
-    FamiliarisationStarted,
     Record,
-    Replaces,
-    TrialPaused,
     TrialResumed,
-    TrialStarted,
-    Undone,
-    Withdrawn,
     event_of,
     payload,
 )
@@ -36,6 +30,25 @@ from smooth_operator.study.store.progress import Progress, check_event, replay
 
 AUTHORS: Final = ("experimenter", "operator", "system")
 """Possible authors of an event."""
+
+
+class Clock:
+    """Time of day at the start of the program, and from then on a clock that nobody sets.
+
+    Args:
+        wall: time of day [s since 1970].
+        steady: clock that never jumps [s].
+    """
+
+    def __init__(
+        self, wall: Callable[[], float] = time.time, steady: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._steady = steady
+        self._start = datetime.fromtimestamp(wall(), UTC) - timedelta(seconds=steady())
+
+    def now(self) -> datetime:
+        """Returns this moment in UTC, later than all before even if the machine's clock is set."""
+        return self._start + timedelta(seconds=self._steady())
 
 
 def open_study(target: str | Path, plan: Plan | None = None) -> StudyStore:
@@ -96,15 +109,12 @@ class StudyStore:
             return tuple(row["operator"] for row in connection.execute(query))
 
     def absent(self) -> tuple[str, ...]:
-        """Operators who withdrew with their data, and have no replacement."""
+        """Operators who withdrew with their data, whose rows are free."""
         everyone = [self.progress(code) for code in self.plan.codes]
-        replaced = {progress.replaces for progress in everyone}
         return tuple(
             progress.operator
             for progress in everyone
-            if progress.withdrawn is not None
-            and not progress.withdrawn.keep
-            and progress.operator not in replaced
+            if progress.withdrawn is not None and not progress.withdrawn.keep
         )
 
     def append(
@@ -143,53 +153,13 @@ class StudyStore:
                 return record
             progress = self._updated(connection, operator)
             check_event(progress, event)
-            if isinstance(event, TrialStarted | FamiliarisationStarted | TrialPaused):
-                event = replace(event, clock=self.clock.reading())
-            elif isinstance(event, TrialResumed) and progress.step.since is not None:
-                length = self.clock.since(progress.step.since, progress.step.clock).seconds
+            at = self.clock.now()
+            if isinstance(event, TrialResumed) and progress.step.since is not None:
+                length = (at - progress.step.since).total_seconds()
                 event = replace(event, paused_s=round(max(0.0, length), 3))
-            elif isinstance(event, Undone):
-                undone = progress.undoable
-                if undone is not None and isinstance(undone.event, Withdrawn):
-                    _check_not_replaced(connection, operator)
-            record = Record(progress.number + 1, self.clock.now(), author, event)
+            record = Record(progress.number + 1, at, author, event)
             _insert(connection, operator, record, token)
         # The cache is updated by the next read: only committed events are folded.
-        return record
-
-    def replace(
-        self, withdrawn: str, by: str, *, author: str = "experimenter", token: str | None = None
-    ) -> Record:
-        """Gives the rows of an operator who withdrew to a new one, in one transaction.
-
-        Args:
-            withdrawn: pseudonym of the operator who left.
-            by: pseudonym of the new operator.
-            author: one of ``AUTHORS``.
-            token: as in ``append``.
-
-        Returns:
-            The first event of the new operator.
-
-        Raises:
-            StudyError: the operator has not withdrawn or is replaced already, or the new one is
-                enrolled.
-            UnknownNameError: no such operator takes part.
-        """
-        with self._database.writing() as connection:
-            self._enter(connection, withdrawn)
-            if token is not None and (written := self._by_token(connection, token)) is not None:
-                return written[1]
-            if self._updated(connection, withdrawn).withdrawn is None:
-                raise StudyError(f"operator {withdrawn} has not withdrawn; nobody can replace them")
-            _check_not_replaced(connection, withdrawn)
-            before = self._newest_plan(connection)
-            if by in (*before.codes, *self.erased):
-                raise StudyError(f"{by} is or was an operator already; a new one needs a new code")
-            _insert_plan(connection, before.replace_operator(withdrawn, by))
-            self._enter(connection, by)
-            record = Record(1, self.clock.now(), author, Replaces(withdrawn))
-            _insert(connection, by, record, token)
         return record
 
     def recorded(self, token: str) -> tuple[str, Record] | None:
@@ -379,14 +349,6 @@ def _check_revision(before: Plan, plan: Plan, begun: Sequence[Row]) -> None:
                 f"operator {row['operator']} has begun with {dict(rows)}; tasks can be added "
                 "at the end, not taken away or given another row"
             )
-
-
-def _check_not_replaced(connection: Connection, operator: str) -> None:
-    """Refuses to undo a withdrawal, or to replace an operator, whose rows another one has."""
-    query = "SELECT * FROM events WHERE kind = ?"
-    for row in connection.execute(query, (Replaces.kind,)):
-        if record_of(row).event == Replaces(operator):
-            raise StudyError(f"operator {row['operator']} has replaced {operator} already")
 
 
 def _check_not_erased(connection: Connection, operator: str) -> None:

@@ -1,8 +1,8 @@
-"""Browser pages and moving pictures of hands. Needs the extra ``teleop``."""
+"""Browser pages, and pictures of hands. Needs the extra ``teleop``."""
 
 from smooth_operator.errors import require
 from smooth_operator.lazy_names import public_names
 
-require("a page of a hand", "teleop", "viser", "trimesh")
+require("a page or picture of a hand", "teleop", "viser", "trimesh", "matplotlib")
 
 __getattr__, __dir__, __all__ = public_names(__name__, __file__)

@@ -116,7 +116,7 @@ class _Page:
             "commands of each cell: cells/.",
             styles=(here / "player.css",),
             scripts=(here / "player.js", SORTING),
-            without_scripts=".stills { display: block; } .player { display: none; }",
+            without_scripts=".player { display: none; }",
         )
 
     def _header(self, settings: Settings, failed: int) -> Html:
@@ -275,15 +275,8 @@ class _Page:
         hands = sum(len(p.runs) + 1 for p in self._panels.values())
         parts = [player(make_clip(panel, self._colors, hands))]
         with styled():
-            stills, tips = (
-                figures.still_figure(panel, self._colors),
-                figures.fingertip_figure(panel, self._colors),
-            )
+            tips = figures.fingertip_figure(panel, self._colors)
             joints = figures.joint_figure(panel, self._colors)
-        drawn = self._plots.element(
-            stills, f"stills-{name}", "Human (grey) and robot, palm in sight."
-        )
-        parts.append(element("div", drawn, class_="stills"))
         parts.append(
             self._plots.element(
                 tips,

@@ -10,9 +10,7 @@
     README.md                                       the columns and their units
 
 LeRobot has one number of frames a second. Clips that are more than a quarter of a frame away from
-it are resampled. Several writers can't share one data set, since its frames are numbered through:
-part i of n is a data set of its own, in ``part-0000i``, and LeRobot's ``aggregate_datasets`` makes
-one of them.
+it are resampled. One writer writes all, since frames are numbered through.
 """
 
 from __future__ import annotations
@@ -80,9 +78,6 @@ class _Writer(ShardedWriter):
         fixed = {name: getattr(options, name) for name in ("rate", "action", "videos", "objects")}
         fixed["absent"] = options.absent
         fixed["joints"] = {side: list(names) for side, names in options.joints.items()}
-        if options.parts > 1:
-            output = output / f"part-{options.part:05d}"
-            options = replace(options, part=0, parts=1)
         super().__init__(output, options, "lerobot", _FILE_MB, fixed)
 
     def _path(self, template: str, number: int) -> Path:

@@ -33,7 +33,8 @@ class WritingOptions:
             with ``valid`` false; ``refuse``.
         objects: LeRobot: for how many objects a frame has columns.
         shard_mb: size at which a shard is full [MB]; None for the format's own choice.
-        part: number of this writer among ``parts``, which write to one folder at a time.
+        part: number of this writer among ``parts``, which write to one folder at a time; for
+            formats that are ``parallel``.
         parts: number of writers that share the folder.
         apart: the parts hold different clips, so that a writer need not look at what the others
             have written: with a thousand parts that takes longer than to write one.

@@ -16,12 +16,6 @@ from smooth_operator.study.analysis.mixed import fit_mixed
 from smooth_operator.study.analysis.operators import operator_means
 from smooth_operator.study.analysis.report.tables import p_equation, scope_name, signed, span
 from smooth_operator.study.analysis.results import MODES, POOLED, Outcome
-from smooth_operator.study.analysis.time_to_success import (
-    COMPETING,
-    SUCCESS,
-    TimeToSuccess,
-    incidence,
-)
 from smooth_operator.study.data.rows import ITEMS
 
 if TYPE_CHECKING:
@@ -348,37 +342,6 @@ def _quantiles(axes: Axes, residuals: np.ndarray) -> None:
     axes.set_ylabel("residual / SD")
 
 
-def incidence_figure(analysis: Analysis, colors: Colors) -> Figure | None:
-    """Draws the share of all trials that have succeeded by a time, by task; failures never do."""
-    reading = analysis.readings.time_to_success[POOLED]
-    if not isinstance(reading, TimeToSuccess):
-        return None
-    tasks, trials = analysis.scopes[1:], analysis.data.trials
-    figure, panels = _panels(tasks, len(tasks), (2.6, 3.1), (1.0, 0.0), sharey=True)
-    usable = ~(trials.success & np.isnan(trials.time))
-    for axes, task in zip(panels, tasks, strict=True):
-        limit = reading.limits[task]
-        for name in analysis.retargeters:
-            rows = usable & (trials.task == task) & (trials.retargeter == name)
-            if not rows.any():
-                continue
-            times = np.where(trials.success[rows], trials.time[rows], limit)
-            events = np.where(trials.success[rows], SUCCESS, COMPETING)
-            curve = incidence(times, events, np.ones((1, int(rows.sum()))))
-            inside = curve.times <= limit
-            axes.step(
-                [0.0, *curve.times[inside], limit],
-                100 * np.array([0.0, *curve.reached[0, inside], curve.at(limit)[0]]),
-                where="post", color=colors[name], linewidth=1.5,
-                label=name if task == tasks[0] else None,
-            )  # fmt: skip
-        axes.set_xlabel("time [s]")
-        axes.set_ylim(0, 100)
-        axes.set_xlim(0, limit)
-    panels[0].set_ylabel("succeeded [%]")
-    return _legend(figure, analysis.retargeters)
-
-
 FIGURES: Final[Mapping[str, Callable[[Analysis, Colors], "Figure | None"]]] = {
     "success": success_figure,
     "time": time_figure,
@@ -387,7 +350,6 @@ FIGURES: Final[Mapping[str, Callable[[Analysis, Colors], "Figure | None"]]] = {
     "operators-success": _violins("success"),
     "operators-time": _violins("time"),
     "operators-tlx": _violins("tlx"),
-    "time-to-success": incidence_figure,
     "correlations": correlation_figure,
     "residuals": residual_figure,
 }

@@ -95,14 +95,6 @@ const actions = {
       { name: 'keep', label: 'The data so far', type: 'select', options: [
         { value: 'keep', text: 'is kept and may be analysed' }, { value: 'leave', text: 'is left out of the analysis' }] },
       { name: 'reason', label: 'Reason, if given' }], 'Withdraw', ({ keep: choice, reason }) => ({ keep: choice === 'keep', reason })),
-  async replace() {
-    const now = link.state.now;
-    const answer = await ask(`Replace operator ${now.operator}`, 'A new operator gets the same tasks and orders of conditions.',
-      [{ name: 'code', label: 'Code of the new operator', required: true, pattern: CODE, maxLength: 64 }], 'Enrol');
-    if (!answer) return;
-    refusal = '';
-    link.command('replace', now.operator, { by: answer.code });
-  },
   async amend(block, trial) {
     const send = actions.sender();
     const { study } = link.state;
@@ -154,7 +146,7 @@ function draw() {
   if (!state?.study) return;
   drawHead(state);
   const blocked = !link.connected || link.pending;
-  const key = JSON.stringify([state.now, state.teleop?.trial, state.teleop?.waiting, state.links, state.pages, blocked, link.connected, link.pending, stopped.at]);
+  const key = JSON.stringify([state.now, state.teleop?.trial, state.links, state.pages, blocked, link.connected, link.pending, stopped.at]);
   if (key !== drawn) {
     drawStep(part('step'), state, actions, blocked);
     drawLog(state.log);

@@ -81,13 +81,6 @@ export class Link extends EventTarget {
     return entry.token;
   }
 
-  /** Sends a command that does not wait for earlier ones, and is lost without a connection. */
-  urge(what, operator) {
-    if (!this.connected) return;
-    const command = { token: token(), do: what, operator, fields: {}, after: null, waited_s: 0 };
-    this.socket.send(JSON.stringify({ type: 'command', ...command }));
-  }
-
   /** True while a command other than a note waits for its answer. */
   get pending() {
     return this.outbox.some((entry) => entry.do !== 'note');

@@ -69,11 +69,8 @@ const STEPS = {
     return [
       h('h2', {}, `Trial ${now.trial} of ${now.trials}`),
       now.instruction && h('p', {}, now.instruction),
-      state.teleop?.waiting && h('p', { class: 'notice', role: 'status' }, 'Waiting for the hand to be clear of the object; then the clock starts.'),
       h('div', { class: 'row' }, main(`Start trial ${now.trial}`, 'Space', blocked,
-        () => actions.send('start_trial', actions.place('task', 'block', 'trial'))),
-      state.teleop?.waiting && button('Do not start', { key: 'E', id: 'cancel-start', kind: 'quiet',
-        onclick: () => actions.link.urge('cancel_start', now.operator) })),
+        () => actions.send('start_trial', actions.place('task', 'block', 'trial')))),
       rubric(now, actions, true),
     ];
   },
@@ -123,12 +120,9 @@ const STEPS = {
     return [h('h2', {}, 'Consent refused'),
       h('p', {}, `Operator ${now.operator} did not agree to take part, so nothing can start. If it was a slip, undo it; the form is asked once more.`)];
   },
-  withdrawn(now, state, actions, blocked) {
-    const by = state.overview.find((one) => one.replaces === now.operator);
+  withdrawn(now) {
     return [h('h2', {}, 'Withdrawn'),
-      h('p', {}, `Operator ${now.operator} takes no further part; the data is ${now.withdrawn.keep ? 'kept' : 'left out of the analysis'}. ${now.withdrawn.reason}`),
-      by ? h('p', {}, `${by.operator} has the rows now.`)
-        : h('div', { class: 'row' }, button('Replace', { id: 'replace', disabled: blocked, onclick: actions.replace }))];
+      h('p', {}, `Operator ${now.operator} takes no further part; the data is ${now.withdrawn.keep ? 'kept' : 'left out of the analysis, and its rows are free for whoever is enrolled next'}. ${now.withdrawn.reason}`)];
   },
   questionnaire(now, state) {
     return [h('h2', {}, 'Questionnaire'),

@@ -1,6 +1,4 @@
-"""Pictures of robot hands: shape, landmarks, palm frame and joint ranges (``docs/img/hands``).
-
-    python research/benchmarks/hand_pictures.py docs/img/hands leap_hand shadow_hand
+"""A picture of a robot hand: shape, landmarks, palm frame and joint ranges, drawn without a GPU.
 
 Triangles are sorted by depth and painted by Matplotlib, so it works where there is no display and
 no OpenGL.
@@ -8,23 +6,21 @@ no OpenGL.
 
 from __future__ import annotations
 
-import argparse
 import io
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from jaxtyping import Float
-from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection, PolyCollection
-from matplotlib.figure import Figure
-from PIL import Image
 
-from smooth_operator.atomic_files import atomic_write
+from smooth_operator.atomic_files import atomic_write, output_error
 from smooth_operator.hands.hand import Hand
-from smooth_operator.hands.registry import load_hand
 from smooth_operator.teleop.joint_rows import joint_rows
 from smooth_operator.teleop.pages.hand_view import PALM, HandView, finger_colors
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 _LIGHT: Final = np.array([0.35, 0.55, 0.75]) / np.linalg.norm([0.35, 0.55, 0.75])
 _FRAME_COLORS: Final = ("#d62728", "#2ca02c", "#1f77b4")  # x, y, z
@@ -33,10 +29,17 @@ _DPI: Final = 110
 _COLORS: Final = 96  # of the PNG's palette: a fifth of the bytes, and no eye sees it
 
 
-def hand_figure(hand: Hand) -> Figure:
-    """Draws a hand from the palm and from the thumb's side, and a list of its joints."""
+def hand_figure(hand: Hand, *, simple: bool = False) -> Figure:
+    """Draws a hand from the palm and from the thumb's side, and a list of its joints.
+
+    Args:
+        hand: the robot hand.
+        simple: draw simple shapes, though the model may have meshes.
+    """
+    from matplotlib.figure import Figure
+
     pose = hand.neutral
-    view = HandView(hand, simple=True)
+    view = HandView(hand, simple=simple)
     palmar, rows = view.axes, joint_rows(hand)
     side = 1.0 if hand.spec.side == "right" else -1.0
     # Turned by a right angle about distal, and a little less, so that no finger hides the others.
@@ -61,19 +64,35 @@ def hand_figure(hand: Hand) -> Figure:
     return figure
 
 
-def save_hand_picture(hand: Hand, path: Path) -> None:
-    """Writes ``hand_figure`` as a PNG with few colours."""
+def save_hand_picture(hand: Hand, path: str | Path, *, simple: bool = False) -> None:
+    """Writes ``hand_figure`` as a PNG with few colours.
+
+    Args:
+        hand: the robot hand.
+        path: the file.
+        simple: draw simple shapes, though the model may have meshes.
+
+    Raises:
+        OutputError: the file can't be written.
+    """
+    from PIL import Image
+
     drawn = io.BytesIO()
-    hand_figure(hand).savefig(drawn, dpi=_DPI, format="png", facecolor="white")
+    hand_figure(hand, simple=simple).savefig(drawn, dpi=_DPI, format="png", facecolor="white")
     small = Image.open(drawn).convert("RGB").quantize(_COLORS, dither=Image.Dither.NONE)
-    with atomic_write(path) as file:
-        small.save(file, format="PNG", optimize=True)
+    try:
+        with atomic_write(path) as file:
+            small.save(file, format="PNG", optimize=True)
+    except OSError as error:
+        raise output_error(path, error) from error
 
 
 def _draw_hand(
     axes: Axes, view: HandView, q: Float[np.ndarray, " m"], directions: Float[np.ndarray, "3 3"]
 ) -> None:
     """One orthographic view; ``directions`` are right, up and toward the viewer."""
+    from matplotlib.collections import LineCollection, PolyCollection
+
     fingers = finger_colors(len(view.hand.fingers)) / 255.0
     flat, depths, colors = [], [], []
     for body, (rotation, position) in view.bodies(q).items():
@@ -144,17 +163,3 @@ def _draw_joints(axes: Axes, hand: Hand, q: Float[np.ndarray, " m"]) -> None:
     axes.axvline(0, color="#bbbbbb", linewidth=0.6, zorder=0)
     for name in ("top", "right", "left"):
         axes.spines[name].set_visible(False)
-
-
-def main() -> None:
-    """Writes ``FOLDER/NAME.png`` for each hand."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("hands", nargs="+", metavar="NAME")
-    options = parser.parse_args()
-    for name in options.hands:
-        save_hand_picture(load_hand(name), options.folder / f"{name}.png")
-
-
-if __name__ == "__main__":
-    main()

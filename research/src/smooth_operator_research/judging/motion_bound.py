@@ -1,6 +1,6 @@
 r"""An upper bound on the motion preservation of a hand whose fingers have one motor each.
 
-    python -m smooth_operator_research.attainable.motion_bound glove.npz@0:500 synthetic:11 \
+    python -m smooth_operator_research.judging.motion_bound glove.npz@0:500 synthetic:11 \
         --hands inspire_hand ability_hand
 
 A finger with one motor moves its tip along one curve, to and fro. Motion preservation is the mean

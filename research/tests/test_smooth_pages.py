@@ -1,0 +1,76 @@
+"""The constants on the pages about ``smooth`` are those of its presets."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from smooth_operator.methods.method import TrajectoryMethodConfig
+from smooth_operator.methods.presets import method_config
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGE = ROOT / "docs" / "explanation" / "smooth.md"
+APPENDIX = ROOT / "research" / "docs" / "smooth-appendix.md"
+
+
+def rows(header: str, page: Path = PAGE) -> list[list[str]]:
+    """The cells of the table of a page that begins so."""
+    lines = page.read_text(encoding="utf-8").split(header, 1)[1].splitlines()[2:]
+    return [[c.strip() for c in line.strip("|").split("|")] for line in lines[: lines.index("")]]
+
+
+def numbers(cell: str) -> list[float]:
+    found = re.findall(r"(?<![\d.])−?[\d.]+(?:e-?\d+)?", cell)
+    return [float(text.replace("−", "-")) for text in found]
+
+
+def flat(values: dict[str, Any], path: str = "") -> dict[str, Any]:
+    out: dict[str, Any] = {}
+    for name, value in values.items():
+        nested = isinstance(value, dict)
+        out |= flat(value, f"{path}{name}.") if nested else {f"{path}{name}": value}
+    return out
+
+
+def test_the_constants_of_the_page_are_the_presets() -> None:
+    settings = flat(asdict(method_config("smooth")))
+    seen = set()
+    for names, shown, _ in rows("| setting | value | meaning |"):
+        first, *others = re.findall(r"`([\w.]+)`", names)
+        parent = first[: first.rfind(".") + 1]
+        paths = [first, *(parent + name for name in others)]
+        values = np.concatenate([np.ravel(settings[path]) for path in paths])
+        # lengths and times are shown in mm and ms
+        thousandth = np.where(" m" in shown, np.abs(values) < np.abs(numbers(shown)) / 100, False)
+        np.testing.assert_allclose(np.where(thousandth, 1e3, 1.0) * values, numbers(shown))
+        seen |= set(paths)
+    left_out = {"alignment", "sampling", "objective.loss", "objective.transition"}
+    rest = {path for path in settings if path not in seen and path.split(".")[0] not in left_out}
+    calibrated = "objective.targets.pinch_gaps"  # of the operator, and empty without one
+    added = "objective.terms"  # of a user, and empty without one
+    assert (settings[calibrated], settings[added]) == ((), ())
+    none = {"objective.pose_centre", "objective.velocity_loss", calibrated, added}
+    assert rest - left_out == none
+
+
+@pytest.mark.parametrize("method", ["smooth", "sbr"])
+def test_the_constants_of_the_offline_presets_are_the_pages(method: str) -> None:
+    config = method_config(method, "offline")
+    assert isinstance(config, TrajectoryMethodConfig)
+    values = {
+        "w_a": [config.future.acceleration_weight],
+        "w_m": [config.future.motion_weight],
+        "v_0": [config.future.motion_speed],
+        "ℓ": [config.jump, config.noise] if config.noise else [config.jump],
+        "v_max": [config.future.speed_limit],
+        "bridge": [config.bridge],
+    }
+    assert config.future.velocity_weight == config.future.jerk_weight == 0.0  # "0 here"
+    for row in rows("| | | `smooth` | `sbr` |", APPENDIX):
+        assert numbers(row[2 if method == "smooth" else 3]) == values.pop(row[0])
+    assert not values
