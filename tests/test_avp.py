@@ -71,49 +71,6 @@ def test_the_bytes_of_a_matrix() -> None:
     )
 
 
-def test_protocol_buffers_own_library_writes_the_same_bytes() -> None:
-    pytest.importorskip("google.protobuf", reason="protobuf is not installed")
-    from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
-
-    file = descriptor_pb2.FileDescriptorProto(name="h.proto", package="h", syntax="proto3")
-    kinds = descriptor_pb2.FieldDescriptorProto
-
-    def message(name: str, **fields: tuple[int, str, bool]) -> None:
-        one = file.message_type.add(name=name)
-        for key, (number, kind, many) in fields.items():
-            field = one.field.add(name=key, number=number)
-            field.label = kinds.LABEL_REPEATED if many else kinds.LABEL_OPTIONAL
-            field.type = kinds.TYPE_MESSAGE if kind else kinds.TYPE_FLOAT
-            if kind:
-                field.type_name = f".h.{kind}"
-
-    cells = {f"m{r}{c}": (4 * r + c + 1, "", False) for r in range(4) for c in range(4)}
-    message("Matrix4x4", **cells)
-    message("Skeleton", jointMatrices=(1, "Matrix4x4", True))
-    message("Hand", wristMatrix=(1, "Matrix4x4", False), skeleton=(2, "Skeleton", False))
-    message(
-        "HandUpdate",
-        left_hand=(1, "Hand", False),
-        right_hand=(2, "Hand", False),
-        Head=(3, "Matrix4x4", False),
-    )
-    pool = descriptor_pool.DescriptorPool()
-    pool.Add(file)
-    update = message_factory.GetMessageClass(pool.FindMessageTypeByName("h.HandUpdate"))()
-
-    def fill(target: Any, matrix: np.ndarray) -> None:
-        for key, (number, _, _) in cells.items():
-            setattr(target, key, float(matrix.ravel()[number - 1]))
-
-    for side, (wrist, joints) in both().items():
-        hand = getattr(update, f"{side}_hand")
-        fill(hand.wristMatrix, wrist)
-        for joint in joints:
-            fill(hand.skeleton.jointMatrices.add(), joint)
-    fill(update.Head, np.eye(4))
-    assert update.SerializeToString(deterministic=True) == app.avp_update(both())
-
-
 @pytest.mark.parametrize("forearm", [False, True])
 def test_both_hands_of_a_message(forearm: bool) -> None:
     left, right = read_hands(app.avp_update(both(forearm=forearm)), 3.0)
@@ -147,9 +104,9 @@ def test_messages_that_are_none_are_refused() -> None:
     for data, words in (
         (good[:-3], "cut off"),
         (good[:500], "cut off"),
-        (b"\xff" * 40, "damaged|does not end"),
-        (b"\x0b", "wire type 3"),
-        (b"\x00\x00", "field 0"),
+        (b"\xff" * 40, "damaged"),
+        (b"\x0b", "no HandUpdate"),
+        (b"\x00\x00", "no HandUpdate"),
         (b"x" * 70_000, "too long"),
         (app.avp_update({"left": (np.eye(4), np.stack([np.eye(4)] * 24))}), "25 or 27 joints"),
         (app.avp_update({"left": (np.eye(4), np.stack([np.eye(4)] * 65))}), "not 65"),

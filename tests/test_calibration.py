@@ -411,7 +411,7 @@ def test_calibrate_and_retarget(tmp_path: Path, run: Run, monkeypatch: pytest.Mo
     monkeypatch.setattr("smooth_operator.teleop.pages.serve", lambda runs, **_: pages.extend(runs))
     assert run("view", tmp_path / "both.npz", glove)[0] == 0
     assert run("view", tmp_path / "plain.npz", glove)[0] == 0
-    assert [len(page.fingers) for page in pages] == [3, 5]
+    assert [len(page.trace.fingers) for page in pages] == [3, 5]
 
     status, _, err = run("retarget", glove, "--operator", out, "--output", tmp_path / "x.npz")
     assert status == 2

@@ -14,7 +14,7 @@ import trimesh
 
 from smooth_operator.cli import main
 from smooth_operator.cli.hands_show import Show
-from smooth_operator.cli.page import hand_to_draw, playback
+from smooth_operator.cli.page import hand_to_draw
 from smooth_operator.errors import HandModelError, MissingExtraError, install_command
 from smooth_operator.formats.commands import write_commands
 from smooth_operator.hand_files.vendor_model import (
@@ -168,26 +168,13 @@ def test_a_run_plays_on_the_vendors_model(
     monkeypatch.setattr("smooth_operator.teleop.pages.serve", lambda runs, **_: pages.extend(runs))
     for model in (["--no-meshes"], ["--model", "menagerie"], []):
         assert main(["view", str(out), str(glove), "--hand", hand.name, *model]) == 0
-    plain, real, here = pages  # what is on this machine is drawn without being asked for
-    assert here.model.nq == real.model.nq
-    assert plain.simple is None
+    plain, real, here = (page.drawn for page in pages)
+    assert plain is None
+    assert real is not None
+    assert here is not None  # what is on this machine is drawn without being asked for
+    assert here.model.nq == real.model.nq == hand.model.nq + 2
     assert real.model.nmesh == 1
-    assert real.model.nq == plain.model.nq + 2
-    for column, name in enumerate(hand.joint_names):
-        at = real.model.joint(name).qposadr[0]
-        np.testing.assert_array_equal(real.qpos[:, at], positions[:, column])
-    # tips, as the page marks them, are where the drawn model has them, wherever its palm is
-    data = mujoco.MjData(real.model)
-    tip = hand.spec.fingers[1].tip
-    for frame in (0, 7):
-        data.qpos[:] = real.qpos[frame]
-        mujoco.mj_kinematics(real.model, data)
-        body = data.body(tip.body)
-        expected = body.xpos + body.xmat.reshape(3, 3) @ tip.offset
-        np.testing.assert_allclose(real.robot_tips[frame, 1], expected, atol=1e-5)
-    assert np.linalg.norm(real.robot_wrist - plain.robot_wrist) > 0.3
-    assert real.bodies is not None
-    assert not real.bodies[real.model.body("forearm").id]
+    np.testing.assert_array_equal(pages[1].trace.joint_positions, positions)
 
 
 def test_a_model_of_another_hand_is_refused_before_any_work(
@@ -337,23 +324,28 @@ def test_a_player_has_both_in_one_place(root: Path, tmp_path: Path) -> None:
         recording.landmarks, hand.tips(q), hand.wrist, hand.fingers, q, hand.joint_limits,
         recording.stamps, np.zeros(len(recording), np.int8), np.ones(len(recording)),
     )  # fmt: skip
-    run = playback("t", hand, trace, there)
     server = open_server("127.0.0.1", 0)
     try:
-        view = RobotView(server.scene, run, "/robot")
+        view = RobotView(server.scene, Playback("t", hand, trace, there), "/robot", np.eye(3)[2])
         view.draw(3)
-        assert run.simple is not None
-        assert view._simple is not None
-        matrix = np.empty(9)
-        mujoco.mju_quat2Mat(matrix, run.simple.wxyz)
+        real, simple = (look.first for look in view.looks)
+        for finger, tip in zip(there.spec.fingers, trace.robot_tips[3], strict=True):
+            assert finger.tip is not None
+            node = real.nodes.get(there.model.body(finger.tip.body).id)
+            if node is not None:
+                placed = np.empty(3)
+                mujoco.mju_rotVecQuat(placed, np.array(finger.tip.offset), node.batched_wxyzs[0])
+                np.testing.assert_allclose(placed + node.batched_positions[0], tip, atol=1e-5)
         for joint in hand.joint_names:
-            mine = view._simple.data.xpos[hand.model.joint(joint).bodyid[0]]
-            theirs = view.bodies.data.xpos[run.model.joint(joint).bodyid[0]]
-            placed = matrix.reshape(3, 3) @ mine + run.simple.position
-            np.testing.assert_allclose(placed, theirs, atol=1e-5)
-        view.set_meshes(visible=False)
-        assert {n.visible for n in view.bodies.nodes.values()} == {False}
-        assert {n.visible for n in view._simple.nodes.values()} == {True}
+            mine = simple.nodes.get(hand.model.joint(joint).bodyid[0])
+            theirs = real.nodes.get(there.model.joint(joint).bodyid[0])
+            if mine is not None and theirs is not None:
+                at, other = mine.batched_positions, theirs.batched_positions
+                np.testing.assert_allclose(at, other, atol=1e-5)
+        for visible in (True, False):
+            view.set_meshes(visible=visible)
+            assert {n.visible for n in real.nodes.values()} == {visible}
+            assert {n.visible for n in simple.nodes.values()} == {not visible}
     finally:
         close_server(server)
 

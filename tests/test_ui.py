@@ -24,10 +24,13 @@ from browser_page import changed, new_page, settled
 
 from smooth_operator import landmarks
 from smooth_operator.errors import ConfigError, HandModelError, RecordingError
+from smooth_operator.hands.registry import load_hand
+from smooth_operator.metrics import Trace
 from smooth_operator.teleop.pages import Playback, PlaybackServer, player, serve
 from smooth_operator.teleop.pages.hand_view import (
     FINGER_COLORS,
     HIGHLIGHT,
+    HandView,
     body_meshes,
     finger_of_body,
     geom_mesh,
@@ -41,14 +44,14 @@ from smooth_operator.types import Status
 from smooth_operator.web import browser
 
 FINGERS = ("thumb", "index", "pinky")
-TIPS = (4, 8, 20)
+HANDS = {side: load_hand("mimic_p050", side) for side in ("right", "left")}
 
 
-def hand_xml(sign: int = 1) -> str:
-    """A three-fingered hand: palm box, two hinges a finger, palm toward -y; sign mirrors it."""
+def hand_xml() -> str:
+    """A three-fingered hand: palm box, two hinges a finger, palm toward -y."""
     fingers = "".join(
         f"""
-        <body name="{name}_1" pos="{sign * x} {y} {z}" {turn}>
+        <body name="{name}_1" pos="{x} {y} {z}" {turn}>
           <joint name="{name}_a" axis="1 0 0" range="0 1.6"/>
           <geom type="capsule" fromto="0 0 0 0 0 {size}" size="0.008"/>
           <body name="{name}_2" pos="0 0 {size}">
@@ -59,7 +62,7 @@ def hand_xml(sign: int = 1) -> str:
           </body>
         </body>"""
         for name, x, y, z, turn, size in (
-            ("thumb", 0.035, -0.01, 0.03, f'euler="0 {50 * sign} 0"', 0.035),
+            ("thumb", 0.035, -0.01, 0.03, 'euler="0 50 0"', 0.035),
             ("index", 0.03, 0.0, 0.10, "", 0.045),
             ("pinky", -0.03, 0.0, 0.09, "", 0.035),
         )
@@ -77,7 +80,7 @@ def hand_xml(sign: int = 1) -> str:
     </worldbody></mujoco>"""
 
 
-def human_hand(curl: np.ndarray, sign: int = 1) -> np.ndarray:
+def human_hand(curl: np.ndarray) -> np.ndarray:
     """(T, 21, 3) a plain hand whose fingers bend toward -y by ``curl`` [rad] at each joint."""
     hand = np.zeros((len(curl), 21, 3))
     bases = [(0.03, -0.01, 0.03), (0.03, 0, 0.09), (0.01, 0, 0.095), (-0.01, 0, 0.09),
@@ -92,38 +95,39 @@ def human_hand(curl: np.ndarray, sign: int = 1) -> np.ndarray:
                 [out * np.ones_like(angle), -np.sin(angle), (1 - out) * np.cos(angle)], -1
             )
             hand[:, first + joint + 1] = hand[:, first + joint] + size * step
-    return hand * [sign, 1, 1]
+    return hand
 
 
-def make_playback(frames: int = 60, rate: float = 100.0, sign: int = 1, **changes: Any) -> Playback:
-    model = mujoco.MjModel.from_xml_string(hand_xml(sign))
-    data = mujoco.MjData(model)
+def make_playback(
+    frames: int = 60, rate: float = 100.0, side: str = "right", **changes: Any
+) -> Playback:
+    hand = HANDS[side]
     curl = 0.4 - 0.4 * np.cos(np.linspace(0, 3, frames))
-    qpos = np.repeat(curl[:, None], model.nq, axis=1)
-    tips = np.empty((frames, 3, 3))
-    for row in range(frames):
-        data.qpos[:] = qpos[row]
-        mujoco.mj_kinematics(model, data)
-        tips[row] = [data.site(f"{name}_tip").xpos for name in FINGERS]
+    q = hand.full_configuration(np.clip(curl[:, None], *hand.limits.T))
+    human = changes.pop("human", human_hand(curl)) * [1 if side == "right" else -1, 1, 1]
+    right, up, toward = view_axes(HandView(hand, simple=True))
     fields: dict[str, Any] = {
-        "title": "test hand",
-        "model": model,
-        "qpos": qpos,
+        "human": human @ [right, -toward, up] + hand.wrist,
+        "robot_tips": hand.tips(q),
+        "robot_wrist": hand.wrist,
+        "fingers": hand.fingers,
+        "joint_positions": q,
+        "joint_limits": hand.joint_limits,
         "stamps": 5.0 + np.arange(frames) / rate,
-        "human": human_hand(curl, sign),
         "status": np.zeros(frames, int),
-        "robot_tips": tips,
-        "robot_wrist": np.zeros(3),
         "latency_ms": np.full(frames, 0.8),
-        "human_tips": TIPS,
-        "fingers": FINGERS,
     }
-    return Playback(**(fields | changes))
+    return Playback("test hand", hand, Trace(**(fields | changes)))
 
 
 @pytest.fixture(scope="module")
 def playback() -> Playback:
     return make_playback()
+
+
+@pytest.fixture(scope="module")
+def model() -> mujoco.MjModel:
+    return mujoco.MjModel.from_xml_string(hand_xml())
 
 
 @pytest.fixture
@@ -147,25 +151,18 @@ def eventually(check: Any, seconds: float = 30.0) -> Any:
 
 
 @pytest.mark.parametrize(
-    ("changes", "error", "words"),
+    ("frames", "changes", "error", "words"),
     [
-        ({"stamps": np.zeros(60)}, RecordingError, "strictly increasing"),
-        ({"stamps": np.zeros(0)}, RecordingError, "at least one frame"),
-        ({"stamps": np.full(60, np.nan)}, RecordingError, "finite"),
-        ({"human": np.zeros((60, 25, 3))}, RecordingError, r"\(60, 21, 3\)"),
-        ({"status": np.zeros(59)}, RecordingError, r"status must have shape \(60,\)"),
-        ({"qpos": np.zeros((60, 5))}, HandModelError, r"qpos must have shape \(60, 6\)"),
-        ({"qpos": np.full((60, 6), np.nan)}, HandModelError, "NaN"),
-        ({"robot_tips": np.zeros((60, 5, 3))}, HandModelError, r"\(60, 3, 3\)"),
-        ({"human_tips": (4, 8)}, HandModelError, "same two or more fingers"),
-        ({"human_tips": (4, 8, 21)}, RecordingError, "0..20"),
+        (0, {}, RecordingError, "no frame"),
+        (60, {"robot_wrist": np.full(3, np.nan)}, HandModelError, "NaN"),
+        (60, {"robot_tips": np.full((60, 5, 3), np.inf)}, HandModelError, "infinity"),
     ],
 )
-def test_a_broken_recording_is_refused(
-    changes: dict[str, Any], error: type[Exception], words: str
+def test_a_run_that_cannot_be_drawn_is_refused(
+    frames: int, changes: dict[str, Any], error: type[Exception], words: str
 ) -> None:
     with pytest.raises(error, match=words):
-        make_playback(**changes)
+        make_playback(frames, **changes)
 
 
 def test_pinches_are_under_15_mm_and_never_of_a_lost_hand() -> None:
@@ -175,8 +172,8 @@ def test_pinches_are_under_15_mm_and_never_of_a_lost_hand() -> None:
     human[3, 8] = human[3, 4]
     human[3, 4] = np.nan
     pinches = make_playback(4, human=human).pinches()
-    assert pinches.tolist() == [[False, False], [True, False], [False, False], [False, False]]
-    assert lit_tips(pinches[1]).tolist() == [True, True, False]
+    assert pinches.any(axis=1).tolist() == [False, True, False, False]
+    assert lit_tips(pinches[1]).tolist() == [True, True, False, False, False]
 
 
 # -- the clock --------------------------------------------------------------------------------
@@ -248,11 +245,11 @@ def test_mesh_geoms_land_where_mujoco_puts_them() -> None:
     np.testing.assert_allclose(got, np.unique(corners, axis=0), atol=1e-6)
 
 
-def test_bodies_draw_visible_groups_and_no_scenery(playback: Playback) -> None:
-    meshes = body_meshes(playback.model)
-    names = {playback.model.body(body).name for body in meshes}
+def test_bodies_draw_visible_groups_and_no_scenery(model: mujoco.MjModel) -> None:
+    meshes = body_meshes(model)
+    names = {model.body(body).name for body in meshes}
     assert names == {"palm", *(f"{f}_{i}" for f in FINGERS for i in (1, 2))}  # no world: a plane
-    palm = meshes[playback.model.body("palm").id]
+    palm = meshes[model.body("palm").id]
     assert palm.extents.max() < 0.2  # the 0.3 m collision sphere is not drawn
 
 
@@ -264,45 +261,52 @@ def test_a_model_with_collision_shapes_only_is_drawn_by_them() -> None:
 
 
 @pytest.mark.parametrize("frames", [1, 60])
-def test_fingers_are_found_without_names(frames: int) -> None:
-    playback = make_playback(frames)
-    owner = finger_of_body(playback.model, playback.qpos, playback.robot_tips)
+def test_fingers_are_found_without_names(model: mujoco.MjModel, frames: int) -> None:
+    data = mujoco.MjData(model)
+    qpos = np.repeat(np.linspace(0, 0.8, frames)[:, None], model.nq, axis=1)
+    tips = np.empty((frames, 3, 3))
+    for row in range(frames):
+        data.qpos[:] = qpos[row]
+        mujoco.mj_kinematics(model, data)
+        tips[row] = [data.site(f"{name}_tip").xpos for name in FINGERS]
+    owner = finger_of_body(model, qpos, tips)
     for finger, name in enumerate(FINGERS):
         for part in (1, 2):
-            assert owner[playback.model.body(f"{name}_{part}").id] == finger
-    assert owner[playback.model.body("palm").id] == -1
+            assert owner[model.body(f"{name}_{part}").id] == finger
+    assert owner[model.body("palm").id] == -1
     assert owner[0] == -1
 
 
 # -- the layout -------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("sign", [1, -1], ids=["right", "left"])
+@pytest.mark.parametrize("side", ["right", "left"])
 @pytest.mark.parametrize(
     ("aspect", "covered", "above"),
     [(0.46, 0.44, 0.0), (1.0, 0.0, 0.0), (1.9, 0.0, 0.0), (1.2, 0.1, 0.2)],
 )
 def test_the_camera_sees_both_hands_from_the_palm_side(
-    sign: int, aspect: float, covered: float, above: float
+    side: str, aspect: float, covered: float, above: float
 ) -> None:
-    playback = make_playback(sign=sign)
-    layout = plan(playback, playback.robot_tips.reshape(-1, 3))
-    axes = np.stack([layout.right, layout.up, layout.toward])
+    playback = make_playback(side=side)
+    trace, axes = playback.trace, view_axes(HandView(playback.hand, simple=True))
+    layout = plan(axes, trace.human, trace.robot_wrist, trace.robot_tips.reshape(-1, 3))
     np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-9)
     assert np.linalg.det(axes) == pytest.approx(1.0)
-    np.testing.assert_allclose(layout.toward, [0, -1, 0], atol=1e-9)  # where the fingers bend to
+    # the thumb of a right hand is on the right, and fingers bend toward the viewer
+    thumb = (trace.robot_tips[0, 0] - trace.robot_tips[0, 1:].mean(axis=0)) @ axes[0]
+    assert (thumb > 0) == (side == "right")
+    assert (trace.robot_tips[-1, 1:] - trace.robot_tips[0, 1:]).mean(axis=0) @ axes[2] > 0.01
 
     position, target = camera_for(axes, layout.centre, layout.half, aspect, covered, above)
-    if not above:
-        np.testing.assert_array_equal(position, layout.camera(aspect, covered)[0])
     forward = (target - position) / np.linalg.norm(target - position)
-    right = np.cross(forward, layout.up)
+    right = np.cross(forward, axes[1])
     right /= np.linalg.norm(right)
     view = np.stack([right, np.cross(right, forward), forward])
     low, high = [], []
     for points, shift in (
-        (playback.human.reshape(-1, 3), layout.human_shift),
-        (playback.robot_tips.reshape(-1, 3), layout.robot_shifts[0]),
+        (trace.human.reshape(-1, 3), layout.human_shift),
+        (trace.robot_tips.reshape(-1, 3), layout.robot_shifts[0]),
     ):
         x, y, depth = ((points + shift - position) @ view.T).T
         assert depth.min() > 0
@@ -316,12 +320,10 @@ def test_the_camera_sees_both_hands_from_the_palm_side(
 
 
 def test_without_a_human_the_view_stands_on_the_robot() -> None:
-    playback = make_playback(human=np.full((60, 21, 3), np.nan))
-    right, up, toward = view_axes(playback)
-    assert up[2] > 0.9
-    np.testing.assert_allclose(np.cross(right, up), toward, atol=1e-9)
-    layout = plan(playback, playback.robot_tips.reshape(-1, 3))
-    assert all(np.isfinite(part).all() for part in layout.camera(1.0))
+    human = np.full((60, 21, 3), np.nan)
+    layout = plan(np.eye(3), human, np.zeros(3), np.random.default_rng(0).normal(size=(9, 3)))
+    for part in (layout.centre, layout.human_shift, *layout.robot_shifts, *layout.tops):
+        assert np.isfinite(part).all()
 
 
 def test_bones_point_from_joint_to_joint() -> None:
@@ -371,25 +373,27 @@ def test_text_from_elsewhere_is_never_markup(text: str) -> None:
     assert "\n" not in plain("export\nconst")
 
 
-def test_runs_of_other_frames_or_fingers_do_not_stand_side_by_side() -> None:
+def test_runs_of_other_frames_or_fingers_do_not_stand_side_by_side(playback: Playback) -> None:
     with pytest.raises(RecordingError, match="retarget the same frames"):
         PlaybackServer([make_playback(60), make_playback(61)])
+    fingers, tips = playback.trace.fingers[:-1], playback.trace.robot_tips[:, :-1]
+    four = {"fingers": fingers, "robot_tips": tips}
     with pytest.raises(RecordingError, match="of the same fingers"):
-        PlaybackServer([make_playback(), make_playback(fingers=("thumb", "index", "ring"))])
+        PlaybackServer([make_playback(), make_playback(**four)])
     with pytest.raises(RecordingError, match="nothing to play"):
         PlaybackServer([])
 
 
-def test_several_robots_stand_apart_and_all_fit_the_picture() -> None:
-    playback = make_playback()
-    points = playback.robot_tips.reshape(-1, 3)
-    layout = plan(playback, points, points, points)
-    right = layout.right
+def test_several_robots_stand_apart_and_all_fit_the_picture(playback: Playback) -> None:
+    trace, axes = playback.trace, view_axes(HandView(playback.hand, simple=True))
+    points = trace.robot_tips.reshape(-1, 3)
+    layout = plan(axes, trace.human, trace.robot_wrist, points, points, points)
+    right = axes[0]
     shifts = [float(shift @ right) for shift in layout.robot_shifts]
     width = float(np.ptp(points @ right))
     assert len(shifts) == 3
     assert min(np.diff(shifts)) > width
-    lows = [float((playback.human.reshape(-1, 3) @ right).min() + layout.human_shift @ right)]
+    lows = [float((trace.human.reshape(-1, 3) @ right).min() + layout.human_shift @ right)]
     ends = [*lows, *((points @ right).max() + shift for shift in shifts)]
     middle = float(layout.centre @ right)
     assert max(abs(end - middle) for end in ends) <= layout.half[0] + 1e-9
@@ -432,27 +436,18 @@ def test_the_scene_shows_the_kinematics_of_its_frame(
     robot, row = server._scene.robots[0], server._scene.row
     tips, joints = row.tips["robot_0"].node, row.human._joints
     server.set_frame(40)
-    eventually(lambda: np.allclose(tips.batched_positions, playback.robot_tips[40]))
-    data = mujoco.MjData(playback.model)
-    data.qpos[:] = playback.qpos[40]
-    mujoco.mj_kinematics(playback.model, data)
+    eventually(lambda: np.allclose(tips.batched_positions, playback.trace.robot_tips[40]))
     eventually(lambda: server._panel._slider.value == 40)
-    for body, node in robot.bodies.nodes.items():
-        np.testing.assert_allclose(node.batched_positions[0], data.xpos[body], atol=1e-5)
-        np.testing.assert_allclose(node.batched_wxyzs[0], data.xquat[body], atol=1e-4)
-    np.testing.assert_allclose(joints.batched_positions, playback.human[40], atol=1e-6)
-
-
-def test_the_forearm_is_cut_off() -> None:
-    """Of the palm, which begins 1 cm below the model's origin, 3 cm below the wrist are drawn."""
-    lowest = {}
-    for wrist in (0.0, 0.06):
-        playback = make_playback(2, robot_wrist=np.array([0.0, 0.0, wrist]))
-        with PlaybackServer(playback, port=0) as server:
-            robot = server._scene.robots[0].bodies
-            vertices = robot.nodes[playback.model.body("palm").id].vertices
-            lowest[wrist] = vertices[:, 2].min()
-    assert lowest == pytest.approx({0.0: -0.01, 0.06: 0.03}, abs=1e-6)
+    hand, (look,) = playback.hand, robot.looks
+    poses = HandView(hand, simple=True).bodies(
+        playback.trace.joint_positions[40, list(hand.actuated)]
+    )
+    for body, node in look.first.nodes.items():
+        np.testing.assert_allclose(node.batched_positions[0], poses[body][1], atol=1e-5)
+        matrix = np.empty(9)
+        mujoco.mju_quat2Mat(matrix, np.asarray(node.batched_wxyzs[0], float))
+        np.testing.assert_allclose(matrix.reshape(3, 3), poses[body][0], atol=1e-4)
+    np.testing.assert_allclose(joints.batched_positions, playback.trace.human[40], atol=1e-6)
 
 
 def test_missing_landmarks_vanish_and_pinches_light_up() -> None:
@@ -470,7 +465,7 @@ def test_missing_landmarks_vanish_and_pinches_light_up() -> None:
             lit = np.all(hand._joints.batched_colors == linear(np.array(HIGHLIGHT)), axis=-1)
             assert lit.nonzero()[0].tolist() == ([] if frame == 1 else [4, 8])
             shown = np.all(lines["robot_0"].colors[:, 0] == linear(np.array(HIGHLIGHT)), axis=-1)
-            assert shown.tolist() == [frame == 2, False]
+            assert shown.tolist() == [frame == 2, False, False, False]
 
 
 @pytest.fixture

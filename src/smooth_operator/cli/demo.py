@@ -86,11 +86,10 @@ def demo(options: Demo) -> None:
         print_summary(heading, metrics, _FOLLOWING)
     progress.note(f"wrote {options.output}")
     if not options.no_view:
-        from smooth_operator.cli.page import playback
-        from smooth_operator.teleop.pages import serve
+        from smooth_operator.teleop.pages import Playback, serve
 
         drawn = hand_to_draw(todo.hand, options)
-        page = playback(title, todo.hand, trace, drawn)
+        page = Playback(title, todo.hand, trace, drawn)
         serve(page, host=options.host, port=options.port, open_browser=not options.no_browser)
 
 

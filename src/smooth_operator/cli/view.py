@@ -76,9 +76,9 @@ def view(options: View) -> None:
 
         draw_off_screen()
     from smooth_operator.cli.console import print_metrics
-    from smooth_operator.cli.page import hand_to_draw, playback
+    from smooth_operator.cli.page import hand_to_draw
     from smooth_operator.metrics import evaluate
-    from smooth_operator.teleop.pages import serve
+    from smooth_operator.teleop.pages import Playback, serve
 
     *outs, source = options.files
     if not outs:
@@ -101,7 +101,7 @@ def view(options: View) -> None:
     if len(runs) == 1 and runs[0].made_by:
         title += f": {runs[0].made_by}"
     pages = [
-        playback(title, run.hand, run.trace, drawn, label)
+        Playback(title, run.hand, run.trace, drawn, label)
         for run, label in zip(runs, labels, strict=True)
     ]
     if options.save is not None:

@@ -13,7 +13,7 @@ The gRPC service ``handtracking.HandTrackingService`` has one method, ``StreamHa
     Skeleton     1 jointMatrices: Matrix4x4, repeated
     Matrix4x4    1 m00: float   2 m01 ... 16 m33, row by row
 
-A field that is zero is left out. Unknown fields are skipped.
+A field that is zero is left out.
 
 Source: ``AppModel.swift``, ``RecordingManager.swift`` and ``handtracking.proto`` of
 Improbable-AI/VisionProTeleop; the axes of the wrist from its issue 12.
@@ -21,14 +21,13 @@ Improbable-AI/VisionProTeleop; the axes of the wrist from its issue 12.
 
 from __future__ import annotations
 
-import struct
-from collections.abc import Iterator
-from typing import Final
+from functools import cache
+from typing import Any, Final
 
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.errors import RecordingError
+from smooth_operator.errors import MissingExtraError, RecordingError
 from smooth_operator.formats.checks import check_palm
 from smooth_operator.landmarks import NODE_LAYOUTS
 from smooth_operator.poses import WORLD_AXES, WRIST_AXES, from_matrices, is_rigid, to_ours
@@ -106,13 +105,36 @@ PORT: Final = 12_345
 MOST_BYTES: Final = 65_536
 """Longest accepted message; one of the app has 4,000 bytes."""
 
-_SIDES: Final[tuple[tuple[int, Side], ...]] = ((1, "left"), (2, "right"))
 _MOST_JOINTS: Final = 64
-_VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5
-_FLOAT: Final = struct.Struct("<f")
-# A rigid transform, whose three zeros are left out: twelve fields with a tag of one byte, and m33.
-_RIGID: Final = struct.Struct("<" + "xf" * 12 + "2xf")
-_RIGID_TAGS: Final = bytes((field << 3) | _FIXED32 for field in range(1, 13)) + b"\x85\x01"
+_CELLS: Final = [f"m{row}{column}" for row in range(4) for column in range(4)]
+_MESSAGES: Final[dict[str, dict[str, str | None]]] = {
+    "Matrix4x4": dict.fromkeys(_CELLS),
+    "Skeleton": {"jointMatrices": ".Matrix4x4"},
+    "Hand": {"wristMatrix": ".Matrix4x4", "skeleton": ".Skeleton"},
+    "HandUpdate": {"left_hand": ".Hand", "right_hand": ".Hand", "Head": ".Matrix4x4"},
+}
+
+
+@cache
+def _message_class() -> tuple[Any, type[Exception]]:
+    """The class of a ``HandUpdate``, and what it raises at a message that is none."""
+    try:
+        from google.protobuf import descriptor_pb2, descriptor_pool, message, message_factory
+    except ModuleNotFoundError as error:
+        raise MissingExtraError("a message of Tracking Streamer", "avp") from error
+    kinds = descriptor_pb2.FieldDescriptorProto
+    file = descriptor_pb2.FileDescriptorProto(name="handtracking.proto", syntax="proto3")
+    for name, members in _MESSAGES.items():
+        made = file.message_type.add(name=name)
+        for number, (member, kind) in enumerate(members.items(), 1):
+            field = made.field.add(name=member, number=number, type_name=kind)
+            field.type = kinds.TYPE_MESSAGE if kind else kinds.TYPE_FLOAT
+            many = member == "jointMatrices"
+            field.label = kinds.LABEL_REPEATED if many else kinds.LABEL_OPTIONAL
+    pool = descriptor_pool.DescriptorPool()  # not the common one, where avp_stream may have its own
+    pool.Add(file)
+    update = pool.FindMessageTypeByName("HandUpdate")
+    return message_factory.GetMessageClass(update), message.DecodeError
 
 
 def read_hands(data: bytes, stamp: float | None = None) -> tuple[HandFrame, ...]:
@@ -127,74 +149,26 @@ def read_hands(data: bytes, stamp: float | None = None) -> tuple[HandFrame, ...]
     """
     if len(data) > MOST_BYTES:
         raise RecordingError(f"a message of {len(data)} bytes is too long; at most {MOST_BYTES}")
-    hands = {field: value for field, kind, value in _fields(data) if kind == _BYTES}
-    frames = (_hand(hands[field], side, stamp) for field, side in _SIDES if field in hands)
+    update, damaged = _message_class()
+    try:
+        read = update.FromString(data)
+    except damaged as error:
+        raise RecordingError(
+            f"the message is no HandUpdate of Tracking Streamer, or is damaged or cut off: {error}"
+        ) from error
+    frames = (_hand(read.left_hand, "left", stamp), _hand(read.right_hand, "right", stamp))
     return tuple(frame for frame in frames if frame is not None)
 
 
-def _hand(data: bytes, side: Side, stamp: float | None) -> HandFrame | None:
-    wrist, skeleton = np.full((4, 4), np.nan), b""
-    for field, kind, value in _fields(data):
-        if kind == _BYTES and field == 1:
-            wrist = _matrix(value)
-        elif kind == _BYTES and field == 2:
-            skeleton = value
-    joints = [value for field, kind, value in _fields(skeleton) if (field, kind) == (1, _BYTES)]
+def _hand(hand: Any, side: Side, stamp: float | None) -> HandFrame | None:
+    joints = hand.skeleton.jointMatrices
     if not joints:
         return None
     if len(joints) > _MOST_JOINTS:
         raise RecordingError(f"a hand must have 25 or 27 joints, not {len(joints)}")
+    wrist = _matrix(hand.wristMatrix) if hand.HasField("wristMatrix") else np.full((4, 4), np.nan)
     return avp_frame(np.stack([_matrix(joint) for joint in joints]), wrist, side, stamp)
 
 
-def _matrix(data: bytes) -> np.ndarray:
-    if len(data) == _RIGID.size and data[:60:5] + data[60:62] == _RIGID_TAGS:
-        values = _RIGID.unpack(data)
-        return np.array([*values[:12], 0.0, 0.0, 0.0, values[12]]).reshape(4, 4)
-    flat = np.zeros(16)
-    for field, kind, value in _fields(data):
-        if kind == _FIXED32 and 1 <= field <= 16:
-            flat[field - 1] = _FLOAT.unpack(value)[0]
-    return flat.reshape(4, 4)
-
-
-def _fields(data: bytes) -> Iterator[tuple[int, int, bytes]]:
-    """(number, wire type, content) of each field; the content of a varint is empty.
-
-    Raises:
-        RecordingError: the data are cut off, or no encoded message.
-    """
-    at = 0
-    while at < len(data):
-        tag, at = _varint(data, at)
-        kind, field = tag & 7, tag >> 3
-        if kind == _VARINT:
-            size, at = 0, _varint(data, at)[1]
-        elif kind == _BYTES:
-            size, at = _varint(data, at)
-        elif kind in (_FIXED32, _FIXED64):
-            size = 4 if kind == _FIXED32 else 8
-        else:
-            raise RecordingError(
-                f"the message is no HandUpdate of Tracking Streamer: wire type {kind} at byte {at}"
-            )
-        if field == 0 or at + size > len(data):
-            raise RecordingError(
-                f"the message is damaged or cut off: field {field} of {size} bytes at byte {at} "
-                f"of {len(data)}"
-            )
-        yield field, kind, data[at : at + size]
-        at += size
-
-
-def _varint(data: bytes, at: int) -> tuple[int, int]:
-    value = 0
-    for shift in range(0, 70, 7):
-        if at >= len(data):
-            break
-        byte = data[at]
-        at += 1
-        value |= (byte & 0x7F) << shift
-        if byte < 0x80:
-            return value, at
-    raise RecordingError(f"the message is damaged or cut off: a number does not end at byte {at}")
+def _matrix(message: Any) -> np.ndarray:
+    return np.array([getattr(message, cell) for cell in _CELLS]).reshape(4, 4)

@@ -13,9 +13,10 @@ from jaxtyping import Bool, Float, UInt8
 
 from smooth_operator.atomic_files import atomic_write
 from smooth_operator.errors import ConfigError
+from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import BASES, BONES
 from smooth_operator.simulation.renderer import open_renderer
-from smooth_operator.teleop.pages.hand_view import HIGHLIGHT, PALM, Rgb, finger_colors
+from smooth_operator.teleop.pages.hand_view import HIGHLIGHT, PALM, HandView, Rgb, finger_colors
 from smooth_operator.teleop.pages.page_layout import FOV, camera_for, view_axes
 from smooth_operator.teleop.pages.playback import Playback, check_runs
 
@@ -89,29 +90,47 @@ class _Pane:
     """
 
     def __init__(self, run: Playback, robot: Playback | None) -> None:
-        self._run, self._robot = run, robot
-        self._pinches = run.pinches()
-        self._model = robot.model if robot else mujoco.MjModel.from_xml_string("<mujoco/>")
+        self._human = None if robot else run.trace.human
+        self._pinches, self._landmarks = run.pinches(), run.tips
+        self._colors: list[Rgb] = [tuple(c) for c in finger_colors(len(run.tips)).tolist()]
+        self._axes = view_axes(HandView(run.hand, simple=True))
+        if robot is None:
+            self._model = mujoco.MjModel.from_xml_string("<mujoco/>")
+            self._tips = run.trace.human_tips
+            cloud = run.trace.human.reshape(-1, 3)
+            cloud = cloud[np.isfinite(cloud).all(axis=-1)]
+        else:
+            drawn, trace = robot.drawn or robot.hand, robot.trace
+            self._model, (turn, origin) = drawn.model, _palm(drawn)
+            poses = np.tile(drawn.full_configuration(drawn.neutral), (len(robot), 1))
+            order = [drawn.joint_names.index(name) for name in robot.hand.joint_names]
+            poses[:, order] = trace.joint_positions
+            self._qpos, self._axes = drawn.qpos(poses), self._axes @ turn.T
+            self._tips = trace.robot_tips @ turn.T + origin
+            wrist = turn @ trace.robot_wrist + origin
+            cloud = np.concatenate([self._tips.reshape(-1, 3), [wrist]])
         self._data = mujoco.MjData(self._model)
         self._renderer = open_renderer(self._model, *PANE)
         self._model.vis.headlight.ambient[:] = _AMBIENT
         self._model.vis.headlight.diffuse[:] = _DIFFUSE
-        self._axes = np.stack(view_axes(run))
-        self._camera = self._aimed()
+        self._model.vis.global_.fovy = float(np.rad2deg(FOV))
+        self._aim(cloud)
 
     def draw(self, frame: int) -> UInt8[np.ndarray, "H W 3"]:
         """The picture of a frame."""
-        tips = self._run.human[frame, list(self._run.human_tips)]
-        if self._robot:
-            self._data.qpos[:] = self._robot.qpos[frame]
-            tips = self._robot.robot_tips[frame]
+        tips = self._tips[frame]
+        if self._human is None:
+            self._data.qpos[:] = self._qpos[frame]
         mujoco.mj_forward(self._model, self._data)
-        self._renderer.update_scene(self._data, self._camera)
+        self._renderer.update_scene(self._data)
         scene = self._renderer.scene
+        for camera in scene.camera:  # a free camera of MuJoCo's has z upwards
+            camera.pos, camera.forward, camera.up = self._position, self._forward, self._up
+        scene.lights[0].pos, scene.lights[0].dir = self._position, self._forward
         scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = 0
         scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = 0
-        if not self._robot:
-            self._draw_human(scene, self._run.human[frame])
+        if self._human is not None:
+            self._draw_human(scene, self._human[frame])
         lit = self._pinches[frame]
         for tip, color, pinched in zip(tips[1:], self._colors[1:], lit, strict=True):
             _rod(scene, tips[0], tip, _LINE, HIGHLIGHT if pinched else color)
@@ -122,7 +141,7 @@ class _Pane:
     def _empty(self, picture: UInt8[np.ndarray, "H W 3"]) -> Bool[np.ndarray, "H W"]:
         """The pixels without a hand: there MuJoCo draws black, as some robots are."""
         black = picture.max(axis=-1) == 0
-        if not self._robot:
+        if self._human is not None:
             return np.asarray(black)
         self._renderer.enable_depth_rendering()
         far = self._renderer.render() > _FAR
@@ -133,54 +152,34 @@ class _Pane:
         """Gives the OpenGL context back."""
         self._renderer.close()
 
-    @property
-    def _colors(self) -> list[Rgb]:
-        return [tuple(c) for c in finger_colors(len(self._run.fingers)).tolist()]
-
     def _draw_human(self, scene: Any, points: Float[np.ndarray, "21 3"]) -> None:
         owner = {
             landmark: color
-            for tip, color in zip(self._run.human_tips, self._colors, strict=True)
+            for tip, color in zip(self._landmarks, self._colors, strict=True)
             for landmark in range(tip - 3, tip + 1)
         }
         for parent, child in BONES:
             color = PALM if child in BASES else owner.get(child, PALM)
             _rod(scene, points[parent], points[child], _BONE, color)
 
-    def _aimed(self) -> mujoco.MjvCamera:
-        """A camera that sees this hand in every frame."""
-        if self._robot:
-            cloud = np.concatenate(
-                [self._robot.robot_tips.reshape(-1, 3), [self._robot.robot_wrist]]
-            )
-        else:
-            points = self._run.human.reshape(-1, 3)
-            cloud = points[np.isfinite(points).all(axis=-1)]
+    def _aim(self, cloud: Float[np.ndarray, "N 3"]) -> None:
+        """Places the camera so that it sees these points."""
         across = cloud @ self._axes.T
         low, high = across.min(axis=0) - 0.02, across.max(axis=0) + 0.02
         half = (float(high[0] - low[0]) / 2, float(high[1] - low[1]) / 2)
         centre = (low + high) / 2 @ self._axes
-        position, target = camera_for(self._axes, centre, half, PANE[0] / PANE[1])
-        camera = mujoco.MjvCamera()
-        camera.type = mujoco.mjtCamera.mjCAMERA_FREE
-        return _placed(camera, self._model, position, target)
+        self._position, target = camera_for(self._axes, centre, half, PANE[0] / PANE[1])
+        self._forward = (target - self._position) / np.linalg.norm(target - self._position)
+        up = self._axes[1] - (self._axes[1] @ self._forward) * self._forward
+        self._up = up / np.linalg.norm(up)
 
 
-def _placed(
-    camera: mujoco.MjvCamera,
-    model: mujoco.MjModel,
-    position: Float[np.ndarray, "3"],
-    target: Float[np.ndarray, "3"],
-) -> mujoco.MjvCamera:
-    """A free camera at a place; MuJoCo's free cameras have z upwards."""
-    model.vis.global_.fovy = float(np.rad2deg(FOV))
-    offset = target - position
-    distance = float(np.linalg.norm(offset))
-    camera.lookat[:] = target
-    camera.distance = distance
-    camera.azimuth = float(np.rad2deg(np.arctan2(offset[1], offset[0])))
-    camera.elevation = float(np.rad2deg(np.arcsin(offset[2] / distance)))
-    return camera
+def _palm(hand: Hand) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:
+    """Rotation and origin of the palm in its model's world, where fingers hang from it."""
+    data = mujoco.MjData(hand.model)
+    mujoco.mj_kinematics(hand.model, data)
+    palm = data.body(hand.spec.palm)
+    return palm.xmat.reshape(3, 3).copy(), palm.xpos.copy()
 
 
 def _rod(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from itertools import pairwise
 from typing import Any, Final
 
@@ -10,8 +9,8 @@ import mujoco
 import numpy as np
 import trimesh
 from jaxtyping import Bool, Float, Int, UInt8
+from trimesh import intersections
 from trimesh.graph import smooth_shade
-from trimesh.intersections import slice_faces_plane
 
 from smooth_operator import landmarks
 from smooth_operator.hand_files.vendor_model import has_meshes
@@ -75,17 +74,28 @@ class HandView:
     ) -> dict[int, trimesh.Trimesh]:
         """The surfaces, cut off across the forearm; a body that is all forearm has none.
 
+        Fingers stay whole.
+
         Args:
             below: length of the palm's bodies below the wrist that stays [m].
             distal: unit vector along the forearm, toward the fingers.
         """
-        return without_forearm(
-            self.meshes,
-            self.bodies(self.hand.neutral),
-            self.finger_of_body,
-            self.hand.wrist - below * distal,
-            distal,
-        )
+        poses, point = self.bodies(self.hand.neutral), self.hand.wrist - below * distal
+        slice_faces: Any = intersections.slice_faces_plane  # untyped
+        cut: dict[int, trimesh.Trimesh] = {}
+        for body, whole in self.meshes.items():
+            mesh = whole
+            if self.finger_of_body[body] < 0:
+                rotation, position = poses[body]
+                vertices, faces, *_ = slice_faces(
+                    whole.vertices, whole.faces, rotation.T @ distal,
+                    rotation.T @ (point - position),
+                )  # fmt: skip
+                # process: merged vertices would average the normals across the edges
+                mesh = trimesh.Trimesh(vertices, faces, process=False)
+            if len(mesh.faces):
+                cut[body] = mesh
+        return cut or self.meshes
 
     def landmarks(self, q: Float[np.ndarray, " m"]) -> Float[np.ndarray, "k 3"]:
         """(k, 3) landmarks, in the order of ``hand.tree.names``."""
@@ -299,37 +309,6 @@ def body_meshes(
         whole: Any = trimesh.util.concatenate(pieces)  # of meshes, it returns a mesh
         merged[body] = whole
     return merged
-
-
-def without_forearm(
-    meshes: Mapping[int, trimesh.Trimesh],
-    poses: Mapping[int, tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]],
-    owner: Int[np.ndarray, " nbody"],
-    point: Float[np.ndarray, "3"],
-    distal: Float[np.ndarray, "3"],
-) -> dict[int, trimesh.Trimesh]:
-    """The surfaces of a hand, cut off across the forearm; a body that is all forearm has none.
-
-    Args:
-        meshes: body -> its surface, in the body's frame.
-        poses: body -> rotation and position of its frame.
-        owner: (nbody,) finger of each body, which stays whole; -1 for the palm and the forearm.
-        point: where it is cut, in the frame of ``poses`` [m].
-        distal: unit vector along the forearm, toward the fingers.
-    """
-    cut: dict[int, trimesh.Trimesh] = {}
-    for body, whole in meshes.items():
-        mesh = whole
-        if owner[body] < 0:
-            rotation, position = poses[body]
-            vertices, faces, *_ = slice_faces_plane(
-                whole.vertices, whole.faces, rotation.T @ distal, rotation.T @ (point - position)
-            )
-            # process: merged vertices would average the normals across the edges
-            mesh = trimesh.Trimesh(vertices, faces, process=False)
-        if len(mesh.faces):
-            cut[body] = mesh
-    return cut
 
 
 def finger_of_body(

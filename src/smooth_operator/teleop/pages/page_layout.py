@@ -9,8 +9,7 @@ import numpy as np
 import viser
 from jaxtyping import Float
 
-from smooth_operator import landmarks
-from smooth_operator.teleop.pages.playback import Playback
+from smooth_operator.teleop.pages.hand_view import HandView
 
 GAP = 0.03
 """Free space between the two hands when they stand side by side [m]."""
@@ -24,16 +23,13 @@ _MARGIN = 1.1
 _LABEL = 0.012  # label above the highest fingertip [m]
 _SNAP = np.cos(np.deg2rad(30.0))  # an axis within this of a model axis is that axis
 _TILT = np.deg2rad(8.0)  # camera a little off the palm normal: depth can be read
-_MCPS = [landmarks.index(f"{finger}_mcp") for finger in landmarks.FINGERS[1:]]
 
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """Axes of the view, and where each hand goes when they stand side by side.
+    """Where each hand goes when they stand side by side, in the palm frame.
 
     Attributes:
-        right, up, toward: orthonormal axes in the model's world frame: the screen's right, the
-            fingers' direction, and the palm normal, toward the viewer.
         human_shift: offset of the human hand, side by side [m].
         robot_shifts: offset of each robot hand, side by side [m].
         centre: middle of the whole picture, side by side [m].
@@ -41,29 +37,11 @@ class Layout:
         half: half width and half height of the whole picture [m].
     """
 
-    right: Float[np.ndarray, "3"]
-    up: Float[np.ndarray, "3"]
-    toward: Float[np.ndarray, "3"]
     human_shift: Float[np.ndarray, "3"]
     robot_shifts: tuple[Float[np.ndarray, "3"], ...]
     centre: Float[np.ndarray, "3"]
     tops: tuple[Float[np.ndarray, "3"], ...]
     half: tuple[float, float]
-
-    def camera(
-        self, aspect: float, covered: float = 0.0
-    ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-        """Position and look-at point of a camera on the palm side that shows both hands.
-
-        Args:
-            aspect: width / height of the canvas.
-            covered: share of the canvas height, from below, that controls cover.
-
-        Returns:
-            (3,) position and (3,) look-at point in the model's world frame [m].
-        """
-        axes = np.stack([self.right, self.up, self.toward])
-        return camera_for(axes, self.centre, self.half, aspect, covered)
 
 
 def camera_for(
@@ -95,22 +73,27 @@ def camera_for(
     return target + distance * direction / np.linalg.norm(direction), target
 
 
-def plan(playback: Playback, *robots: Float[np.ndarray, "_ 3"]) -> Layout:
+def plan(
+    axes: Float[np.ndarray, "3 3"],
+    human: Float[np.ndarray, "T 21 3"],
+    wrist: Float[np.ndarray, "3"],
+    *robots: Float[np.ndarray, "_ 3"],
+) -> Layout:
     """Lay out the scene for a recording: the human hand, and each robot hand to its right.
 
     Args:
-        playback: motion of one of the robots.
-        robots: (N, 3) points that bound a robot hand over the recording, world frame [m].
+        axes: (3, 3) rows: the picture's right, up and toward the viewer.
+        human: (T, 21, 3) landmarks [m]; NaN where there is none.
+        wrist: (3,) wrist of one of the robots [m].
+        robots: (N, 3) points that bound a robot hand over the recording [m].
 
     Returns:
         The layout; without any valid human frame it stands on the robot's fingertips.
     """
-    right, up, toward = view_axes(playback)
-    human = playback.human[np.isfinite(playback.human).all(axis=-1)]
-    human = human if len(human) else robots[0]
-    axes = np.stack([right, up, toward])
-    low_h, high_h = _bounds(human @ axes.T, pad=0.01)
-    floor = min(low_h[1], float(axes[1] @ playback.robot_wrist)) - FOREARM
+    points = human[np.isfinite(human).all(axis=-1)]
+    points = points if len(points) else robots[0]
+    low_h, high_h = _bounds(points @ axes.T, pad=0.01)
+    floor = min(low_h[1], float(axes[1] @ wrist)) - FOREARM
     boxes = [(low_h, high_h), *(_above(points @ axes.T, floor) for points in robots)]
     low = np.min([box[0] for box in boxes], axis=0)
     high = np.max([box[1] for box in boxes], axis=0)
@@ -121,12 +104,9 @@ def plan(playback: Playback, *robots: Float[np.ndarray, "_ 3"]) -> Layout:
     left = middle[0] - width / 2
     shifts = []
     for box, own in zip(boxes, widths, strict=True):
-        shifts.append((left - box[0][0]) * right)
+        shifts.append((left - box[0][0]) * axes[0])
         left += own + GAP
     return Layout(
-        right=right,
-        up=up,
-        toward=toward,
         human_shift=shifts[0],
         robot_shifts=tuple(shifts[1:]),
         centre=middle @ axes,
@@ -147,44 +127,14 @@ def _above(
     return low, high
 
 
-def view_axes(
-    playback: Playback,
-) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-    """Right, up and toward-the-viewer axes for looking at the palm, as unit vectors.
-
-    Up is where the fingers point from the wrist. Which side is the palm needs no handedness: over
-    a recording fingers and thumb are bent toward it, never away.
-    """
-    whole = np.isfinite(playback.human).all(axis=(1, 2))
-    if whole.any():
-        hand = playback.human[whole]
-        wrist, knuckles = hand[:, landmarks.WRIST], hand[:, _MCPS]
-        up = (knuckles.mean(axis=1) - wrist).mean(axis=0)
-        across = (knuckles[:, 0] - knuckles[:, -1]).mean(axis=0)
-        bent = (hand[:, list(landmarks.TIPS)].mean(axis=1) - wrist).mean(axis=0)
-    else:
-        tips, wrist = playback.robot_tips, playback.robot_wrist
-        up = (tips[:, 1:].mean(axis=1) - wrist).mean(axis=0)
-        across = (tips[:, 1] - tips[:, -1]).mean(axis=0)
-        if tips.shape[1] == 2:  # a gripper: thumb against finger
-            across = np.eye(3)[np.abs(up).argmin()]
-        bent = (tips[:, 0] - wrist).mean(axis=0)
-    up = _snap(_unit(up, np.array([0.0, 0.0, 1.0])))
-    up, toward = upright(up, _unit(np.cross(up, across), np.eye(3)[np.abs(up).argmin()]))
-    if toward @ bent < 0:
-        toward = -toward
-    return np.cross(up, toward), up, toward
-
-
-def upright(
-    up: Float[np.ndarray, "3"], toward: Float[np.ndarray, "3"]
-) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-    """Up and toward the viewer, at right angles, along the model's axes where those are near.
+def view_axes(view: HandView) -> Float[np.ndarray, "3 3"]:
+    """Right, up and toward the viewer in the palm frame; along its axes where those are near.
 
     Models are built along their axes: a forearm that leans 10 degrees looks like a mistake.
     """
-    up, toward = _snap(up), _snap(toward)
-    return up, _unit(toward - (toward @ up) * up, np.eye(3)[np.abs(up).argmin()])
+    up, toward = _snap(view.axes[1]), _snap(view.axes[2])
+    toward = _unit(toward - (toward @ up) * up, np.eye(3)[np.abs(up).argmin()])
+    return np.stack([np.cross(up, toward), up, toward])
 
 
 def _unit(

@@ -2,138 +2,65 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-import mujoco
 import numpy as np
-import trimesh
-from jaxtyping import Bool, Float, Int
-from numpy.typing import ArrayLike, DTypeLike
+from jaxtyping import Bool, Float
 
 from smooth_operator.errors import HandModelError, RecordingError
-from smooth_operator.landmarks import FINGERS, NUM_LANDMARKS, TIPS
+from smooth_operator.hands.hand import Hand
+from smooth_operator.landmarks import FINGERS, TIPS
+from smooth_operator.metrics import Trace
 from smooth_operator.metrics.accuracy import PINCH_DISTANCE
 
 
 @dataclass(frozen=True, eq=False)
-class SimpleShapes:
-    """A robot hand of a playback in simple shapes, on a model of its own.
-
-    Attributes:
-        model: the robot hand.
-        qpos: (T, nq) joint positions of that model [rad].
-        meshes: body -> its surface, in the body's frame [m].
-        wxyz: (4,) rotation of that model's world in the playback's, a unit quaternion.
-        position: (3,) its origin there [m].
-    """
-
-    model: mujoco.MjModel
-    qpos: Float[np.ndarray, "T nq"]
-    meshes: Mapping[int, trimesh.Trimesh]
-    wxyz: Float[np.ndarray, "4"]
-    position: Float[np.ndarray, "3"]
-
-
-@dataclass(frozen=True, eq=False)
 class Playback:
-    """A recording and its retargeted motion, ready to be drawn.
+    """A run, ready to be drawn.
 
     Attributes:
         title: shown at the top of the page.
-        model: the robot hand; its geoms are what is drawn.
-        qpos: (T, nq) joint positions of the model [rad], finite.
-        stamps: (T,) strictly increasing times [s].
-        human: (T, 21, 3) landmarks aligned to the robot, in the model's world frame [m]; NaN where
-            a landmark is invalid.
-        status: (T,) ``Status`` values.
-        robot_tips: (T, F, 3) robot fingertips in the model's world frame [m], thumb first.
-        robot_wrist: (3,) robot wrist in the model's world frame [m].
-        latency_ms: (T,) time from landmarks to command [ms]; NaN where unknown.
-        human_tips: (F,) landmark index of the human fingertip that each robot fingertip follows.
-        fingers: (F,) names of the fingers, thumb first.
-        bodies: (nbody,) which bodies of the model to draw, where it holds more than the hand; all
-            if None.
+        hand: the robot hand.
+        trace: the run, in the palm frame.
+        drawn: the same hand on a model with its meshes, with the same joints by name, in any order;
+            simple shapes if left out. With it, a switch shows either.
         label: label above the robot; with several robots, the origin of its motion.
-        simple: the hand in simple shapes, for a switch; None where ``model`` is all there is.
-        show_meshes: draw the model at first, not the simple shapes.
 
     Raises:
-        RecordingError: if an array about the human has the wrong shape, or the stamps don't
-            increase, or there is no frame.
-        HandModelError: if an array about the robot has the wrong shape or is not finite.
+        RecordingError: there is no frame.
+        HandModelError: the robot's positions are not finite.
     """
 
     title: str
-    model: mujoco.MjModel
-    qpos: Float[np.ndarray, "T nq"]
-    stamps: Float[np.ndarray, " T"]
-    human: Float[np.ndarray, "T 21 3"]
-    status: Int[np.ndarray, " T"]
-    robot_tips: Float[np.ndarray, "T F 3"]
-    robot_wrist: Float[np.ndarray, "3"]
-    latency_ms: Float[np.ndarray, " T"]
-    human_tips: tuple[int, ...] = TIPS
-    fingers: tuple[str, ...] = FINGERS
-    bodies: Bool[np.ndarray, " nbody"] | None = None
+    hand: Hand
+    trace: Trace
+    drawn: Hand | None = None
     label: str = "robot"
-    simple: SimpleShapes | None = None
-    show_meshes: bool = True
 
     def __post_init__(self) -> None:
-        stamps = np.asarray(self.stamps, np.float64)
-        if stamps.ndim != 1 or not len(stamps):
-            raise RecordingError(
-                f"stamps must have shape (T,) with at least one frame, not {stamps.shape}"
-            )
-        if not (np.isfinite(stamps).all() and (np.diff(stamps) > 0).all()):
-            raise RecordingError("stamps must be finite and strictly increasing; sort the frames")
-        frames, fingers = len(stamps), len(self.fingers)
-        if fingers < 2 or len(self.human_tips) != fingers:
-            raise HandModelError(
-                f"fingers and human_tips must name the same two or more fingers, thumb first; "
-                f"got {self.fingers} and {self.human_tips}"
-            )
-        if not all(0 <= tip < NUM_LANDMARKS for tip in self.human_tips):
-            raise RecordingError(
-                f"human_tips must be landmark indices 0..{NUM_LANDMARKS - 1}, not {self.human_tips}"
-            )
-        human, robot = RecordingError, HandModelError
-        self._put("stamps", (frames,), human)
-        self._put("human", (frames, NUM_LANDMARKS, 3), human)
-        self._put("status", (frames,), human, np.int64)
-        self._put("latency_ms", (frames,), human)
-        self._put("qpos", (frames, self.model.nq), robot)
-        self._put("robot_tips", (frames, fingers, 3), robot)
-        self._put("robot_wrist", (3,), robot)
-        for name in ("qpos", "robot_tips", "robot_wrist"):
-            if not np.isfinite(getattr(self, name)).all():
+        if not len(self.trace):
+            raise RecordingError("there is nothing to play: the run has no frame")
+        for name in ("joint_positions", "robot_tips", "robot_wrist"):
+            if not np.isfinite(getattr(self.trace, name)).all():
                 raise HandModelError(f"{name} holds NaN or infinity; hold the last good value")
 
-    def _put(
-        self,
-        name: str,
-        shape: tuple[int, ...],
-        error: type[RecordingError | HandModelError],
-        dtype: DTypeLike = np.float64,
-    ) -> None:
-        array: ArrayLike = getattr(self, name)
-        array = np.asarray(array, dtype)
-        if array.shape != shape:
-            raise error(f"{name} must have shape {shape}, not {array.shape}")
-        object.__setattr__(self, name, array)  # normalising a frozen dataclass
-
     def __len__(self) -> int:
-        return len(self.stamps)
+        return len(self.trace)
 
     @property
     def times(self) -> Float[np.ndarray, " T"]:
         """(T,) seconds since the first frame."""
-        return np.asarray(self.stamps - self.stamps[0])
+        return np.asarray(self.trace.stamps - self.trace.stamps[0])
+
+    @property
+    def tips(self) -> list[int]:
+        """Landmarks of the human fingertips that the robot's follow, thumb first."""
+        return [TIPS[FINGERS.index(name)] for name in self.trace.fingers]
 
     def pinches(self) -> Bool[np.ndarray, "T G"]:
         """(T, F-1) True where the human pinches: gap under ``PINCH_DISTANCE``."""
-        tips = self.human[:, list(self.human_tips)]
+        tips = self.trace.human_tips
         # NaN compares False: a lost hand never pinches
         gaps = np.linalg.norm(tips[:, 1:] - tips[:, :1], axis=-1)
         return np.asarray(gaps < PINCH_DISTANCE)
@@ -149,15 +76,16 @@ def check_runs(runs: Sequence[Playback]) -> None:
         raise RecordingError("there is nothing to play: give one run or more")
     first = runs[0]
     for run in runs[1:]:
-        if not np.array_equal(run.stamps, first.stamps):
+        if not np.array_equal(run.trace.stamps, first.trace.stamps):
             raise RecordingError(
                 f"{run.label!r} has {len(run)} frames and {first.label!r} {len(first)}, or their "
                 "time stamps differ: retarget the same frames of one recording with both"
             )
-        if run.fingers != first.fingers:
+        mine, theirs = (", ".join(each.trace.fingers) for each in (run, first))
+        if mine != theirs:
             raise RecordingError(
-                f"{run.label!r} drives {', '.join(run.fingers)}, but {first.label!r} "
-                f"{', '.join(first.fingers)}: give runs of the same fingers"
+                f"{run.label!r} drives {mine}, but {first.label!r} {theirs}: give runs of the same "
+                "fingers"
             )
 
 

@@ -9,23 +9,15 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
-import mujoco
 import numpy as np
-import trimesh
 import viser
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.teleop.pages.hand_view import (
-    body_meshes,
-    css,
-    finger_colors,
-    finger_of_body,
-    without_forearm,
-)
+from smooth_operator.teleop.pages.hand_view import HandView, css, finger_colors
 from smooth_operator.teleop.pages.page_layout import FOREARM, Aiming, plan, view_axes
-from smooth_operator.teleop.pages.playback import Playback, PlaybackClock, SimpleShapes, check_runs
-from smooth_operator.teleop.pages.scene import TRANSLUCENT, BodyNodes, HandRow
+from smooth_operator.teleop.pages.playback import Playback, PlaybackClock, check_runs
+from smooth_operator.teleop.pages.scene import TRANSLUCENT, HandRow, RobotBodies
 from smooth_operator.teleop.pages.viser_server import (
     PageServer,
     add_hotkeys,
@@ -313,12 +305,15 @@ class Scene:
         self._pinches = first.pinches()
         scene = server.scene
         words = {"human": "human"} | {f"robot_{i}": run.label for i, run in enumerate(self._runs)}
-        self.row = HandRow(scene, "", first.human_tips, words, anchor="bottom-center")
-        self.robots = [RobotView(scene, run, f"/robot_{i}") for i, run in enumerate(self._runs)]
-        layout = self._layout = plan(first, *(robot.bounds() for robot in self.robots))
+        self.row = HandRow(scene, "", first.tips, words, anchor="bottom-center")
+        axes = view_axes(HandView(first.hand, simple=True))
+        self.robots = [
+            RobotView(scene, run, f"/robot_{i}", axes[1]) for i, run in enumerate(self._runs)
+        ]
+        bounds = [robot.bounds() for robot in self.robots]
+        layout = self._layout = plan(axes, first.trace.human, first.trace.robot_wrist, *bounds)
         for label, top in zip(self.row.labels.values(), layout.tops, strict=True):
             label.position = top
-        axes = np.stack([layout.right, layout.up, layout.toward])
         self.aiming = Aiming(server, axes, layout.centre, layout.half)
         self.set_overlay(False)
 
@@ -326,8 +321,8 @@ class Scene:
         """Show one frame of all hands."""
         for robot in self.robots:
             robot.draw(frame)
-        tips = [run.robot_tips[frame] for run in self._runs]
-        self.row.draw(self._runs[0].human[frame], tips, self._pinches[frame])
+        tips = [run.trace.robot_tips[frame] for run in self._runs]
+        self.row.draw(self._runs[0].trace.human[frame], tips, self._pinches[frame])
 
     def set_overlay(self, overlay: bool) -> None:
         """Put all hands in one place, or side by side."""
@@ -352,64 +347,50 @@ class RobotView:
         scene: where to draw.
         playback: motion to draw.
         root: name of the parent node, which places the whole hand.
+        distal: unit vector along the forearm, toward the fingers.
     """
 
-    def __init__(self, scene: viser.SceneApi, playback: Playback, root: str) -> None:
-        self._playback = playback
-        meshes = body_meshes(playback.model, playback.bodies)
-        owner = finger_of_body(playback.model, playback.qpos, playback.robot_tips)
-        self.bodies = BodyNodes(
-            scene, playback.model, _cut(playback, meshes, owner), owner, f"{root}/bodies"
-        )
-        self._simple: BodyNodes | None = None
-        if (simple := playback.simple) is not None:
-            of = finger_of_body(simple.model, simple.qpos, _tips(playback, simple))
-            self._simple = BodyNodes(scene, simple.model, simple.meshes, of, f"{root}/simple")
-            self.set_meshes(playback.show_meshes)
+    def __init__(
+        self,
+        scene: viser.SceneApi,
+        playback: Playback,
+        root: str,
+        distal: Float[np.ndarray, "3"],
+    ) -> None:
+        self._trace = playback.trace
+        views = [HandView(playback.drawn)] if playback.drawn else []
+        views.append(HandView(playback.hand, simple=True))
+        self.looks = [
+            RobotBodies(
+                scene, playback.hand, view, f"{root}/look_{i}",
+                meshes=view.without_forearm(FOREARM, distal),
+            )
+            for i, view in enumerate(views)
+        ]  # fmt: skip
+        self.set_meshes(True)
 
     def draw(self, frame: int) -> None:
         """Show one frame."""
-        self.bodies.draw(self._playback.qpos[frame])
-        if self._simple is not None and (simple := self._playback.simple) is not None:
-            pose = np.concatenate([simple.position, simple.wxyz])
-            self._simple.draw(simple.qpos[frame], pose)
+        for look in self.looks:
+            look.draw(self._trace.joint_positions[frame])
 
     def set_translucent(self, translucent: bool) -> None:
         """Make the hand see-through, for looking at the human hand inside it."""
-        for bodies in filter(None, (self.bodies, self._simple)):
-            bodies.set_opacity(TRANSLUCENT if translucent else None)
+        for look in self.looks:
+            look.first.set_opacity(TRANSLUCENT if translucent else None)
 
     def set_meshes(self, visible: bool) -> None:
-        """Draw the model, or the hand in simple shapes."""
-        if self._simple is not None:
-            self.bodies.set_visible(visible)
-            self._simple.set_visible(not visible)
+        """Draw the meshes, where there are some, or the hand in simple shapes."""
+        shown = self.looks[0] if visible else self.looks[-1]
+        for look in self.looks:
+            look.show(look is shown)
 
     def bounds(self, samples: int = 16) -> Float[np.ndarray, "N 3"]:
-        """(N, 3) corners of the bodies' boxes at some frames, in the model's world frame [m]."""
-        frames = np.unique(np.linspace(0, len(self._playback) - 1, samples).astype(int))
-        corners = [self.bodies.corners(self._playback.qpos[frame]) for frame in frames]
-        return np.concatenate([self._playback.robot_tips.reshape(-1, 3), *corners])
-
-
-def _tips(playback: Playback, simple: SimpleShapes) -> Float[np.ndarray, "T F 3"]:
-    """(T, F, 3) fingertips in the world of the simple shapes' model [m]."""
-    matrix = np.empty(9)
-    mujoco.mju_quat2Mat(matrix, simple.wxyz)
-    return np.asarray((playback.robot_tips - simple.position) @ matrix.reshape(3, 3))
-
-
-def _cut(
-    playback: Playback, meshes: dict[int, trimesh.Trimesh], owner: Int[np.ndarray, " nbody"]
-) -> dict[int, trimesh.Trimesh]:
-    """The surfaces without what is far below the wrist in the first frame."""
-    data = mujoco.MjData(playback.model)
-    data.qpos[:] = playback.qpos[0]
-    mujoco.mj_kinematics(playback.model, data)
-    poses = {body: (data.xmat[body].reshape(3, 3), data.xpos[body]) for body in meshes}
-    up = view_axes(playback)[1]
-    cut = without_forearm(meshes, poses, owner, playback.robot_wrist - FOREARM * up, up)
-    return cut or meshes
+        """(N, 3) corners of the bodies' boxes at some frames, in the palm frame [m]."""
+        trace = self._trace
+        frames = np.unique(np.linspace(0, len(trace) - 1, samples).astype(int))
+        corners = [self.looks[0].corners(trace.joint_positions[frame]) for frame in frames]
+        return np.concatenate([trace.robot_tips.reshape(-1, 3), *corners])
 
 
 class Panel:
@@ -442,13 +423,11 @@ class Panel:
         looping = gui.add_checkbox("Loop", loop)
         overlay = gui.add_checkbox("Overlay", False, hint="all hands in one place")
         vectors = gui.add_checkbox("Keyvectors", True, hint="thumb tip to fingertips")
-        if any(run.simple is not None for run in runs):
-            meshes = gui.add_checkbox(
-                "Meshes", runs[0].show_meshes, hint="the maker's, or simple shapes"
-            )
+        if any(run.drawn is not None for run in runs):
+            meshes = gui.add_checkbox("Meshes", True, hint="the maker's, or simple shapes")
             meshes.on_update(from_person(lambda event: controls.set_meshes(event.target.value)))
         view = gui.add_button("Reset view", color="gray", icon=viser.Icon.FOCUS_CENTERED)
-        gui.add_html(legend(runs[0].fingers))
+        gui.add_html(legend(runs[0].trace.fingers))
 
         self._play.on_click(from_person(lambda _: controls.toggle()))
         self._slider.on_update(from_person(lambda event: controls.scrub(event.target.value)))
@@ -495,11 +474,11 @@ def status_line(runs: Sequence[Playback], frame: int) -> str:
 
 def _status_text(run: Playback, frame: int, named: bool) -> str:
     try:
-        status = Status(int(run.status[frame]))
+        status = Status(int(run.trace.status[frame]))
         reason, good = status.reason, status is Status.OK
     except ValueError:  # a file from a newer release; say what it holds
-        reason, good = f"status {int(run.status[frame])}", False
-    latency = run.latency_ms[frame]
+        reason, good = f"status {int(run.trace.status[frame])}", False
+    latency = run.trace.latency_ms[frame]
     time = f"{latency:.2f} ms" if np.isfinite(latency) else "no latency"
     name = f"{html.escape(run.label)}: " if named else ""
     return f"{name}<b>{'✓' if good else '⚠'}</b> {html.escape(reason)} · {time}"

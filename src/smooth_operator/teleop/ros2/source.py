@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Final, Literal, TypeAlias
 
 import numpy as np
+from jaxtyping import Float
 
 from smooth_operator import poses
 from smooth_operator.errors import ConfigError, RecordingError, SourceError
@@ -15,6 +16,7 @@ from smooth_operator.teleop.ros2.messages import (
     Header,
     ManusGlove,
     Message,
+    Pose,
     PoseArray,
     PoseStamped,
     String,

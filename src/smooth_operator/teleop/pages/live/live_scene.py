@@ -26,7 +26,7 @@ from smooth_operator.teleop.arm.settings import ArmSettings
 from smooth_operator.teleop.opencv import opencv
 from smooth_operator.teleop.pages.hand_view import HandView, Rgb
 from smooth_operator.teleop.pages.live.arm_room import ArmRoom, SceneryNodes
-from smooth_operator.teleop.pages.page_layout import FOREARM, GAP, Aiming, upright
+from smooth_operator.teleop.pages.page_layout import FOREARM, GAP, Aiming, view_axes
 from smooth_operator.teleop.pages.scene import TRANSLUCENT, HandRow, RobotBodies, TargetMarks
 from smooth_operator.types import Side
 
@@ -210,8 +210,7 @@ class _SideView:
         self._palm_axes = human_palm_axes(hand)
         view = HandView(hand, simple=True)
         # From the palm frame to the picture: rows right, up, toward become x, z, -y.
-        up, toward = upright(view.axes[1], view.axes[2])
-        self._axes = np.stack([np.cross(up, toward), up, toward])
+        self._axes = view_axes(view)
         self._model_root = f"/{side}/robot/model"
         self._with_simulated = self._show_simulated = simulated
         self._state: Mapping[str, Any] = {
