@@ -20,6 +20,7 @@ from smooth_operator.cli.common_options import (
 
 if TYPE_CHECKING:
     from smooth_operator.lab.offline import Outcome
+    from smooth_operator.planning import Plan
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -122,7 +122,7 @@ def _draw(
         return
     edge = points[front(points)]
     edge = edge[np.argsort(edge[:, 0])]
-    ax.scatter(*points.T, s=14, color="0.6", linewidths=0, label="trials")
+    ax.scatter(points[:, 0], points[:, 1], s=14, color="0.6", linewidths=0, label="trials")
     ax.plot(*edge.T, "o-", color=INK, markersize=3.5, linewidth=1.2, label="their front")
     for name, metrics in marked.items():
         x, y = FLATNESS.of(metrics), against.of(metrics)

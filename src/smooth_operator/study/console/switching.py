@@ -445,7 +445,7 @@ class SceneTrials:
 
     def limit_s(self, block: Block) -> float | None:
         """Time limit of the simulated task [s]; None if the simulation has another scene."""
-        from smooth_operator.simulation.tasks.task_registry import task_named
+        from smooth_operator.simulation.tasks.task import task_named
 
         return task_named(block.task.name).seconds if self.in_scene(block) else None
 
@@ -475,7 +475,7 @@ def same_trial(about: Mapping[str, Any], progress: Progress) -> bool:
 
 def scene_of(block: Block) -> str | None:
     """Name of the simulated task of a block; None if its task is not simulated."""
-    from smooth_operator.simulation.tasks.task_registry import task_named
+    from smooth_operator.simulation.tasks.task import task_named
 
     try:
         return task_named(block.task.name).name
@@ -489,7 +489,7 @@ def check_rubric(block: Block) -> None:
     Raises:
         StudyError: names both scores.
     """
-    from smooth_operator.simulation.tasks.task_registry import task_named
+    from smooth_operator.simulation.tasks.task import task_named
 
     planned = {line.name: line.score for line in block.task.rubric}
     for line in task_named(block.task.name).task.rubric:
@@ -503,7 +503,7 @@ def check_rubric(block: Block) -> None:
 
 def _check_limit(block: Block, answer: Mapping[str, Any]) -> None:
     """Refuses a scene that ends a trial at another time than the plan says."""
-    from smooth_operator.simulation.tasks.task_registry import task_named
+    from smooth_operator.simulation.tasks.task import task_named
 
     planned, limit = block.task.time_limit_s, answer.get("limit_s")
     used = float(limit) if isinstance(limit, int | float) else task_named(block.task.name).seconds
