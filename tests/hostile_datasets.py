@@ -12,7 +12,6 @@ from __future__ import annotations
 import io
 import json
 import random
-import sys
 import tempfile
 from collections import Counter
 from collections.abc import Callable
@@ -22,9 +21,8 @@ from typing import Any
 import dataset_files as files
 import fuzzing
 import numpy as np
-from hostile_files import mutate_hdf5
+from hostile_files import Mutate, Watch, main, mutate_hdf5, read_mutants
 
-Mutate = Callable[[random.Random, bytes], bytes]
 FEWEST = 5
 """Whole frames without which a side is not judged."""
 
@@ -211,7 +209,7 @@ def _packed(folder: Path) -> bytes:
     """Three clips in the format of the Parquet writer."""
     from made_clips import made_clip
 
-    from smooth_operator.lab.datasets.robot_clip import RobotClip
+    from smooth_operator.lab.datasets.clip import RobotClip
     from smooth_operator.lab.datasets.writers.parquet import PARQUET
     from smooth_operator.lab.datasets.writers.registry import WritingOptions
 
@@ -237,41 +235,25 @@ def reconstruction_seeds(folder: Path) -> dict[str, list[tuple[str, bytes, Mutat
     }
 
 
-def campaign(tries: int, seed: int, only: tuple[str, ...] = ()) -> list[str]:
-    """Has mutants read, prints what came of them, and gives a line for each fault."""
+def campaign(
+    tries: int, seed: int, only: tuple[str, ...], watch: Watch
+) -> tuple[dict[str, Counter[str]], list[str]]:
+    """As ``hostile_files.campaign``, of layouts of data sets."""
     faults: list[str] = []
     with (
         tempfile.TemporaryDirectory() as name,
         fuzzing.ReaderProcess([str(Path(__file__).parent)]) as process,
     ):
         folder = Path(name)
-        for layout, good in (seeds(folder) | reconstruction_seeds(folder)).items():
-            if only and layout not in only:
-                continue
-            counts: Counter[str] = Counter()
-            seconds = megabytes = 0.0
-            for i in range(-len(good), tries):
-                rng = random.Random(f"{layout} {seed} {i}")
-                file, content, mutate = good[i % len(good)]
-                path = folder / "mutant" / file
-                path.parent.mkdir(exist_ok=True)
-                path.write_bytes(mutate(rng, content) if i >= 0 else content)
-                verdict = process.read(f"hostile_datasets:{layout}", path)
-                if i < 0:
-                    assert verdict.outcome in ("read", "slow"), (layout, file, verdict)  # imports
-                    continue
-                counts[verdict.outcome] += 1
-                seconds = max(seconds, verdict.seconds)
-                megabytes = max(megabytes, verdict.megabytes)
-                if not verdict.sound:
-                    faults.append(f"{layout} {file} seed {seed} try {i}: {verdict}")
-            print(
-                f"{layout:12} {counts.total():6} {dict(counts)}; at most {seconds:.1f} s of the "
-                f"processor and {megabytes:.0f} MB"
+        tally = {
+            layout: read_mutants(
+                process, f"hostile_datasets:{layout}", files, folder, tries, seed, faults, watch
             )
-    return faults
+            for layout, files in (seeds(folder) | reconstruction_seeds(folder)).items()
+            if not only or layout in only
+        }
+    return tally, faults
 
 
 if __name__ == "__main__":
-    found = campaign(int(sys.argv[1]), int((sys.argv[2:] or ["0"])[0]), tuple(sys.argv[3:]))
-    print("\n".join(found))
+    main(campaign)

@@ -208,7 +208,7 @@ def _geort() -> bytes:
 
 
 def _trial(folder: Path) -> bytes:
-    from smooth_operator.simulation.scenes.state import SceneState
+    from smooth_operator.simulation.scenes.scene import SceneState
     from smooth_operator.simulation.tasks.trial import Outcome
     from smooth_operator.simulation.tasks.trial_record import TrialRecord, write_trial
 
@@ -438,6 +438,36 @@ def _hands() -> list[tuple[str, bytes, Mutate]]:
 Watch = Callable[[str, fuzzing.Verdict], object]
 
 
+def read_mutants(
+    process: fuzzing.ReaderProcess,
+    reader: str,
+    files: list[tuple[str, bytes, Mutate]],
+    folder: Path,
+    tries: int,
+    seed: int,
+    faults: list[str],
+    watch: Watch,
+) -> Counter[str]:
+    """Has mutants read by ``module:function``; how often each outcome came."""
+    counts: Counter[str] = Counter()
+    name = reader.partition(":")[2]
+    for i in range(-len(files), tries):
+        rng = random.Random(f"{name} {seed} {i}")
+        file, content, mutate = files[i % len(files)]
+        path = folder / "mutant" / file
+        path.parent.mkdir(exist_ok=True)
+        path.write_bytes(mutate(rng, content) if i >= 0 else content)
+        verdict = process.read(reader, path)
+        if i < 0:  # first, the good ones themselves; an import may be slow
+            assert verdict.outcome in ("read", "slow"), (reader, file, verdict)
+            continue
+        counts[verdict.outcome] += 1
+        watch(name, verdict)
+        if not verdict.sound:
+            faults.append(f"{name} {file} seed {seed} try {i}: {verdict}")
+    return counts
+
+
 def campaign(
     tries: int, seed: int, only: tuple[str, ...] = (), watch: Watch = lambda reader, verdict: None
 ) -> tuple[dict[str, Counter[str]], list[str]]:
@@ -461,26 +491,11 @@ def campaign(
         folder = Path(name)
         good = seeds(folder)
         for reader, files in good.items():
-            if reader not in (only or good.keys() - set(HANDS)):
-                continue
-            counts: Counter[str] = Counter()
-            for i in range(-len(files), tries):
-                rng = random.Random(f"{reader} {seed} {i}")
-                file, content, mutate = files[i % len(files)]
-                if i >= 0:  # first, the good ones themselves
-                    content = mutate(rng, content)
-                path = folder / "mutant" / file
-                path.parent.mkdir(exist_ok=True)
-                path.write_bytes(content)
-                verdict = process.read(f"hostile_files:{reader}", path)
-                if i < 0:
-                    assert verdict.outcome == "read", (reader, file, verdict)
-                    continue
-                counts[verdict.outcome] += 1
-                watch(reader, verdict)
-                if not verdict.sound:
-                    faults.append(f"{reader} {file} seed {seed} try {i}: {verdict}")
-            tally[reader] = counts
+            if reader in (only or good.keys() - set(HANDS)):
+                where = f"hostile_files:{reader}"
+                tally[reader] = read_mutants(
+                    process, where, files, folder, tries, seed, faults, watch
+                )
         if not only or "lerobot" in only:
             tally["lerobot"] = _datasets(tries, seed, folder, process, faults, watch)
     return tally, faults
@@ -514,7 +529,8 @@ def _datasets(
     return counts
 
 
-if __name__ == "__main__":
+def main(campaign: Callable[..., tuple[dict[str, Counter[str]], list[str]]]) -> None:
+    """``TRIES [SEED] [READER ...]``: prints what came of the mutants."""
     seconds: defaultdict[str, float] = defaultdict(float)
     megabytes: defaultdict[str, float] = defaultdict(float)
 
@@ -531,3 +547,7 @@ if __name__ == "__main__":
             f"processor and {megabytes[which]:.0f} MB"
         )
     print("\n".join(wrong))
+
+
+if __name__ == "__main__":
+    main(campaign)

@@ -25,12 +25,10 @@ from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.human.palm_axes import human_palm_axes
 from smooth_operator.lab.benchmark import compare, latency, read_results, suite
 from smooth_operator.lab.benchmark.cells import cells_of, fingerprint
-from smooth_operator.lab.benchmark.clips import make_clip
 from smooth_operator.lab.benchmark.comparison import verdict
-from smooth_operator.lab.benchmark.machine import Watch
-from smooth_operator.lab.benchmark.panels import Panel, Run, view_basis
-from smooth_operator.lab.benchmark.per_finger import finger_metrics
-from smooth_operator.lab.benchmark.quality import Task, measure_cell
+from smooth_operator.lab.benchmark.latency import Watch
+from smooth_operator.lab.benchmark.panels import Panel, Run, make_clip, view_basis
+from smooth_operator.lab.benchmark.quality import Task, finger_metrics, measure_cell
 from smooth_operator.lab.benchmark.ranking import HEADLINES, Line, best, failures, overall
 from smooth_operator.lab.benchmark.recordings import load_sources, parse_request, unique_names
 from smooth_operator.lab.benchmark.results import Row

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from smooth_operator.lab.benchmark import uses
+from smooth_operator.lab.benchmark import ranking
 from smooth_operator.lab.benchmark.figures import latency_figure
 from smooth_operator.lab.benchmark.page.summary import summary_text
 from smooth_operator.lab.benchmark.page.tables import headline_table
@@ -63,14 +63,14 @@ def test_posture_and_collision_stand_among_the_papers_columns() -> None:
 
 
 def test_a_method_that_collides_is_not_named_for_grasping() -> None:
-    chosen = {use.name: use.methods for use in uses.find_uses(LINES)}
+    chosen = {use.name: use.methods for use in ranking.find_uses(LINES)}
     assert chosen["pinching and grasping"] == ("safe",)  # close has the smaller gap, and collides
     assert chosen["pointing as the human does"] == ("close",)
     assert chosen["speed"] == ("still",)
 
 
 def test_a_method_that_stands_still_is_not_named_for_calm_motion() -> None:
-    chosen = {use.name: use.methods for use in uses.find_uses(LINES)}
+    chosen = {use.name: use.methods for use in ranking.find_uses(LINES)}
     assert chosen["calm motion that keeps up"] == ("close",)
 
 
@@ -78,14 +78,14 @@ def test_where_no_method_serves_a_use_the_reason_is_said() -> None:
     colliding = [
         line(name, 0.9, 1.0, 0.5, 1e-6, gap, 0.4, 0.1, 1.0) for name, gap in (("a", 1.0), ("b", 2))
     ]
-    sentence = uses.verdict(colliding)
+    sentence = ranking.verdict(colliding)
     assert "for pinching and grasping none (every method has over 5 %" in sentence
     assert "no method reaches a motion preservation of 0.9" in sentence
 
 
 def test_without_a_pinch_no_method_is_named_for_it() -> None:
     lines = [line(n, c, 1.0, 0.95, 1e-6, None, 0.0, 0.1, 1.0) for n, c in (("a", 0.9), ("b", 0.8))]
-    grasping = uses.find_uses(lines)[1]
+    grasping = ranking.find_uses(lines)[1]
     assert grasping.methods == ()
     assert grasping.figures == "no pinch gap over the human's was measured"
 
@@ -100,10 +100,10 @@ def test_the_sentence_names_what_the_table_marks() -> None:
                  extension=rng.uniform(0, 0.2))
             for name in "abcd"
         ]  # fmt: skip
-        ranks = uses.mean_ranks(lines)
+        ranks = ranking.mean_ranks(lines)
         first = min(ranks, key=lambda name: ranks[name])
-        assert uses.verdict(lines).startswith(first)
-        for use, name in zip(uses.find_uses(lines), (
+        assert ranking.verdict(lines).startswith(first)
+        for use, name in zip(ranking.find_uses(lines), (
             "finger_extension_error", "pinch_gap_excess_mm", "cosine_similarity", "flatness",
             "latency_ms.p50",
         ), strict=True):  # fmt: skip
@@ -116,8 +116,8 @@ def test_the_sentence_names_what_the_table_marks() -> None:
 def test_figures_that_look_the_same_share_a_rank() -> None:
     one = line("one", 0.99991, 1.0, 0.95, 1e-6, 2.0, 0.0, 0.1, 0.5)
     two = line("two", 0.99992, 1.0, 0.95, 1e-6, 2.0, 0.0, 0.1, 0.5)
-    assert uses.mean_ranks([one, two]) == {"one": 1.5, "two": 1.5}
-    assert uses.verdict([one, two]).startswith("one and two share the best mean rank")
+    assert ranking.mean_ranks([one, two]) == {"one": 1.5, "two": 1.5}
+    assert ranking.verdict([one, two]).startswith("one and two share the best mean rank")
 
 
 def row(method: str, tracker: str, file: str, part: str, error: float) -> Row:
@@ -150,8 +150,8 @@ def test_the_mean_is_over_parts_then_recordings_then_trackers() -> None:
     assert list(by_tracker(rows)) == ["glove", "headset"]
     assert sample_text(rows) == "3 recordings in 5 parts: 2 glove, 1 headset"
     assert best(lines, METRIC["finger_extension_error"]) == {1}
-    assert uses.verdict(lines).startswith("b:p has the best mean rank")
-    assert "for looks b:p (extension error 0.25" in uses.verdict(lines)
+    assert ranking.verdict(lines).startswith("b:p has the best mean rank")
+    assert "for looks b:p (extension error 0.25" in ranking.verdict(lines)
     text = summary_text(rows, Settings(output=Path("out"), recordings=("/x/g1.npz@:5",)))
     assert "| `b:p` | **0.25** |" in text
     assert "n = 3 recordings in 5 parts: 2 glove, 1 headset" in text
@@ -162,11 +162,11 @@ def test_mean_ranks_and_who_competes() -> None:
     better = line("better", 1.0, 1.0, 1.0, 1e-7, 1.0, 0.0, 0.5, 0.1)
     worse = line("worse", 0.9, 0.8, 0.9, 1e-6, 2.0, 0.1, 0.4, 0.2)
     partly = line("partly", 1.0, 1.0, 1.0, 1e-8, 0.5, 0.0, 0.9, 0.01, of=2)
-    assert uses.mean_ranks([worse, better, partly]) == {"better": 1.0, "worse": 2.0}
-    assert uses.verdict([worse, better, partly]).startswith("better has the best mean rank")
-    assert uses.verdict([better]) == ""
+    assert ranking.mean_ranks([worse, better, partly]) == {"better": 1.0, "worse": 2.0}
+    assert ranking.verdict([worse, better, partly]).startswith("better has the best mean rank")
+    assert ranking.verdict([better]) == ""
     gap = line("gap", 1.0, 1.0, 1.0, 1e-7, None, 0.0, 0.5, 0.1)
-    assert uses.mean_ranks([gap, better])["gap"] > uses.mean_ranks([gap, better])["better"]
+    assert ranking.mean_ranks([gap, better])["gap"] > ranking.mean_ranks([gap, better])["better"]
 
 
 def test_the_latency_in_the_plot_is_that_of_the_table() -> None:

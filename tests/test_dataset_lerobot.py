@@ -20,7 +20,7 @@ import pytest
 from robot_clips import JOINTS, robot_clip
 
 from smooth_operator.errors import RecordingError
-from smooth_operator.lab.datasets.robot_clip import RobotClip
+from smooth_operator.lab.datasets.clip import RobotClip
 from smooth_operator.lab.datasets.writers.registry import WRITERS, WritingOptions
 from smooth_operator.lab.datasets.writers.videos import VIDEO_KEY, VideoHead, video_head
 

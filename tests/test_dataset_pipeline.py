@@ -19,13 +19,11 @@ from smooth_operator import Retargeter, poses
 from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError, OutputError, RecordingError
 from smooth_operator.lab.datasets import gpu
-from smooth_operator.lab.datasets.clip import CAMERA, SIDES, Clip
+from smooth_operator.lab.datasets.clip import CAMERA, SIDES, Clip, RobotClip, in_frame
 from smooth_operator.lab.datasets.filters import NO_LIMITS, Dropped, Limits, select
-from smooth_operator.lab.datasets.parts import in_frame
 from smooth_operator.lab.datasets.pipeline import DatasetRequest, Progress, make_dataset
 from smooth_operator.lab.datasets.registry import ClipRef, ReadingOptions
 from smooth_operator.lab.datasets.retargeting import Recipe, retarget_clip
-from smooth_operator.lab.datasets.robot_clip import RobotClip
 from smooth_operator.lab.datasets.sources import (
     Found,
     find_items,

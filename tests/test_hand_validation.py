@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -23,12 +24,10 @@ from smooth_operator.hands.registry import load_hand
 from smooth_operator.hands.spec import FingerSpec, HandSpec, Point
 from smooth_operator.lab.discovery import discover
 from smooth_operator.lab.validation import HandValidation, check_hand, round_trip
-from smooth_operator.lab.validation import methods as validation_methods
-from smooth_operator.lab.validation.methods import check_method
-from smooth_operator.lab.validation.pinches import closest_pinch
-from smooth_operator.lab.validation.reachable import reachable_poses
+from smooth_operator.lab.validation.reachable import closest_pinch, reachable_poses
+from smooth_operator.lab.validation.round_trip import check_method
 from smooth_operator.lab.validation.samples import Samples
-from smooth_operator.lab.validation.shapes import part_distances
+from smooth_operator.lab.validation.tips import part_distances
 from smooth_operator.landmarks import LANDMARKS
 from smooth_operator.methods.default import DEFAULT_METHOD
 from smooth_operator.methods.presets import method_config
@@ -389,7 +388,8 @@ def test_the_default_method_is_judged_without_its_pull(monkeypatch: pytest.Monke
         given.append(config)
         raise ConfigError("looked at")
 
-    monkeypatch.setattr(validation_methods, "Retargeter", refuse)
+    module = sys.modules["smooth_operator.lab.validation.round_trip"]
+    monkeypatch.setattr(module, "Retargeter", refuse)
     check = check_method(load_hand("mimic_p050"), DEFAULT_METHOD, poses=1, seed=0)
     assert check.verdict == "skipped"
     config: Any = method_config(DEFAULT_METHOD)

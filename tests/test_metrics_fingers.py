@@ -8,7 +8,7 @@ from metrics_cases import WRIST, human_motion, make_trace
 
 from smooth_operator import HandRecording, load_hand
 from smooth_operator.hands.hand import Hand
-from smooth_operator.lab.benchmark.per_finger import PER_FINGER, finger_metrics
+from smooth_operator.lab.benchmark.quality import PER_FINGER, finger_metrics
 from smooth_operator.landmarks import FINGERS, LANDMARKS, NUM_LANDMARKS, TIPS
 from smooth_operator.metrics import Trace, evaluate
 from smooth_operator.metrics.assemble import assemble_trace

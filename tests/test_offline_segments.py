@@ -11,7 +11,7 @@ from smooth_operator.human.landmark_filter import (
     LandmarkFilterConfig,
     filter_landmarks,
 )
-from smooth_operator.lab.offline.segments import (
+from smooth_operator.lab.offline.trajectory_retargeter import (
     even_stamps,
     segments,
     tracker_noise,

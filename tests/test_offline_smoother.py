@@ -20,8 +20,7 @@ from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.alignment import align_recording
 from smooth_operator.lab.offline import TrajectoryRetargeter, build, execute
 from smooth_operator.lab.offline import trajectory_retargeter as trajectory_module
-from smooth_operator.lab.offline.segments import windows
-from smooth_operator.lab.offline.trajectory_retargeter import check_method
+from smooth_operator.lab.offline.trajectory_retargeter import check_method, windows
 from smooth_operator.lab.offline.trajectory_solver import Led, motion_price, smooth_trajectory
 from smooth_operator.methods.method import TrajectoryMethodConfig
 from smooth_operator.methods.presets import PRESETS, live_presets, method_config

@@ -106,7 +106,7 @@ print(layout, DATASETS[layout].summary, len(clip), *clip.hands)
 
 import numpy as np
 from smooth_operator.types import CommandTrajectory
-from smooth_operator.lab.datasets.robot_clip import RobotClip
+from smooth_operator.lab.datasets.clip import RobotClip
 from smooth_operator.lab.datasets.writers.registry import WRITERS, WritingOptions
 joints = np.arange(20.0).reshape(10, 2)
 commands = CommandTrajectory(joints, ("a", "b"), clip.stamps, np.zeros(10), np.zeros(10, int))

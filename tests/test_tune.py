@@ -25,9 +25,9 @@ from smooth_operator.lab.tuning import Tuned, TuningSettings, plan_tuning, tune
 from smooth_operator.lab.tuning.held_out import check_held_out
 from smooth_operator.lab.tuning.pareto import front
 from smooth_operator.lab.tuning.score import Bound, Scoring
+from smooth_operator.lab.tuning.search_plan import parse_variable
 from smooth_operator.lab.tuning.traced import TracedRun
 from smooth_operator.lab.tuning.tune import write_preset_file
-from smooth_operator.lab.tuning.variables import parse_variable
 from smooth_operator.methods.presets import PRESETS, SBR_REALTIME, method_config
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.methods.sbr import SbrConfig

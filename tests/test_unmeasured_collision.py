@@ -14,7 +14,7 @@ from smooth_operator.cli import main
 from smooth_operator.hand_files.spec_writer import write_hand_spec
 from smooth_operator.hands.collision import collision_note, penetration_depths, shapeless_links
 from smooth_operator.hands.registry import hand_names, load_hand
-from smooth_operator.lab.benchmark import uses
+from smooth_operator.lab.benchmark import ranking
 
 ONE_FINGER = r"index_\w+"
 
@@ -37,7 +37,7 @@ def test_a_verdict_has_no_part_for_collision_that_was_not_measured() -> None:
         line("wide", 0.98, 1.1, 0.95, 3e-6, 7.0, None, 0.10, 0.5),
         line("close", 0.97, 1.2, 0.92, 4e-6, 4.0, None, 0.09, 0.6),
     ]
-    verdict = uses.verdict(lines)
+    verdict = ranking.verdict(lines)
     assert "for pinching and grasping close (pinch gap over the human's 4 mm)" in verdict
     assert "self-collision" not in verdict
 

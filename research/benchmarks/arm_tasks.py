@@ -20,7 +20,7 @@ from smooth_operator.errors import SmoothOperatorError
 from smooth_operator.simulation.arms.catalogue import ARMS
 from smooth_operator.simulation.arms.rigid import inverse, pose_of, rigid
 from smooth_operator.simulation.scenes import ScenePhysics, scene_for
-from smooth_operator.simulation.tasks.task_registry import TASKS
+from smooth_operator.simulation.tasks.task import TASKS
 from smooth_operator.teleop.arm.controller import build_arms
 from smooth_operator.teleop.arm.settings import ArmSettings
 from smooth_operator_research.demonstrations.demonstration import PERIOD_S, load_demonstration

@@ -21,8 +21,7 @@ import tyro
 
 from smooth_operator import HandRecording, SmoothOperatorError, SyntheticOperator
 from smooth_operator.errors import MissingExtraError
-from smooth_operator.lab.datasets.clip import SIDES, Clip, ObjectTrack
-from smooth_operator.lab.datasets.robot_clip import RobotClip
+from smooth_operator.lab.datasets.clip import SIDES, Clip, ObjectTrack, RobotClip
 from smooth_operator.lab.datasets.writers.registry import WRITERS, WritingOptions
 from smooth_operator.types import CommandTrajectory
 from smooth_operator_research.run_report import BenchmarkError, Report

@@ -18,7 +18,7 @@ from smooth_operator.hands.registry import load_hand
 from smooth_operator.landmarks import TIPS
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.simulation.scenes import ScenePhysics, scene_for
-from smooth_operator.simulation.tasks.task_registry import TASKS
+from smooth_operator.simulation.tasks.task import TASKS
 from smooth_operator.study.data import read_study
 from smooth_operator.study.design.plan import Plan, make_plan
 from smooth_operator.study.design.plan_file import write_plan

@@ -33,8 +33,7 @@ import numpy as np
 from smooth_hand_datasets.keypoints import FileShards
 from smooth_operator import poses
 from smooth_operator.errors import RecordingError
-from smooth_operator.lab.datasets.clip import SIDES
-from smooth_operator.lab.datasets.robot_clip import RobotClip
+from smooth_operator.lab.datasets.clip import SIDES, RobotClip
 from smooth_operator.lab.datasets.writers.arrays import unique_slug
 from smooth_operator.lab.datasets.writers.registry import WritingOptions
 from smooth_operator.lab.datasets.writers.webdataset import npz_bytes

@@ -31,8 +31,7 @@ import numpy as np
 from smooth_hand_datasets.keypoints import FileShards, Scene
 from smooth_operator import poses
 from smooth_operator.formats.jsonable import to_json
-from smooth_operator.lab.datasets.clip import SIDES
-from smooth_operator.lab.datasets.robot_clip import RobotClip
+from smooth_operator.lab.datasets.clip import SIDES, RobotClip
 from smooth_operator.lab.datasets.writers.arrays import slug, unique_slug
 from smooth_operator.lab.datasets.writers.registry import WritingOptions
 from smooth_operator.lab.datasets.writers.webdataset import npz_bytes

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from scipy.sparse import csc_matrix, csr_matrix
 
 from smooth_operator.errors import DocumentError, RecordingError, listed
 from smooth_operator.formats.arrays import StoredArray, open_arrays
@@ -461,28 +462,20 @@ class _Sparse(_Stated):
         """Its numbers, with the zeros."""
         state = self.state
         shape = state.get("_shape", state.get("shape"))
-        parts = [numbers(state.get(key)) for key in ("data", "indices", "indptr")]
+        data, *places = (numbers(state.get(key)) for key in ("data", "indices", "indptr"))
+        parts = (data, *(place.astype(np.int64) for place in places))
         if not isinstance(shape, tuple) or len(shape) != 2:
             raise NotDataError("it has a sparse matrix of a kind that is not read")
         rows, columns = (int(n) for n in _lengths(shape))
-        major, minor = (columns, rows) if self.name == "csc" else (rows, columns)
-        data, indices, ends = parts[0], *(part.astype(np.int64) for part in parts[1:])
-        if major * minor > 50_000_000:
+        if rows * columns > 50_000_000:
             raise NotDataError("its sparse matrix is too large")
-        counts = np.diff(ends)
-        if (
-            not data.ndim == indices.ndim == ends.ndim == 1
-            or len(ends) != major + 1
-            or len(data) != len(indices)
-            or (counts < 0).any()
-            or ends[0] != 0
-            or ends[-1] != len(data)
-            or (len(indices) and not 0 <= indices.min() <= indices.max() < minor)
-        ):
-            raise NotDataError("its sparse matrix is damaged")
-        dense = np.zeros((major, minor))
-        np.add.at(dense, (np.repeat(np.arange(major), counts), indices), data)
-        return dense.T if self.name == "csc" else dense
+        kind = csc_matrix if self.name == "csc" else csr_matrix
+        try:
+            matrix = kind(parts, shape=(rows, columns))
+            matrix.check_format(full_check=True)
+            return np.asarray(matrix.toarray(), np.float64)
+        except (TypeError, ValueError, IndexError) as error:
+            raise NotDataError("its sparse matrix is damaged") from error
 
 
 def numbers(value: Any) -> np.ndarray:

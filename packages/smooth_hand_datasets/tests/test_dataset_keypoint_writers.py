@@ -16,8 +16,7 @@ import pytest
 from robot_clips import robot_clip, rotation
 
 from smooth_operator.errors import RecordingError
-from smooth_operator.lab.datasets.clip import CAMERA, ObjectTrack
-from smooth_operator.lab.datasets.robot_clip import RobotClip
+from smooth_operator.lab.datasets.clip import CAMERA, ObjectTrack, RobotClip
 from smooth_operator.lab.datasets.writers.registry import WRITERS, WritingOptions
 
 TIPS = [4, 8, 12, 16, 20]

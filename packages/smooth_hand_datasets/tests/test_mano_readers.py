@@ -248,7 +248,6 @@ def test_hands_of_the_other_side_are_refused(tmp_path: Path, models: Path) -> No
 def test_damaged_files_are_read_soundly_or_refused(
     tmp_path: Path, models: Path, layout: str
 ) -> None:
-    """A few; ``hostile_mano.py 300`` does many."""
     (tmp_path / "mano_models").symlink_to(models)
     made = layouts.WRITERS[layout](tmp_path / "data")
     for number in range(5):

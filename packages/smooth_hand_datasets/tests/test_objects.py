@@ -33,11 +33,9 @@ from smooth_operator import poses
 from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.alignment import AlignmentConfig
-from smooth_operator.lab.datasets.clip import Clip, ObjectTrack
-from smooth_operator.lab.datasets.parts import robot_part
+from smooth_operator.lab.datasets.clip import Clip, ObjectTrack, RobotClip, robot_part
 from smooth_operator.lab.datasets.quality import quality_figures
 from smooth_operator.lab.datasets.retargeting import Recipe, retarget_clips, whole_config
-from smooth_operator.lab.datasets.robot_clip import RobotClip
 from smooth_operator.lab.datasets.sources import find_items
 from smooth_operator.lab.datasets.work import read_item
 from smooth_operator.methods.method import TrajectoryMethodConfig

@@ -6,11 +6,10 @@ so that any two runs of the same program can be laid side by side with ``--compa
 
 from __future__ import annotations
 
+import contextlib
 import datetime
-import importlib.metadata
 import json
 import os
-import platform
 import subprocess
 import sys
 from collections.abc import Iterable, Mapping, Sequence
@@ -20,16 +19,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from smooth_operator.parallel import usable_cores
-from smooth_operator.version import package_version
+from smooth_operator.formats.environment import environment
 
 RESULTS: Final = Path("build") / "benchmarks"
 """Where results go by default; relative to the current folder, ignored by git."""
 
 _CHECKOUT: Final = Path(__file__).resolve().parents[3]
 """Where the package lies in a checkout; installed from a wheel it is no repository."""
-
-_PACKAGES: Final = ("jax", "jaxlib", "mujoco", "mujoco-mjx", "numpy", "scipy")
 
 _Table = tuple[str, tuple[str, ...], list[list[object]], int]
 
@@ -155,53 +151,25 @@ def cell(value: object) -> str:
 
 def machine() -> dict[str, Any]:
     """Processor, cores that this process may use, accelerator, system."""
-    import jax  # not at the top: the start-up benchmark counts imports
-
-    device = jax.devices()[0]
+    here = environment()
     return {
-        "cpu": _cpu_model(),
-        "cores": usable_cores(),
-        "jax_device": f"{device.platform} ({device.device_kind})",
-        "system": f"{platform.system()} {platform.release()} {platform.machine()}",
+        "cpu": here["cpu"],
+        "cores": here["cpu_cores"],
+        "jax_device": here["device"],
+        "system": here["platform"],
     }
 
 
 def versions() -> dict[str, str]:
-    """Versions of what was measured and of what it stands on; absent packages are left out."""
-    names = {"python": platform.python_version(), "smooth-operator": package_version()}
-    for name in _PACKAGES:
-        try:
-            names[name] = importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            continue
+    """Versions of what was measured and of what it stands on, and the commit of a checkout."""
+    names: dict[str, str] = dict(environment()["versions"])
     if (_CHECKOUT / ".git").exists():
-        try:
-            run = subprocess.run(
+        with contextlib.suppress(OSError, subprocess.CalledProcessError):  # git is not installed
+            names["revision"] = subprocess.run(
                 ["git", "describe", "--always", "--dirty"],
-                cwd=_CHECKOUT,
-                capture_output=True,
-                text=True,
-                check=True,
-            )
-            names["revision"] = run.stdout.strip()
-        except (OSError, subprocess.CalledProcessError):
-            pass  # git is not installed
+                cwd=_CHECKOUT, capture_output=True, text=True, check=True,
+            ).stdout.strip()  # fmt: skip
     return names
-
-
-def _cpu_model() -> str:
-    try:
-        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
-            if line.startswith("model name"):
-                return line.split(":", 1)[1].strip()
-    except OSError:
-        pass
-    if sys.platform == "darwin":
-        command = ["sysctl", "-n", "machdep.cpu.brand_string"]
-        run = subprocess.run(command, capture_output=True, text=True, check=False)
-        if run.stdout.strip():
-            return run.stdout.strip()
-    return platform.processor() or platform.machine()
 
 
 def _read(path: Path, benchmark: str) -> dict[str, Any]:

@@ -25,8 +25,8 @@ from smooth_operator.lab.benchmark.ranking import (
     sample_text,
     shown_value,
 )
+from smooth_operator.lab.benchmark.ranking import verdict as verdict_of
 from smooth_operator.lab.benchmark.results import Row
-from smooth_operator.lab.benchmark.uses import verdict as verdict_of
 from smooth_operator.metrics import Metric
 
 _MOST_PANELS: Final = 8

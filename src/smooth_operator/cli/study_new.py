@@ -11,8 +11,7 @@ from smooth_operator.cli.console import output_console, plain_table
 from smooth_operator.cli.outputs import folder_for
 from smooth_operator.cli.study_options import Enrol, New
 from smooth_operator.errors import ConfigError
-from smooth_operator.simulation.tasks.task import PAPER_TASKS
-from smooth_operator.simulation.tasks.task_registry import TASKS
+from smooth_operator.simulation.tasks.task import PAPER_TASKS, TASKS
 from smooth_operator.study.design.forms import DEFAULT_FORMS
 from smooth_operator.study.design.plan import (
     Plan,

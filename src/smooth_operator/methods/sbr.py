@@ -151,12 +151,10 @@ class Sbr(Method):
             fingers = self.correspondence.init()
             clock = jax.device_put((np.uint32(0), np.float32(1 / _RATE)))
             operator = OperatorState(fingers, fingers.places, *clock)
-        return SbrState(
-            jax.device_put(self.hand.neutral.astype(np.float32)),
-            self.config.objective.targets.init(self.objective.layout),
-            *jax.device_put((seed_words(seed), np.uint32(0))),
-            operator,
-        )
+        start = self.hand.neutral.astype(np.float32), seed_words(seed), np.uint32(0)
+        q, words, frames = jax.device_put(start)
+        targets = self.config.objective.targets.init(self.objective.layout)
+        return SbrState(q, targets, words, frames, operator)
 
     def latched(self, state: SbrState) -> Bool[Array, " P"] | None:
         """(F - 1,) which fingers are latched to the thumb; None if the policy has no latches."""

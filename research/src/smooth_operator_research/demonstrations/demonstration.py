@@ -19,9 +19,9 @@ from smooth_operator.errors import StudyError, UnknownNameError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.simulation.scenes.physics import ScenePhysics
+from smooth_operator.simulation.scenes.scene import SceneState
 from smooth_operator.simulation.scenes.scene_registry import scene_for
-from smooth_operator.simulation.scenes.state import SceneState
-from smooth_operator.simulation.tasks.task_registry import TASKS, task_named
+from smooth_operator.simulation.tasks.task import TASKS, task_named
 from smooth_operator.simulation.tasks.trial import TaskRun
 from smooth_operator.synthetic.robot_landmarks import human_landmarks
 from smooth_operator.types import as_side

@@ -30,7 +30,7 @@ from smooth_operator.simulation.tasks.scorers import (
     ScrewdriverScorer,
     pinches,
 )
-from smooth_operator.simulation.tasks.task_registry import task_named
+from smooth_operator.simulation.tasks.task import task_named
 from smooth_operator.synthetic.tracker import TrackerStream
 from smooth_operator.types import as_side
 from smooth_operator_research.demonstrations.demonstration import (

@@ -15,7 +15,7 @@ from jaxtyping import Float
 from smooth_operator.landmarks import BASES, NUM_LANDMARKS, WRIST
 from smooth_operator.settings import check_numbers
 from smooth_operator.simulation.scenes.physics import ScenePhysics
-from smooth_operator.simulation.scenes.state import SceneState
+from smooth_operator.simulation.scenes.scene import SceneState
 from smooth_operator.simulation.scenes.variation import (
     FRICTION,
     MASS,

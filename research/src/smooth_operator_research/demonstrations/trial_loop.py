@@ -16,9 +16,8 @@ from jaxtyping import Float
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.simulation.scenes.physics import ScenePhysics
-from smooth_operator.simulation.scenes.scene import Scene
-from smooth_operator.simulation.scenes.state import SceneState
-from smooth_operator.simulation.tasks.task_registry import SimulatedTask
+from smooth_operator.simulation.scenes.scene import Scene, SceneState
+from smooth_operator.simulation.tasks.task import SimulatedTask
 from smooth_operator.simulation.tasks.trial import Phase, TaskRun
 from smooth_operator.types import HandFrame, Result
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Final
 
-from smooth_operator.simulation.tasks.task_registry import TASKS, task_named
+from smooth_operator.simulation.tasks.task import TASKS, task_named
 from smooth_operator_research.physics.measure import Case, Drawing, Measured, PhysicsSettings, Unit
 from smooth_operator_research.physics.page import interval_drawings
 from smooth_operator_research.physics.results import Figure, MeasureResults

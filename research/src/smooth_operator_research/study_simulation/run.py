@@ -22,7 +22,7 @@ from smooth_operator.result_cache import (
     no_note,
 )
 from smooth_operator.simulation.scenes.scene_registry import scene_for
-from smooth_operator.simulation.tasks.task_registry import task_named
+from smooth_operator.simulation.tasks.task import task_named
 from smooth_operator.study.chunks import chunk_values
 from smooth_operator.study.data.checked_tables import QUESTIONNAIRE_COLUMNS, TRIAL_COLUMNS
 from smooth_operator.study.design.latin import lot

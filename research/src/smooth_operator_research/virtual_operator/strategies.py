@@ -19,8 +19,8 @@ from jaxtyping import Float
 
 from smooth_operator.simulation.scenes.card import CARD, CardScene
 from smooth_operator.simulation.scenes.cube import EDGE, CubeScene
+from smooth_operator.simulation.scenes.scene import SceneState
 from smooth_operator.simulation.scenes.screwdriver import HANDLE, ScrewdriverScene
-from smooth_operator.simulation.scenes.state import SceneState
 from smooth_operator.simulation.tasks.scorers import (
     CLOSE,
     DOWN,

@@ -11,9 +11,8 @@ import numpy as np
 from jaxtyping import Bool
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.lab.datasets.parts import robot_part
+from smooth_operator.lab.datasets.clip import RobotClip, robot_part
 from smooth_operator.lab.datasets.quality import quality_figures, worst
-from smooth_operator.lab.datasets.robot_clip import RobotClip
 
 Needed: TypeAlias = Literal["any", "all"]
 """Of how many hands of a clip a frame needs: one of them, or each."""

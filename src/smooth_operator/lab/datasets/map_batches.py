@@ -10,13 +10,11 @@ from typing import Any
 
 from smooth_operator.compilation.start import dispatch_here
 from smooth_operator.errors import RecordingError
-from smooth_operator.lab.datasets.clip import Clip
+from smooth_operator.lab.datasets.clip import Clip, Frame, RobotClip
 from smooth_operator.lab.datasets.filters import NO_LIMITS, Dropped, Limits, select
-from smooth_operator.lab.datasets.parts import Frame
 from smooth_operator.lab.datasets.readers.packed import clip_of_row
 from smooth_operator.lab.datasets.registry import ClipRef, ReadingOptions
 from smooth_operator.lab.datasets.retargeting import Recipe, retarget_clips
-from smooth_operator.lab.datasets.robot_clip import RobotClip
 from smooth_operator.lab.datasets.sources import Item
 from smooth_operator.lab.datasets.store import as_stored
 from smooth_operator.lab.datasets.work import ReadClip, read_item

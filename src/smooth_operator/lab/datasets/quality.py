@@ -13,7 +13,7 @@ from smooth_operator import poses
 from smooth_operator.hands.collision import penetration_depths
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import AlignmentConfig, align_recording
-from smooth_operator.lab.datasets.robot_clip import RobotClip
+from smooth_operator.lab.datasets.clip import RobotClip
 from smooth_operator.landmarks import FINGERS, TIPS, WRIST
 from smooth_operator.metrics import summary
 from smooth_operator.metrics.consistency import second_derivative

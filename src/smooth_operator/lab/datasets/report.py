@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from smooth_operator.lab.datasets.clip import RobotClip
 from smooth_operator.lab.datasets.filters import Dropped
 from smooth_operator.lab.datasets.quality import FIGURES, worst
-from smooth_operator.lab.datasets.robot_clip import RobotClip
 from smooth_operator.reporting.html import Html, element, escape, join, paragraph, text_table
 from smooth_operator.reporting.report_page import Plots, write_report_page
 

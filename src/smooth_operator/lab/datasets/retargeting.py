@@ -13,11 +13,9 @@ import numpy as np
 
 from smooth_operator.errors import ConfigError, RecordingError, SmoothOperatorError
 from smooth_operator.formats.jsonable import to_json
-from smooth_operator.lab.datasets.clip import SIDES, Clip
-from smooth_operator.lab.datasets.parts import Frame, in_frame, with_side
+from smooth_operator.lab.datasets.clip import SIDES, Clip, Frame, RobotClip, in_frame, with_side
 from smooth_operator.lab.datasets.quality import Tracks, quality_tracks
 from smooth_operator.lab.datasets.registry import RESEARCH_PACKAGE, ReadingOptions
-from smooth_operator.lab.datasets.robot_clip import RobotClip
 from smooth_operator.lab.offline.execution import answers
 from smooth_operator.lab.offline.finished import digest
 from smooth_operator.methods.method import MethodConfig, TrajectoryMethodConfig

@@ -13,11 +13,9 @@ from pathlib import Path
 from smooth_operator.compilation.start import dispatch_here
 from smooth_operator.errors import RecordingError, SmoothOperatorError
 from smooth_operator.formats.frames import frame_slice
-from smooth_operator.lab.datasets.clip import Clip
-from smooth_operator.lab.datasets.parts import clip_part, with_side
+from smooth_operator.lab.datasets.clip import Clip, RobotClip, clip_part, with_side
 from smooth_operator.lab.datasets.registry import DATASETS, ClipRef
 from smooth_operator.lab.datasets.retargeting import Recipe, SourceFile, clip_key, retarget_clips
-from smooth_operator.lab.datasets.robot_clip import RobotClip
 from smooth_operator.lab.datasets.sources import Item, fetched, find_reader
 from smooth_operator.lab.datasets.store import Finished, Kept, write_pack
 from smooth_operator.lab.offline.finished import digest

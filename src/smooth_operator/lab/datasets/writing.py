@@ -15,11 +15,10 @@ from smooth_operator.atomic_files import atomic_write, write_json
 from smooth_operator.errors import OutputError, RecordingError
 from smooth_operator.formats.jsonable import to_json
 from smooth_operator.io.documents import read_json
-from smooth_operator.lab.datasets.clip import SIDES
+from smooth_operator.lab.datasets.clip import SIDES, RobotClip
 from smooth_operator.lab.datasets.filters import Dropped, Limits, select
 from smooth_operator.lab.datasets.report import FigureTable, write_report
 from smooth_operator.lab.datasets.retargeting import Recipe
-from smooth_operator.lab.datasets.robot_clip import RobotClip
 from smooth_operator.lab.datasets.store import Kept, Store
 from smooth_operator.lab.datasets.writers.registry import WRITERS, WritingOptions
 from smooth_operator.parallel import run_tasks

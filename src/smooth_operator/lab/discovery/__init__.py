@@ -5,4 +5,4 @@ from smooth_operator.lab.discovery.findings import Discovery as Discovery
 from smooth_operator.lab.discovery.findings import Finding as Finding
 from smooth_operator.lab.discovery.findings import FoundCoupling as FoundCoupling
 from smooth_operator.lab.discovery.findings import FoundFinger as FoundFinger
-from smooth_operator.lab.discovery.overrules import Overrules as Overrules
+from smooth_operator.lab.discovery.findings import Overrules as Overrules

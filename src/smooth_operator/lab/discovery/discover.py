@@ -3,26 +3,40 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
+import mujoco
 import numpy as np
 
 from smooth_operator.errors import HandModelError, UnknownNameError
+from smooth_operator.hands.loading import NO_ROOM, Coupling, shared_range
 from smooth_operator.hands.spec import FingerSpec, HandSpec, Point
-from smooth_operator.lab.discovery.bases import bases_finding, fix_bases
 from smooth_operator.lab.discovery.branches import Branches, Chain, HandTree, holds
-from smooth_operator.lab.discovery.checklist import checklist
-from smooth_operator.lab.discovery.couplings import coupling_notes, find_couplings
-from smooth_operator.lab.discovery.findings import Discovery, FoundFinger
-from smooth_operator.lab.discovery.landmarks import find_wrist, finger_points
+from smooth_operator.lab.discovery.findings import (
+    Discovery,
+    Finding,
+    FoundCoupling,
+    FoundFinger,
+    Overrules,
+)
+from smooth_operator.lab.discovery.landmarks import (
+    bases_finding,
+    find_wrist,
+    finger_points,
+    fix_bases,
+)
 from smooth_operator.lab.discovery.layout import Layout, find_layout
-from smooth_operator.lab.discovery.motion import Bending, find_bending, sample_reach
+from smooth_operator.lab.discovery.motion import (
+    Bending,
+    Thumb,
+    find_bending,
+    find_thumb,
+    sample_reach,
+)
 from smooth_operator.lab.discovery.neutral import find_neutral
-from smooth_operator.lab.discovery.overrules import Overrules
-from smooth_operator.lab.discovery.reading import read_skeleton
-from smooth_operator.lab.discovery.skeleton import Skeleton
-from smooth_operator.lab.discovery.thumb import Thumb, find_thumb
+from smooth_operator.lab.discovery.skeleton import Skeleton, read_skeleton
 from smooth_operator.lab.discovery.tips import Tip, find_tip
 from smooth_operator.lab.discovery.words import fingers_said, side_said
 from smooth_operator.landmarks import FINGERS
@@ -327,3 +341,206 @@ def _name(path: Path) -> str:
             words = [w for w in parts if w not in _GENERIC or w == "hand"]
             return "_".join(words)
     return "hand"
+
+
+_DECLARED: Final = 0.95
+_TENDON: Final = 0.7  # how the joints of a tendon share its travel is not in the file
+_CONTRADICTED: Final = 0.3
+
+
+def find_couplings(
+    skeleton: Skeleton, joints: frozenset[int]
+) -> tuple[tuple[FoundCoupling, ...], Finding]:
+    """The couplings among a hand's joints, and what to say of them all.
+
+    A coupling is doubted that would leave its follower no room: in such a file a sign is wrong, and
+    has been turned where that mends it.
+
+    Args:
+        skeleton: the model.
+        joints: those of the hand.
+    """
+    names = {skeleton.joint_names[j] for j in joints}
+    tendons = _on_tendons(skeleton)
+    couplings, notes = [], []
+    for c in skeleton.couplings:
+        if c.joint not in names:
+            continue
+        text = f"{c.joint} follows {c.follows}"
+        confidence = _DECLARED
+        if c.joint in tendons:
+            confidence = _TENDON
+            text += " on a tendon (how they share its travel is taken from its coefficients)"
+        if c.turned:
+            confidence = _CONTRADICTED
+            text += f" with the factor {c.multiplier:g}: {_turned(c)}"
+        elif _contradicted(skeleton, c.joint):
+            confidence = _CONTRADICTED
+            text += (
+                f" with the factor {c.multiplier:g}, as declared, which its own limits do not "
+                "allow: mend the factor or the limits in the file"
+            )
+        couplings.append(FoundCoupling(c, confidence))
+        notes.append(text)
+    overrule = "edit the model file"
+    if not couplings:
+        return (), Finding("coupled", "none", 0.9, ("the file declares none",), overrule)
+    least = min(f.confidence for f in couplings)
+    return tuple(couplings), Finding(
+        "coupled", f"{len(couplings)} joints", least, (*notes, "as the file declares"), overrule
+    )
+
+
+def coupling_notes(couplings: tuple[FoundCoupling, ...]) -> tuple[str, ...]:
+    """Warnings: couplings that are not as the file has them."""
+    return tuple(
+        f"joint {c.joint!r} follows {c.follows!r} with the factor {c.multiplier:g}: {_turned(c)}. "
+        "Check it on the hand; if it is the limits that are wrong, mend them in the file"
+        for c in (f.coupling for f in couplings)
+        if c.turned
+    )
+
+
+def _turned(coupling: Coupling) -> str:
+    return (
+        f"the file says {-coupling.multiplier:g}, for which its own limits leave no room, so the "
+        "sign is taken to be wrong there"
+    )
+
+
+def _contradicted(skeleton: Skeleton, name: str) -> bool:
+    follower = skeleton.joint_names.index(name)
+    leader, gain, offset = skeleton.leaders[follower]
+    ranges = skeleton.limits[[follower, leader]]
+    if not np.isfinite(ranges).all():
+        return False
+    resolved = Coupling(name, skeleton.joint_names[leader], gain, offset)
+    return shared_range(resolved, *ranges) < NO_ROOM
+
+
+def _on_tendons(skeleton: Skeleton) -> set[str]:
+    """Joints that a tendon moves, and no equality holds to another."""
+    model = skeleton.model
+    kind, held = mujoco.mjtWrap.mjWRAP_JOINT, mujoco.mjtEq.mjEQ_JOINT
+    wrapped = {int(model.wrap_objid[w]) for w in np.flatnonzero(model.wrap_type == int(kind))}
+    equal = {int(model.eq_obj1id[e]) for e in np.flatnonzero(model.eq_type == int(held))}
+    return {skeleton.joint_names[j] for j in wrapped - equal}
+
+
+def checklist(
+    *,
+    skeleton: Skeleton,
+    tree: HandTree,
+    layout: Layout,
+    thumb: Thumb,
+    order: tuple[int, ...],
+    names: tuple[str, ...],
+    overruled: frozenset[str],
+    tips: Mapping[int, Tip],
+    coupled: Finding,
+    wrist: tuple[Point, float, tuple[str, ...]],
+    bases: Finding,
+    neutral: tuple[str, ...],
+    spec: HandSpec,
+    palm_given: bool,
+    hands: int,
+) -> tuple[Finding, ...]:
+    """Puts what was found into words.
+
+    Args:
+        skeleton: the model.
+        tree: palm and chains.
+        layout: side and order.
+        thumb: index of the thumb.
+        order: chains, thumb first.
+        names: their human fingers.
+        overruled: human fingers whose chains a person named.
+        tips: chain -> tip.
+        coupled: finding about joints that follow another.
+        wrist: point, confidence, reasons.
+        bases: finding about the fingers' bases.
+        neutral: the neutral pose in words.
+        spec: the description.
+        palm_given: True if a person named the palm.
+        hands: number of hands in the file.
+    """
+    chains = tree.chains
+    palm_why = [f"{len(chains)} chains of joints branch from it"]
+    palm_sure = 0.95
+    nested = [n for i, n in zip(order, names, strict=True) if chains[i].shared]
+    if nested:
+        palm_why.append(f"{', '.join(nested)} share a joint inside the palm")
+        palm_sure = 0.85
+    above = [j for b in skeleton.path(tree.palm) for j in skeleton.joints_of(b)]
+    if above:
+        palm_why.append(f"{len(above)} joints lead to it: an arm or wrist, no part of the hand")
+    if hands > 1:
+        palm_why.append(f"one of {hands} hands in the file, chosen by side")
+    if tree.left_out:
+        palm_why.append("left out: " + "; ".join(tree.left_out))
+        palm_sure -= 0.15
+    if palm_given:
+        palm_sure, palm_why = 1.0, ["given"]
+
+    out = [
+        Finding("side", layout.side, layout.side_confidence, layout.side_evidence, "--side left"
+                if layout.side == "right" else "--side right"),
+        Finding("palm", spec.palm, round(palm_sure, 2), tuple(palm_why), "--palm BODY"),
+        Finding(
+            "thumb",
+            _chain_value(skeleton, chains[order[0]].joints),
+            thumb.confidence,
+            thumb.evidence,
+            "--thumb BODY (any body or joint of the right one)",
+        ),
+        Finding(
+            "order",
+            ", ".join(names),
+            1.0 if overruled >= set(names) else layout.order_confidence,
+            layout.order_evidence,
+            f"--finger {names[-1]}=BODY (any body or joint of the right one)",
+        ),
+    ]  # fmt: skip
+    for i, name in zip(order, names, strict=True):
+        tip = tips[i]
+        x, y, z = _millimetres(tip.point)
+        out.append(
+            Finding(
+                f"tip of {name}",
+                f"{tip.point.body} ({x:.1f}, {y:.1f}, {z:.1f}) mm",
+                tip.confidence,
+                tip.evidence,
+                f"--tip {name}=BODY:x,y,z (metres)",
+            )
+        )
+    out.append(coupled)
+    point, sure, why = wrist
+    x, y, z = _millimetres(point)
+    out.append(
+        Finding(
+            "wrist",
+            f"{point.body} ({x:.1f}, {y:.1f}, {z:.1f}) mm",
+            sure,
+            why,
+            "--wrist BODY:x,y,z (metres)",
+        )
+    )
+    out.append(bases)
+    out.append(
+        Finding(
+            "neutral",
+            f"{len(spec.neutral)} joints",
+            0.8,
+            neutral,
+            "edit [neutral] in the spec file",
+        )
+    )
+    return tuple(out)
+
+
+def _chain_value(skeleton: Skeleton, joints: tuple[int, ...]) -> str:
+    return " → ".join(skeleton.joint_names[j] for j in joints)
+
+
+def _millimetres(point: Point) -> list[float]:
+    return [round(1e3 * c, 1) + 0.0 for c in point.offset]

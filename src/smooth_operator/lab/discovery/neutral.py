@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from typing import Final
 
+import mujoco
 import numpy as np
+from jaxtyping import Float
 
 from smooth_operator.lab.discovery.branches import Chain
 from smooth_operator.lab.discovery.motion import Bending, Reach
-from smooth_operator.lab.discovery.room import finger_overlap
 from smooth_operator.lab.discovery.skeleton import Skeleton
 
 _BENT: Final = 0.22  # share of its closing range by which a joint is bent at rest
@@ -109,3 +110,34 @@ def _pinching(chains: tuple[Chain, ...], reach: Reach, order: tuple[int, ...]) -
         poses += [reach.poses[a] for a, i in zip(thumb_poses, best, strict=True)
                   if facing.flat[i] > 0]  # fmt: skip
     return np.mean(poses, axis=0) if poses else None
+
+
+def finger_overlap(
+    skeleton: Skeleton, chains: tuple[Chain, ...], q: Float[np.ndarray, " n"]
+) -> float:
+    """Deepest overlap of shapes of two fingers in a pose [m]; 0 if none touch.
+
+    Meshes count as their convex hulls, and what the model takes out of collision stays out.
+
+    Args:
+        skeleton: the model.
+        chains: the fingers.
+        q: positions of all joints [rad].
+    """
+    model = skeleton.model
+    owner = np.full(model.nbody, -1)
+    for i, chain in enumerate(chains):
+        moved = [int(model.jnt_bodyid[j]) for j in chain.own]
+        for body in (b for first in moved for b in skeleton.rigid(first)):
+            owner[body] = i
+    finger = owner[model.geom_bodyid]
+    data = mujoco.MjData(model)
+    data.qpos[:] = model.qpos0
+    single = np.flatnonzero(skeleton.moves)
+    data.qpos[model.jnt_qposadr[single]] = q[single]
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    mujoco.mj_collision(model, data)
+    pairs = finger[np.array(data.contact.geom).reshape(-1, 2)]
+    between = (pairs >= 0).all(axis=1) & (pairs[:, 0] != pairs[:, 1])
+    return max(float(np.max(-data.contact.dist[between], initial=0.0)), 0.0)

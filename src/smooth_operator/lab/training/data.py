@@ -1,4 +1,4 @@
-"""From recordings to what GeoRT trains on: points per finger, pinches, reachable fingertips."""
+"""What GeoRT trains on: points per finger, pinches, reachable fingertips; synthetic operators."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ from smooth_operator.errors import RecordingError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import AlignmentConfig, align_recording
 from smooth_operator.lab.training.settings import VOXEL, GeortTraining
-from smooth_operator.types import HandRecording
+from smooth_operator.synthetic.operator import SyntheticOperator
+from smooth_operator.types import HandRecording, Side
 
 REACH_POSES: Final = 65_536
 """Random poses of the robot whose fingertips are its reach."""
@@ -186,3 +187,41 @@ def _reach(
                 near = np.argsort(away)[:FEWEST_POINTS]
             tips[finger] = reachable[:, rng.choice(near, REACH_POSES)]
     return np.ascontiguousarray(tips, np.float32)
+
+
+FIRST_SEED: Final = 9000
+"""Operators of this seed and above are for training; judge a model on others."""
+TRAINING_OPERATORS: Final = 12
+HELD_OUT_OPERATORS: Final = 2
+DURATION_S: Final = 40.0
+"""About two rounds of all gestures."""
+RATE_HZ: Final = 50.0
+_LENGTHS: Final = (0.165, 0.205)  # hands of most adults [m]
+
+
+def synthetic_recordings(
+    side: Side, seed: int = 0
+) -> tuple[list[HandRecording], list[HandRecording]]:
+    """Recordings of several people with hands of several sizes.
+
+    Args:
+        side: side of the hand.
+        seed: other seeds are other people.
+
+    Returns:
+        ``TRAINING_OPERATORS`` recordings to train on, and ``HELD_OUT_OPERATORS`` of other
+        people to validate on; their names hold the seeds.
+    """
+    count = TRAINING_OPERATORS + HELD_OUT_OPERATORS
+    low, high = _LENGTHS
+    recordings = [
+        SyntheticOperator(
+            seed=FIRST_SEED + count * seed + i,
+            side=side,
+            # every size among those trained on, and the held-out ones in between
+            hand_length=low + (high - low) * (i % TRAINING_OPERATORS + 0.5) / TRAINING_OPERATORS,
+            rate_hz=RATE_HZ,
+        ).record(DURATION_S)
+        for i in range(count)
+    ]
+    return recordings[:TRAINING_OPERATORS], recordings[TRAINING_OPERATORS:]

@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final
 
+import jax
+import jax.numpy as jnp
+import numpy as np
+
 from smooth_operator.atomic_files import atomic_write
 from smooth_operator.baselines.geort import GeortModel, write_geort_model
-from smooth_operator.errors import OutputError
+from smooth_operator.errors import ConfigError, OutputError, RecordingError, require
+from smooth_operator.formats.arrays import open_arrays
+from smooth_operator.formats.csv_table import csv_text
 from smooth_operator.formats.environment import environment
 from smooth_operator.formats.jsonable import to_json
-from smooth_operator.lab.training.checkpoint import read_checkpoint, write_checkpoint
-from smooth_operator.lab.training.curves import plot_curves, write_curves
+from smooth_operator.io.documents import parse_json
 from smooth_operator.lab.training.loop import GeortTrainer, TrainingState
+from smooth_operator.lab.training.losses import LOSSES
 
 CHECKPOINT: Final = "checkpoint.npz"
 MODEL: Final = "model.npz"
@@ -110,3 +117,135 @@ class TrainingSession:
             file.write(to_json(about, indent=2).encode() + b"\n")
         write_curves(self.folder / CURVES, state)
         return model
+
+
+require("training", "lab", "matplotlib")
+
+_UNITS = ("weighted", "1 - cosine", "m²", "relative", "m²")
+
+
+def write_curves(path: Path, state: TrainingState) -> None:
+    """Write the losses of all epochs done as CSV: epoch, then train_ and validation_ columns.
+
+    Raises:
+        OutputError: it can't be written.
+    """
+    names = ("loss", *LOSSES)
+    columns = [f"{kind}_{n}" for kind in ("train", "validation") for n in names]
+    done = int(state.epoch)
+    rows = np.hstack([np.asarray(state.train), np.asarray(state.validation)])[:done]
+    numbered = (
+        {"epoch": epoch, **{c: f"{value:.9g}" for c, value in zip(columns, row, strict=True)}}
+        for epoch, row in enumerate(rows, start=1)
+    )
+    with atomic_write(path) as file:
+        file.write(csv_text(["epoch", *columns], numbered).encode())
+
+
+def plot_curves(path: Path, state: TrainingState) -> None:
+    """Draw the same as PNG, one panel for each loss.
+
+    Raises:
+        OutputError: it can't be written.
+    """
+    from matplotlib.figure import Figure  # not pyplot: no global state, no display
+
+    done = int(state.epoch)
+    epochs = np.arange(1, done + 1)
+    curves = {
+        "training": (np.asarray(state.train)[:done], "#0072B2"),
+        "validation": (np.asarray(state.validation)[:done], "#D55E00"),
+    }
+    figure = Figure(figsize=(14, 3.2))
+    figure.subplots_adjust(left=0.04, right=0.99, top=0.88, bottom=0.16, wspace=0.26)
+    panels = figure.subplots(1, 1 + len(LOSSES))
+    for i, (panel, name) in enumerate(zip(panels, ("loss", *LOSSES), strict=True)):
+        for label, (values, colour) in curves.items():
+            shown = values[:, i] > 0  # a logarithm has no place for nothing, nor for NaN
+            panel.plot(epochs[shown], values[shown, i], color=colour, label=label)
+            if shown.any():
+                panel.set_yscale("log")
+        panel.set_title(f"{name} [{_UNITS[i]}]", fontsize=10)
+        panel.set_xlabel("epoch")
+        panel.grid(alpha=0.25)
+    panels[0].legend(frameon=False)
+    with atomic_write(path) as file:
+        figure.savefig(file, format="png", dpi=120)
+
+
+FORMAT: Final = "smooth-operator geort checkpoint"
+VERSION: Final = 1
+
+
+def write_checkpoint(path: Path, trainer: GeortTrainer, state: TrainingState) -> None:
+    """Write all that is needed to go on as if nothing had happened.
+
+    Raises:
+        OutputError: it can't be written.
+    """
+    leaves = {f"leaf_{i:03d}": np.asarray(leaf) for i, leaf in enumerate(jax.tree.leaves(state))}
+    with atomic_write(path) as file:
+        np.savez(file, allow_pickle=False, about=np.array(to_json(_identity(trainer))), **leaves)
+
+
+def read_checkpoint(path: Path, trainer: GeortTrainer) -> TrainingState:
+    """Read what ``write_checkpoint`` wrote, for the same training.
+
+    Raises:
+        ConfigError: there is none, it is damaged, or it is of another hand, other data or other
+            settings; the message says which.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise ConfigError(f"{path}: there is no checkpoint to resume from; start without --resume")
+    identity = json.loads(to_json(_identity(trainer)))
+    template = trainer.init()
+    shapes = [np.asarray(leaf) for leaf in jax.tree.leaves(template)]
+    try:
+        arrays = open_arrays(path)
+        stored = parse_json(arrays["about"].text())
+        different = _differences(identity, stored)
+        leaves = [] if different else [arrays[f"leaf_{i:03d}"].load() for i in range(len(shapes))]
+    except (RecordingError, KeyError, TypeError, ValueError) as error:
+        raise ConfigError(f"{path}: not a checkpoint of GeoRT's training ({error})") from error
+    if different:
+        raise ConfigError(
+            f"{path}: this checkpoint is of another training: {'; '.join(different)}. Resume with "
+            "what it was started with, or train into another folder"
+        )
+    for leaf, expected in zip(leaves, shapes, strict=True):
+        if leaf.shape != expected.shape or leaf.dtype != expected.dtype:
+            raise ConfigError(
+                f"{path}: not a checkpoint of this training: an array has shape {leaf.shape} of "
+                f"{leaf.dtype}, expected {expected.shape} of {expected.dtype}"
+            )
+    state: TrainingState = jax.tree.unflatten(
+        jax.tree.structure(template), [jnp.asarray(leaf) for leaf in leaves]
+    )
+    return state
+
+
+def _identity(trainer: GeortTrainer) -> dict[str, Any]:
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "hand": trainer.hand.name,
+        "side": trainer.hand.spec.side,
+        "settings": trainer.settings,
+        "recordings": trainer.data.sources,
+        "data": trainer.data.digest,
+    }
+
+
+def _differences(expected: Any, stored: Any, where: str = "") -> list[str]:
+    """Each place where two JSON values differ, as a phrase."""
+    if isinstance(expected, dict) and isinstance(stored, dict):
+        keys = [*expected, *(key for key in stored if key not in expected)]
+        return [
+            phrase
+            for key in keys
+            for phrase in _differences(
+                expected.get(key), stored.get(key), f"{where}.{key}" if where else key
+            )
+        ]
+    return [] if expected == stored else [f"its {where} is {stored!r}, not {expected!r}"]

@@ -14,12 +14,14 @@ from smooth_operator.lab.validation.flexion import check_flexion, check_side, fi
 from smooth_operator.lab.validation.joints import (
     check_motion,
     check_neutral,
+    check_palm,
     check_ranges,
     check_shapes,
+    check_size,
+    check_tilt,
 )
-from smooth_operator.lab.validation.methods import MEASURE, check_method
-from smooth_operator.lab.validation.palm import check_palm, check_size, check_tilt
-from smooth_operator.lab.validation.pinches import check_pinches
+from smooth_operator.lab.validation.reachable import check_pinches
+from smooth_operator.lab.validation.round_trip import MEASURE, check_method
 from smooth_operator.lab.validation.samples import Samples
 from smooth_operator.lab.validation.tips import check_tips
 from smooth_operator.methods.default import DEFAULT_METHOD

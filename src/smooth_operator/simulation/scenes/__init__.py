@@ -1,8 +1,7 @@
 """Scenes of the study's tasks, around any hand."""
 
 from smooth_operator.simulation.scenes.physics import ScenePhysics
-from smooth_operator.simulation.scenes.scene import Scene
+from smooth_operator.simulation.scenes.scene import Scene, ScenePart, SceneState
 from smooth_operator.simulation.scenes.scene_registry import SCENES, scene_for
-from smooth_operator.simulation.scenes.state import ScenePart, SceneState
 
 __all__ = ["SCENES", "Scene", "ScenePart", "ScenePhysics", "SceneState", "scene_for"]

@@ -12,8 +12,13 @@ from smooth_operator.simulation.arms.carried import CarriedHand, WristKinematics
 from smooth_operator.simulation.physics import HandPhysics
 from smooth_operator.simulation.physics_model import FURNISHED
 from smooth_operator.simulation.scenes.pads import soften_pads
-from smooth_operator.simulation.scenes.scene import OBJECT, Scene, empty_world
-from smooth_operator.simulation.scenes.state import ScenePart, SceneState
+from smooth_operator.simulation.scenes.scene import (
+    OBJECT,
+    Scene,
+    ScenePart,
+    SceneState,
+    empty_world,
+)
 from smooth_operator.simulation.scenes.touching import Touching
 
 _CLEAR: Final = 0.001

@@ -1,7 +1,7 @@
 """The study's three tasks in simulation: rubrics, scorers, trials, records."""
 
 from smooth_operator.simulation.tasks.scorers import Assessment, Scorer
-from smooth_operator.simulation.tasks.task_registry import TASKS, SimulatedTask, task_named
+from smooth_operator.simulation.tasks.task import TASKS, SimulatedTask, task_named
 from smooth_operator.simulation.tasks.task_session import TaskSession
 from smooth_operator.simulation.tasks.trial import Outcome, Phase, TaskRun, rescore
 from smooth_operator.simulation.tasks.trial_record import TrialRecord, read_trial, write_trial

@@ -11,9 +11,8 @@ from jaxtyping import Float
 
 from smooth_operator.simulation.scenes.card import CARD, CardScene
 from smooth_operator.simulation.scenes.cube import CubeScene
-from smooth_operator.simulation.scenes.scene import Scene
+from smooth_operator.simulation.scenes.scene import Scene, SceneState
 from smooth_operator.simulation.scenes.screwdriver import ScrewdriverScene
-from smooth_operator.simulation.scenes.state import SceneState
 
 HOLD_S: Final = 0.5
 """Time for which a goal must be met without a break [s]."""

@@ -14,8 +14,8 @@ from jaxtyping import Float
 
 from smooth_operator.errors import SinkError, StudyError
 from smooth_operator.simulation.live import LiveSimulation
-from smooth_operator.simulation.scenes.state import SceneState
-from smooth_operator.simulation.tasks.task_registry import task_named
+from smooth_operator.simulation.scenes.scene import SceneState
+from smooth_operator.simulation.tasks.task import task_named
 from smooth_operator.simulation.tasks.trial import Outcome, Phase, TaskRun
 from smooth_operator.simulation.tasks.trial_record import TrialRecord, write_trial
 from smooth_operator.types import Side

@@ -11,10 +11,9 @@ from dataclasses import dataclass, replace
 from typing import Final, Self
 
 from smooth_operator.errors import StudyError
-from smooth_operator.simulation.scenes.scene import Scene
-from smooth_operator.simulation.scenes.state import SceneState
+from smooth_operator.simulation.scenes.scene import Scene, SceneState
 from smooth_operator.simulation.tasks.scorers import NOT_DONE, Assessment, Scorer
-from smooth_operator.simulation.tasks.task_registry import SimulatedTask
+from smooth_operator.simulation.tasks.task import SimulatedTask
 
 RESET_CAP: Final = 0.5
 """Highest score of a trial with a reset."""

@@ -19,7 +19,7 @@ from smooth_operator.atomic_files import atomic_write, output_error
 from smooth_operator.errors import SmoothOperatorError, StudyError, brief, listed
 from smooth_operator.formats.arrays import StoredArrays, open_arrays
 from smooth_operator.io.documents import parse_json
-from smooth_operator.simulation.scenes.state import SceneState
+from smooth_operator.simulation.scenes.scene import SceneState
 from smooth_operator.simulation.tasks.trial import Outcome
 from smooth_operator.types import as_side
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from smooth_operator.errors import StudyError
 from smooth_operator.simulation.live import LiveSimulation
-from smooth_operator.simulation.tasks.task_registry import SimulatedTask, task_named
+from smooth_operator.simulation.tasks.task import SimulatedTask, task_named
 from smooth_operator.simulation.tasks.task_session import TaskSession
 from smooth_operator.simulation.tasks.trial import Outcome, Phase
 from smooth_operator.types import Side

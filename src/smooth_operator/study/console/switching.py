@@ -355,7 +355,7 @@ class SceneTrials:
 
     def limit_s(self, block: Block) -> float | None:
         """Time limit of the simulated task [s]; None if the simulation has another scene."""
-        from smooth_operator.simulation.tasks.task_registry import task_named
+        from smooth_operator.simulation.tasks.task import task_named
 
         return task_named(block.task.name).seconds if self.in_scene(block) else None
 
@@ -376,7 +376,7 @@ def same_trial(about: Mapping[str, Any], progress: Progress) -> bool:
 
 def scene_of(block: Block) -> str | None:
     """Name of the simulated task of a block; None if its task is not simulated."""
-    from smooth_operator.simulation.tasks.task_registry import task_named
+    from smooth_operator.simulation.tasks.task import task_named
 
     try:
         return task_named(block.task.name).name

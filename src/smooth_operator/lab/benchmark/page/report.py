@@ -1,8 +1,8 @@
-"""``report.html`` and its plots."""
+"""``report.html``: tables, the player of clips, and plots."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
 
@@ -11,9 +11,8 @@ from jaxtyping import Float
 
 from smooth_operator.atomic_files import file_name
 from smooth_operator.hands.hand import Hand
-from smooth_operator.lab.benchmark import figures, uses
+from smooth_operator.lab.benchmark import figures, ranking
 from smooth_operator.lab.benchmark.benchmark_folder import PLOTS, REPORT
-from smooth_operator.lab.benchmark.clips import make_clip
 from smooth_operator.lab.benchmark.comparison import Comparison
 from smooth_operator.lab.benchmark.contact_sheet import (
     contact_sheet,
@@ -21,9 +20,8 @@ from smooth_operator.lab.benchmark.contact_sheet import (
     skeleton_shape,
 )
 from smooth_operator.lab.benchmark.page import tables
-from smooth_operator.lab.benchmark.page.player import player
 from smooth_operator.lab.benchmark.page.summary import write_summary
-from smooth_operator.lab.benchmark.panels import Panel, make_panels
+from smooth_operator.lab.benchmark.panels import Panel, make_clip, make_panels
 from smooth_operator.lab.benchmark.ranking import (
     Line,
     by_hand,
@@ -39,7 +37,16 @@ from smooth_operator.lab.benchmark.settings import Settings
 from smooth_operator.lab.benchmark.suite import Finished
 from smooth_operator.reporting.drawing import colors_of, styled
 from smooth_operator.reporting.hand_surface import HandShape
-from smooth_operator.reporting.html import Html, details, element, escape, join, paragraph
+from smooth_operator.reporting.html import (
+    Html,
+    data,
+    details,
+    dot,
+    element,
+    escape,
+    join,
+    paragraph,
+)
 from smooth_operator.reporting.report_page import SORTING, Plots, write_report_page
 
 BUSY = 0.25
@@ -193,15 +200,18 @@ class _Page:
 
     def _verdict(self, lines: Sequence[Line], count: int) -> Html:
         """Verdict in one sentence, with a folded explanation."""
-        verdict = uses.verdict(lines)
+        verdict = ranking.verdict(lines)
         if not verdict:
             return Html("")
         mind = (
             f" {_count(count, 'recording')}: on others the order may be another."
-            if count < uses.FEW
+            if count < ranking.FEW
             else ""
         )
-        inside = [paragraph(verdict), details("How this is decided", paragraph(uses.RULES + mind))]
+        inside = [
+            paragraph(verdict),
+            details("How this is decided", paragraph(ranking.RULES + mind)),
+        ]
         return element("div", join(inside), class_="verdict")
 
     def _latency(self) -> Html:
@@ -352,3 +362,46 @@ def _facts(row: Row) -> Html:
 
 def _count(number: int, what: str) -> str:
     return f"{number} {what}" if number == 1 else f"{number} {what}s"
+
+
+def player(clip: Mapping[str, object]) -> Html:
+    """One pane a method, with play, pause, a slider and a speed.
+
+    Args:
+        clip: result of ``make_clip``.
+    """
+    panes = clip["panes"]
+    assert isinstance(panes, list)
+    shown = join(
+        element(
+            "div",
+            Html(
+                f'<canvas role="img" aria-label="{escape(pane["method"])}: human and robot hand">'
+                f"</canvas><span>{dot(pane['color'])}"
+                f"{escape(pane['method'])}</span>"
+            ),
+            class_="pane",
+        )
+        for pane in panes
+    )
+    controls = Html(
+        '<button type="button">Play</button>'
+        '<input type="range" min="0" value="0" aria-label="frame">'
+        "<output></output>"
+        '<select aria-label="speed"><option value="1">1 ×</option>'
+        '<option value="0.5">½ ×</option><option value="0.25">¼ ×</option></select>'
+    )
+    hint = paragraph(
+        "Grey: the human as the method saw it; coloured: the robot. Drag to turn, double-click to "
+        "turn back.",
+        "soft",
+    )
+    inside = join(
+        [
+            data(clip),
+            element("div", shown, class_="panes"),
+            element("div", controls, class_="controls"),
+            hint,
+        ]
+    )
+    return element("div", inside, class_="player")

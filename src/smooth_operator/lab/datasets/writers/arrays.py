@@ -28,8 +28,7 @@ from typing import Any, Final
 import numpy as np
 
 from smooth_operator.formats.jsonable import to_json
-from smooth_operator.lab.datasets.clip import SIDES
-from smooth_operator.lab.datasets.robot_clip import RobotClip
+from smooth_operator.lab.datasets.clip import SIDES, RobotClip
 from smooth_operator.types import Side, Status
 
 LOST: Final = (

@@ -43,7 +43,7 @@ from smooth_operator.episode_files.lerobot.tables import (
 )
 from smooth_operator.errors import RecordingError, require
 from smooth_operator.formats.jsonable import to_json
-from smooth_operator.lab.datasets.robot_clip import RobotClip
+from smooth_operator.lab.datasets.clip import RobotClip
 from smooth_operator.lab.datasets.writers.arrays import clip_document
 from smooth_operator.lab.datasets.writers.lerobot_columns import RobotLayout, unit_of
 from smooth_operator.lab.datasets.writers.registry import WritingOptions

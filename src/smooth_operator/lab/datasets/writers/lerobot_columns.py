@@ -38,8 +38,7 @@ import numpy as np
 from smooth_operator import poses
 from smooth_operator.episode_files.lerobot.columns import INDICES, POSE_KEYS, POSE_NAMES
 from smooth_operator.errors import RecordingError
-from smooth_operator.lab.datasets.clip import SIDES
-from smooth_operator.lab.datasets.robot_clip import RobotClip
+from smooth_operator.lab.datasets.clip import SIDES, RobotClip
 from smooth_operator.lab.datasets.writers.arrays import clip_valid
 from smooth_operator.lab.datasets.writers.registry import WritingOptions
 from smooth_operator.types import Side

@@ -9,8 +9,8 @@ from types import TracebackType
 from typing import Final, Literal, Protocol
 
 from smooth_operator.errors import ConfigError
+from smooth_operator.lab.datasets.clip import RobotClip
 from smooth_operator.lab.datasets.registry import RESEARCH_PACKAGE
-from smooth_operator.lab.datasets.robot_clip import RobotClip
 from smooth_operator.plugins import Entry, Registry
 from smooth_operator.types import Side
 

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator import poses
-from smooth_operator.lab.datasets.robot_clip import RobotClip
+from smooth_operator.lab.datasets.clip import RobotClip
 from smooth_operator.lab.datasets.writers.arrays import clip_valid
 from smooth_operator.types import CommandTrajectory, HandRecording, Side
 

@@ -25,7 +25,7 @@ from smooth_operator.atomic_files import atomic_write, output_error, write_json
 from smooth_operator.errors import ConfigError, DocumentError, OutputError, RecordingError
 from smooth_operator.formats.jsonable import to_json
 from smooth_operator.io.documents import parse_json, read_json
-from smooth_operator.lab.datasets.robot_clip import RobotClip
+from smooth_operator.lab.datasets.clip import RobotClip
 from smooth_operator.lab.datasets.writers.arrays import clip_key
 from smooth_operator.lab.datasets.writers.registry import WritingOptions
 

@@ -14,7 +14,7 @@ from typing import IO, Any, Final
 import numpy as np
 
 from smooth_operator.formats.jsonable import to_json
-from smooth_operator.lab.datasets.robot_clip import RobotClip
+from smooth_operator.lab.datasets.clip import RobotClip
 from smooth_operator.lab.datasets.writers.arrays import (
     LOST,
     clip_arrays,
