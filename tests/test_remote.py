@@ -37,10 +37,10 @@ from smooth_operator.simulation.tasks.trial_runner import TrialRunner
 from smooth_operator.teleop.components import build_source
 from smooth_operator.teleop.control.method_switcher import MethodSwitcher
 from smooth_operator.teleop.control.rpc_handlers import RpcHandlers
+from smooth_operator.teleop.pages.live.link import Link
 from smooth_operator.teleop.pages.live.live_panel import LivePanel
 from smooth_operator.teleop.pages.live.live_scene import LiveScene
 from smooth_operator.teleop.pages.live.live_session import LiveSession
-from smooth_operator.teleop.pages.live.process import Link
 from smooth_operator.teleop.pages.viser_server import close_server, open_server
 from smooth_operator.teleop.recording import read_log
 from smooth_operator.teleop.runtime.loop import TeleopLoop

@@ -23,7 +23,7 @@ from smooth_operator.teleop.pages.viser_server import name_tab, run_script
 from smooth_operator.types import Side
 
 if TYPE_CHECKING:  # it is the main module of its process
-    from smooth_operator.teleop.pages.live.process import Link
+    from smooth_operator.teleop.pages.live.link import Link
 
 _TEXT_S: Final = 0.25  # between two updates of text, which costs a browser more than poses [s]
 _IDLE_S: Final = 0.5  # while nobody watches
