@@ -149,12 +149,14 @@ class Sbr(Method):
         operator: OperatorState | tuple[()] = ()
         if not is_off(self.config.correspondence.share):
             fingers = self.correspondence.init()
-            clock = jax.device_put((np.uint32(0), np.float32(1 / _RATE)))
-            operator = OperatorState(fingers, fingers.places, *clock)
+            ticks, period = jax.device_put((np.uint32(0), np.float32(1 / _RATE)))
+            operator = OperatorState(fingers, fingers.places, ticks, period)
+        seeds, frames = jax.device_put((seed_words(seed), np.uint32(0)))
         return SbrState(
             jax.device_put(self.hand.neutral.astype(np.float32)),
             self.config.objective.targets.init(self.objective.layout),
-            *jax.device_put((seed_words(seed), np.uint32(0))),
+            seeds,
+            frames,
             operator,
         )
 
