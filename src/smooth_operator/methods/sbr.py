@@ -149,12 +149,16 @@ class Sbr(Method):
         operator: OperatorState | tuple[()] = ()
         if not is_off(self.config.correspondence.share):
             fingers = self.correspondence.init()
-            clock = jax.device_put((np.uint32(0), np.float32(1 / _RATE)))
-            operator = OperatorState(fingers, fingers.places, *clock)
-        start = self.hand.neutral.astype(np.float32), seed_words(seed), np.uint32(0)
-        q, words, frames = jax.device_put(start)
-        targets = self.config.objective.targets.init(self.objective.layout)
-        return SbrState(q, targets, words, frames, operator)
+            ticks, period = jax.device_put((np.uint32(0), np.float32(1 / _RATE)))
+            operator = OperatorState(fingers, fingers.places, ticks, period)
+        seeds, frames = jax.device_put((seed_words(seed), np.uint32(0)))
+        return SbrState(
+            jax.device_put(self.hand.neutral.astype(np.float32)),
+            self.config.objective.targets.init(self.objective.layout),
+            seeds,
+            frames,
+            operator,
+        )
 
     def latched(self, state: SbrState) -> Bool[Array, " P"] | None:
         """(F - 1,) which fingers are latched to the thumb; None if the policy has no latches."""
