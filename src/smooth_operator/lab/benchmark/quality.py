@@ -1,4 +1,4 @@
-"""The work of a quality cell: task, execution in a worker, result."""
+"""The work of a quality cell: task, execution in a worker, result; metrics finger by finger."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Findings about a model, each with its confidence and reason."""
+"""Findings about a model, each with its confidence and reason, and what a user overrules."""
 
 from __future__ import annotations
 

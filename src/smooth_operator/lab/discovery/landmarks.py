@@ -1,4 +1,4 @@
-"""Joint landmarks of a finger, and the wrist."""
+"""Joint landmarks of a finger, the bases of fingers, and the wrist."""
 
 from __future__ import annotations
 

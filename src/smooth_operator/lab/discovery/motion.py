@@ -1,4 +1,4 @@
-"""Motion of fingers: the joints that bend them, the direction, and what two can reach together."""
+"""Motion of fingers: the joints that bend them, which is the thumb, and what two can reach."""
 
 from __future__ import annotations
 

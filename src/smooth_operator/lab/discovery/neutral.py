@@ -1,4 +1,4 @@
-"""A relaxed pose: fingers slightly bent, the thumb turned as for a pinch."""
+"""A relaxed pose: fingers slightly bent and apart, the thumb turned as for a pinch."""
 
 from __future__ import annotations
 
