@@ -50,7 +50,8 @@ def _set_up_environment() -> None:
     # An operation outside of a program compiles in 60 % of the time without XLA's newer emitter of
     # loops, which the package's programs go without, too. XLA ends a process for a flag that it
     # doesn't know, so other versions have none.
-    locked = (HOME / "requirements.lock").read_text(encoding="utf-8").split()
+    lock = HOME / "requirements.lock"
+    locked = lock.read_text(encoding="utf-8").split() if lock.is_file() else []
     if f"jaxlib=={metadata.version('jaxlib')}" in locked:
         os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false")
     # Threads of one matrix product wait for each other: on busy cores least squares took 24 s so,

@@ -42,11 +42,14 @@ def main() -> None:
     plain = method_config("smooth")
     terms = (TipDistance(),)
     apart = replace(plain, objective=replace(plain.objective, terms=terms))
+    least = {}
     for name, config in (("without", plain), ("with", apart)):
         commands, _ = Retargeter(hand, config=config).run(recording)
         tips = hand.tips(commands.joint_positions)
         gaps = np.linalg.norm(tips[:, index] - tips[:, middle], axis=-1)
-        print(f"{name} the term, the tips are at least {1e3 * gaps.min():.1f} mm apart")
+        least[name] = 1e3 * gaps.min()
+        print(f"{name} the term, the tips are at least {least[name]:.1f} mm apart")
+    assert least["with"] > 35.0 > least["without"] + 5.0
 
 
 if __name__ == "__main__":

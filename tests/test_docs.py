@@ -58,7 +58,6 @@ def runnable(page: Path) -> list[tuple[int, str]]:
     return list(python_blocks(page.read_text(encoding="utf-8")))
 
 
-@pytest.mark.usefixtures("few_optimisations")
 @pytest.mark.parametrize("page", list(filter(runnable, PAGES)), ids=relative_name)
 def test_python_blocks_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """In the order of the page, in one namespace, in an empty folder."""

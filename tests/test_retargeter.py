@@ -43,8 +43,6 @@ from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.synthetic.robot_landmarks import human_landmarks
 from smooth_operator.types import HandFrame, HandRecording, Result, Status
 
-pytestmark = pytest.mark.usefixtures("few_optimisations")
-
 FRESH = SbrConfig(sampling=SamplingConfig(samples=128, elites=16, cycles=4))
 """Random numbers in every frame, as in preset ``paper``, but few of them."""
 

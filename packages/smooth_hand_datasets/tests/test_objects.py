@@ -50,8 +50,6 @@ from smooth_operator.types import HandRecording
 from smooth_operator_research.objects.comparison import AWARE, BLIND, Judged, judge, table, targets
 from smooth_operator_research.objects.scenes import SceneSpec, bumpy_mesh, make_clip
 
-pytestmark = pytest.mark.usefixtures("few_optimisations")
-
 
 def has_libigl() -> bool:
     from importlib.util import find_spec
