@@ -155,9 +155,9 @@ def few_optimisations() -> Iterator[None]:
     import jax
 
     from smooth_operator.compilation import batching
-    from smooth_operator.methods import shared
+    from smooth_operator.methods import program
 
-    option, made = "jax_disable_most_optimizations", (shared._programs, batching._programs)
+    option, made = "jax_disable_most_optimizations", (program._programs, batching._programs)
     before, programs = jax.config.read(option), [dict(each) for each in made]
     for known in made:
         known.clear()

@@ -15,7 +15,7 @@ from jax import lax
 from smooth_operator.formats.readers import read_recording
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.alignment import align_recording
-from smooth_operator.human.tracker_noise import NoiseState, remove_noise
+from smooth_operator.human.landmark_filter import NoiseState, remove_noise
 from smooth_operator.landmarks import TIPS, WRIST
 from smooth_operator.methods.presets import method_config
 from smooth_operator.types import HandRecording

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, NoReturn, TypeAlias, TypeVar, cast
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, UInt32
 
@@ -21,9 +22,47 @@ from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.human.operator import Component, OperatorProfile
-from smooth_operator.methods.frame_goals import FrameGoals
-from smooth_operator.objective.loss import ObjectiveConfig
+from smooth_operator.objective.goal import FrameGoal
+from smooth_operator.objective.loss import Objective, ObjectiveConfig
 from smooth_operator.solvers.trajectory import TrajectoryConfig
+
+
+@dataclass(frozen=True, eq=False)
+class FrameGoals:
+    """Goals of the frames of a recording, without regard to the command before.
+
+    Trajectory optimisation solves all frames together: each has a goal, and motion between them
+    costs. What passes from frame to frame is in and out, never inside.
+
+    Attributes:
+        objective: the cost that the goals are for.
+    """
+
+    objective: Objective
+
+    def begin(self) -> Any:
+        """State before the first frame: the target policy's first state."""
+        return self.objective.config.targets.init(self.objective.layout)
+
+    def follow(self, memory: Any, aligned: Float[Array, "21 3"]) -> tuple[Any, FrameGoal]:
+        """The goal of a frame, without velocity and motion of fingertips; traceable.
+
+        Args:
+            memory: from ``begin`` or the frame before.
+            aligned: (21, 3) landmarks in the palm frame [m].
+
+        Returns:
+            what is remembered after the frame, and the goal.
+        """
+        objective, hand = self.objective, self.objective.hand
+        layout = objective.layout
+        targets, memory = objective.config.targets(memory, layout, layout.human(aligned))
+        neutral = jnp.asarray(hand.neutral, aligned.dtype)
+        none = jnp.zeros((), aligned.dtype)
+        tips = jnp.zeros((len(hand.fingers), 3), aligned.dtype)
+        goal = FrameGoal(targets.vectors, targets.weights, neutral, none, tips, tips[:, 0])
+        return memory, goal
+
 
 C = TypeVar("C", bound="MethodConfig")
 

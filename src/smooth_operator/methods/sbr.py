@@ -15,8 +15,7 @@ from jaxtyping import Array, Bool, Float, UInt32
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import AlignmentConfig
-from smooth_operator.methods.frame_goals import FrameGoals
-from smooth_operator.methods.method import Method, MethodOutput, ObjectiveMethodConfig
+from smooth_operator.methods.method import FrameGoals, Method, MethodOutput, ObjectiveMethodConfig
 from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.loss import Objective, ObjectiveConfig
 from smooth_operator.solvers.newton import NewtonConfig, newton_minimise

@@ -28,35 +28,83 @@ from smooth_operator.human.correspondence import (
     CorrespondenceState,
 )
 from smooth_operator.human.landmark_filter import (
+    PALM,
     FilterState,
     LandmarkFilterConfig,
+    NoiseConfig,
+    NoiseState,
     filter_landmarks,
+    remove_noise,
 )
-from smooth_operator.human.tracker_noise import PALM, NoiseConfig, NoiseState, remove_noise
 from smooth_operator.landmarks import FINGERS, NUM_LANDMARKS, TIPS, WRIST
-from smooth_operator.methods.frame_clock import FrameClock
-from smooth_operator.methods.frame_goals import FrameGoals
-from smooth_operator.methods.method import Method, MethodOutput, ObjectiveMethodConfig
-from smooth_operator.objective.close_targets import CloseTargets
+from smooth_operator.methods.method import FrameGoals, Method, MethodOutput, ObjectiveMethodConfig
 from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.loss import Objective, ObjectiveConfig
-from smooth_operator.objective.rest_pose import RestGoal, RestPose, RestPoseConfig
-from smooth_operator.objective.straight_fingers import StraightFingers
-from smooth_operator.objective.terms.direction_length import (
+from smooth_operator.objective.rest_pose import RestGoal, RestPose, RestPoseConfig, StraightFingers
+from smooth_operator.objective.smooth_terms import (
     DirectionLength,
     DirectionLengthConfig,
-)
-from smooth_operator.objective.terms.fingertip_motion import FingertipMotion
-from smooth_operator.objective.terms.fingertip_position import (
+    FingertipMotion,
     FingertipPosition,
     FingertipPositionConfig,
+    SelfCollision,
+    SelfCollisionConfig,
 )
-from smooth_operator.objective.terms.self_collision import SelfCollision, SelfCollisionConfig
+from smooth_operator.objective.targets import CloseTargets
 from smooth_operator.settings import check_numbers, is_off
-from smooth_operator.solvers.newton import NewtonConfig, damped_newton
+from smooth_operator.solvers.newton import NewtonConfig, damped_newton, settled
 from smooth_operator.solvers.normals import frame_key, seed_words
 from smooth_operator.solvers.sampling import SamplingConfig, sample_minimise
-from smooth_operator.solvers.settling import settled
+
+_ADAPTS: Final = 0.05
+"""By how much of the difference the usual time between frames adapts in each of them."""
+
+_SHORTEST: Final = 1e-3
+"""Time between frames that counts as some; stamps that stand still don't tell [s]."""
+
+
+class FrameClock(NamedTuple):
+    """Clock of frames: it turns their stamps into times.
+
+    Attributes:
+        dt: time since the last frame [s].
+        period: usual time between frames [s].
+        first: nothing came before.
+        restart: nothing came before, or too long ago to count as motion.
+    """
+
+    dt: Float[Array, ""]
+    period: Float[Array, ""]
+    first: Bool[Array, ""]
+    restart: Bool[Array, ""]
+
+    @classmethod
+    def of(
+        cls,
+        passed: UInt32[Array, ""],
+        frames: UInt32[Array, ""],
+        period: Float[Array, ""],
+        rate_hz: float,
+        gap: float,
+    ) -> FrameClock:
+        """Time of a frame; traceable.
+
+        Args:
+            passed: ticks since the last one, in microseconds modulo 2^32.
+            frames: number of frames before it.
+            period: usual time between them [s].
+            rate_hz: rate that is assumed where stamps stand still.
+            gap: longest time between frames that counts as motion [s].
+        """
+        elapsed = passed.astype(jnp.int32) * 1e-6
+        first = frames == 0
+        # a stamp that goes back belongs to another recording
+        restart = first | (elapsed > gap) | (elapsed < 0)
+        stamped = (elapsed >= _SHORTEST) & ~restart
+        dt = jnp.where(stamped, elapsed, 1 / rate_hz).astype(jnp.float32)
+        share = jnp.where(frames > 1, _ADAPTS, 1.0)
+        return cls(dt, jnp.where(stamped, period + share * (dt - period), period), first, restart)
+
 
 REFERENCE: Final = 0.01
 """Time between frames for which weights of change are given [s]. They scale with 1 / dt, so that an

@@ -210,7 +210,7 @@ def _code(method: tuple[str, ...], whole: bool = False) -> str:
     if not whole:
         return code_digest(*needed)
     more = imported_modules(
-        "methods/frame_goals.py", "lab/offline/segments.py", "lab/offline/trajectory_solver.py"
+        "methods/method.py", "lab/offline/segments.py", "lab/offline/trajectory_solver.py"
     )
     return code_digest(*sorted({*needed, *more}), "lab/offline/trajectory_retargeter.py")
 
