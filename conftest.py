@@ -166,9 +166,9 @@ def few_optimisations() -> Iterator[None]:
     import jax
 
     from smooth_operator.compilation import batching
-    from smooth_operator.methods import shared
+    from smooth_operator.methods import program
 
-    option, stores = "jax_disable_most_optimizations", (shared._programs, batching._programs)
+    option, stores = "jax_disable_most_optimizations", (program._programs, batching._programs)
     before, others = jax.config.read(option), [dict(store) for store in stores]
 
     def change(programs: list[dict[Any, Any]], few: bool) -> None:

@@ -20,7 +20,7 @@ from smooth_operator import Retargeter, SyntheticOperator, load_hand, method_con
 from smooth_operator.compilation import batching, cache, compiled_program
 from smooth_operator.compilation.cache import ProgramCache
 from smooth_operator.compilation.compiled_program import CompiledProgram, program_key
-from smooth_operator.methods import shared
+from smooth_operator.methods import program as programs
 from smooth_operator.methods.sbr import SbrConfig
 from smooth_operator.solvers.sampling import SamplingConfig
 
@@ -37,7 +37,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     compilation_cache.reset_cache()
     monkeypatch.setenv("SMOOTH_OPERATOR_CACHE", str(tmp_path))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(shared, "_programs", type(shared._programs)())
+        patch.setattr(programs, "_programs", type(programs._programs)())
         patch.setattr(batching, "_programs", type(batching._programs)())
         yield tmp_path / "programs"
     jax.config.update("jax_enable_compilation_cache", before)
@@ -46,7 +46,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 def forget() -> None:
     """As a new process would begin."""
-    shared._programs.clear()
+    programs._programs.clear()
     batching._programs.clear()
 
 

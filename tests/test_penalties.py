@@ -13,8 +13,9 @@ from trees import float64
 from smooth_operator import load_hand
 from smooth_operator.errors import ConfigError
 from smooth_operator.objective.goal import FrameGoal
+from smooth_operator.objective.keyvectors import KeyvectorLayout
 from smooth_operator.objective.loss import Objective, ObjectiveConfig
-from smooth_operator.objective.penalties import Loss, vector_price, vector_slopes
+from smooth_operator.objective.terms import Keyvectors, Loss, RobotVectors
 
 TRANSITION = 0.02
 
@@ -36,18 +37,27 @@ def written_out(error: np.ndarray, weight: float, loss: Loss) -> float:
     return smooth_l1(float(weight * np.linalg.norm(error)))
 
 
+def keyvectors(loss: Loss) -> Keyvectors:
+    hand = load_hand()
+    return Keyvectors(RobotVectors(hand, KeyvectorLayout(hand.fingers)), loss, TRANSITION)
+
+
 @pytest.mark.parametrize("loss", get_args(Loss))
 def test_price_and_slopes(loss: Loss) -> None:
     with float64():
         vectors, weights = map(jnp.asarray, errors())
 
-        def price(e: jax.Array, weight: jax.Array) -> jax.Array:
-            return vector_price([e[0], e[1], e[2]], weight, loss, TRANSITION)
+        term = keyvectors(loss)
+        goal = FrameGoal(vectors, weights, np.zeros(0), 0.0)
 
-        found = jax.jit(jax.vmap(price))(vectors, weights)
+        def price(e: jax.Array, weight: jax.Array) -> jax.Array:
+            return term.price([e[0], e[1], e[2]], weight)
+
+        prices = jax.jit(jax.vmap(price))(vectors, weights)
         expected = [written_out(e, w, loss) for e, w in zip(*errors(), strict=True)]
-        np.testing.assert_allclose(found, expected, rtol=1e-6)
-        force, bend = jax.jit(lambda v, w: vector_slopes(v, w, loss, TRANSITION))(vectors, weights)
+        np.testing.assert_allclose(prices, expected, rtol=1e-6)
+        cost, force, bend = jax.jit(lambda v: term.slopes(v, goal))(vectors)
+        np.testing.assert_allclose(cost, prices.sum())
         slopes = jax.jit(jax.vmap(jax.grad(price)))(vectors, weights)
         np.testing.assert_allclose(force, slopes, rtol=1e-9)
         full = bend if bend.ndim == 3 else np.asarray(bend)[..., None] * np.eye(3)
@@ -55,11 +65,18 @@ def test_price_and_slopes(loss: Loss) -> None:
         np.testing.assert_allclose(full, second, rtol=1e-9, atol=1e-9)
 
 
+def test_a_vector_at_its_target_has_no_force_and_the_curvature_of_the_parabola() -> None:
+    goal = FrameGoal(np.zeros((1, 3)), jnp.ones(1), np.zeros(0), 0.0)
+    _, force, bend = keyvectors("smooth_l1").slopes(jnp.zeros((1, 3)), goal)
+    np.testing.assert_array_equal(force, 0.0)
+    np.testing.assert_allclose(bend, 1 / TRANSITION)
+
+
 def test_the_length_of_an_error_counts_and_not_its_components() -> None:
     """3, 4 and 5 mm: with components of their own, the parts would add up to 7."""
     error = [jnp.asarray(0.03), jnp.asarray(0.04), jnp.asarray(0.0)]
-    found = vector_price(error, jnp.asarray(2.0), "smooth_l1_norm", TRANSITION)
-    assert float(found) == pytest.approx(2 * 0.05 - TRANSITION / 2, rel=1e-5)
+    price = keyvectors("smooth_l1_norm").price(error, jnp.asarray(2.0))
+    assert float(price) == pytest.approx(2 * 0.05 - TRANSITION / 2, rel=1e-5)
 
 
 @pytest.mark.parametrize("centre", ["neutral", "zero"])

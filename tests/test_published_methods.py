@@ -15,8 +15,7 @@ import numpy as np
 import pytest
 
 from smooth_operator import Retargeter, load_hand, method_config
-from smooth_operator.baselines.joint_angle import JointAngleMap
-from smooth_operator.baselines.published_angles import PublishedAngles
+from smooth_operator.baselines.joint_angle import JointAngleMap, PublishedAngles
 from smooth_operator.baselines.slsqp_method import SlsqpMethod
 from smooth_operator.formats.readers import read_recording
 from smooth_operator.hands.hand import Hand

@@ -22,13 +22,13 @@ from smooth_operator.methods.smooth import SmoothConfig
 from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.keyvectors import KeyvectorLayout
 from smooth_operator.objective.rest_pose import RestPose, RestPoseConfig
-from smooth_operator.objective.terms.fingertip_position import (
+from smooth_operator.objective.smooth_terms import (
     FingertipPosition,
     FingertipPositionConfig,
+    SelfCollision,
+    SelfCollisionConfig,
 )
-from smooth_operator.objective.terms.neutral_pose import NeutralPose
-from smooth_operator.objective.terms.robot_vectors import RobotVectors
-from smooth_operator.objective.terms.self_collision import SelfCollision, SelfCollisionConfig
+from smooth_operator.objective.terms import NeutralPose, RobotVectors
 from smooth_operator.synthetic.robot_landmarks import human_landmarks
 from smooth_operator_research.physics.reachable_motion import reachable_motion
 

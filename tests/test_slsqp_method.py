@@ -13,8 +13,14 @@ import pytest
 from smooth_operator import HandFrame, HandSpec, Retargeter, Status, load_hand, method_config
 from smooth_operator.baselines import slsqp, slsqp_method
 from smooth_operator.baselines.slsqp import SlsqpConfig
-from smooth_operator.baselines.slsqp_method import SlsqpMethod, SlsqpMethodConfig
-from smooth_operator.baselines.slsqp_targets import AkoTargets, PinchLayout, TipLayout, TipTargets
+from smooth_operator.baselines.slsqp_method import (
+    AkoTargets,
+    PinchLayout,
+    SlsqpMethod,
+    SlsqpMethodConfig,
+    TipLayout,
+    TipTargets,
+)
 from smooth_operator.errors import ConfigError
 from smooth_operator.formats.readers import read_recording
 from smooth_operator.hands.hand import Hand

@@ -18,7 +18,7 @@ from smooth_operator.methods.presets import method_config
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.methods.smooth import SmoothConfig
 from smooth_operator.metrics.consistency import frozen_share, motion_preservation
-from smooth_operator.objective.terms.self_collision import SelfCollisionConfig
+from smooth_operator.objective.smooth_terms import SelfCollisionConfig
 from smooth_operator.types import HandFrame, HandRecording, Status
 
 pytestmark = pytest.mark.usefixtures("few_optimisations")

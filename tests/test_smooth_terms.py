@@ -24,16 +24,17 @@ from smooth_operator.human.landmark_filter import (
 )
 from smooth_operator.landmarks import FINGERS
 from smooth_operator.methods.program import ticks_of
-from smooth_operator.objective.close_targets import CloseTargets
 from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.loss import Objective, ObjectiveConfig
-from smooth_operator.objective.terms.direction_length import (
+from smooth_operator.objective.smooth_terms import (
     DirectionLength,
     DirectionLengthConfig,
-    direction_length_cost,
+    FingertipMotion,
+    SelfCollision,
+    SelfCollisionConfig,
 )
-from smooth_operator.objective.terms.fingertip_motion import FingertipMotion
-from smooth_operator.objective.terms.self_collision import SelfCollision, SelfCollisionConfig
+from smooth_operator.objective.targets import CloseTargets
+from smooth_operator.objective.terms import VectorSlopes
 from smooth_operator.solvers.newton import NewtonConfig, damped_newton
 
 pytestmark = pytest.mark.usefixtures("few_optimisations")
@@ -326,9 +327,21 @@ def test_latches_close_near_and_open_far_and_change_no_target() -> None:
 # Angle and length
 
 
+class EveryVector(DirectionLength):
+    part = "all"
+
+
+def slopes_of(
+    config: DirectionLengthConfig, vectors: jax.Array, targets: jax.Array
+) -> VectorSlopes:
+    """The cost of some vectors, whatever hand they are of."""
+    vectors_of_no_hand: Any = None
+    goal = NO_GOAL._replace(vectors=targets)
+    return EveryVector(vectors_of_no_hand, config).slopes(vectors - targets, goal)
+
+
 def cost_of(config: DirectionLengthConfig, vector: np.ndarray, target: np.ndarray) -> float:
-    given, wanted = jnp.asarray(vector)[None], jnp.asarray(target)[None]
-    return float(direction_length_cost(given, wanted, config).cost)
+    return float(slopes_of(config, jnp.asarray(vector)[None], jnp.asarray(target)[None]).cost)
 
 
 def test_a_vector_is_priced_by_its_cosine_and_its_length() -> None:
@@ -362,16 +375,16 @@ def test_the_slope_of_angle_and_length_is_that_of_the_price() -> None:
     vectors, targets = rng.normal(0, 0.02, (2, 12, 3))
     with float64():
         given, wanted = jnp.asarray(vectors), jnp.asarray(targets)
-        priced = jax.jit(lambda v: direction_length_cost(v, wanted, config))
+        priced = jax.jit(lambda v: slopes_of(config, v, wanted))
         slope = jax.jit(jax.grad(lambda v: priced(v).cost))(given)
         found = priced(given)
-        np.testing.assert_allclose(found.gradient, slope, rtol=1e-8, atol=1e-10)
-        assert np.linalg.eigvalsh(np.asarray(found.hessian)).min() > -1e-9  # no step goes uphill
+        np.testing.assert_allclose(found.first, slope, rtol=1e-8, atol=1e-10)
+        assert np.linalg.eigvalsh(np.asarray(found.second)).min() > -1e-9  # no step goes uphill
         # where a vector points as it should, nothing is left out
-        exact = jax.jit(
-            jax.hessian(lambda v: direction_length_cost(v[None], wanted[:1], config).cost)
-        )(wanted[0])
-        near = priced(wanted).hessian[0]
+        exact = jax.jit(jax.hessian(lambda v: slopes_of(config, v[None], wanted[:1]).cost))(
+            wanted[0]
+        )
+        near = priced(wanted).second[0]
         assert np.abs(near - exact).max() < 0.2 * np.abs(exact).max()
 
 

@@ -18,10 +18,16 @@ from smooth_operator.cli.hands import Hands
 from smooth_operator.errors import ConfigError, HandModelError, OutputError, UnknownNameError
 from smooth_operator.hand_files.spec_writer import write_hand_spec
 from smooth_operator.hand_files.user_hands import save_hand
-from smooth_operator.hands.registry import MODELS, find_hand, hand_names, known_hands, load_hand
+from smooth_operator.hands.registry import (
+    MODELS,
+    find_hand,
+    hand_names,
+    known_hands,
+    load_hand,
+    user_hands_folder,
+)
 from smooth_operator.hands.spec import HandSpec, JointMap, Point
 from smooth_operator.hands.spec_file import read_hand_spec
-from smooth_operator.hands.user_folder import user_hands_folder
 from smooth_operator.teleop.joint_rows import joint_rows
 from smooth_operator.teleop.pages.hand_page import HandPage
 from smooth_operator.teleop.pages.hand_view import HandView

@@ -16,7 +16,7 @@ from smooth_operator.geometry import AnyKind
 from smooth_operator.objective import LeastSquaresTerm, ObjectiveConfig
 from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.loss import Objective
-from smooth_operator.objective.terms.term import JointTerm
+from smooth_operator.objective.terms import JointTerm
 
 pytestmark = pytest.mark.usefixtures("few_optimisations")
 

@@ -16,7 +16,7 @@ from smooth_operator.errors import ConfigError
 from smooth_operator.geometry import umeyama
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.alignment import reference_landmarks
-from smooth_operator.human.tracker_noise import (
+from smooth_operator.human.landmark_filter import (
     PALM,
     NoiseConfig,
     NoiseState,

@@ -8,7 +8,7 @@ import pytest
 from smooth_operator import HandRecording, Retargeter, load_hand, method_config
 from smooth_operator.human.alignment import align_recording
 from smooth_operator.landmarks import TIPS
-from smooth_operator.objective.straight_fingers import StraightFingers
+from smooth_operator.objective.rest_pose import StraightFingers
 from smooth_operator_research.demonstrations.demonstration import (
     DemonstrationLandmarks,
     load_demonstration,

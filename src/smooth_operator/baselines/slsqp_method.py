@@ -4,7 +4,8 @@ Newton steps in the compiled program come first: they have the objective's exact
 SLSQP estimates again in every frame. SLSQP continues from their result, unless that is a minimum.
 
 DexPilot, AKO, the keyvector method and its hybrid with joint angles differ only in their targets,
-weights and starting point.
+weights and starting point. AKO is "Analyzing Key Objectives" (Xin et al. 2025): the nearer a finger
+is to the thumb, the less its wrist vectors count, by a sigmoid instead of DexPilot's latch.
 """
 
 from __future__ import annotations
@@ -20,8 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, UInt32
 
-from smooth_operator.baselines.joint_angle import JointAngleMap
-from smooth_operator.baselines.published_angles import PublishedAngles
+from smooth_operator.baselines.joint_angle import JointAngleMap, PublishedAngles
 from smooth_operator.baselines.slsqp import (
     ScipySlsqpConfig,
     SlsqpConfig,
@@ -33,6 +33,7 @@ from smooth_operator.compilation.compiled_program import compiled
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import AlignmentConfig
+from smooth_operator.landmarks import WRIST
 from smooth_operator.methods.method import (
     Compiling,
     HostMethod,
@@ -40,8 +41,9 @@ from smooth_operator.methods.method import (
     ObjectiveMethodConfig,
 )
 from smooth_operator.objective.goal import FrameGoal
+from smooth_operator.objective.keyvectors import VectorLayout, tips_of
 from smooth_operator.objective.loss import Objective, ObjectiveConfig
-from smooth_operator.objective.targets import Targets
+from smooth_operator.objective.targets import StatelessTargets, Targets
 from smooth_operator.solvers.newton import NewtonConfig, newton_minimise
 
 
@@ -246,3 +248,127 @@ class SlsqpMethod(HostMethod):
         else:
             result = scipy_slsqp_minimise(objective, start, limits, solver)
         return result.x, result.value
+
+
+@dataclass(frozen=True)
+class PinchLayout(VectorLayout):
+    """Vectors wrist to tip (F), thumb tip to other tip (F - 1), and last joint to tip (F).
+
+    Attributes:
+        fingers: human finger names, thumb first.
+    """
+
+    fingers: tuple[str, ...]
+
+    @cached_property
+    def vectors(self) -> tuple[tuple[int | None, int], ...]:
+        """(K,) (from, to) landmark indices."""
+        tips = tips_of(self.fingers)
+        return (
+            *((WRIST, tip) for tip in tips),
+            *((tips[0], tip) for tip in tips[1:]),
+            *((tip - 1, tip) for tip in tips),
+        )
+
+
+@dataclass(frozen=True)
+class AkoTargets(StatelessTargets[PinchLayout]):
+    """Targets and weights of AKO.
+
+    Attributes:
+        w_thumb_wrist: weight of wrist to thumb tip, before switching.
+        w_wrist: weight of wrist to each other tip, before switching.
+        w_pinch: weight of thumb tip to each other tip.
+        w_distal: weight of last joint to tip, which determines the direction of the pad.
+        switch_distance: thumb-to-tip distance at which a switched vector has half its weight [m].
+            The finger nearest to the thumb switches all wrist vectors.
+        switch_scale: steepness of the switch [1/m].
+        contact: distance below which the target of a pinch is closed [m].
+        release: distance from which on the pinch vector is the human's own [m]; in between, the
+            target length rises from 0 at ``contact``.
+        switch_pinch: True fades each pinch vector with the distance from the thumb, as published.
+            With False, pinches close further and directions are nearer to the human's:
+            docs/reference/methods.md.
+    """
+
+    w_thumb_wrist: float = 10.0
+    w_wrist: float = 1.0
+    w_pinch: float = 10.0
+    w_distal: float = 10.0
+    switch_distance: float = 0.02
+    switch_scale: float = 10.0
+    contact: float = 0.01
+    release: float = 0.02
+    switch_pinch: bool = False
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.contact < self.release:
+            raise ConfigError(
+                f"pinch distances must satisfy 0 <= contact < release, not contact={self.contact}, "
+                f"release={self.release} [m]"
+            )
+
+    def layout(self, fingers: tuple[str, ...]) -> PinchLayout:
+        """AKO's vectors."""
+        return PinchLayout(fingers)
+
+    def __call__(
+        self, state: tuple[()], layout: PinchLayout, human: Float[Array, "K 3"]
+    ) -> tuple[Targets, tuple[()]]:
+        """Targets of one frame."""
+        fingers = len(layout.fingers)
+        pinch = slice(fingers, 2 * fingers - 1)
+        distance = jnp.linalg.norm(human[pinch], axis=-1)
+        open_share = jax.nn.sigmoid(self.switch_scale * (distance - self.switch_distance))
+        wrist = jnp.full(fingers, self.w_wrist, human.dtype).at[0].set(self.w_thumb_wrist)
+        # 2 (d - contact) for the published 10 and 20 mm
+        slope = self.release / (self.release - self.contact)
+        length = jnp.where(
+            distance >= self.release, distance, slope * jnp.maximum(distance - self.contact, 0.0)
+        )
+        scaled = human[pinch] * (length / jnp.maximum(distance, 1e-9))[:, None]
+        weights = jnp.concatenate(
+            [
+                wrist * open_share.min(),
+                self.w_pinch * (1 - open_share if self.switch_pinch else jnp.ones_like(open_share)),
+                jnp.full(fingers, self.w_distal, human.dtype),
+            ]
+        )
+        return Targets(human.at[pinch].set(scaled), weights), state
+
+
+@dataclass(frozen=True)
+class TipLayout(VectorLayout):
+    """Vectors from the origin of the palm frame to each fingertip.
+
+    Attributes:
+        fingers: human finger names, thumb first.
+    """
+
+    fingers: tuple[str, ...]
+
+    @cached_property
+    def vectors(self) -> tuple[tuple[int | None, int], ...]:
+        """(F,) (origin, tip)."""
+        return tuple((None, tip) for tip in tips_of(self.fingers))
+
+
+@dataclass(frozen=True)
+class TipTargets(StatelessTargets[TipLayout]):
+    """Targets at the human's fingertip positions in the palm frame.
+
+    Attributes:
+        beta: scale of the human positions.
+    """
+
+    beta: float = 1.0
+
+    def layout(self, fingers: tuple[str, ...]) -> TipLayout:
+        """Vectors from the palm's origin to each tip."""
+        return TipLayout(fingers)
+
+    def __call__(
+        self, state: tuple[()], layout: TipLayout, human: Float[Array, "K 3"]
+    ) -> tuple[Targets, tuple[()]]:
+        """Targets of one frame."""
+        return Targets(human * self.beta, jnp.ones(len(human), human.dtype)), state

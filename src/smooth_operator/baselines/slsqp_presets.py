@@ -6,8 +6,7 @@ from dataclasses import replace
 from typing import Final
 
 from smooth_operator.baselines.slsqp import ScipySlsqpConfig, SlsqpConfig
-from smooth_operator.baselines.slsqp_method import SlsqpMethodConfig
-from smooth_operator.baselines.slsqp_targets import AkoTargets, TipTargets
+from smooth_operator.baselines.slsqp_method import AkoTargets, SlsqpMethodConfig, TipTargets
 from smooth_operator.objective.loss import ObjectiveConfig
 from smooth_operator.objective.targets import DexPilotTargets, PlainTargets
 from smooth_operator.solvers.newton import NewtonConfig

@@ -12,18 +12,16 @@ from jaxtyping import Float
 from smooth_operator.calibration.features import Features, measure_features
 from smooth_operator.calibration.segments import Segment, find_segments, poses
 from smooth_operator.errors import ConfigError, RecordingError
-from smooth_operator.hands.hand import Hand
-from smooth_operator.hands.straight_pose import StraightPose, open_rays, straight_pose
-from smooth_operator.human.alignment import MIN_CONDITION, palm_alignment
-from smooth_operator.human.anatomical_axes import PalmAxes
+from smooth_operator.hands.hand import Hand, StraightPose, open_rays, straight_pose
+from smooth_operator.human.alignment import MIN_CONDITION, human_palm_axes, palm_alignment
 from smooth_operator.human.operator import (
     DEFAULT_COMPONENTS,
     Component,
     FingerProfile,
     OperatorProfile,
+    PalmAxes,
     tip_frames,
 )
-from smooth_operator.human.palm_axes import human_palm_axes
 from smooth_operator.landmarks import BASES, FINGERS, TIPS
 from smooth_operator.types import HandRecording
 

@@ -123,8 +123,7 @@ def list_hands(options: List) -> None:
     from rich.text import Text
 
     from smooth_operator.cli.console import output_console, plain_table
-    from smooth_operator.hands.registry import hand_names
-    from smooth_operator.hands.user_folder import user_hands_folder
+    from smooth_operator.hands.registry import hand_names, user_hands_folder
 
     rows = [_row(name) for name in hand_names()]
     folder = user_hands_folder()

@@ -90,8 +90,8 @@ def add_hand(options: Add) -> None:
         OutputError: the spec file can't be written.
     """
     from smooth_operator.hand_files.user_hands import save_hand
+    from smooth_operator.hands.registry import spec_name, user_hands_folder
     from smooth_operator.hands.spec_file import check_hand_name, read_hand_spec
-    from smooth_operator.hands.user_folder import spec_name, user_hands_folder
     from smooth_operator.lab.discovery import discover
 
     if options.name is not None:
@@ -172,8 +172,7 @@ def _point(text: str, option: str) -> Point:
 
 def _named(spec: HandSpec, options: Add) -> HandSpec:
     """A free name, unless one was given: what is there already is never replaced unasked."""
-    from smooth_operator.hands.registry import known_hands
-    from smooth_operator.hands.user_folder import spec_name, user_hands_folder
+    from smooth_operator.hands.registry import known_hands, spec_name, user_hands_folder
 
     if options.name is not None:
         return spec

@@ -31,8 +31,7 @@ from jaxtyping import Array, Bool, Float
 from smooth_operator.compilation.compiled_program import CompiledProgram
 from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.methods.method import Method, MethodConfig
-from smooth_operator.methods.program import align_frame
-from smooth_operator.methods.state import FrameState, RetargetState
+from smooth_operator.methods.program import FrameState, RetargetState, align_frame
 from smooth_operator.types import Status
 
 LANES: Final = 8

@@ -30,12 +30,14 @@ from jax.experimental.compilation_cache import compilation_cache
 from smooth_operator.atomic_files import atomic_write
 from smooth_operator.errors import DocumentError, OutputError
 from smooth_operator.result_cache.own_files import (
+    OFF,
+    SWITCH,
     file_problem,
     folder_problem,
     make_private,
     read_own_file,
+    user_cache,
 )
-from smooth_operator.result_cache.user_cache import OFF, SWITCH, user_cache
 
 LOGGER: Final = logging.getLogger("smooth_operator.programs")
 

@@ -14,10 +14,17 @@ from smooth_operator.errors import HandModelError, UnknownNameError
 from smooth_operator.hand_files.spec_writer import write_hand_spec
 from smooth_operator.hands.loading import load_model
 from smooth_operator.hands.model_assets import read_model_files
-from smooth_operator.hands.registry import HANDS, origin, shadowing
+from smooth_operator.hands.registry import (
+    HANDS,
+    find_specs,
+    model_folder,
+    origin,
+    shadowing,
+    spec_name,
+    user_hands_folder,
+)
 from smooth_operator.hands.spec import HandSpec
 from smooth_operator.hands.spec_file import check_hand_name
-from smooth_operator.hands.user_folder import find_specs, model_folder, spec_name, user_hands_folder
 from smooth_operator.types import Side
 
 

@@ -22,9 +22,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.hands.hand import Hand
-from smooth_operator.hands.straight_pose import straight_pose
-from smooth_operator.human.palm_axes import human_palm_axes, palm_tilt_deg
+from smooth_operator.hands.hand import Hand, straight_pose
+from smooth_operator.human.alignment import human_palm_axes, palm_tilt_deg
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS
 from smooth_operator.settings import check_numbers, is_off
 

@@ -1,9 +1,21 @@
-"""Landmark filter: a low-pass that limits outliers and hardly delays ordinary motion.
+"""Landmark filter and removal of a tracker's noise.
 
-A point moves from where it was towards the measurement: nearly all the way while the step is small,
-a smaller share as the step grows, so a tracker's jump of centimetres is spread over several frames.
-What is a jump depends on the tracker: the threshold grows with its noise, measured by what the
-points usually do between three frames beyond steady motion.
+*The filter* is a low-pass that limits outliers and hardly delays ordinary motion. A point moves
+from where it was towards the measurement: nearly all the way while the step is small, less of it as
+the step grows, so a tracker's jump of centimetres is spread over several frames. What is a jump
+depends on the tracker: the threshold grows with its noise, measured by what the points usually do
+between three frames beyond steady motion.
+
+*The noise* of a tracker is removed as far as the palm shows it. A rigid palm keeps its shape: what
+its landmarks move against each other is noise, however the hand moves, and tells how much noise
+there is, and how long it lasts. The alignment turns and scales the whole hand by that noise; a fit
+of the palm to its mean shape takes most of it away without delay. The rest is filtered with the
+gains of a steady-state Kalman filter for constant velocity. Three tests, all of the recording
+itself, tell noise from motion, and nothing is removed where one fails. Noise changes its sign from
+frame to frame; a palm that bends goes on the same way. Noise averages out over a quarter of a
+second; a bend lasts. And there are enough frames a second: at 60 and fewer, of cameras and
+headsets, a hand's own motion changes its sign from frame to frame, too. Where the palm is rigid, as
+that of trackers that fit a model of a hand, nothing is changed.
 """
 
 from __future__ import annotations
@@ -16,6 +28,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from smooth_operator.geometry import umeyama
+from smooth_operator.landmarks import BASES, WRIST
 from smooth_operator.settings import check_numbers, is_off
 
 NOISE_AT_FIRST: Final = 5e-4
@@ -130,3 +144,198 @@ def _median(values: Float[Array, " n"]) -> Float[Array, ""]:
     rank = first.sum(axis=1)
     middle = jnp.where((rank == (count - 1) // 2) | (rank == count // 2), values, 0.0)
     return middle.sum() / (2 - count % 2)
+
+
+PALM: Final = (WRIST, *BASES)
+"""Landmarks that keep their distances."""
+
+_RIGID: Final = 5e-5  # noise at which half is corrected [m]: a palm with less is rigid
+_SHORTEST: Final = 0.25  # 1 - correlation of noise between frames, at least: the rest is motion
+_LASTS: Final = 0.25  # over which noise averages out [s]
+_BENDS: Final = 0.3  # share of the palm's deformation left by that, at which half is corrected
+_RATE: Final = 70.0  # at which half is corrected [Hz]
+_SUDDEN: Final = 9.0  # how much more than its mean a frame may count
+_OWN_SHARE: Final = 2.0  # a fingertip's variance by that of a coordinate: its own, and the palm's
+
+
+@dataclass(frozen=True)
+class NoiseConfig:
+    """Settings of the removal of tracker noise.
+
+    Attributes:
+        acceleration: acceleration [m/s^2] of a resting fingertip that counts as motion: the larger,
+            the less is filtered. 0 removes no noise.
+        by_speed: growth of that with the fingertip's speed [1/s].
+        outlier: standard deviations from where a fingertip is expected at which it is half
+            followed as it was measured.
+        level_time: averaging time of how much noise there is [s].
+        shape_time: averaging time of the palm's shape, and of how much it bends [s].
+    """
+
+    acceleration: float = 0.0
+    by_speed: float = 8.0
+    outlier: float = 20.0
+    level_time: float = 1.0
+    shape_time: float = 10.0
+
+    def __post_init__(self) -> None:
+        check_numbers(
+            self,
+            "tracker_noise.",
+            positive=("outlier", "level_time", "shape_time"),
+            not_negative=("acceleration", "by_speed"),
+        )
+
+
+class NoiseState(NamedTuple):
+    """State between frames.
+
+    Attributes:
+        shape: (P, 3) mean positions of ``PALM`` [m]; NaN where one was never seen.
+        residual: (P, 3) what the fit of the palm to its shape left in the last frame [m].
+        change: (P, 3) by how much that differed from the frame before [m].
+        slow: (P, 3) mean residual of the last quarter of a second [m].
+        rate: frames a second [Hz].
+        lasting: mean square of ``slow``, per coordinate [m^2].
+        spread: mean square of the residual, per coordinate [m^2].
+        power: mean square of such a change, over 2 and per coordinate [m^2].
+        product: mean product of two changes in a row, per coordinate [m^2].
+        time: since the first frame, or the first after a gap [s].
+        points: (n, 3) filtered [m].
+        velocity: (n, 3) of those [m/s].
+    """
+
+    shape: Float[Array, "P 3"]
+    residual: Float[Array, "P 3"]
+    change: Float[Array, "P 3"]
+    slow: Float[Array, "P 3"]
+    rate: Float[Array, ""]
+    lasting: Float[Array, ""]
+    spread: Float[Array, ""]
+    power: Float[Array, ""]
+    product: Float[Array, ""]
+    time: Float[Array, ""]
+    points: Float[Array, "n 3"]
+    velocity: Float[Array, "n 3"]
+
+    @classmethod
+    def unseen(cls, count: int) -> NoiseState:
+        """State of ``count`` points before the first frame."""
+        palm, points = (np.zeros((size, 3), np.float32) for size in (len(PALM), count))
+        none = np.float32(0)
+        placed: NoiseState = jax.device_put(
+            cls(palm, palm, palm, palm, none, none, none, none, none, none, points, points)  # type: ignore[arg-type]
+        )
+        return placed
+
+    @property
+    def opened(self) -> Float[Array, ""]:
+        """1 - correlation of the noise between two frames; 0 or less of motion."""
+        return -self.product / jnp.maximum(self.power, 1e-16)
+
+    @property
+    def white(self) -> Float[Array, ""]:
+        """Share of ``power`` that changes its sign from frame to frame [m^2]."""
+        return self.power * jnp.clip(2 * self.opened / _SHORTEST, 0.0, 1.0)
+
+    @property
+    def loud(self) -> Float[Array, ""]:
+        """0 for a palm that is rigid, 1 for one with noise."""
+        return self.white**2 / (self.white**2 + _RIGID**4)
+
+    @property
+    def sure(self) -> Float[Array, ""]:
+        """1 for noise; 0 for a palm that bends, and for few frames a second."""
+        bends = self.lasting / jnp.maximum(self.spread, 1e-16)
+        slow = _RATE / jnp.maximum(self.rate, 1.0)
+        return 1 / (1 + (bends / _BENDS) ** 8) / (1 + slow**24)
+
+    @property
+    def share(self) -> Float[Array, ""]:
+        """Share of the palm's fit that is applied, 0 to 1."""
+        return self.loud * self.sure
+
+    @property
+    def deviation(self) -> Float[Array, ""]:
+        """Standard deviation of a fingertip's coordinate [m]: of white noise that has as much in
+        slow motion as this tracker's."""
+        # of noise with the correlation r between frames, the power is s^2 (1 - r)
+        opened = jnp.clip(self.opened, _SHORTEST, 1.0)
+        power = _OWN_SHARE * self.loud * self.white
+        return self.sure * jnp.sqrt(power * (2 - opened)) / opened
+
+
+def remove_noise(
+    before: NoiseState,
+    aligned: Float[Array, "21 3"],
+    needs: tuple[int, ...],
+    dt: Float[Array, ""] | float,
+    config: NoiseConfig,
+    restart: Bool[Array, ""] | bool = False,
+) -> tuple[NoiseState, Float[Array, "n 3"]]:
+    """One frame.
+
+    Args:
+        before: state after the last frame.
+        aligned: (21, 3) landmarks in the palm frame [m]; NaN where one is not known.
+        needs: mask of the landmarks to clean, fingertips and wrist; they are known in every frame.
+        dt: time between the two frames [s].
+        config: settings.
+        restart: the last frame was too long ago to count.
+
+    Returns:
+        The state after this frame, and (n, 3) the wanted landmarks [m].
+    """
+    if is_off(config.acceleration):
+        return before, aligned[np.array(needs)]
+    rows = np.array(PALM)
+    palm = aligned[rows]
+    shape = jnp.where(restart | ~jnp.isfinite(before.shape), palm, before.shape)
+    finite = jnp.isfinite(palm).all(-1)
+    source, target = (jnp.where(finite[:, None], points, 0.0) for points in (palm, shape))
+    moved = umeyama(source, target, weights=finite.astype(palm.dtype)).apply(aligned)
+    residual = jnp.where(finite[:, None], moved[rows] - shape, 0.0)
+    change = jnp.where(restart, 0.0, residual - before.residual)
+    free = jnp.maximum(3 * finite.sum() - 7, 1)
+    time = jnp.where(restart, 0.0, before.time)
+
+    def averaged(mean: Array, now: Array, span: float) -> Array:
+        return mean + dt / (dt + jnp.minimum(time, span)) * (now - mean)
+
+    slow = averaged(before.slow, residual, _LASTS)
+    square, lasting, spread = ((x * x).sum() / free for x in (change, slow, residual))
+    square = square / 2
+    # a palm that is lost for a frame is no measure of the usual
+    trust = jnp.minimum(1.0, (_SUDDEN * before.power + _RIGID**2) / jnp.maximum(square, 1e-16))
+    product = (change * before.change).sum() / free
+    mean = averaged(shape, palm, config.shape_time)
+    after = before._replace(
+        shape=jnp.where(finite[:, None], mean, shape),
+        residual=residual,
+        change=change,
+        slow=slow,
+        rate=averaged(before.rate, jnp.asarray(1 / dt), config.level_time),
+        lasting=averaged(before.lasting, trust * lasting, config.shape_time),
+        spread=averaged(before.spread, trust * spread, config.shape_time),
+        power=averaged(before.power, trust * square, config.level_time),
+        product=averaged(before.product, trust * product, config.level_time),
+        time=time + dt,
+    )
+    place = [PALM.index(i) if i in PALM else len(PALM) + i for i in range(len(moved))]
+    steady = jnp.concatenate([shape, moved])[np.array(place)]
+    whole = aligned + jnp.where(jnp.isfinite(steady), after.share * (steady - aligned), 0.0)
+    measured = whole[np.array(needs)]
+    # alpha-beta filter (Kalata 1984): its gains follow from the ratio of motion to noise
+    velocity = jnp.where(restart, 0.0, before.velocity)
+    deviation = jnp.maximum(after.deviation, 1e-12)
+    speed = jnp.sqrt((velocity * velocity).sum(-1, keepdims=True) + 1e-18)
+    index = (config.acceleration + config.by_speed * speed) * dt * dt / deviation
+    left = 4 / (4 + index + jnp.sqrt(index * index + 8 * index))
+    expected = jnp.where(restart, measured, before.points) + velocity * dt
+    off = measured - expected
+    far = (off * off).sum(-1, keepdims=True) / (3 * (config.outlier * deviation) ** 2)
+    near = 1 / (1 + far)
+    beta = jnp.minimum(2 * (1 - left) ** 2, 1.0)
+    points = measured - left**2 * near * off  # without noise as measured, to the bit
+    velocity = velocity + (1 - (1 - beta) * near) * off / dt
+    return after._replace(points=points, velocity=velocity), points

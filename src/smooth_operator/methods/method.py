@@ -12,8 +12,9 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple, NoReturn, TypeAlias, TypeVar, cast
+from typing import Any, ClassVar, Final, NamedTuple, NoReturn, TypeAlias, TypeVar, cast
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, UInt32
 
@@ -21,9 +22,47 @@ from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.human.operator import Component, OperatorProfile
-from smooth_operator.methods.frame_goals import FrameGoals
-from smooth_operator.objective.loss import ObjectiveConfig
+from smooth_operator.objective.goal import FrameGoal
+from smooth_operator.objective.loss import Objective, ObjectiveConfig
 from smooth_operator.solvers.trajectory import TrajectoryConfig
+
+
+@dataclass(frozen=True, eq=False)
+class FrameGoals:
+    """Goals of the frames of a recording, without regard to the command before.
+
+    Trajectory optimisation solves all frames together: each has a goal, and motion between them
+    costs. What passes from frame to frame is in and out, never inside.
+
+    Attributes:
+        objective: the cost that the goals are for.
+    """
+
+    objective: Objective
+
+    def begin(self) -> Any:
+        """State before the first frame: the target policy's first state."""
+        return self.objective.config.targets.init(self.objective.layout)
+
+    def follow(self, memory: Any, aligned: Float[Array, "21 3"]) -> tuple[Any, FrameGoal]:
+        """The goal of a frame, without velocity and motion of fingertips; traceable.
+
+        Args:
+            memory: from ``begin`` or the frame before.
+            aligned: (21, 3) landmarks in the palm frame [m].
+
+        Returns:
+            what is remembered after the frame, and the goal.
+        """
+        objective, hand = self.objective, self.objective.hand
+        layout = objective.layout
+        targets, memory = objective.config.targets(memory, layout, layout.human(aligned))
+        neutral = jnp.asarray(hand.neutral, aligned.dtype)
+        none = jnp.zeros((), aligned.dtype)
+        tips = jnp.zeros((len(hand.fingers), 3), aligned.dtype)
+        goal = FrameGoal(targets.vectors, targets.weights, neutral, none, tips, tips[:, 0])
+        return memory, goal
+
 
 C = TypeVar("C", bound="MethodConfig")
 
@@ -339,3 +378,53 @@ class TrajectoryMethodConfig(MethodConfig):
 def _replaced(config: C, **changes: Any) -> C:
     # settings are dataclasses, which their base class can't say
     return cast(C, dataclasses.replace(cast(Any, config), **changes))
+
+
+_ADAPTS: Final = 0.05
+"""By how much of the difference the usual time between frames adapts in each of them."""
+
+_SHORTEST: Final = 1e-3
+"""Time between frames that counts as some; stamps that stand still don't tell [s]."""
+
+
+class FrameClock(NamedTuple):
+    """Clock of frames: it turns their stamps into times.
+
+    Attributes:
+        dt: time since the last frame [s].
+        period: usual time between frames [s].
+        first: nothing came before.
+        restart: nothing came before, or too long ago to count as motion.
+    """
+
+    dt: Float[Array, ""]
+    period: Float[Array, ""]
+    first: Bool[Array, ""]
+    restart: Bool[Array, ""]
+
+    @classmethod
+    def of(
+        cls,
+        passed: UInt32[Array, ""],
+        frames: UInt32[Array, ""],
+        period: Float[Array, ""],
+        rate_hz: float,
+        gap: float,
+    ) -> FrameClock:
+        """Time of a frame; traceable.
+
+        Args:
+            passed: ticks since the last one, in microseconds modulo 2^32.
+            frames: number of frames before it.
+            period: usual time between them [s].
+            rate_hz: rate that is assumed where stamps stand still.
+            gap: longest time between frames that counts as motion [s].
+        """
+        elapsed = passed.astype(jnp.int32) * 1e-6
+        first = frames == 0
+        # a stamp that goes back belongs to another recording
+        restart = first | (elapsed > gap) | (elapsed < 0)
+        stamped = (elapsed >= _SHORTEST) & ~restart
+        dt = jnp.where(stamped, elapsed, 1 / rate_hz).astype(jnp.float32)
+        share = jnp.where(frames > 1, _ADAPTS, 1.0)
+        return cls(dt, jnp.where(stamped, period + share * (dt - period), period), first, restart)

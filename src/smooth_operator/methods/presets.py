@@ -14,10 +14,9 @@ from smooth_operator.methods.method import MethodConfig, TrajectoryMethodConfig
 from smooth_operator.methods.registry import METHODS, as_presets
 from smooth_operator.methods.sbr import SbrConfig
 from smooth_operator.methods.smooth import SmoothConfig
-from smooth_operator.objective.close_targets import CloseTargets
 from smooth_operator.objective.loss import ObjectiveConfig
-from smooth_operator.objective.targets import DexPilotTargets
-from smooth_operator.objective.terms.self_collision import SelfCollisionConfig
+from smooth_operator.objective.smooth_terms import SelfCollisionConfig
+from smooth_operator.objective.targets import CloseTargets, DexPilotTargets
 from smooth_operator.plugins import Entry
 from smooth_operator.solvers.newton import NewtonConfig
 from smooth_operator.solvers.sampling import SamplingConfig

@@ -22,9 +22,13 @@ from smooth_operator.landmarks import NUM_LANDMARKS
 from smooth_operator.methods.default import DEFAULT_METHOD
 from smooth_operator.methods.method import Method, MethodConfig
 from smooth_operator.methods.presets import default_preset, method_config
-from smooth_operator.methods.program import tick_of, ticks_of
-from smooth_operator.methods.shared import shared_program
-from smooth_operator.methods.state import FrameState, RetargetState
+from smooth_operator.methods.program import (
+    FrameState,
+    RetargetState,
+    shared_program,
+    tick_of,
+    ticks_of,
+)
 from smooth_operator.settings import check_frame_rate
 from smooth_operator.types import (
     CommandTrajectory,

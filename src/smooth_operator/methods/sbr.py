@@ -21,9 +21,13 @@ from smooth_operator.human.correspondence import (
     CorrespondenceState,
 )
 from smooth_operator.landmarks import WRIST
-from smooth_operator.methods.frame_clock import FrameClock
-from smooth_operator.methods.frame_goals import FrameGoals
-from smooth_operator.methods.method import Method, MethodOutput, ObjectiveMethodConfig
+from smooth_operator.methods.method import (
+    FrameClock,
+    FrameGoals,
+    Method,
+    MethodOutput,
+    ObjectiveMethodConfig,
+)
 from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.keyvectors import tips_of
 from smooth_operator.objective.loss import Objective, ObjectiveConfig

@@ -28,35 +28,39 @@ from smooth_operator.human.correspondence import (
     CorrespondenceState,
 )
 from smooth_operator.human.landmark_filter import (
+    PALM,
     FilterState,
     LandmarkFilterConfig,
+    NoiseConfig,
+    NoiseState,
     filter_landmarks,
+    remove_noise,
 )
-from smooth_operator.human.tracker_noise import PALM, NoiseConfig, NoiseState, remove_noise
 from smooth_operator.landmarks import FINGERS, NUM_LANDMARKS, TIPS, WRIST
-from smooth_operator.methods.frame_clock import FrameClock
-from smooth_operator.methods.frame_goals import FrameGoals
-from smooth_operator.methods.method import Method, MethodOutput, ObjectiveMethodConfig
-from smooth_operator.objective.close_targets import CloseTargets
+from smooth_operator.methods.method import (
+    FrameClock,
+    FrameGoals,
+    Method,
+    MethodOutput,
+    ObjectiveMethodConfig,
+)
 from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.loss import Objective, ObjectiveConfig
-from smooth_operator.objective.rest_pose import RestGoal, RestPose, RestPoseConfig
-from smooth_operator.objective.straight_fingers import StraightFingers
-from smooth_operator.objective.terms.direction_length import (
+from smooth_operator.objective.rest_pose import RestGoal, RestPose, RestPoseConfig, StraightFingers
+from smooth_operator.objective.smooth_terms import (
     DirectionLength,
     DirectionLengthConfig,
-)
-from smooth_operator.objective.terms.fingertip_motion import FingertipMotion
-from smooth_operator.objective.terms.fingertip_position import (
+    FingertipMotion,
     FingertipPosition,
     FingertipPositionConfig,
+    SelfCollision,
+    SelfCollisionConfig,
 )
-from smooth_operator.objective.terms.self_collision import SelfCollision, SelfCollisionConfig
+from smooth_operator.objective.targets import CloseTargets
 from smooth_operator.settings import check_numbers, is_off
-from smooth_operator.solvers.newton import NewtonConfig, damped_newton
+from smooth_operator.solvers.newton import NewtonConfig, damped_newton, settled
 from smooth_operator.solvers.normals import frame_key, seed_words
 from smooth_operator.solvers.sampling import SamplingConfig, sample_minimise
-from smooth_operator.solvers.settling import settled
 
 REFERENCE: Final = 0.01
 """Time between frames for which weights of change are given [s]. They scale with 1 / dt, so that an

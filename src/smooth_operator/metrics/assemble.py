@@ -9,8 +9,7 @@ from jaxtyping import Float
 
 from smooth_operator.errors import RecordingError
 from smooth_operator.hands.collision import penetration_depths
-from smooth_operator.hands.hand import Hand
-from smooth_operator.hands.straight_pose import straight_pose
+from smooth_operator.hands.hand import Hand, straight_pose
 from smooth_operator.human.alignment import AlignmentConfig, align_recording
 from smooth_operator.landmarks import LANDMARKS, NUM_LANDMARKS
 from smooth_operator.metrics.trace import Trace

@@ -27,20 +27,21 @@ from smooth_operator.hands.kinematics import KinematicTree
 from smooth_operator.landmarks import LANDMARKS
 from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.keyvectors import VectorLayout
-from smooth_operator.objective.penalties import Loss
 from smooth_operator.objective.targets import DexPilotTargets, TargetPolicy
-from smooth_operator.objective.terms.keyvectors import Keyvectors
-from smooth_operator.objective.terms.neutral_pose import NeutralPose
-from smooth_operator.objective.terms.robot_vectors import RobotVectors
-from smooth_operator.objective.terms.term import (
+from smooth_operator.objective.terms import (
     JointTerm,
+    Keyvectors,
+    Loss,
+    NeutralPose,
     PointTerm,
     Quadratic,
+    RobotVectors,
+    SmoothL1Velocity,
     Square,
     Term,
     TermConfig,
+    Velocity,
 )
-from smooth_operator.objective.terms.velocity import SmoothL1Velocity, Velocity
 
 
 @dataclass(frozen=True)

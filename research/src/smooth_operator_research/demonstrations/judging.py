@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.alignment import palm_alignment
-from smooth_operator.human.tracker_noise import NoiseState, remove_noise
+from smooth_operator.human.landmark_filter import NoiseState, remove_noise
 from smooth_operator.landmarks import FINGERS, NUM_LANDMARKS, TIPS
 from smooth_operator.methods.smooth import SmoothConfig
 from smooth_operator.simulation.scenes import ScenePhysics, scene_for

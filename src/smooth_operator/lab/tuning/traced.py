@@ -17,9 +17,8 @@ import numpy as np
 from smooth_operator.compilation.compiled_program import compiled
 from smooth_operator.formats.setting_paths import with_unchecked
 from smooth_operator.methods.method import MethodConfig
-from smooth_operator.methods.program import frame_step, ticks_of
+from smooth_operator.methods.program import FrameState, frame_step, ticks_of
 from smooth_operator.methods.retargeter import Retargeter
-from smooth_operator.methods.state import FrameState
 from smooth_operator.types import CommandTrajectory, HandRecording
 
 CHUNK: Final = 256

@@ -19,8 +19,13 @@ from pathlib import Path
 from typing import Final
 
 from smooth_operator.errors import DocumentError
-from smooth_operator.result_cache.own_files import make_private, read_own_file
-from smooth_operator.result_cache.user_cache import OFF, SWITCH, user_cache
+from smooth_operator.result_cache.own_files import (
+    OFF,
+    SWITCH,
+    make_private,
+    read_own_file,
+    user_cache,
+)
 from smooth_operator.study.console.commands import Role
 from smooth_operator.web.addresses import is_local, page_addresses
 from smooth_operator.web.auth import TokenAuth

@@ -21,8 +21,13 @@ from urllib.parse import urlsplit
 
 from smooth_operator.errors import MissingExtraError, SourceError
 from smooth_operator.landmarks import FINGER_COLORS
-from smooth_operator.result_cache.own_files import make_private, read_own_file
-from smooth_operator.result_cache.user_cache import OFF, SWITCH, user_cache
+from smooth_operator.result_cache.own_files import (
+    OFF,
+    SWITCH,
+    make_private,
+    read_own_file,
+    user_cache,
+)
 from smooth_operator.teleop.sources.webxr.link import MAX_BYTES, Link
 from smooth_operator.web.auth import same_origin
 from smooth_operator.web.files import answer_with, page_files, shielded

@@ -1,0 +1,315 @@
+"""Cost terms of ``smooth``: fingertip motion and position, direction and length, self-collision."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from smooth_operator.hands.capsules import CapsulePairs, capsule_pairs, segments_apart
+from smooth_operator.hands.collision import owners
+from smooth_operator.hands.differential import PointKinematics, contracted
+from smooth_operator.hands.hand import Hand
+from smooth_operator.landmarks import FINGERS
+from smooth_operator.objective.goal import FrameGoal
+from smooth_operator.objective.keyvectors import KeyvectorLayout
+from smooth_operator.objective.terms import (
+    PointTerm,
+    Quadratic,
+    RobotVectors,
+    VectorSlopes,
+    VectorTerm,
+)
+from smooth_operator.settings import check_numbers, is_off
+
+TRANSITION: Final = 0.02
+"""That of the keyvectors' smooth-L1 [m], so that weights compare."""
+
+_SHORT: Final = 0.002
+"""Length by which a vector is rounded, since a vector of length 0 has no direction [m]."""
+_LEAST: Final = 0.25
+"""Share of the curvature that is kept where a vector points away; its own would be negative."""
+
+
+@dataclass(frozen=True, eq=False)
+class FingertipMotion(PointTerm):
+    """Fingertips move as the human's do, whatever their error is.
+
+    Sum over fingertips of mu_i / (2 beta) |p_i - p_i(last answer) - the human's step|^2, with the
+    goal's mu_i (``motion_weights``) and places of arrival (``tips``).
+
+    Attributes:
+        hand: the robot hand.
+        transition: beta, that of the keyvectors' smooth-L1, so that weights compare [m].
+    """
+
+    hand: Hand
+    transition: float
+
+    def points(self) -> tuple[str, ...]:
+        """Fingertips, thumb first."""
+        return self.hand.tip_names
+
+    def expand(
+        self, points: Float[Array, "F 3"], jacobian: Float[Array, "F J 3"], goal: FrameGoal
+    ) -> Quadratic:
+        """See ``PointTerm``; exact."""
+        if goal.tips is None or goal.motion_weights is None:
+            raise ValueError(
+                "the term of fingertip motion needs a goal with tips and their weights"
+            )
+        weights = jnp.repeat(goal.motion_weights / self.transition, 3)
+        error = points - goal.tips
+        return Quadratic(
+            0.5 * (weights * (error * error).reshape(-1)).sum(),
+            weights.reshape(error.shape) * error,
+            jnp.swapaxes(jacobian, 1, 2).reshape(-1, jacobian.shape[1]),
+            weights,
+        )
+
+    def tips(self, q: Float[Array, " m"]) -> Float[Array, "F 3"]:
+        """Fingertips at a pose within the limits [m]."""
+        tree = self.hand.tree
+        points = tree.forward_kinematics(
+            self.hand.full_configuration_rows(list(q)), self.points(), within_limits=True
+        )
+        return jnp.stack([jnp.stack([jnp.asarray(c, q.dtype) for c in point]) for point in points])
+
+
+@dataclass(frozen=True)
+class FingertipPositionConfig:
+    """Settings of the fingertip position cost.
+
+    Attributes:
+        weight: weight of a small error, in the units of a keyvector's weight: the cost is
+            weight x e^2 / (2 x 20 mm) / (1 + e^2 / width^2) for an error e (Geman-McClure); 0
+            leaves the term out.
+        width: error beyond which the force falls [m].
+    """
+
+    weight: float = 40.0
+    width: float = 0.004
+
+    def __post_init__(self) -> None:
+        check_numbers(self, "fingertip_position.", positive=("width",), not_negative=("weight",))
+
+    def build(self, hand: Hand) -> FingertipPosition:
+        """The term for one hand, over the paper's keyvectors."""
+        return FingertipPosition(RobotVectors(hand, KeyvectorLayout(hand.fingers)), self)
+
+
+@dataclass(frozen=True, eq=False)
+class FingertipPosition(VectorTerm):
+    """Fingertips are exactly where the human's are, where they are nearly so already.
+
+    The keyvectors between fingertips weigh more than those from the wrist, so that all fingertips
+    together are held softly. This cost makes it stiff where the robot can reach the human's
+    fingertips. It is bounded: a fingertip that is far from the human's, for the robot's bones are
+    others, is not pulled, and moves as the human's does.
+
+    Attributes:
+        config: settings.
+    """
+
+    part = "wrist"
+
+    config: FingertipPositionConfig
+
+    @property
+    def is_off(self) -> bool:
+        """Without weight."""
+        return is_off(self.config.weight)
+
+    def slopes(self, errors: Float[Array, "F 3"], goal: FrameGoal) -> VectorSlopes:
+        """See ``VectorTerm``."""
+        squared = (errors * errors).sum(-1)
+        share = 1 / (1 + squared / self.config.width**2)
+        stiffness = self.config.weight / TRANSITION
+        weights = stiffness * share**2
+        cost = 0.5 * stiffness * (squared * share).sum()
+        return VectorSlopes(
+            cost, weights[:, None] * errors, jnp.repeat(weights, 3).reshape(errors.shape)
+        )
+
+
+@dataclass(frozen=True)
+class DirectionLengthConfig:
+    """Settings of the direction and length cost.
+
+    The cost of length is linear beyond ``huber_width``, so the force that closes a pinch is
+    bounded, and with it the depth to which parts are pressed into each other.
+
+    Attributes:
+        direction: cost of one minus the cosine between a vector and the human's; 0 leaves it out.
+        length: cost per metre of the length error of a short vector; 0 leaves it out.
+        huber_width: length error below which that cost is quadratic [m].
+        near: length of the human's vector at which that cost is halved; it falls with the fourth
+            power [m].
+    """
+
+    direction: float = 1.5
+    length: float = 115.0
+    huber_width: float = 0.0012
+    near: float = 0.0145
+
+    def __post_init__(self) -> None:
+        check_numbers(
+            self,
+            "direction_length.",
+            positive=("huber_width", "near"),
+            not_negative=("direction", "length"),
+        )
+
+    def build(self, hand: Hand) -> DirectionLength:
+        """The term for one hand, over the paper's keyvectors."""
+        return DirectionLength(RobotVectors(hand, KeyvectorLayout(hand.fingers)), self)
+
+
+@dataclass(frozen=True, eq=False)
+class DirectionLength(VectorTerm):
+    """Direction error (1 - cosine) and length error of the vectors from the thumb's tip to others.
+
+    Where parts that touch keep a short vector from its target, the nearest point to the target may
+    lie in any direction. With a cost of its own, the direction stays the human's.
+
+    Attributes:
+        config: settings.
+    """
+
+    part = "thumb"
+
+    config: DirectionLengthConfig
+
+    @property
+    def is_off(self) -> bool:
+        """True if both costs are left out."""
+        return is_off(self.config.direction) and is_off(self.config.length)
+
+    def slopes(self, errors: Float[Array, "P 3"], goal: FrameGoal) -> VectorSlopes:
+        """See ``VectorTerm``."""
+        config, targets = self.config, jnp.asarray(goal.vectors)[self.which]
+        # error + target, not the vectors themselves: a compiler shares the error with the keyvector
+        # term, and the rounding decides when Newton steps stop
+        vectors = errors + targets
+        goal_length = jnp.sqrt((targets * targets).sum(-1) + 1e-12)
+        size = jnp.sqrt((vectors * vectors).sum(-1) + _SHORT**2)
+        aim, unit = targets / goal_length[:, None], vectors / size[:, None]
+        cosine = (aim * unit).sum(-1)
+        turn = -(config.direction / size)[:, None] * (aim - cosine[:, None] * unit)
+        along = unit[:, :, None] * unit[:, None, :]
+        across = jnp.eye(3, dtype=unit.dtype) - along
+        turn_weight = config.direction * jnp.maximum(cosine, _LEAST) / size**2
+        slope = config.length / (1 + (goal_length / config.near) ** 4)
+        longer = size - goal_length
+        rounded = jnp.sqrt(longer * longer + config.huber_width**2)
+        # the second derivative of the parabola that touches the cost on both sides: not too little
+        length_weight = slope / rounded
+        return VectorSlopes(
+            (config.direction * (1 - cosine) + slope * (rounded - config.huber_width)).sum(),
+            turn + (length_weight * longer)[:, None] * unit,
+            turn_weight[:, None, None] * across + length_weight[:, None, None] * along,
+        )
+
+
+@dataclass(frozen=True)
+class SelfCollisionConfig:
+    """Settings of the self-collision cost.
+
+    Attributes:
+        weight: weight of a pair that is too near, in the units of a keyvector's weight: the cost is
+            weight x d^2 / (2 x 20 mm) for a depth d; 0 leaves the term out.
+        margin: distance below which a pair counts [m]. Negative lets soft parts sink in.
+        grip: further depth that is allowed between thumb and finger whose tips are where the
+            human's are [m]: a human who grips an object asks for a pose beyond its surface, and the
+            force comes from that.
+    """
+
+    weight: float = 7000.0
+    margin: float = -0.00125
+    grip: float = 0.006
+
+    def __post_init__(self) -> None:
+        check_numbers(self, "self_collision.", not_negative=("weight", "grip"))
+
+    def build(self, hand: Hand) -> SelfCollision:
+        """The term for one hand."""
+        return SelfCollision(hand, self)
+
+
+@dataclass(frozen=True, eq=False)
+class SelfCollision(PointTerm):
+    """Squared depth of each pair of capsules that are nearer than the margin."""
+
+    hand: Hand
+    config: SelfCollisionConfig
+
+    @cached_property
+    def pairs(self) -> CapsulePairs:
+        """The P pairs of parts that could touch."""
+        return capsule_pairs(self.hand)
+
+    @cached_property
+    def opposition(self) -> tuple[Int[np.ndarray, "P 2"], Bool[np.ndarray, " P"]]:
+        """(P, 2) fingers of each pair's capsules, and (P,) whether they are thumb and finger."""
+        owner, fingers = owners(self.hand), self.hand.fingers
+        bodies = [self.pairs.ends[name][0] for name in self.pairs.names[::2]]
+        rows = {FINGERS.index(name): f for f, name in enumerate(fingers)}
+        of = np.array([rows.get(int(owner[body]), -1) for body in bodies])[self.pairs.pairs]
+        thumb = fingers.index("thumb") if "thumb" in fingers else -2
+        opposing = (of >= 0).all(axis=1) & ((of == thumb).sum(axis=1) == 1)
+        return np.maximum(of, 0), opposing
+
+    @cached_property
+    def carried(self) -> Float[np.ndarray, "P J"]:
+        """Joints that carry only the first capsule of each pair (1), or only the second (-1)."""
+        moves = PointKinematics(self.pairs.tree, self.pairs.names[::2]).moves.astype(np.float32)
+        first, second = self.pairs.pairs.T
+        return np.asarray(moves[first] - moves[second])
+
+    @property
+    def is_off(self) -> bool:
+        """Without weight, and where no parts could touch."""
+        return is_off(self.config.weight) or len(self.pairs.pairs) == 0
+
+    def points(self) -> tuple[str, ...]:
+        """First and second end of each capsule."""
+        return self.pairs.names
+
+    def own_points(self) -> Mapping[str, tuple[int, np.ndarray]]:
+        """The ends of the capsules."""
+        return self.pairs.ends
+
+    def expand(
+        self, points: Float[Array, "E 3"], jacobian: Float[Array, "E J 3"], goal: FrameGoal
+    ) -> Quadratic:
+        """See ``PointTerm``; nearest points are held fixed on their segments: exact for the first
+        derivative. Of the second, only what the kinematics adds is kept."""
+        pairs, config = self.pairs, self.config
+        ends = points.reshape(-1, 2, 3)[pairs.pairs]
+        one, other = ((ends[:, side, 0], ends[:, side, 1]) for side in (0, 1))
+        apart, s, t = segments_apart(one, other)
+        distance = jnp.sqrt((apart * apart).sum(-1) + 1e-12)
+        depth = jnp.asarray(pairs.reach + 0.0, points.dtype) + config.margin - distance
+        if goal.near is not None and not is_off(config.grip):
+            at, opposing = self.opposition
+            depth = depth - config.grip * jnp.where(opposing, goal.near[at].prod(axis=-1), 0.0)
+        inside = jnp.maximum(depth, 0.0)
+        scale = config.weight / TRANSITION
+        direction = -apart / distance[:, None]
+        force, s, t = (scale * inside)[:, None] * direction, s[:, None], t[:, None]
+        ends_of = [(1 - s) * force, s * force], [(t - 1) * force, -t * force]
+        forces = jnp.concatenate([jnp.concatenate(both, axis=1) for both in ends_of])  # (2 P, 6)
+        capsules = np.arange(len(points) // 2)[:, None] == pairs.pairs.T.ravel()  # (C, 2 P)
+        carried = jnp.asarray(self.carried, points.dtype)
+        nearest = one[0] + s * (one[1] - one[0])
+        return Quadratic(
+            0.5 * scale * (inside * inside).sum(),
+            jnp.moveaxis(contracted(forces.T, capsules.T), 0, 1).reshape(-1, 3),
+            lambda motion: carried * motion.along(nearest, direction),
+            jnp.where(depth > 0, scale, 0.0),
+        )

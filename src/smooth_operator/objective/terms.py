@@ -1,0 +1,492 @@
+"""Terms of an objective: costs of points of the robot, and costs of its joints.
+
+A term of your own is a frozen dataclass with its settings. ``LeastSquaresTerm`` needs residuals
+alone; ``VectorTerm`` is for a cost of keyvectors, ``JointTerm`` for one of joint positions, and
+``PointTerm`` gives gradient and Gauss-Newton rows itself. ``ObjectiveConfig(terms=(MyTerm(),))``
+adds a term to a preset. The terms of Eq. (1) are here, those of ``smooth`` in ``smooth_terms.py``.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar, Final, Literal, NamedTuple, Protocol, TypeAlias, TypeVar, cast
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from smooth_operator.errors import ConfigError
+from smooth_operator.geometry import AnyArray, AnyKind, array_namespace
+from smooth_operator.hands.differential import PointMotion
+from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.kinematics import Vector
+from smooth_operator.landmarks import LANDMARKS
+from smooth_operator.objective.goal import FrameGoal
+from smooth_operator.objective.keyvectors import KeyvectorLayout, VectorLayout
+
+T = TypeVar("T", bound="Term")
+
+Loss: TypeAlias = Literal["smooth_l1", "squared", "smooth_l1_norm"]
+"""``smooth_l1``: weight times smooth-L1 of each component; ``squared``: weight times the square of
+each; ``smooth_l1_norm``: smooth-L1 of the weight times the length of the error."""
+
+TINY_AREA: Final = 1e-12
+"""Added to the square of a length, so that its root has a derivative at 0 [m^2]."""
+
+
+class Quadratic(NamedTuple):
+    """A term near one pose.
+
+    The objective makes the Hessian of the rows, rows^T weights rows, and adds the curvature of the
+    kinematics along the gradient.
+
+    Attributes:
+        cost: at the pose.
+        gradient: (P, 3) of the cost with respect to the term's points.
+        rows: (R, J) derivatives of R residuals with respect to the J joints; or (K, 3, J), where
+            second derivatives mix residuals in groups of three. Or what gives them of a motion.
+        weights: (R,) second derivatives of the cost with respect to the residuals; or (K, 3, 3).
+    """
+
+    cost: Float[Array, ""]
+    gradient: Float[Array, "P 3"]
+    rows: Float[Array, "R J"] | Float[Array, "K 3 J"] | Callable[[PointMotion], Array]
+    weights: Float[Array, " R"] | Float[Array, "K 3 3"]
+
+
+class Term:
+    """One term of an objective."""
+
+    def build(self: T, hand: Hand) -> T:
+        """The term for one hand; itself, if it does not depend on the hand.
+
+        Raises:
+            ConfigError: if the hand lacks what the term needs.
+        """
+        del hand
+        return self
+
+    @property
+    def is_off(self) -> bool:
+        """True if the term is left out, as with a weight of 0."""
+        return False
+
+
+class PointTerm(Term, ABC):
+    """A cost of where some points of the robot are, in the palm frame."""
+
+    @abstractmethod
+    def points(self) -> tuple[str, ...]:
+        """Names of the P points: landmarks that a joint moves, or points of ``own_points``."""
+
+    def own_points(self) -> Mapping[str, tuple[int, np.ndarray]]:
+        """Points that are no landmarks: name -> (body of the model, (3,) position in it [m])."""
+        return {}
+
+    @abstractmethod
+    def expand(
+        self, points: Float[Array, "P 3"], jacobian: Float[Array, "P J 3"], goal: FrameGoal
+    ) -> Quadratic:
+        """Cost, gradient and Gauss-Newton rows at one pose; traceable.
+
+        Args:
+            points: (P, 3) the term's points [m].
+            jacobian: (P, J, 3) their derivatives with respect to the J joints [m/rad].
+            goal: targets of the frame.
+        """
+
+    def cost(self, points: Sequence[Vector], goal: FrameGoal) -> Array:
+        """The cost of many poses, for the sampler; traceable.
+
+        Args:
+            points: (x, y, z) of each point [m]: arrays of a common shape, the batch, or floats.
+            goal: targets of the frame.
+
+        Returns:
+            costs, of that shape.
+        """
+        shape = jnp.broadcast_shapes(*(jnp.shape(c) for point in points for c in point))
+        rows = [[jnp.broadcast_to(jnp.asarray(c), shape).ravel() for c in p] for p in points]
+        poses = jnp.moveaxis(jnp.stack([jnp.stack(row) for row in rows]), -1, 0)
+        no_joints = jnp.zeros((len(points), 0, 3), poses.dtype)
+        costs: Array = jax.vmap(lambda one: self.expand(one, no_joints, goal).cost)(poses)
+        return costs.reshape(shape)
+
+
+class LeastSquaresTerm(PointTerm):
+    """Half the sum of squared residuals of some points; the simplest term to write."""
+
+    @abstractmethod
+    def residuals(self, points: Float[Array, "P 3"], goal: FrameGoal) -> Float[Array, " R"]:
+        """(R,) residuals at one pose, each times the root of its weight; differentiable."""
+
+    def expand(
+        self, points: Float[Array, "P 3"], jacobian: Float[Array, "P J 3"], goal: FrameGoal
+    ) -> Quadratic:
+        """See ``PointTerm``; the derivatives of the residuals come from JAX."""
+        residuals, pull = jax.vjp(lambda p: self.residuals(p, goal), points)
+
+        def along(speeds: Array) -> Array:
+            _, rates = jax.jvp(lambda p: self.residuals(p, goal), (points,), (speeds,))
+            return jnp.asarray(rates)
+
+        return Quadratic(
+            0.5 * (residuals * residuals).sum(),
+            pull(residuals)[0],
+            jax.vmap(along, in_axes=1, out_axes=1)(jacobian),
+            jnp.ones_like(residuals),
+        )
+
+
+class JointTerm(Term, ABC):
+    """A cost of the m actuated joints, each for itself: a sum over the joints."""
+
+    @abstractmethod
+    def cost(self, q: AnyKind, goal: FrameGoal) -> AnyKind:
+        """(..., m) joint positions [rad] to their (...) costs; NumPy or JAX."""
+
+    @abstractmethod
+    def joint_cost(self, q: Array, joint: int, goal: FrameGoal) -> Array:
+        """The share of one joint, for positions of any shape [rad]."""
+
+    @abstractmethod
+    def derivatives(
+        self, q: Float[Array, " m"], goal: FrameGoal
+    ) -> tuple[Float[Array, " m"], Float[Array, " m"] | Float[Array, ""] | float]:
+        """First derivative, and the diagonal of the second or the one number on it."""
+
+    def square(self, goal: FrameGoal) -> Square | None:
+        """The term as a square about a pose; None if it is something else."""
+        del goal
+        return None
+
+
+class Square(NamedTuple):
+    """weight |q - centre|^2 + constant.
+
+    Attributes:
+        weight, constant: numbers, traced or not.
+        centre: (m,) [rad].
+    """
+
+    weight: Float[Array, ""] | float
+    centre: Float[AnyArray, " m"]
+    constant: Float[Array, ""] | float = 0.0
+
+    def plus(self, other: Square) -> Square:
+        """The sum of two squares, which is one about their weighted mean."""
+        weight = self.weight + other.weight
+        share = other.weight / jnp.maximum(weight, 1e-12)
+        gap = self.centre - other.centre
+        constant = self.weight * share * (gap**2).sum()
+        return Square(
+            weight,
+            self.centre + share * (other.centre - self.centre),
+            self.constant + other.constant + constant,
+        )
+
+
+class SquaredJointTerm(JointTerm):
+    """A joint term that is a weight times the squared distance from a pose."""
+
+    @abstractmethod
+    def square(self, goal: FrameGoal) -> Square:
+        """Weight and pose."""
+
+    def cost(self, q: AnyKind, goal: FrameGoal) -> AnyKind:
+        """See ``JointTerm``."""
+        weight, centre, _ = self.square(goal)
+        total: AnyKind = weight * ((q - centre.astype(q.dtype, copy=False)) ** 2).sum(axis=-1)
+        return total
+
+    def joint_cost(self, q: Array, joint: int, goal: FrameGoal) -> Array:
+        """See ``JointTerm``."""
+        weight, centre, _ = self.square(goal)
+        share: Array = weight * (q - centre.astype(q.dtype)[joint]) ** 2
+        return share
+
+    def derivatives(
+        self, q: Float[Array, " m"], goal: FrameGoal
+    ) -> tuple[Float[Array, " m"], Float[Array, ""] | float]:
+        """See ``JointTerm``."""
+        weight, centre, _ = self.square(goal)
+        return 2 * weight * (q - centre.astype(q.dtype)), 2 * weight
+
+
+@dataclass(frozen=True, eq=False)
+class NeutralPose(SquaredJointTerm):
+    """Second term of Eq. (1): lambda_reg |q - q_neutral|^2.
+
+    Attributes:
+        weight: lambda_reg.
+        centre: (m,) the neutral pose [rad].
+    """
+
+    weight: float
+    centre: Float[np.ndarray, " m"]
+
+    def square(self, goal: FrameGoal) -> Square:
+        """About the neutral pose, or the frame's own rest pose."""
+        return Square(self.weight, self.centre if goal.rest is None else goal.rest)
+
+
+@dataclass(frozen=True, eq=False)
+class Velocity(SquaredJointTerm):
+    """Third term of Eq. (1): lambda_vel |q - q_prev|^2, with the weight of the frame, or one for
+    each joint."""
+
+    def square(self, goal: FrameGoal) -> Square:
+        """About the last command."""
+        return Square(goal.velocity_weight, goal.previous)
+
+    def cost(self, q: AnyKind, goal: FrameGoal) -> AnyKind:
+        """See ``JointTerm``."""
+        weight: Any = goal.velocity_weight
+        each: AnyKind = weight * (q - goal.previous) ** 2
+        return each.sum(axis=-1) if jnp.ndim(weight) else super().cost(q, goal)
+
+
+@dataclass(frozen=True, eq=False)
+class SmoothL1Velocity(JointTerm):
+    """Smooth-L1 of the weight times the change of each joint, as in AKO.
+
+    Attributes:
+        transition: where smooth-L1 turns from quadratic to linear [rad].
+    """
+
+    transition: float
+
+    def cost(self, q: AnyKind, goal: FrameGoal) -> AnyKind:
+        """See ``JointTerm``."""
+        change: Any = q - goal.previous
+        total: AnyKind = smooth_l1(goal.velocity_weight * change, self.transition).sum(axis=-1)
+        return total
+
+    def joint_cost(self, q: Array, joint: int, goal: FrameGoal) -> Array:
+        """See ``JointTerm``."""
+        return smooth_l1(goal.velocity_weight * (q - goal.previous[joint]), self.transition)
+
+    def derivatives(
+        self, q: Float[Array, " m"], goal: FrameGoal
+    ) -> tuple[Float[Array, " m"], Float[Array, " m"]]:
+        """See ``JointTerm``."""
+        weight = goal.velocity_weight
+        first, second = smooth_l1_slopes(weight * (q - goal.previous), self.transition)
+        return weight * first, weight**2 * second
+
+
+class TermConfig(Protocol):
+    """Settings of a term, which build it for a hand; a ``Term`` is its own."""
+
+    def build(self, hand: Hand) -> Term:
+        """The term for one hand."""
+
+
+@dataclass(frozen=True, eq=False)
+class RobotVectors:
+    """The vectors of a layout on one hand: incidence @ moving points + a constant.
+
+    Attributes:
+        hand: the robot hand.
+        layout: landmarks that each vector joins; the hand has counterparts of them all.
+    """
+
+    hand: Hand
+    layout: VectorLayout
+
+    @cached_property
+    def moving(self) -> tuple[int, ...]:
+        """The P landmarks whose counterparts a joint moves; those of the others are fixed."""
+        keypoints = self.hand.tree.keypoints
+        return tuple(i for i in self.layout.landmarks if keypoints[LANDMARKS[i]].joint >= 0)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of the moving points."""
+        return tuple(LANDMARKS[i] for i in self.moving)
+
+    @cached_property
+    def incidence(self) -> Float[np.ndarray, "K P"]:
+        """1 where a vector ends at a moving point, -1 where it begins at one."""
+        matrix = np.zeros((len(self.layout.vectors), len(self.moving)))
+        for k, (start, end) in enumerate(self.layout.vectors):
+            for landmark, sign in ((end, 1.0), (start, -1.0)):
+                if landmark in self.moving:
+                    matrix[k, self.moving.index(landmark)] = sign
+        return matrix
+
+    def _row(self, landmark: int | None) -> int:
+        """Row of a landmark among the moving points; -1 for a fixed one."""
+        return self.moving.index(landmark) if landmark in self.moving else -1
+
+    def at(self, points: Float[Array, "P 3"]) -> Float[Array, "K 3"]:
+        """The vectors [m], from the moving points [m]."""
+        keypoints = self.hand.tree.keypoints
+        moving = {i: points[p] for p, i in enumerate(self.moving)}
+        every = [
+            moving[i]
+            if i in moving
+            else jnp.asarray(keypoints[LANDMARKS[i]].position, points.dtype)
+            for i in self.layout.landmarks
+        ]
+        return self.layout.among(every)
+
+    def jacobian(self, jacobian: Float[Array, "P J 3"]) -> Float[Array, "K 3 J"]:
+        """Derivatives of the vectors, from those of the moving points [m/rad]."""
+        every = jnp.concatenate([jacobian, jnp.zeros_like(jacobian[:1])])  # the last: fixed points
+        (start, end) = (
+            [self._row(i) for i in side] for side in zip(*self.layout.vectors, strict=True)
+        )
+        return jnp.swapaxes(every[np.array(end)] - every[np.array(start)], 1, 2)
+
+    def spread(self, slopes: Float[Array, "V 3"], which: slice = slice(None)) -> Array:
+        """(P, 3) a cost's derivatives with respect to the points, from those by some vectors."""
+        # a sum, for XLA's library takes 4 us to begin with so small a product
+        incidence = jnp.asarray(self.incidence[which], slopes.dtype)
+        return (incidence[:, :, None] * slopes[:, None, :]).sum(axis=0)
+
+
+class VectorSlopes(NamedTuple):
+    """Derivatives of the cost of K vectors.
+
+    Attributes:
+        cost: sum of their costs.
+        first: (K, 3) first derivative with respect to each vector.
+        second: (K, 3) second derivative, without what is negative in it, where components don't
+            mix; (K, 3, 3) where they do.
+    """
+
+    cost: Float[Array, ""]
+    first: Float[Array, "K 3"]
+    second: Float[Array, "K 3"] | Float[Array, "K 3 3"]
+
+
+@dataclass(frozen=True, eq=False)
+class VectorTerm(PointTerm):
+    """A cost of the errors of some of the robot's vectors, each for itself.
+
+    Attributes:
+        vectors: the robot's vectors.
+    """
+
+    part: ClassVar[Literal["all", "wrist", "thumb"]] = "all"
+    """All vectors, or those of the paper's keyvectors from the wrist or from the thumb's tip."""
+
+    vectors: RobotVectors
+
+    @abstractmethod
+    def slopes(self, errors: Float[Array, "K 3"], goal: FrameGoal) -> VectorSlopes:
+        """The cost of the errors of ``part`` [m], with derivatives; traceable."""
+
+    def points(self) -> tuple[str, ...]:
+        """Landmarks that the vectors join and a joint moves."""
+        return self.vectors.names
+
+    @cached_property
+    def which(self) -> slice:
+        """The vectors of ``part``.
+
+        Raises:
+            ConfigError: if it is of the paper's keyvectors, and the vectors are others.
+        """
+        if self.part == "all":
+            return slice(None)
+        layout = self.vectors.layout
+        if not isinstance(layout, KeyvectorLayout):
+            raise ConfigError(
+                f"{type(self).__name__} needs the paper's keyvectors, not {type(layout).__name__}"
+            )
+        return layout.thumb if self.part == "thumb" else slice(0, len(layout.fingers))
+
+    def expand(
+        self, points: Float[Array, "P 3"], jacobian: Float[Array, "P J 3"], goal: FrameGoal
+    ) -> Quadratic:
+        """See ``PointTerm``."""
+        which = self.which
+        cost, first, second = self.slopes((self.vectors.at(points) - goal.vectors)[which], goal)
+        rows = self.vectors.jacobian(jacobian)[which]
+        if second.ndim == 2:  # components that don't mix
+            rows, second = rows.reshape(second.size, rows.shape[-1]), second.reshape(-1)
+        return Quadratic(cost, self.vectors.spread(first, which), rows, second)
+
+
+@dataclass(frozen=True, eq=False)
+class Keyvectors(VectorTerm):
+    """First term of Eq. (1): sum over k of lambda_k l(v_R - v_H).
+
+    Attributes:
+        loss: the penalty l.
+        transition: where smooth-L1 turns from quadratic to linear [m].
+    """
+
+    loss: Loss
+    transition: float
+
+    def price(self, error: Sequence[Array], weight: Array) -> Array:
+        """lambda_k l(v_R - v_H): the cost of one vector's error.
+
+        Args:
+            error: its three components [m], arrays of a common shape.
+            weight: lambda_k, of a shape that fits.
+        """
+        x, y, z = error
+        if self.loss == "smooth_l1_norm":
+            length = jnp.sqrt(x * x + y * y + z * z + TINY_AREA)
+            return smooth_l1(weight * length, self.transition)
+        squared = self.loss == "squared"
+        parts = [e * e if squared else smooth_l1(e, self.transition) for e in error]
+        return weight * (parts[0] + parts[1] + parts[2])
+
+    def slopes(self, errors: Float[Array, "K 3"], goal: FrameGoal) -> VectorSlopes:
+        """See ``VectorTerm``; exact but on the kinks of smooth-L1."""
+        weights, transition = jnp.asarray(goal.weights), self.transition
+        cost = self.price([errors[:, c] for c in range(3)], weights).sum()
+        if self.loss == "squared":
+            double = 2 * weights[:, None]
+            return VectorSlopes(cost, double * errors, double * jnp.ones_like(errors))
+        if self.loss == "smooth_l1":
+            slope, second = smooth_l1_slopes(errors, transition)
+            return VectorSlopes(cost, weights[:, None] * slope, weights[:, None] * second)
+        length = jnp.sqrt((errors * errors).sum(axis=-1) + TINY_AREA)
+        unit = errors / length[:, None]
+        slope, second = smooth_l1_slopes(weights * length, transition)
+        along = unit[:, :, None] * unit[:, None, :]
+        radial, tangential = weights**2 * second, weights * slope / length
+        across = jnp.eye(3, dtype=errors.dtype) - along
+        return VectorSlopes(
+            cost,
+            (weights * slope)[:, None] * unit,
+            radial[:, None, None] * along + tangential[:, None, None] * across,
+        )
+
+    def cost(self, points: Sequence[Vector], goal: FrameGoal) -> Array:
+        """See ``PointTerm``; written out, so that a compiler fuses it with the kinematics."""
+        hand, layout = self.vectors.hand, self.vectors.layout
+        at: dict[int | None, Sequence[Array | float]] = {None: (0.0, 0.0, 0.0)}
+        for i in layout.landmarks:
+            at[i] = tuple(map(float, hand.tree.keypoints[LANDMARKS[i]].position))
+        at |= dict(zip(self.vectors.moving, cast(Sequence[Sequence[Array]], points), strict=True))
+        total: Array = jnp.zeros((), goal.vectors.dtype)
+        for k, (start, end) in enumerate(layout.vectors):
+            error = [jnp.asarray(at[end][c] - at[start][c]) - goal.vectors[k, c] for c in range(3)]
+            total = total + self.price(error, goal.weights[k])
+        return total
+
+
+def smooth_l1(x: AnyKind, transition: float) -> AnyKind:
+    """x^2 / (2 transition) up to the transition, |x| - transition / 2 beyond; NumPy or JAX."""
+    xp = array_namespace(x)
+    size = xp.abs(x)
+    near = xp.minimum(size, transition)
+    cost: AnyKind = near * (size - 0.5 * near) * (1 / transition)
+    return cost
+
+
+def smooth_l1_slopes(x: Array, transition: float) -> tuple[Array, Array]:
+    """First and second derivative of ``smooth_l1``."""
+    slope = jnp.clip(x / transition, -1, 1)
+    return slope, (jnp.abs(slope) < 1) / transition

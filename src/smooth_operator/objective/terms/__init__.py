@@ -1,1 +1,0 @@
-"""Terms of an objective, one per file; ``smooth_operator.objective.loss`` sums them."""
