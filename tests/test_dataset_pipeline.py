@@ -251,6 +251,14 @@ def copy(folder: Path, whole: tuple[Path, Summary], tmp_path: Path) -> tuple[Pat
     return tmp_path / "clips", tmp_path / "out"
 
 
+def test_lerobot_has_no_columns_of_what_no_clip_has(copy: tuple[Path, Path]) -> None:
+    sources, out = copy
+    make_dataset(replace(request(sources, out), format="lerobot"))
+    info = json.loads((out / "dataset" / "meta" / "info.json").read_text(encoding="utf-8"))
+    assert "right_human_wrist" in info["features"]
+    assert not [name for name in info["features"] if "camera" in name or "object" in name]
+
+
 def test_other_limits_retarget_nothing(copy: tuple[Path, Path]) -> None:
     folder, output = copy
     before, count = contents(output), Counting()

@@ -23,8 +23,7 @@ from smooth_operator.study.data import read_study
 from smooth_operator.study.design.protocol import Condition, Protocol, Task
 
 FIGURES = (
-    "success", "time", "tlx-items", "learning", "operators-success",
-    "operators-time", "operators-tlx", "residuals", "correlations",
+    "success", "time", "tlx-items", "learning", "residuals", "correlations",
 )  # fmt: skip
 
 

@@ -110,15 +110,6 @@ class Progressing:
             yield
 
     @contextlib.contextmanager
-    def status(self) -> Iterator[Callable[[str], None]]:
-        """Shows a line of status on a terminal; yields a function that sets its text."""
-        if self._quiet or not self._console.is_terminal:
-            yield lambda text: None
-            return
-        with self._console.status("") as shown:
-            yield shown.update
-
-    @contextlib.contextmanager
     def bar(self, text: str) -> Iterator[Callable[[str, float], None]]:
         """A bar whose text changes; yields what sets text and share done, 0 to 1."""
         if self._quiet or not self._console.is_terminal:

@@ -5,17 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final
+from typing import Annotated, Any, ClassVar, Final
 
 from tyro.conf import Positional, arg
 
 from smooth_operator.cli.common_options import Common
-from smooth_operator.errors import ConfigError, OutputError
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-    from smooth_operator.teleop.recording.log_reader import Log
+from smooth_operator.errors import ConfigError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,30 +29,25 @@ The sum of the last four is what the loop adds.
 
 Examples:
   smooth-operator teleop --sink record:take.mcap --duration 60
-  smooth-operator latency take.mcap --plot latency.png
+  smooth-operator latency take.mcap
   smooth-operator latency take.right.mcap take.left.mcap --json
 """
 
     logs: Annotated[Positional[tuple[Path, ...]], arg(metavar="RECORD.mcap")]
     """Logs, as the sink record writes them."""
 
-    plot: Annotated[Path | None, arg(metavar="FILE.png")] = None
-    """Plot the latencies over time and their distribution."""
-
     json: bool = False
     """Print one JSON object on standard output, by log, and nothing else there."""
 
 
 _SHOWN: Final = ("p50", "p95", "p99", "max")
-_COLOURS: Final = ("#0072B2", "#E69F00", "#009E73", "#CC79A7")  # Okabe and Ito's
 
 
 def latency(options: Latency) -> None:
-    """Prints a table, or JSON, and draws the figure if one is asked for.
+    """Prints a table for each log, or JSON.
 
     Raises:
         RecordingError: a file is no log, or holds no commands.
-        OutputError: the figure can't be written.
     """
     from smooth_operator.formats.jsonable import to_json
     from smooth_operator.teleop.recording import read_log
@@ -65,19 +55,12 @@ def latency(options: Latency) -> None:
 
     if not options.logs:
         raise ConfigError("name one log or more: smooth-operator latency take.mcap")
-    logs = {path: read_log(path) for path in options.logs}
-    timings = {path: log_timing(log) for path, log in logs.items()}
+    timings = {path: log_timing(read_log(path)) for path in options.logs}
     if options.json:
         print(to_json({str(path): timing for path, timing in timings.items()}))
     else:
         for path, timing in timings.items():
             _print(path, timing)
-    if options.plot is not None:
-        figure = _figure(logs)
-        try:
-            figure.savefig(options.plot, dpi=150)
-        except (OSError, ValueError) as error:
-            raise OutputError(f"can't write the figure {options.plot}: {error}") from error
 
 
 def _print(path: Path, timing: Mapping[str, Any]) -> None:
@@ -104,36 +87,3 @@ def _print(path: Path, timing: Mapping[str, Any]) -> None:
         console.print(f"  {count:6d} × {event}", markup=False)
     if timing["truncated"]:
         console.print("the end of the log is missing; this is what came before")
-
-
-def _figure(logs: Mapping[Path, Log]) -> Figure:
-    """Latencies over time, and their distribution."""
-    import numpy as np
-
-    from smooth_operator.errors import require
-
-    require("a figure of latencies", "lab", "matplotlib")
-    from matplotlib.figure import Figure
-
-    from smooth_operator.teleop.runtime.statistics import added_latency
-
-    figure = Figure(figsize=(10, 3.6), layout="constrained")
-    over_time, spread = figure.subplots(1, 2, width_ratios=(2, 1))
-    for (path, log), colour in zip(logs.items(), _COLOURS * len(logs), strict=False):
-        added = added_latency(log)
-        if log.loop is None or not len(added):
-            assert log.commands is not None  # log_timing has refused such a log
-            added = log.commands.latency_ms
-            times = log.commands.stamps
-        else:
-            times = log.loop.times[np.isfinite(log.stages_ms["solve"])]
-        over_time.plot(times - times[0], added, ".", ms=2, color=colour, label=path.name)
-        ordered = np.sort(added)
-        spread.plot(ordered, np.arange(1, len(ordered) + 1) / len(ordered), color=colour)
-    over_time.set(xlabel="time [s]", ylabel="received to sent [ms]", yscale="log")
-    spread.set(xlabel="received to sent [ms]", ylabel="share of frames", xscale="log")
-    for share in (0.5, 0.99):
-        spread.axhline(share, color="0.7", linewidth=0.8, linestyle="--")
-        spread.annotate(f"p{100 * share:g}", (1, share), xycoords=("axes fraction", "data"))
-    over_time.legend(fontsize=8)
-    return figure

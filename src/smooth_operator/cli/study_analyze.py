@@ -20,11 +20,10 @@ from smooth_operator.study.analysis.report.conclusion import conclusion
 from smooth_operator.study.analysis.results import MODES
 from smooth_operator.study.data import read_study
 from smooth_operator.study.data.reading import NAMES
+from smooth_operator.study.store.database import FILE
 
 SOME_REFUSED: Final = 1
 """Exit status if some parts of the analysis were refused with a reason."""
-_STORE: Final = "study.db"
-_SQLITE: Final = b"SQLite format 3\0"
 
 
 def analyze_command(options: Analyze) -> None:
@@ -44,9 +43,8 @@ def analyze_command(options: Analyze) -> None:
     data = leave_out(data, _exclusions(options.exclude))
     for note in data.notes:
         progress.note(f"note: {note}")
-    with folder_for(options.output), progress.status() as tell:
-        analysis = analyze_study(data, options.baseline, seed=options.seed, report=tell)
-        tell("writing")
+    with folder_for(options.output), progress.waiting("analysing (a minute)"):
+        analysis = analyze_study(data, options.baseline, seed=options.seed)
         written = write_analysis(analysis, options.output, report=not options.no_report)
     if options.json:
         print(json.dumps(analysis.to_json(), indent=1, allow_nan=False))
@@ -84,22 +82,14 @@ def _exclusions(words: Sequence[str]) -> dict[str, str]:
 
 def _split(words: Sequence[str]) -> tuple[list[str], list[Path]]:
     """Splits the arguments into stores and other files."""
-    stored, files = [], []
-    for word in words:
-        path = Path(word)
-        held = path.is_dir() and (path / _STORE).is_file()
-        if held or path.suffix == ".db" or _is_sqlite(path):
-            stored.append(word)
-        else:
-            files.append(path)
-    return stored, files
+    stored = [word for word in words if _is_store(Path(word))]
+    return stored, [Path(word) for word in words if word not in stored]
 
 
-def _is_sqlite(path: Path) -> bool:
-    if not path.is_file():
-        return False
-    with path.open("rb") as file:
-        return file.read(len(_SQLITE)) == _SQLITE
+def _is_store(path: Path) -> bool:
+    if path.is_dir() or path.suffix == ".db":
+        return path.suffix == ".db" or (path / FILE).is_file()
+    return path.is_file() and path.open("rb").read(6) == b"SQLite"
 
 
 def _exported(target: str) -> dict[str, Any]:

@@ -194,9 +194,9 @@ def _series_group(match: re.Match[str]) -> str:
 
 
 def _for_page(text: str, prefix: str) -> str:
-    """An SVG that may stand in a page with others: no size, no names that clash, no links."""
+    """An SVG that may stand in a page with others: its own size, no clashing names, no links."""
     head = text.index(">")
-    tag = re.sub(r'\s(?:width|height|version|xmlns(?::\w+)?)="[^"]*"', "", text[:head])
+    tag = re.sub(r'\s(?:height|version|xmlns(?::\w+)?)="[^"]*"', "", text[:head])
     body = re.sub(r'id="([^"]+)"', rf'id="{prefix}-\1"', text[head:])
     body = re.sub(r"url\(#([^)]+)\)", rf"url(#{prefix}-\1)", body)
     body = re.sub(r'(?:xlink:)?href="#([^"]+)"', rf'href="#{prefix}-\1"', body)

@@ -175,7 +175,7 @@ simulation (A or card, B or cube, C or screwdriver). The same command continues 
 writes trials.csv and tlx.csv (with empty answers) for study analyze, details.csv, simulation.json.
 
 Examples:
-  smooth-operator study new my-study --no-wizard
+  smooth-operator study new my-study
   smooth-operator study simulate my-study --operators 18
   smooth-operator study analyze my-study/simulated --baseline dexpilot --output out"""
 

@@ -62,6 +62,8 @@ class Kept:
         key: digest of all that the clips depend on.
         sides: hands that the clips have.
         frames: number of frames of all clips.
+        camera: whether a clip has poses of the camera.
+        objects: largest number of objects of a clip.
     """
 
     pack: Path
@@ -69,6 +71,8 @@ class Kept:
     key: str
     sides: tuple[Side, ...]
     frames: int
+    camera: bool
+    objects: int
 
 
 Accept: TypeAlias = Callable[[str, str, tuple[SourceFile, ...]], bool]
@@ -223,6 +227,8 @@ def _pack_entry(path: Path, position: int, clips: Sequence[Mapping[str, Any]]) -
         keys[0] if len(keys) == 1 else key_digest(keys),
         tuple(sorted(sides, reverse=True)),
         sum(clip["frames"] for clip in clips),
+        any("camera" in clip["names"] for clip in clips),
+        max(len(clip["objects"]) for clip in clips),
     )
 
 

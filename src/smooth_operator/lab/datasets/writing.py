@@ -176,7 +176,7 @@ def write_episodes(
     if not order.items:
         _account(order, summary, FigureTable())
         return summary
-    order = replace(order, writing=_with_joints(order))
+    order = replace(order, writing=_fitted(order))
     _prepare(order)
     parts = _parts(order)
     done: dict[int, Part] = {}
@@ -301,14 +301,19 @@ def _line(clip: RobotClip, episode: RobotClip | Dropped) -> dict[str, Any]:
     }
 
 
-def _with_joints(order: Order) -> WritingOptions:
-    """The settings with the joints of the hands that clips have."""
-    if order.writing.joints:
-        return order.writing
-    sides: set[Side] = {side for _, pack in order.items for side in pack.sides}
+def _fitted(order: Order) -> WritingOptions:
+    """The settings with the joints, camera and objects that clips have."""
+    writing, packs = order.writing, [pack for _, pack in order.items]
+    if writing.joints:
+        return writing
+    sides: set[Side] = {side for pack in packs for side in pack.sides}
     request = order.recipe.request
-    joints = {side: request.load_hand(side).joint_names for side in SIDES if side in sides}
-    return replace(order.writing, joints=joints)
+    return replace(
+        writing,
+        joints={side: request.load_hand(side).joint_names for side in SIDES if side in sides},
+        camera=any(pack.camera for pack in packs),
+        objects=min(writing.objects, max((pack.objects for pack in packs), default=0)),
+    )
 
 
 def _prepare(order: Order) -> None:

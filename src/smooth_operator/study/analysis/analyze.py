@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Final
@@ -38,7 +38,6 @@ from smooth_operator.study.analysis.results import (
 from smooth_operator.study.analysis.spearman import correlations
 from smooth_operator.study.data.rows import ITEMS, StudyData
 
-Report = Callable[[str], None]
 _DEFAULT_BASELINE: Final = "dexpilot"
 """Baseline of the paper, for data without a plan."""
 
@@ -130,7 +129,6 @@ def analyze_study(
     *,
     exclude: Mapping[str, str] | None = None,
     seed: int = 11,
-    report: Report | None = None,
 ) -> Analysis:
     """Analyses success, time and workload, pooled and per task, in both modes.
 
@@ -140,7 +138,6 @@ def analyze_study(
             without a plan.
         exclude: operator -> reason to leave them out as well.
         seed: seed of bootstraps and permutations.
-        report: called with a text on the progress.
 
     Returns:
         The analysis. A part that can't be analysed is refused with its reason.
@@ -149,7 +146,6 @@ def analyze_study(
         StudyError: the study has one operator or one retargeter, or an exclusion has no reason.
         UnknownNameError: no trial has the baseline, or there is no such operator to exclude.
     """
-    report = report or (lambda text: None)
     data = leave_out(data, exclude)
     planned = _DEFAULT_BASELINE if data.plan is None else data.plan.baseline
     if data.plan is not None and baseline not in (None, planned):
@@ -182,12 +178,10 @@ def analyze_study(
         seed=seed,
     )
     for scope in analysis.scopes:
-        report(f"{scope}: success, time, workload")
         _analyze_scope(analysis, scope)
         analysis.learning[scope] = _learning(data, scope, baseline)
         analysis.tlx_items[scope] = _items(analysis, scope)
     _warn_of_interactions(analysis)
-    report("simulation against study")
     return replace(analysis, spearman=correlations(data, seed=seed))
 
 

@@ -75,8 +75,8 @@ class _Writer(ShardedWriter):
         self._videos: dict[str, int] = {}
         self._total: dict[str, Statistics] = {}
         self._tasks_written = -1
-        fixed = {name: getattr(options, name) for name in ("rate", "action", "videos", "objects")}
-        fixed["absent"] = options.absent
+        names = ("rate", "action", "videos", "camera", "objects", "absent")
+        fixed = {name: getattr(options, name) for name in names}
         fixed["joints"] = {side: list(names) for side, names in options.joints.items()}
         super().__init__(output, options, "lerobot", _FILE_MB, fixed)
 

@@ -69,6 +69,7 @@ class RobotLayout:
     Attributes:
         joints: side -> names of the joints of the robot hand.
         wrist: with the robot's wrists.
+        camera: with the camera's pose.
         objects: for how many objects there are columns.
         fps: frames a second.
         robot: names of the hands.
@@ -77,6 +78,7 @@ class RobotLayout:
 
     joints: Mapping[Side, tuple[str, ...]]
     wrist: bool
+    camera: bool
     objects: int
     fps: float
     robot: str
@@ -90,6 +92,7 @@ class RobotLayout:
         return cls(
             {side: tuple(joints[side]) for side in SIDES if side in joints},
             _has_wrist(clip),
+            options.camera,
             options.objects,
             fps,
             "+".join(dict.fromkeys(clip.hand_names[s] for s in SIDES if s in clip.hand_names)),
@@ -100,8 +103,9 @@ class RobotLayout:
         """From what ``to_json`` made of it."""
         joints = {side: tuple(value["joints"][side]) for side in SIDES if side in value["joints"]}
         return cls(
-            joints, value["wrist"], value["objects"], value["fps"], value["robot"], value["video"]
-        )
+            joints, value["wrist"], value["camera"], value["objects"], value["fps"],
+            value["robot"], value["video"],
+        )  # fmt: skip
 
     def check(self, clip: RobotClip, *, absent: str) -> None:
         """Refuses a clip that these columns can't hold.
@@ -167,8 +171,9 @@ class RobotLayout:
             if self.wrist:
                 add(f"{side}_human_wrist", "float32", list(POSE_NAMES))
                 add(f"{side}_human_wrist_valid", "bool")
-        add("camera", "float32", list(POSE_NAMES))
-        add("camera_valid", "bool")
+        if self.camera:
+            add("camera", "float32", list(POSE_NAMES))
+            add("camera_valid", "bool")
         if self.objects:
             names = [f"object{i}.{name}" for i in range(self.objects) for name in POSE_NAMES]
             add("objects", "float32", names)
@@ -211,7 +216,8 @@ class RobotLayout:
         columns["observation.state"] = flat = np.concatenate(state, axis=1)
         # What a hand does next; the last frame stays where it is.
         columns["action"] = np.concatenate([flat[1:], flat[-1:]]) if action == "next" else flat
-        columns["camera"], columns["camera_valid"] = _poses(human.T_world_camera, count)
+        if self.camera:
+            columns["camera"], columns["camera_valid"] = _poses(human.T_world_camera, count)
         if self.objects:
             object_tracks: list[np.ndarray | None] = [
                 item.T_world_object for item in human.objects[: self.objects]

@@ -31,6 +31,7 @@ class WritingOptions:
         action: LeRobot: ``next``, the state of the next frame; ``same``, of the same frame.
         absent: LeRobot: what becomes of a clip that lacks a hand of ``joints``: ``fill``, zeros
             with ``valid`` false; ``refuse``.
+        camera: LeRobot: whether a frame has columns of the camera's pose.
         objects: LeRobot: for how many objects a frame has columns.
         shard_mb: size at which a shard is full [MB]; None for the format's own choice.
         part: number of this writer among ``parts``, which write to one folder at a time; for
@@ -48,6 +49,7 @@ class WritingOptions:
     videos: Literal["none", "link", "copy"] = "none"
     action: Literal["next", "same"] = "next"
     absent: Literal["fill", "refuse"] = "fill"
+    camera: bool = True
     objects: int = 2
     shard_mb: float | None = None
     part: int = 0

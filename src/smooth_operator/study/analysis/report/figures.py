@@ -13,7 +13,6 @@ from smooth_operator.reporting.drawing import GRID
 from smooth_operator.study.analysis.analyze import Analysis
 from smooth_operator.study.analysis.frame import Frame, time_frame, tlx_frame, within
 from smooth_operator.study.analysis.mixed import fit_mixed
-from smooth_operator.study.analysis.operators import operator_means
 from smooth_operator.study.analysis.report.tables import p_equation, scope_name, signed, span
 from smooth_operator.study.analysis.results import MODES, POOLED, Outcome
 from smooth_operator.study.data.rows import ITEMS
@@ -34,8 +33,6 @@ _INDICES: Final = {"trial_global": "trial of the task", "trial_in_block": "trial
 _ACROSS: Final = 4
 """Largest number of panels in a row."""
 _BINS: Final = 10
-_FEWEST: Final = 3
-"""Smallest number of operators with a violin; fewer have dots only."""
 
 
 def _panels(
@@ -257,41 +254,6 @@ def _slope(axes: Axes, entry: Mapping[str, float], x: np.ndarray, y: np.ndarray)
     axes.set_title(f"{signed(slope, 3)} a trial, {p_equation(p)}", fontsize=9)
 
 
-def _violins(outcome: Outcome) -> Callable[[Analysis, Colors], Figure | None]:
-    """Returns the drawing of the operators' means by task and retargeter; a dot is an operator."""
-
-    def draw(analysis: Analysis, colors: Colors) -> Figure | None:
-        means = [one for one in operator_means(analysis.data) if one.outcome == outcome]
-        if not means:
-            return None
-        tasks = analysis.scopes[1:]
-        scale = 100.0 if outcome == "success" else 1.0
-        figure, panels = _panels(tasks, len(tasks), (2.5, 3.0), (1.5, 0.0), sharey=True)
-        rng = np.random.default_rng(0)  # of the jitter of the dots only
-        for axes, task in zip(panels, tasks, strict=True):
-            for j, name in enumerate(analysis.retargeters):
-                values = scale * np.array(
-                    [one.mean for one in means if one.task == task and one.retargeter == name]
-                )
-                if not len(values):
-                    continue
-                if len(values) >= _FEWEST and np.ptp(values) > 0:
-                    shape = axes.violinplot(values, [j], widths=0.8, showextrema=False)
-                    bodies: Any = shape["bodies"]
-                    for body in bodies:
-                        body.set_facecolor(colors[name])
-                        body.set_alpha(0.3)
-                side = j + rng.uniform(-0.1, 0.1, len(values))
-                axes.plot(side, values, ".", color=colors[name], markersize=4)
-                middle = float(np.median(values))
-                axes.plot([j - 0.25, j + 0.25], [middle, middle], color=colors[name], linewidth=2)
-            _name_ticks(axes, analysis.retargeters)
-        panels[0].set_ylabel(_LABELS[outcome])
-        return figure
-
-    return draw
-
-
 def residual_figure(analysis: Analysis, colors: Colors) -> Figure | None:
     """Draws residuals over fitted values, and their quantiles over those of a normal distribution.
 
@@ -347,9 +309,6 @@ FIGURES: Final[Mapping[str, Callable[[Analysis, Colors], "Figure | None"]]] = {
     "time": time_figure,
     "tlx-items": item_figure,
     "learning": learning_figure,
-    "operators-success": _violins("success"),
-    "operators-time": _violins("time"),
-    "operators-tlx": _violins("tlx"),
     "correlations": correlation_figure,
     "residuals": residual_figure,
 }

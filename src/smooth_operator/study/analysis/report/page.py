@@ -21,7 +21,6 @@ _SECTIONS: Final = (
     ("Time", "time", "time"),
     ("Workload", "workload", "workload"),
     ("Learning", "learning", "learning"),
-    ("Operators", "operators", "by_operator"),
     ("Other readings", "readings", "readings"),
     ("Simulation", "simulation", "simulation"),
     ("Participants", "participants", "participants"),
