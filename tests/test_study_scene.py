@@ -13,7 +13,7 @@ from study_console import command, console_plan, due_command
 
 from smooth_operator.cli import main
 from smooth_operator.errors import StudyError
-from smooth_operator.simulation.tasks.task import GENERAL_RUBRIC, TASKS
+from smooth_operator.simulation.tasks.task import GENERAL_RUBRIC, TASKS, RubricLine
 from smooth_operator.study.console.commands import Command
 from smooth_operator.study.console.session_service import SessionService
 from smooth_operator.study.design.plan import Plan, make_plan
@@ -177,3 +177,15 @@ def test_plans_of_scenes_have_their_rubric_and_limit(tmp_path: Path) -> None:
     assert card.rubric == paper.rubric == TASKS["card"].task.rubric
     assert paper.time_limit_s is None  # the paper's; in simulation the scene's is used
     assert other.rubric == GENERAL_RUBRIC
+
+
+def test_a_rubric_that_contradicts_the_scene_is_refused(tmp_path: Path) -> None:
+    rubric = (
+        RubricLine("done", 1.0, "as instructed"),
+        RubricLine("done-after-reset", 0.0, "too late"),
+        RubricLine("failed", 0.0, "dropped"),
+    )
+    with open_study(tmp_path, two_tasks(rubric=rubric)) as store:
+        service = SessionService(store, operator="P01", teleop=FakeSimulation())
+        with pytest.raises(StudyError, match=r"done-after-reset.*0 in the plan and 0\.5 in the"):
+            walk(service, store, "trial")

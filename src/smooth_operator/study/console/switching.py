@@ -265,11 +265,12 @@ class SceneTrials:
             with_object: whether the scene is to have its object; None leaves it unchanged.
 
         Raises:
-            StudyError: the scene can't be loaded.
+            StudyError: the scene can't be loaded, or its rubric contradicts the plan's.
         """
         status, scene = self._switch.status, scene_of(block)
         if scene is None or not status.simulated:
             return
+        check_rubric(block)
         if status.task == scene and with_object in (None, status.has_object):
             return
         fields = {} if with_object is None else {"object": with_object}
@@ -382,3 +383,21 @@ def scene_of(block: Block) -> str | None:
         return task_named(block.task.name).name
     except UnknownNameError:
         return None
+
+
+def check_rubric(block: Block) -> None:
+    """Refuses a plan whose rubric gives another score than the scene for the same line.
+
+    Raises:
+        StudyError: names both scores.
+    """
+    from smooth_operator.simulation.tasks.task import task_named
+
+    planned = {line.name: line.score for line in block.task.rubric}
+    for line in task_named(block.task.name).task.rubric:
+        if planned.get(line.name, line.score) != line.score:
+            raise StudyError(
+                f"line {line.name!r} of the rubric of task {block.task.name} scores "
+                f"{planned[line.name]:g} in the plan and {line.score:g} in the scene; give it "
+                "another name in study.toml, or the same score"
+            )
