@@ -408,8 +408,8 @@ def test_view_finds_the_frames_and_refuses_another_recording(
     status, _, err = run("view", out, glove)
     assert status == 0, err
     ((page,),) = pages
-    np.testing.assert_array_equal(page.stamps, recording().stamps[7:19])
-    np.testing.assert_array_equal(page.qpos, read_commands(out).joint_positions)
+    np.testing.assert_array_equal(page.trace.stamps, recording().stamps[7:19])
+    np.testing.assert_array_equal(page.trace.joint_positions, read_commands(out).joint_positions)
     assert "tiny" in page.title
     assert run("view", out, out, glove)[0] == 0  # several, side by side
     assert [one.label for one in pages[-1]] == ["sbr tiny (out)"] * 2

@@ -23,7 +23,7 @@ from smooth_operator.hands.hand import load_hand_spec
 from smooth_operator.hands.loading import Coupling, load_model
 from smooth_operator.hands.registry import MODELS, find_hand, hand_names, known_hands, load_hand
 from smooth_operator.hands.spec import JointMap, parse_fingers, select_fingers
-from smooth_operator.human.alignment import MIN_CONDITION, palm_alignment
+from smooth_operator.human.alignment import MIN_CONDITION, palm_alignment, palm_tilt_deg
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS
 from smooth_operator.objective.keyvectors import KeyvectorLayout
 from smooth_operator.synthetic.hand_anatomy import couple, draw_anatomy
@@ -428,12 +428,17 @@ def test_a_frame_is_retargeted(name: str, side: str, method: str) -> None:
 def test_the_documented_table_is_the_catalogue() -> None:
     docs = Path(__file__).resolve().parents[1] / "docs"
     rows = re.findall(
-        r"^\| `(\w+)` \| (\d+) \| (\d+) \| (\d+) \| (\w+) \|",
+        r"^\| `(\w+)` \| (\d+) \| (\d+) \| (\d+) \| (−?\d+)° \| (\w+) \|",
         (docs / "reference" / "hands.md").read_text(encoding="utf-8"),
         re.MULTILINE,
     )
     assert rows == [
-        (name, *map(str, FOUND[name]), "mirrored" if name in MIRRORED else "published")
+        (
+            name,
+            *map(str, FOUND[name]),
+            f"{round(palm_tilt_deg(load_hand(name)))}".replace("-", "−"),
+            "mirrored" if name in MIRRORED else "published",
+        )
         for name in NAMES
     ]
     for name in NAMES:

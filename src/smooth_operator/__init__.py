@@ -7,7 +7,6 @@ result.command.positions        # (20,) in radians
 The public names are listed in ``__init__.pyi``, here and in each public subpackage.
 """
 
-import smooth_operator.baselines  # noqa: F401  (adds its methods to those of the core)
 from smooth_operator.lazy_names import public_names
 
 __getattr__, __dir__, __all__ = public_names(__name__, __file__)

@@ -14,18 +14,42 @@ from smooth_operator.errors import SmoothOperatorError
 from smooth_operator.plugins import Entry, Registry
 
 _HERE: Final = "smooth_operator.methods.presets"
+_BASELINES: Final = "smooth_operator.baselines"
 
 METHODS: Final = Registry(
     "method",
     {
         "sbr": Entry(f"{_HERE}:SBR", "realtime, paper, or offline for recordings"),
         "smooth": Entry(f"{_HERE}:SMOOTH", "teleop, precise, grasp for objects, or offline"),
+        "joint_angle": Entry(f"{_BASELINES}.joint_angle:JOINT_ANGLE_PRESETS", "default"),
+        "keyvector": Entry(
+            f"{_BASELINES}.slsqp_presets:KEYVECTOR_PRESETS",
+            "default, vector, position, slsqp or published",
+        ),
+        "hybrid": Entry(
+            f"{_BASELINES}.slsqp_presets:HYBRID_PRESETS", "default, slsqp or published"
+        ),
+        "dexpilot": Entry(
+            f"{_BASELINES}.slsqp_presets:DEXPILOT_PRESETS", "default, slsqp or published"
+        ),
+        "ako": Entry(f"{_BASELINES}.slsqp_presets:AKO_PRESETS", "default, slsqp or published"),
+        "geort": Entry(
+            f"{_BASELINES}.geort:GEORT_PRESETS", "default, or the file of a model that you trained"
+        ),
     },
 )
-"""Name -> presets. The summaries list the presets, the default one first. The package
-``smooth_operator.baselines`` adds its methods on import, as the root package imports it."""
+"""Name -> presets. The summaries list the presets, the default one first."""
 
-COLORS: Final = {"sbr": "#0072b2", "smooth": "#7a68c7"}
+COLORS: Final = {
+    "sbr": "#0072b2",
+    "smooth": "#7a68c7",
+    "joint_angle": "#8c6d4f",
+    "keyvector": "#e69f00",
+    "hybrid": "#cc79a7",
+    "dexpilot": "#d55e00",
+    "ako": "#56b4e9",
+    "geort": "#009e73",
+}
 """Built-in method -> its colour in every report; most are of Okabe and Ito's safe palette. They go
 by name, since the settings of keyvector, hybrid, dexpilot and ako are of one class."""
 
