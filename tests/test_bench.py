@@ -18,9 +18,11 @@ from metrics_cases import human_motion, make_trace
 
 from smooth_operator import Hand, Retargeter, SyntheticOperator, load_hand
 from smooth_operator.atomic_files import file_name
+from smooth_operator.baselines.joint_angle import JointAngleConfig
 from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError, HandModelError, UnknownNameError
 from smooth_operator.formats.commands import read_commands
+from smooth_operator.formats.jsonable import to_json
 from smooth_operator.human.alignment import AlignmentConfig, human_palm_axes
 from smooth_operator.lab.benchmark import compare, latency, read_results, suite
 from smooth_operator.lab.benchmark.cells import cells_of, fingerprint
@@ -32,6 +34,7 @@ from smooth_operator.lab.benchmark.ranking import HEADLINES, Line, best, failure
 from smooth_operator.lab.benchmark.recordings import load_sources, parse_request, unique_names
 from smooth_operator.lab.benchmark.results import Row
 from smooth_operator.lab.benchmark.settings import Settings, select_methods
+from smooth_operator.lab.offline.execution import tools_of
 from smooth_operator.landmarks import BASES, TIPS
 from smooth_operator.methods.method import MethodConfig
 from smooth_operator.methods.presets import PRESETS
@@ -39,6 +42,7 @@ from smooth_operator.methods.registry import METHODS
 from smooth_operator.methods.sbr import SbrConfig
 from smooth_operator.metrics import METRICS, Metric, evaluate
 from smooth_operator.parallel import run_tasks
+from smooth_operator.planning import make_request, plan
 from smooth_operator.plugins import Entry
 from smooth_operator.reporting.report_page import Plots
 from smooth_operator.solvers.sampling import SamplingConfig
@@ -819,3 +823,15 @@ def test_the_page_plays_without_complaints(done: Bench, scheme: str) -> None:
         assert not page.locator(".player").is_visible()
         browser.close()
     assert problems == []
+
+
+def test_methods_with_the_same_settings_share_no_retargeter(recordings: Path) -> None:
+    (source,) = load_sources([parse_request(str(recordings / "a<i>&'$x^.npz"))])
+    assert source.recording is not None
+    first = make_request(hand="mimic_p050", method="joint_angle")
+    plans = [
+        plan(source.recording, replace(first, config=config))
+        for config in (JointAngleConfig(), PICKY)
+    ]
+    assert to_json(JointAngleConfig()) == to_json(PICKY)
+    assert tools_of(plans[0]) != tools_of(plans[1])

@@ -114,7 +114,8 @@ _SHELF_SIZE: Final = 16
 
 def tools_of(todo: Plan) -> object:
     """Key that is equal for all plans that one retargeter can serve."""
-    return to_json(todo.hand.spec), to_json(todo.config), todo.seed
+    # The class counts too: configurations of two methods may have the same settings.
+    return to_json(todo.hand.spec), type(todo.config), to_json(todo.config), todo.seed
 
 
 def answers(plans: Sequence[Plan], *, keep: bool = True) -> list[Answer]:
