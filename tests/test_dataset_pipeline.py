@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -622,6 +623,8 @@ def test_a_gpu_that_is_not_there_and_work_that_is_not_for_it(tmp_path: Path, fol
     asked = replace(request(folder, tmp_path / "out"), recipe=replace(RECIPE, device="gpu"))
     with pytest.raises(ConfigError, match=r"it sees only .*--device cpu"):
         make_dataset(asked)
+    merged = make_dataset(replace(asked, merge=True))  # retargets nothing, and needs none
+    assert len(merged.failed) == len(FRAMES)
     one_by_one = replace(RECIPE.request, scale="calibrate")
     with pytest.raises(ConfigError, match="side by side"):
         Recipe(one_by_one, device="gpu")
@@ -637,3 +640,22 @@ def test_workers_leave_the_gpu_alone(monkeypatch: pytest.MonkeyPatch) -> None:
         with gpu.only_cpus_in_children():
             assert os.environ["JAX_PLATFORMS"] == "cpu"
         assert os.environ.get("JAX_PLATFORMS") == before
+
+
+@pytest.mark.skipif(os.name == "nt", reason="a script in place of a program")
+def test_the_busy_share_is_what_nvidia_smi_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    program = tmp_path / "nvidia-smi"
+    program.write_text("#!/bin/sh\necho 40; echo 60; exec sleep 60\n", encoding="utf-8")
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
+    use = gpu.GpuUse("a processor")
+    with use.measured():
+        time.sleep(1.0)
+    assert use.busy == pytest.approx(0.5)
+    assert "busy 50% of the time" in use.sentence()
+    monkeypatch.setenv("PATH", str(tmp_path / "nothing"))
+    with use.measured():
+        pass
+    assert use.busy is None

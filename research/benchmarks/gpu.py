@@ -14,7 +14,6 @@ from __future__ import annotations
 import datetime
 import json
 import os
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -31,6 +30,7 @@ from timing import percentiles
 
 from smooth_operator import HandFrame, Retargeter, SmoothOperatorError
 from smooth_operator.errors import ConfigError
+from smooth_operator.lab.datasets.gpu import gpu_samples
 from smooth_operator.methods.sbr import SbrConfig
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator_research.run_report import BenchmarkError, Report
@@ -174,18 +174,13 @@ def batches(report: Report, settings: Settings) -> None:
 
 def busy_share(run: Callable[[], Any], least_s: float = 3.0) -> float | None:
     """Share of time that the GPU runs a kernel while a function is called again and again."""
-    program = shutil.which("nvidia-smi")
-    if program is None or jax.devices()[0].platform == "cpu":
+    if jax.devices()[0].platform == "cpu":
         return None
-    query = ["--query-gpu=utilization.gpu", "--format=csv,noheader,nounits", "-lms", "250"]
-    with subprocess.Popen([program, *query], stdout=subprocess.PIPE, text=True) as sampler:
+    with gpu_samples() as samples:
         end = time.perf_counter() + least_s
         while time.perf_counter() < end:
             run()
-        sampler.terminate()
-        lines = (sampler.communicate()[0] or "").split()
-    # the first samples are of the time before
-    shares = [float(line) / 100 for line in lines[4:] if line.replace(".", "").isdigit()]
+    shares = samples[4:]  # the first are of the time before
     return float(np.mean(shares)) if shares else None
 
 

@@ -60,11 +60,6 @@ def request_of(options: Dataset) -> DatasetRequest:
         raise ConfigError("name at least one SOURCE: a folder, a file, a pattern, a list")
     if options.shard is not None and options.merge:
         raise ConfigError("--shard retargets a share and --merge nothing; give one of them")
-    if options.device == "gpu" and options.cluster is not None:
-        raise ConfigError(
-            "--device gpu works on this machine and not through --cluster; for several GPUs start "
-            "one run a GPU with --shard I/N, and --merge at the end"
-        )
     WRITERS.load(options.format)  # its module asks for its extra: before anything compiles
     limits = Limits(
         not options.whole,

@@ -13,7 +13,7 @@ import subprocess
 import time
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -45,7 +45,7 @@ class GpuUse:
     frames: int = 0
     seconds: float = 0.0
     retargeting: float = 0.0
-    busy: float | None = field(default=None)
+    busy: float | None = None
 
     @classmethod
     def of_this_machine(cls) -> GpuUse:
@@ -76,22 +76,34 @@ class GpuUse:
 
     @contextlib.contextmanager
     def measured(self) -> Iterator[None]:
-        """Measures the time of a block, and asks ``nvidia-smi`` how busy the GPU is."""
+        """Measures the time of a block, and how busy the GPU is."""
         started = time.perf_counter()
-        program = shutil.which("nvidia-smi")
-        sampler = None
-        if program is not None:
-            with contextlib.suppress(OSError):
-                sampler = subprocess.Popen([program, *_QUERY], stdout=subprocess.PIPE, text=True)
+        with gpu_samples() as samples:
+            try:
+                yield
+            finally:
+                self.seconds += time.perf_counter() - started
+        self.busy = float(np.mean(samples)) if samples else None
+
+
+@contextlib.contextmanager
+def gpu_samples() -> Iterator[list[float]]:
+    """Shares of time in which the GPU ran a kernel, four a second while a block runs.
+
+    ``nvidia-smi`` measures them; the list is filled at the end, and stays empty without it.
+    """
+    samples: list[float] = []
+    program = shutil.which("nvidia-smi")
+    if program is None:
+        yield samples
+        return
+    with subprocess.Popen([program, *_QUERY], stdout=subprocess.PIPE, text=True) as sampler:
         try:
-            yield
+            yield samples
         finally:
-            self.seconds += time.perf_counter() - started
-            if sampler is not None:
-                sampler.terminate()
-                lines = (sampler.communicate()[0] or "").split()
-                shares = [float(line) / 100 for line in lines if line.isdigit()]
-                self.busy = float(np.mean(shares)) if shares else None
+            sampler.terminate()
+            lines = (sampler.communicate()[0] or "").split()
+            samples += [float(line) / 100 for line in lines if line.isdigit()]
 
 
 @contextlib.contextmanager
@@ -114,7 +126,7 @@ def only_cpus_in_children() -> Iterator[None]:
 def entries_of_gpu(
     jobs: Sequence[Job], split: Callable[[Job], Sequence[Job]], use: GpuUse, **options: Any
 ) -> Generator[list[Entry]]:
-    """Results of jobs whose clips are read by workers and retargeted here, ``BATCH`` hands at once.
+    """Results of jobs: workers read the clips, this process retargets ``BATCH`` hands together.
 
     While a batch is retargeted and packed by a thread, the next is read.
 

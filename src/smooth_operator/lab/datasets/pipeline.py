@@ -20,7 +20,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
-from smooth_operator.errors import OutputError, RecordingError
+from smooth_operator.errors import ConfigError, OutputError, RecordingError
 from smooth_operator.lab.datasets.filters import Limits
 from smooth_operator.lab.datasets.gpu import GpuUse, entries_of_gpu, only_cpus_in_children
 from smooth_operator.lab.datasets.retargeting import Recipe, SourceFile
@@ -118,7 +118,13 @@ def make_dataset(request: DatasetRequest, progress: Progress | None = None) -> S
             + (f": no layout knows its files ({kinds})" if kinds else ": it is empty")
         )
     name = request.recipe.digest[:16]
-    gpu = GpuUse.of_this_machine() if request.recipe.device == "gpu" else None
+    on_gpu = request.recipe.device == "gpu" and not (request.merge or request.pack)
+    if on_gpu and request.cluster is not None:
+        raise ConfigError(
+            "a GPU retargets on this machine and not on a cluster; for several GPUs start one run "
+            "a GPU with --shard I/N, and --merge at the end"
+        )
+    gpu = GpuUse.of_this_machine() if on_gpu else None
     work = request.output / WORK / (f"packed-{name}" if request.pack else name)
     own = work if request.shard is None else work / "shard-{:05d}-of-{:05d}".format(*request.shard)
     own.mkdir(parents=True, exist_ok=True)

@@ -33,7 +33,7 @@ AUTHORS: Final = ("experimenter", "operator", "system")
 
 
 class Clock:
-    """Time of day at the start of the program, and from then on a clock that nobody sets.
+    """Time of day at the start of the program, and from then on a clock that only runs on.
 
     Args:
         wall: time of day [s since 1970].
