@@ -6,14 +6,12 @@ package. The hand leaves the mode in which it takes commands when none has come 
 
 from __future__ import annotations
 
-import contextlib
-import os
 import struct
-import threading
 import time
 
 import numpy as np
 from hand_servos import Faults, Servos
+from serial_port import SerialPort
 
 DEGREE = 32767 / 150
 """Units of the wire per degree."""
@@ -26,8 +24,6 @@ class AbilityHand:
     """The hand on the line: index, middle, ring, little finger, thumb flexor, thumb rotator."""
 
     def __init__(self, address: int = 0x50) -> None:
-        import tty
-
         lower, upper = [0.0] * 5 + [-100.0], [100.0] * 5 + [0.0]
         self.servos = Servos([15.0] * 5 + [-15.0], speed=1200.0, lower=lower, upper=upper,
                              slack=0.01)  # fmt: skip
@@ -39,30 +35,23 @@ class AbilityHand:
         self.gaps: list[float] = []
         """Silences between two frames that were longer than the hand bears."""
         self._last: float | None = None
-        self._master, self._slave = os.openpty()
-        tty.setraw(self._master)
-        tty.setraw(self._slave)
-        self.port = os.ttyname(self._slave)
-        threading.Thread(target=self._serve, daemon=True).start()
+        self._inside = bytearray()
+        self._escaped = False
+        self._port = SerialPort(self._serve)
+        self.port = self._port.path
 
-    def _serve(self) -> None:
-        inside = bytearray()
-        escaped = False
-        try:
-            while True:
-                for byte in os.read(self._master, 256):
-                    if byte == 0x7E:
-                        if inside:
-                            self._take(bytes(inside))
-                        inside.clear()
-                        escaped = False
-                    elif byte == 0x7D:
-                        escaped = True
-                    else:
-                        inside.append(byte ^ 0x20 if escaped else byte)
-                        escaped = False
-        except OSError:
-            return
+    def _serve(self, arrived: bytes) -> None:
+        for byte in arrived:
+            if byte == 0x7E:
+                if self._inside:
+                    self._take(bytes(self._inside))
+                self._inside.clear()
+                self._escaped = False
+            elif byte == 0x7D:
+                self._escaped = True
+            else:
+                self._inside.append(byte ^ 0x20 if self._escaped else byte)
+                self._escaped = False
 
     def _take(self, frame: bytes) -> None:
         if len(frame) < 3 or sum(frame) & 0xFF or frame[0] != self.address:
@@ -106,10 +95,8 @@ class AbilityHand:
         out = bytearray(b"~")
         for byte in body + bytes([check]):
             out += bytes([0x7D, byte ^ 0x20]) if byte in (0x7D, 0x7E) else bytes([byte])
-        os.write(self._master, bytes(out) + b"~")
+        self._port.write(bytes(out) + b"~")
 
     def close(self) -> None:
         """Pull the adapter; the port is gone."""
-        for fd in (self._master, self._slave):
-            with contextlib.suppress(OSError):
-                os.close(fd)
+        self._port.close()

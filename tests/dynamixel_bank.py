@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import contextlib
 import os
-import threading
 import time
 from dataclasses import dataclass, field
+
+from serial_port import SerialPort
 
 MODEL = 1240  # XC330-M288
 
@@ -135,46 +136,30 @@ class ServoBank:
         self.goals: list[tuple[float, dict[int, int], float]] = []
         self.bad = 0  # instructions with a wrong checksum
         self._buffer = b""
-        self._ending = False
-        self._master = -1
         self.path = ""
         self.plug()
 
     def plug(self, path: str = "") -> None:
         """Connect; with ``path``, a link there leads to the port, as a second plugging gives it."""
-        import tty
-
-        self._master, slave = os.openpty()
-        tty.setraw(slave)
-        self.path = os.ttyname(slave)
+        self._port = SerialPort(self._serve)
+        self.path = self._port.path
         if path:
             with contextlib.suppress(FileNotFoundError):
                 os.unlink(path)
             os.symlink(self.path, path)
             self.path = path
-        self._slave, self._ending = slave, False
-        self._thread = threading.Thread(target=self._run, args=(self._master,), daemon=True)
-        self._thread.start()
 
     def unplug(self) -> None:
         """Pull the cable."""
-        self._ending = True
-        os.close(self._slave)
-        os.close(self._master)
-        self._thread.join(2)
+        self._port.close()
 
-    def _run(self, master: int) -> None:
-        import select
+    def _serve(self, arrived: bytes) -> None:
+        self._buffer += arrived
+        self._take()
+        for servo in self.servos.values():
+            servo.move()
 
-        with contextlib.suppress(OSError, ValueError):
-            while not self._ending:
-                if select.select([master], [], [], 0.05)[0]:
-                    self._buffer += os.read(master, 4096)
-                    self._take(master)
-                for servo in self.servos.values():
-                    servo.move()
-
-    def _take(self, master: int) -> None:
+    def _take(self) -> None:
         while (start := self._buffer.find(b"\xff\xff\xfd\x00")) >= 0:
             rest = self._buffer[start:]
             if len(rest) < 7 or len(rest) < 7 + int.from_bytes(rest[5:7], "little"):
@@ -191,7 +176,7 @@ class ServoBank:
             if answer and not self.mute:
                 if self.delay:
                     time.sleep(self.delay)
-                os.write(master, answer)
+                self._port.write(answer)
 
     def _answer(self, number: int, instruction: int, data: bytes) -> bytes:
         for servo in self.servos.values():

@@ -6,7 +6,6 @@ Written from the published register map. It shares no code with the driver, and 
 from __future__ import annotations
 
 import contextlib
-import os
 import socket
 import struct
 import threading
@@ -15,6 +14,7 @@ from typing import Protocol
 
 import numpy as np
 from hand_servos import Faults, Servos
+from serial_port import SerialPort
 
 ANGLE_SET, FORCE_SET, SPEED_SET = 1486, 1498, 1522
 ANGLE_ACT, FORCE_ACT, CURRENT = 1546, 1582, 1594
@@ -174,32 +174,22 @@ class RtuServer:
     """A hand's Modbus RTU port: the far end of a pty."""
 
     def __init__(self, hand: Slave) -> None:
-        import tty
-
         self.hand = hand
-        self._master, slave = os.openpty()
-        tty.setraw(self._master)
-        tty.setraw(slave)
-        self.port = os.ttyname(slave)
-        self._slave = slave
         self.bad_checksums = 0
-        threading.Thread(target=self._serve, daemon=True).start()
+        self._data = bytearray()
+        self._port = SerialPort(self._serve)
+        self.port = self._port.path
 
-    def _serve(self) -> None:
-        data = bytearray()
-        try:
-            while True:
-                data += os.read(self._master, 256)
-                while frame := self._take(data):
-                    if frame[0] != self.hand.unit:
-                        continue
-                    answer = self.hand.answer(frame[1:-2])
-                    if answer is not None:
-                        reply = bytes([frame[0]]) + answer
-                        check = crc16(reply) ^ (0xFF if self.hand.faults.garble else 0)
-                        os.write(self._master, reply + check.to_bytes(2, "little"))
-        except OSError:
-            return
+    def _serve(self, arrived: bytes) -> None:
+        self._data += arrived
+        while frame := self._take(self._data):
+            if frame[0] != self.hand.unit:
+                continue
+            answer = self.hand.answer(frame[1:-2])
+            if answer is not None:
+                reply = bytes([frame[0]]) + answer
+                check = crc16(reply) ^ (0xFF if self.hand.faults.garble else 0)
+                self._port.write(reply + check.to_bytes(2, "little"))
 
     def _take(self, data: bytearray) -> bytes:
         """A whole request, taken off the front; empty while there is none."""
@@ -221,9 +211,7 @@ class RtuServer:
         self.close()
 
     def close(self) -> None:
-        for fd in (self._master, self._slave):
-            with contextlib.suppress(OSError):
-                os.close(fd)
+        self._port.close()
 
 
 def crc16(data: bytes) -> int:
