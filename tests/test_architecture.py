@@ -5,6 +5,8 @@ from __future__ import annotations
 import ast
 import functools
 import re
+import subprocess
+import sys
 from collections.abc import Iterator, Mapping
 from graphlib import CycleError, TopologicalSorter
 from itertools import pairwise
@@ -31,6 +33,8 @@ CORE = {
     "geometry": 0,
     "terminal": 0,
     "settings": 1,
+    "own_files": 1,
+    "source_digest": 1,
     "plugins": 1,
     "types": 1,
     "io": 2,
@@ -94,6 +98,9 @@ START = "methods.retargeter"
 
 CLOSURE_LINES = 15_450
 """Most lines of the modules that ``Retargeter`` can import: the core grows only on purpose."""
+
+LOADED_LINES = 13_150
+"""Most lines of the modules that a program has loaded when it has a default ``Retargeter``."""
 
 MAX_LINES = 700
 UNPICKLERS = {"pickle", "_pickle", "cPickle", "dill", "cloudpickle", "joblib", "shelve", "marshal"}
@@ -401,6 +408,22 @@ def test_what_a_retargeter_imports_is_small() -> None:
     total = sum(lines.values())
     listing = "\n".join(f"{count:6} {name}" for name, count in sorted(lines.items()))
     assert total <= CLOSURE_LINES, f"{total} lines in {len(lines)} modules:\n{listing}"
+
+
+def test_what_a_retargeter_loads_is_small() -> None:
+    program = (
+        f"import sys, {PACKAGE}; {PACKAGE}.Retargeter('mimic_p050').init();"
+        f"print([m.__file__ for n, m in sys.modules.items() if n.split('.')[0] == '{PACKAGE}'])"
+    )
+    run = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=300
+    )
+    lines = {
+        file: len(Path(file).read_text(encoding="utf-8").splitlines())
+        for file in ast.literal_eval(run.stdout)
+    }
+    assert f"{SOURCE / 'methods' / 'smooth.py'}" in lines
+    assert sum(lines.values()) <= LOADED_LINES, lines
 
 
 @ALL

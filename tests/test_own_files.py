@@ -15,7 +15,7 @@ from smooth_operator.compilation import cache as program_cache
 from smooth_operator.compilation import diagnosis
 from smooth_operator.compilation.cache import ProgramCache
 from smooth_operator.errors import DocumentError
-from smooth_operator.result_cache.own_files import folder_problem, make_private, read_own_file
+from smooth_operator.own_files import folder_problem, make_private, read_own_file
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "geteuid"), reason="no owners and modes here")
 

@@ -29,7 +29,7 @@ from jax.experimental.compilation_cache import compilation_cache
 
 from smooth_operator.atomic_files import atomic_write
 from smooth_operator.errors import DocumentError, OutputError
-from smooth_operator.result_cache.own_files import (
+from smooth_operator.own_files import (
     OFF,
     SWITCH,
     file_problem,

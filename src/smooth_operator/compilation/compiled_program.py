@@ -28,7 +28,7 @@ from smooth_operator.formats.jsonable import to_json
 from smooth_operator.geometry import on_gpu
 from smooth_operator.hands.hand import Hand, fingerprint
 from smooth_operator.methods.method import MethodConfig
-from smooth_operator.result_cache.code import HOME, code_digest
+from smooth_operator.source_digest import HOME, code_digest
 
 _CODE: Final = (
     "compilation", "methods", "baselines", "objective", "solvers", "human", "hands",

@@ -20,7 +20,7 @@ import numpy as np
 from smooth_operator.compilation.cache import is_off, program_cache
 from smooth_operator.errors import DISTRIBUTION, SmoothOperatorError
 from smooth_operator.methods.retargeter import Retargeter
-from smooth_operator.result_cache.own_files import SWITCH, folder_problem, user_cache
+from smooth_operator.own_files import SWITCH, folder_problem, user_cache
 from smooth_operator.synthetic import SyntheticOperator
 
 _CHILD: Final = """

@@ -15,4 +15,4 @@ from smooth_operator.result_cache.cache import find_results as find_results
 from smooth_operator.result_cache.cache import key_digest as key_digest
 from smooth_operator.result_cache.cache import longest_first as longest_first
 from smooth_operator.result_cache.cache import no_note as no_note
-from smooth_operator.result_cache.code import code_digest as code_digest
+from smooth_operator.source_digest import code_digest as code_digest

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Final
 
 from smooth_operator.errors import DocumentError
-from smooth_operator.result_cache.own_files import (
+from smooth_operator.own_files import (
     OFF,
     SWITCH,
     make_private,

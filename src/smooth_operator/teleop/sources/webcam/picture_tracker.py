@@ -24,7 +24,7 @@ from jaxtyping import Bool, Float, UInt8
 from smooth_operator.atomic_files import atomic_write, output_error
 from smooth_operator.errors import ConfigError, MissingExtraError, SourceError
 from smooth_operator.landmarks import BASES, WRIST
-from smooth_operator.result_cache.own_files import make_private, user_cache
+from smooth_operator.own_files import make_private, user_cache
 from smooth_operator.teleop.opencv import opencv
 from smooth_operator.types import HandFrame, Side, as_side
 

@@ -21,7 +21,7 @@ from urllib.parse import urlsplit
 
 from smooth_operator.errors import MissingExtraError, SourceError
 from smooth_operator.landmarks import FINGER_COLORS
-from smooth_operator.result_cache.own_files import (
+from smooth_operator.own_files import (
     OFF,
     SWITCH,
     make_private,

@@ -7,7 +7,7 @@ from functools import cache
 from pathlib import Path
 from typing import Final
 
-HOME: Final = Path(__file__).resolve().parents[1]
+HOME: Final = Path(__file__).resolve().parent
 """Folder of this package."""
 
 
