@@ -16,21 +16,18 @@ from smooth_operator.simulation.tasks.task import PAPER_TASKS
 from smooth_operator.study.analysis.analyze import analyze_study
 from smooth_operator.study.analysis.readings import equivalences
 from smooth_operator.study.analysis.results import MODES
-from smooth_operator.study.data import Questionnaires, StudyData, Trials
-from smooth_operator.study.design.plan import make_plan
-from smooth_operator.study.design.protocol import POINTS, Condition, Protocol, Task
+from smooth_operator.study.design.plan import Plan, make_plan
+from smooth_operator.study.design.protocol import Condition, Protocol, Task
 from smooth_operator.study.power import power_run
 from smooth_operator.study.power.power_report import power_json, write_power
 from smooth_operator.study.power.power_run import LOG, PowerSettings, run_power
 from smooth_operator.study.power.simulated_study import (
-    Layout,
-    Simulated,
     Simulator,
     Spread,
     assumptions_for,
-    layout,
+    planned_data,
 )
-from smooth_operator.study.power.verdicts import Analyst, Verdict, count, rate
+from smooth_operator.study.power.verdicts import Verdict, count, rate, verdicts
 
 METHODS = ("sbr", "dexpilot", "geort", "hybrid")
 CONDITIONS = tuple(Condition(name) for name in METHODS)
@@ -39,88 +36,61 @@ SMALL = Protocol("small", CONDITIONS[:3], (Task("A", trials=6), Task("B", trials
 
 
 @pytest.fixture(scope="module")
-def paper() -> Layout:
-    return layout(make_plan(PAPER))
+def paper() -> Plan:
+    return make_plan(PAPER)
 
 
-def test_the_papers_design_has_its_numbers_of_trials(paper: Layout) -> None:
+def test_the_papers_design_has_its_numbers_of_trials(paper: Plan) -> None:
     """12 operators x 4 x 10, 8 x 4 x 10, 6 x 4 x 20, and three questionnaires a block."""
-    assert len(paper.trials.index) == 480 + 320 + 480
-    assert len(paper.questionnaires.index) == 26 * 4 * 3
-    assert paper.conditions[0] == "dexpilot"
-    assert paper.trials.index.max() == 80
-    assert paper.questionnaires.index.max() == 12
+    data = planned_data(paper)
+    assert data.questionnaires is not None
+    assert (len(data.trials), data.trials.trial_global.max()) == (480 + 320 + 480, 80)
+    assert (len(data.questionnaires), data.questionnaires.index.max()) == (26 * 4 * 3, 12)
 
 
-def test_simulated_studies_have_the_means_that_were_assumed(paper: Layout) -> None:
-    truth = assumptions_for(paper.conditions)
-    truth = replace(truth, practice=Spread(0.0, 0.0, 0.0))
+def test_simulated_studies_have_the_means_that_were_assumed(paper: Plan) -> None:
+    truth = replace(assumptions_for(METHODS), practice=Spread(0.0, 0.0, 0.0))
     simulator = Simulator(paper, truth)
     draws = [simulator.draw(np.random.default_rng([9, k])) for k in range(300)]
-    for c, name in enumerate(paper.conditions):
-        # Tasks weigh alike in what is assumed, so they do here.
-        rows = [
-            (paper.trials.condition == c) & (paper.trials.task == k)
-            for k in range(len(paper.tasks))
-        ]
-        success = np.mean([np.mean([d.success[r].mean() for d in draws]) for r in rows])
-        assert success == pytest.approx(truth.success[name], abs=0.012)
-        seconds = np.mean([np.mean([d.time_s[r].mean() for d in draws]) for r in rows])
-        assert seconds == pytest.approx(truth.time_s[name], abs=0.6)
-        asked = [
-            (paper.questionnaires.condition == c) & (paper.questionnaires.task == k)
-            for k in range(len(paper.tasks))
-        ]
-        points = np.mean([np.mean([d.workload[r].mean() for d in draws]) for r in asked])
+
+    def mean(table: str, column: str, name: str) -> float:
+        """Tasks weigh alike in the assumptions, so they do here."""
+        rows = getattr(draws[0], table)
+        values = np.mean([getattr(getattr(draw, table), column) for draw in draws], axis=0)
+        own = rows.retargeter == name
+        return float(np.mean([values[own & (rows.task == task)].mean() for task in "ABC"]))
+
+    for name in METHODS:
+        assert mean("trials", "success", name) == pytest.approx(truth.success[name], abs=0.012)
+        assert mean("trials", "time", name) == pytest.approx(truth.time_s[name], abs=0.6)
+        points = mean("questionnaires", "workload", name)
         assert points == pytest.approx(truth.workload[name], abs=1.0)
-    assert min(d.time_s.min() for d in draws) >= 2.0
+    assert min(draw.trials.time.min() for draw in draws) >= 2.0
 
 
-def test_operators_differ_as_was_assumed(paper: Layout) -> None:
-    truth = assumptions_for(paper.conditions, operators=Spread(0.0, 0.0, 20.0))
-    simulator = Simulator(paper, truth)
-    rows = paper.questionnaires
+def test_operators_differ_as_was_assumed(paper: Plan) -> None:
+    simulator = Simulator(paper, assumptions_for(METHODS, operators=Spread(0.0, 0.0, 20.0)))
     spread = []
     for k in range(60):
-        draw = simulator.draw(np.random.default_rng(k))
-        doing = (rows.task == 0) & (rows.condition == 0)
-        means = [draw.workload[doing & (rows.operator == o)].mean() for o in range(12)
-                 if np.any(doing & (rows.operator == o))]  # fmt: skip
+        asked = simulator.draw(np.random.default_rng(k)).questionnaires
+        assert asked is not None
+        own = (asked.task == "A") & (asked.retargeter == "dexpilot")
+        codes = np.unique(asked.operator[own])
+        means = [asked.workload[own & (asked.operator == code)].mean() for code in codes]
         spread.append(np.std(means, ddof=1))
     assert np.mean(spread) == pytest.approx(20.0, rel=0.15)
-
-
-def study_data(rows: Layout, study: Simulated) -> StudyData:
-    """The same study as its tables would hold it."""
-
-    def names(kind: tuple[str, ...], codes: np.ndarray) -> np.ndarray:
-        return np.array(kind)[codes]
-
-    t, q = rows.trials, rows.questionnaires
-    trials = Trials(
-        names(rows.operators, t.operator), names(rows.tasks, t.task),
-        names(rows.conditions, t.condition), np.ones(len(t.index), int), t.index, t.index,
-        study.success.astype(float), study.time_s,
-    )  # fmt: skip
-    asked = Questionnaires(
-        names(rows.operators, q.operator), names(rows.tasks, q.task),
-        names(rows.conditions, q.condition), (q.index - 1) // len(POINTS) + 1,
-        (q.index - 1) % len(POINTS) + 1, np.repeat(study.workload[:, None], 6, axis=1),
-    )  # fmt: skip
-    return StudyData(trials, asked)
 
 
 @pytest.mark.parametrize(("seed", "never"), [(1, None), (2, "sbr")])
 def test_verdicts_are_those_of_the_analysis(seed: int, never: str | None) -> None:
     """Of every outcome, scope, mode and test: significant there exactly where it is here."""
-    rows = layout(make_plan(SMALL))
-    truth = assumptions_for(rows.conditions, operators=Spread(0.3, 4.0, 10.0))
-    study = Simulator(rows, truth).draw(np.random.default_rng(seed))
+    truth = assumptions_for(SMALL.condition_names, operators=Spread(0.3, 4.0, 10.0))
+    study = Simulator(make_plan(SMALL), truth).draw(np.random.default_rng(seed))
     if never is not None:
-        study.success[rows.trials.condition == rows.conditions.index(never)] = False
-    analysis = analyze_study(study_data(rows, study), "dexpilot")
+        study.trials.score[study.trials.retargeter == never] = 0.0
+    analysis = analyze_study(study, "dexpilot")
     compared = 0
-    for verdict in Analyst(rows, ("pooled", "A", "B")).verdicts(study):
+    for verdict in verdicts(study, "dexpilot", ("pooled", "A", "B")):
         result = analysis.results[verdict.mode][verdict.outcome][verdict.scope]
         assert (verdict.refused is None) == (result.refused is None), (verdict, result.refused)
         for name, test in result.dunnett.items():
@@ -143,16 +113,17 @@ def test_verdicts_are_those_of_the_analysis(seed: int, never: str | None) -> Non
                     compared += 1
     # Three outcomes (without times of whoever never succeeds), scopes, two modes, two families.
     assert compared == 3 * 2 * (3 * (2 + 3) - (0 if never is None else 3))
-    found = [v for v in Analyst(rows).verdicts(study) if any(v.against.values())]
+    found = [v for v in verdicts(study, "dexpilot") if any(v.against.values())]
     assert found, "nothing is significant in this study: it compares nothing"
 
 
 def test_small_studies_are_refused_not_guessed() -> None:
     """Whoever always fails leaves no odds to estimate: counted as nothing found."""
-    rows = layout(make_plan(replace(SMALL, operators=3)))
-    truth = assumptions_for(rows.conditions, success=dict.fromkeys(rows.conditions, 0.01))
-    study = Simulator(rows, truth).draw(np.random.default_rng(0))
-    refused = {v.outcome: v.refused for v in Analyst(rows).verdicts(study)}
+    names = SMALL.condition_names
+    truth = assumptions_for(names, success=dict.fromkeys(names, 0.01))
+    plan = make_plan(replace(SMALL, operators=3))
+    study = Simulator(plan, truth).draw(np.random.default_rng(0))
+    refused = {v.outcome: v.refused for v in verdicts(study, "dexpilot")}
     assert refused["success"] is not None
     assert count(Verdict("success", "pooled", "paper", {}, {}, "none"), truth, "dexpilot") == {
         "refused": 1
@@ -177,11 +148,10 @@ def test_what_a_verdict_gets_right_and_wrong() -> None:
 
 def test_equivalence_is_what_two_one_sided_tests_say() -> None:
     """Counted where the 90 % interval lies within the margin, as the reading of a study has it."""
-    rows = layout(make_plan(SMALL))
-    truth = assumptions_for(rows.conditions)
-    study = Simulator(rows, truth).draw(np.random.default_rng(3))
-    analysis = analyze_study(study_data(rows, study), "dexpilot")
-    for verdict in Analyst(rows).verdicts(study):
+    truth = assumptions_for(SMALL.condition_names)
+    study = Simulator(make_plan(SMALL), truth).draw(np.random.default_rng(3))
+    analysis = analyze_study(study, "dexpilot")
+    for verdict in verdicts(study, "dexpilot"):
         result = analysis.results[verdict.mode][verdict.outcome]["pooled"]
         for name, smallest in verdict.smallest_margin.items():
             one = equivalences(result, "dexpilot", None)[f"{name}-dexpilot"]

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
@@ -24,10 +24,11 @@ from smooth_operator.cli.console import Progressing
 from smooth_operator.result_cache import Job, ResultLog, code_digest
 from smooth_operator.study.analysis.results import MODES, OUTCOMES, POOLED
 from smooth_operator.study.chunks import chunk_values
-from smooth_operator.study.design.plan import make_plan
+from smooth_operator.study.data import Questionnaires, StudyData, Trials
+from smooth_operator.study.design.plan import Plan, make_plan
 from smooth_operator.study.design.protocol import Condition, Protocol, Task
-from smooth_operator.study.power.simulated_study import Layout, Rows, Simulated, layout
-from smooth_operator.study.power.verdicts import Analyst, rate
+from smooth_operator.study.power.simulated_study import codes_of, planned_data
+from smooth_operator.study.power.verdicts import rate, verdicts
 
 Three = tuple[float, float, float]
 """Of success [logit], time [s] and workload [points]."""
@@ -159,13 +160,13 @@ def main(settings: Settings) -> None:
 def simulate(chunk: Chunk) -> dict[str, int]:
     """How often each family erred, and each analysis was refused."""
     design = DESIGNS[chunk.design]
-    rows = _rows(chunk.design)
-    analyst = Analyst(rows, (design.scope,))
+    plan = _plan(chunk.design)
+    data = planned_data(plan)
     counts: Counter[str] = Counter(studies=chunk.count)
     for number in range(chunk.first, chunk.first + chunk.count):
         name = [ord(letter) for letter in chunk.design]
-        study = draw(design, rows, np.random.default_rng([chunk.seed, number, *name]))
-        for verdict in analyst.verdicts(study):
+        study = draw(design, plan, data, np.random.default_rng([chunk.seed, number, *name]))
+        for verdict in verdicts(study, FOUR[0], (design.scope,)):
             key = f"{verdict.outcome}/{verdict.mode}"
             counts[f"{key}/refused"] += verdict.refused is not None
             counts[f"{key}/dunnett"] += any(verdict.against.values())
@@ -174,31 +175,37 @@ def simulate(chunk: Chunk) -> dict[str, int]:
 
 
 @lru_cache(maxsize=32)
-def _rows(name: str) -> Layout:
+def _plan(name: str) -> Plan:
     design = DESIGNS[name]
     conditions = tuple(Condition(name) for name in FOUR[: design.retargeters])
     tasks = tuple(Task(name, trials=n, operators=who) for name, n, who in design.tasks)
-    return layout(make_plan(Protocol("null", conditions, tasks, FOUR[0], design.operators)))
+    return make_plan(Protocol("null", conditions, tasks, FOUR[0], design.operators))
 
 
-def draw(design: Design, rows: Layout, rng: np.random.Generator) -> Simulated:
+def draw(design: Design, plan: Plan, data: StudyData, rng: np.random.Generator) -> StudyData:
     """A study in which no retargeter is better than another."""
-    shape = (len(rows.operators), len(rows.conditions), len(rows.tasks), 3)
+    conditions, tasks = plan.protocol.condition_names, [t.name for t in plan.protocol.tasks]
+    shape = (len(plan.codes), len(conditions), len(tasks), 3)
     shift = (
         np.array(OPERATORS) * rng.standard_normal((shape[0], 1, 1, 3))
         + np.array(design.own) * rng.standard_normal((*shape[:2], 1, 3))
         + np.array(design.block) * rng.standard_normal(shape)
-        + np.array([TASKS[name] for name in rows.tasks])
+        + np.array([TASKS[name] for name in tasks])
     )
 
-    def about(table: Rows, kind: int, practice: float) -> np.ndarray:
-        moved = practice * (table.index - table.index.mean())
-        return shift[table.operator, table.condition, table.task, kind] + moved
+    def about(table: Trials | Questionnaires, index: np.ndarray, kind: int, practice: float) -> Any:
+        where = (
+            codes_of(plan.codes, table.operator),
+            codes_of(conditions, table.retargeter),
+            codes_of(tasks, table.task),
+        )
+        return shift[(*where, kind)] + practice * (index - index.mean())
 
-    trials, questionnaires = rows.trials, rows.questionnaires
-    logit = np.log(design.success / (1 - design.success)) + about(trials, 0, 0.012)
+    trials, asked = data.trials, data.questionnaires
+    assert asked is not None
+    logit = np.log(design.success / (1 - design.success)) + about(trials, trials.trial_global, 0, 0.012)
     success = rng.random(len(logit)) < 1 / (1 + np.exp(-logit))
-    mean = MEANS[0] + about(trials, 1, -0.06)
+    mean = MEANS[0] + about(trials, trials.trial_global, 1, -0.06)
     noise = rng.standard_normal(len(mean))
     if design.log_normal:
         mean = np.maximum(mean, 3.0)
@@ -208,11 +215,16 @@ def draw(design: Design, rows: Layout, rng: np.random.Generator) -> Simulated:
         time = np.maximum(mean + TRIALS[0] * noise, 2.0)
     workload = (
         MEANS[1]
-        + about(questionnaires, 2, -0.4)
-        + TRIALS[1] * rng.standard_normal(len(questionnaires.index))
+        + about(asked, asked.index, 2, -0.4)
+        + TRIALS[1] * rng.standard_normal(len(asked))
     )
     scales = workload[:, None] + TRIALS[2] * rng.standard_normal((len(workload), 6))
-    return Simulated(success, time, np.clip(5 * np.round(scales / 5), 0, 100).mean(axis=1))
+    answers = np.clip(5 * np.round(scales / 5), 0, 100)
+    return replace(
+        data,
+        trials=replace(trials, score=success.astype(float), time=time),
+        questionnaires=replace(asked, answers=answers),
+    )
 
 
 def table(counts: dict[str, Counter[str]]) -> str:

@@ -29,8 +29,8 @@ from smooth_operator.study.chunks import chunk_values
 from smooth_operator.study.design.plan import make_plan, scaled
 from smooth_operator.study.design.plan_file import plan_of, plan_table
 from smooth_operator.study.design.protocol import Protocol
-from smooth_operator.study.power.simulated_study import Assumptions, Simulator, Spread, layout
-from smooth_operator.study.power.verdicts import Analyst, Tally
+from smooth_operator.study.power.simulated_study import Assumptions, Simulator, Spread
+from smooth_operator.study.power.verdicts import Tally, verdicts
 
 Truth: TypeAlias = Literal["effects", "null"]
 TRUTHS: Final[tuple[Truth, ...]] = ("effects", "null")
@@ -159,43 +159,36 @@ def run_power(
 
 def simulate_chunk(chunk: Chunk) -> dict[str, dict[str, int]]:
     """Simulates and analyses the studies of a chunk in a worker; returns the counts."""
-    simulator, analyst, truth, protocol, seed = _prepared(
+    simulator, truth, protocol, scopes, seed = _prepared(
         chunk.setting, chunk.operators, chunk.truth
     )
     tally = Tally()
     for number in range(chunk.first, chunk.first + chunk.count):
         rng = np.random.default_rng([seed, chunk.operators, TRUTHS.index(chunk.truth), number])
-        tally.add(analyst.verdicts(simulator.draw(rng)), truth, protocol.baseline, protocol.margins)
+        results = verdicts(simulator.draw(rng), protocol.baseline, scopes)
+        tally.add(results, truth, protocol.baseline, protocol.margins)
     return {key: dict(counts) for key, counts in tally.counts.items()}
 
 
 @lru_cache(maxsize=8)
 def _prepared(
     setting: str, operators: int, which: Truth
-) -> tuple[Simulator, Analyst, Assumptions, Protocol, int]:
+) -> tuple[Simulator, Assumptions, Protocol, list[str], int]:
     values = json.loads(setting)
     protocol = plan_of(values["plan"], "the plan").protocol
-    rows = layout(make_plan(scaled(protocol, operators)))
     truth = _assumptions(values["truth"])
     if which == "null":
         truth = truth.null(protocol.baseline)
-    simulator = Simulator(rows, truth)
-    analyst = Analyst(rows, tuple(values["scopes"]))
-    return simulator, analyst, truth, protocol, values["seed"]
+    simulator = Simulator(make_plan(scaled(protocol, operators)), truth)
+    return simulator, truth, protocol, values["scopes"], values["seed"]
 
 
 def _assumptions(values: Mapping[str, Any]) -> Assumptions:
-    return Assumptions(
-        success=values["success"],
-        time_s=values["time_s"],
-        workload=values["workload"],
-        operators=Spread(**values["operators"]),
-        interaction=Spread(**values["interaction"]),
-        trials=Spread(**values["trials"]),
-        scales=values["scales"],
-        practice=Spread(**values["practice"]),
-        tasks={name: Spread(**spread) for name, spread in values["tasks"].items()},
-    )
+    spreads = {
+        name: Spread(**values[name]) for name in ("operators", "interaction", "trials", "practice")
+    }
+    tasks = {name: Spread(**spread) for name, spread in values["tasks"].items()}
+    return Assumptions(**{**values, **spreads, "tasks": tasks})
 
 
 def _chunks(settings: PowerSettings) -> Iterator[Chunk]:

@@ -12,16 +12,16 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from scipy.optimize import brentq
 from scipy.special import expit
 
 from smooth_operator.errors import StudyError
-from smooth_operator.study.design.plan import Plan
-from smooth_operator.study.design.protocol import POINTS
+from smooth_operator.study.data.rows import ITEMS, POINTS, Questionnaires, StudyData, Trials
+from smooth_operator.study.design.plan import Block, Plan
 
 PAPER_SUCCESS: Final = {"sbr": 0.541, "dexpilot": 0.440, "geort": 0.266, "hybrid": 0.521}
 """Probability of a score of 0.5 or 1."""
@@ -149,67 +149,36 @@ def assumptions_for(
     return Assumptions(**values_of, **more)  # type: ignore[arg-type]
 
 
-@dataclass(frozen=True, eq=False)
-class Rows:
-    """Trials or questionnaires as columns of numbers.
-
-    Attributes:
-        operator: index into the codes (n,).
-        task: index into the tasks (n,).
-        condition: index into the conditions, the baseline first (n,).
-        index: number in the operator's task, from 1 (n,).
-    """
-
-    operator: Int[np.ndarray, " n"]
-    task: Int[np.ndarray, " n"]
-    condition: Int[np.ndarray, " n"]
-    index: Int[np.ndarray, " n"]
-
-
-@dataclass(frozen=True, eq=False)
-class Layout:
-    """Rows of a planned study without dropouts.
-
-    Attributes:
-        conditions: names of the conditions, the baseline first.
-        tasks: names of the tasks.
-        operators: codes of the operators.
-        trials: rows of trials.
-        questionnaires: rows of questionnaires; the index counts three for each block.
-    """
-
-    conditions: tuple[str, ...]
-    tasks: tuple[str, ...]
-    operators: tuple[str, ...]
-    trials: Rows
-    questionnaires: Rows
+def planned_data(plan: Plan) -> StudyData:
+    """Makes the rows of a planned study without dropouts: all trials fail, no answer is there."""
+    blocks = list(plan.schedule())
+    trials = [
+        (*_place(block), k, block.trial_global(k))
+        for block in blocks
+        for k in range(1, block.task.trials + 1)
+    ]
+    points = [
+        (*_place(block), POINTS.index(point) + 1)
+        for block in blocks
+        for point in block.questionnaires.values()
+    ]
+    columns = [np.array(column) for column in zip(*trials, strict=True)]
+    count = len(trials)
+    data = StudyData(Trials(*columns, score=np.zeros(count), time=np.full(count, np.nan)))
+    if not points:
+        return data
+    columns = [np.array(column) for column in zip(*points, strict=True)]
+    answers = np.full((len(points), len(ITEMS)), np.nan)
+    return replace(data, questionnaires=Questionnaires(*columns, answers=answers))
 
 
-def layout(plan: Plan) -> Layout:
-    """Makes the rows of a plan."""
-    protocol = plan.protocol
-    baseline = protocol.baseline
-    conditions = (baseline, *sorted(set(protocol.condition_names) - {baseline}))
-    tasks = tuple(task.name for task in protocol.tasks)
-    trials: list[tuple[int, int, int, int]] = []
-    questionnaires: list[tuple[int, int, int, int]] = []
-    for block in plan.schedule():
-        key = (
-            plan.codes.index(block.operator),
-            tasks.index(block.task.name),
-            conditions.index(block.condition.name),
-        )
-        trials += [(*key, block.trial_global(k)) for k in range(1, block.task.trials + 1)]
-        questionnaires += [
-            (*key, (block.number - 1) * len(POINTS) + POINTS.index(point) + 1)
-            for point in block.questionnaires.values()
-        ]
-    return Layout(conditions, tasks, plan.codes, _rows(trials), _rows(questionnaires))
+def _place(block: Block) -> tuple[str, str, str, int]:
+    return block.operator, block.task.name, block.condition.name, block.number
 
 
-def _rows(rows: list[tuple[int, int, int, int]]) -> Rows:
-    table = np.array(rows, int).reshape(-1, 4)
-    return Rows(table[:, 0], table[:, 1], table[:, 2], table[:, 3])
+def codes_of(names: Sequence[str], column: np.ndarray) -> Int[np.ndarray, " n"]:
+    """Index into ``names`` of each element of a column (n,)."""
+    return np.array([names.index(name) for name in column.tolist()], int)
 
 
 _CORRELATION: Final = np.array([[1.0, -0.4, -0.3], [-0.4, 1.0, 0.2], [-0.3, 0.2, 1.0]])
@@ -220,80 +189,70 @@ _SCALES: Final = np.array([8.0, -6.0, 0.0, 2.0, 4.0, -8.0])
 """Distances of the six scales of NASA-TLX from their mean [points]."""
 
 
-@dataclass(frozen=True, eq=False)
-class Simulated:
-    """Data of a simulated study.
-
-    Attributes:
-        success: success of each trial (n,).
-        time_s: time of each trial [s]; valid for successful trials only (n,).
-        workload: raw NASA-TLX of each questionnaire (m,).
-    """
-
-    success: Bool[np.ndarray, " n"]
-    time_s: Float[np.ndarray, " n"]
-    workload: Float[np.ndarray, " m"]
-
-
 class Simulator:
-    """Draws studies of one layout.
+    """Draws studies of one plan.
 
     Args:
-        layout: rows of the study.
+        plan: plan of the study.
         truth: assumptions of the simulation.
     """
 
-    def __init__(self, layout: Layout, truth: Assumptions) -> None:
-        self._layout, self._truth = layout, truth
-        offsets = _task_offsets(layout, truth)
-        self._logit = np.array(
-            [
-                _logit_of(truth.success[name], tuple(offsets[:, 0]), truth)
-                for name in layout.conditions
-            ]
-        )
-        seconds = np.array([truth.time_s[name] for name in layout.conditions])
-        points = np.array([truth.workload[name] for name in layout.conditions])
-        rows = (layout.trials, layout.trials, layout.questionnaires)
-        self._mean_logit, self._mean_time, self._mean_workload = (
-            values[own.condition] + offsets[own.task, k] + practice * _centred(own)
-            for k, (values, own, practice) in enumerate(
-                zip((self._logit, seconds, points), rows, _three(truth.practice), strict=True)
-            )
-        )
+    def __init__(self, plan: Plan, truth: Assumptions) -> None:
+        self._data, self._truth = planned_data(plan), truth
+        trials, answers = self._data.trials, self._data.questionnaires
+        protocol = plan.protocol
+        conditions = sorted(protocol.condition_names, key=lambda x: (x != protocol.baseline, x))
+        tasks = [task.name for task in protocol.tasks]
+        self._operators, self._conditions = len(plan.codes), len(conditions)
+        offsets = _task_offsets(tasks, truth)
+        logit = [_logit_of(truth.success[x], tuple(offsets[:, 0]), truth) for x in conditions]
+        seconds = [truth.time_s[name] for name in conditions]
+        points = [truth.workload[name] for name in conditions]
+        practice = _three(truth.practice)
+
+        def mean(table: Trials | Questionnaires, values: list[float], index: Any, k: int) -> Any:
+            condition, task = (
+                codes_of(conditions, table.retargeter), codes_of(tasks, table.task)
+            )  # fmt: skip
+            own = (codes_of(plan.codes, table.operator), condition, k)
+            about = offsets[task, k] + practice[k] * (index - index.mean())
+            return np.array(values)[condition] + about, own
+
+        self._logit = mean(trials, logit, trials.trial_global, 0)
+        self._time = mean(trials, seconds, trials.trial_global, 1)
+        self._workload = None if answers is None else mean(answers, points, answers.index, 2)
         self._root = np.linalg.cholesky(_CORRELATION)
 
-    def draw(self, rng: np.random.Generator) -> Simulated:
+    def draw(self, rng: np.random.Generator) -> StudyData:
         """Draws one study."""
-        truth, layout = self._truth, self._layout
-        operators, conditions = len(layout.operators), len(layout.conditions)
-        trials, questionnaires = layout.trials, layout.questionnaires
-        between = rng.standard_normal((operators, 3)) @ self._root.T * _three(truth.operators)
-        own = rng.standard_normal((operators, conditions, 3)) * _three(truth.interaction)
-        shift = between[:, None] + own
-        logit = self._mean_logit + shift[trials.operator, trials.condition, 0]
+        truth, data = self._truth, self._data
+        between = rng.standard_normal((self._operators, 3)) @ self._root.T
+        own = rng.standard_normal((self._operators, self._conditions, 3))
+        shift = (between * _three(truth.operators))[:, None] + own * _three(truth.interaction)
+        logit, time = (mean + shift[where] for mean, where in (self._logit, self._time))
         success = rng.random(len(logit)) < expit(logit)
-        time = self._mean_time + shift[trials.operator, trials.condition, 1]
         time = time + truth.trials.time_s * rng.standard_normal(len(time))
-        workload = self._mean_workload + shift[questionnaires.operator, questionnaires.condition, 2]
+        trials = replace(
+            data.trials, score=success.astype(float), time=np.maximum(time, _SHORTEST_S)
+        )
+        if self._workload is None or data.questionnaires is None:
+            return replace(data, trials=trials)
+        workload = self._workload[0] + shift[self._workload[1]]
         workload = workload + truth.trials.workload * rng.standard_normal(len(workload))
         scales = workload[:, None] + _SCALES
         scales = scales + truth.scales * rng.standard_normal(scales.shape)
-        answered = np.clip(_STEP * np.round(scales / _STEP), 0.0, 100.0)
-        return Simulated(success, np.maximum(time, _SHORTEST_S), answered.mean(axis=1))
+        answers = np.clip(_STEP * np.round(scales / _STEP), 0.0, 100.0)
+        filled = replace(data.questionnaires, answers=answers)
+        return replace(data, trials=trials, questionnaires=filled)
 
 
 def _three(spread: Spread) -> Float[np.ndarray, " 3"]:
     return np.array([spread.success, spread.time_s, spread.workload])
 
 
-def _centred(rows: Rows) -> Float[np.ndarray, " n"]:
-    return rows.index - rows.index.mean() if len(rows.index) else rows.index.astype(float)
-
-
-def _task_offsets(layout: Layout, truth: Assumptions) -> Float[np.ndarray, "k 3"]:
+def _task_offsets(tasks: Sequence[str], truth: Assumptions) -> Float[np.ndarray, "k 3"]:
     none = Spread(0.0, 0.0, 0.0)
-    table = np.array([_three(truth.tasks.get(name, none)) for name in layout.tasks])
+    table = np.array([_three(truth.tasks.get(name, none)) for name in tasks])
     return np.asarray(table - table.mean(axis=0))
 
 

@@ -9,16 +9,21 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from smooth_operator.errors import StudyError
 from smooth_operator.study.analysis.dunnett import quantile
-from smooth_operator.study.analysis.frame import Frame, check_frame
+from smooth_operator.study.analysis.frame import (
+    Frame,
+    check_frame,
+    success_frame,
+    time_frame,
+    tlx_frame,
+)
 from smooth_operator.study.analysis.gee import one_sided_levels
 from smooth_operator.study.analysis.models import ONE_SIDED, Fit, fit_modes
 from smooth_operator.study.analysis.results import (
@@ -30,7 +35,8 @@ from smooth_operator.study.analysis.results import (
     Separated,
 )
 from smooth_operator.study.analysis.separated import split
-from smooth_operator.study.power.simulated_study import Assumptions, Layout, Rows, Simulated
+from smooth_operator.study.data.rows import StudyData
+from smooth_operator.study.power.simulated_study import Assumptions
 
 ALPHA: Final = 0.05
 _Z: Final = 1.959963984540054
@@ -64,74 +70,45 @@ class Verdict:
     smallest_margin: dict[str, float] = field(default_factory=dict)
 
 
-class Analyst:
-    """Analyses simulated studies of one layout.
+def verdicts(
+    study: StudyData, baseline: str, scopes: Sequence[str] = (POOLED,)
+) -> Iterator[Verdict]:
+    """Yields the verdicts on all outcomes of a study, in both modes.
 
     Args:
-        layout: rows of the study.
+        study: data of the study.
+        baseline: retargeter that the others are compared with.
         scopes: ``pooled`` and tasks.
     """
+    for scope in scopes:
+        frames: dict[Outcome, Frame] = {
+            "success": success_frame(study.trials, scope, baseline),
+            "time": time_frame(study.trials, scope, baseline),
+        }
+        if study.questionnaires is not None:
+            frames["tlx"] = tlx_frame(study.questionnaires, scope, baseline)
+        for outcome, frame in frames.items():
+            yield from _verdicts(outcome, frame, scope)
 
-    def __init__(self, layout: Layout, scopes: tuple[str, ...] = (POOLED,)) -> None:
-        self._layout = layout
-        self._scopes = scopes
 
-    def verdicts(self, study: Simulated) -> Iterator[Verdict]:
-        """Yields the verdicts on all outcomes and scopes, in both modes."""
-        trials, questionnaires = self._layout.trials, self._layout.questionnaires
-        for scope in self._scopes:
-            rows = self._within(trials, scope)
-            frame = self._frame(trials, study.success.astype(float), rows)
-            yield from self._verdicts("success", frame, scope)
-            frame = self._frame(trials, study.time_s, rows & study.success)
-            yield from self._verdicts("time", frame, scope)
-            if len(questionnaires.index):
-                frame = self._frame(
-                    questionnaires, study.workload, self._within(questionnaires, scope)
-                )
-                yield from self._verdicts("tlx", frame, scope)
-
-    def _within(self, rows: Rows, scope: str) -> Bool[np.ndarray, " n"]:
-        if scope == POOLED:
-            return np.ones(len(rows.index), bool)
-        return np.asarray(rows.task == self._layout.tasks.index(scope))
-
-    def _frame(
-        self, rows: Rows, outcome: Float[np.ndarray, " n"], used: Bool[np.ndarray, " n"]
-    ) -> Frame:
-        conditions, condition = np.unique(rows.condition[used], return_inverse=True)
-        tasks, task = np.unique(rows.task[used], return_inverse=True)
-        operators, group = np.unique(rows.operator[used], return_inverse=True)
-        return Frame(
-            outcome=outcome[used],
-            retargeters=tuple(self._layout.conditions[k] for k in conditions),
-            retargeter=condition,
-            tasks=tuple(self._layout.tasks[k] for k in tasks),
-            task=task,
-            operators=tuple(self._layout.operators[k] for k in operators),
-            group=group,
-            index=rows.index[used].astype(float),
-            baseline=self._layout.conditions[0],
-        )
-
-    def _verdicts(self, outcome: Outcome, frame: Frame, scope: str) -> Iterator[Verdict]:
-        separated: dict[str, Separated] = {}
-        fits: Mapping[Mode, Fit | Refused]
-        try:
-            check_frame(frame)
-            if outcome == "success":
-                rest, separated = split(frame)
-                if rest is None:
-                    raise StudyError(ONE_SIDED)
-                frame = rest
-                check_frame(frame, retargeters=1)
-                if one_sided_levels(frame):
-                    raise StudyError("separation: a condition or task always or never succeeds")
-            fits = fit_modes(outcome, frame)
-        except StudyError as error:
-            fits = dict.fromkeys(MODES, Refused(str(error)))
-        for mode, fit in fits.items():
-            yield _verdict(Verdict(outcome, scope, mode, {}, {}), fit, separated, frame.baseline)
+def _verdicts(outcome: Outcome, frame: Frame, scope: str) -> Iterator[Verdict]:
+    separated: dict[str, Separated] = {}
+    fits: Mapping[Mode, Fit | Refused]
+    try:
+        check_frame(frame)
+        if outcome == "success":
+            rest, separated = split(frame)
+            if rest is None:
+                raise StudyError(ONE_SIDED)
+            frame = rest
+            check_frame(frame, retargeters=1)
+            if one_sided_levels(frame):
+                raise StudyError("separation: a condition or task always or never succeeds")
+        fits = fit_modes(outcome, frame)
+    except StudyError as error:
+        fits = dict.fromkeys(MODES, Refused(str(error)))
+    for mode, fit in fits.items():
+        yield _verdict(Verdict(outcome, scope, mode, {}, {}), fit, separated, frame.baseline)
 
 
 def _verdict(
