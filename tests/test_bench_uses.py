@@ -12,8 +12,8 @@ import pytest
 
 from smooth_operator.lab.benchmark import ranking
 from smooth_operator.lab.benchmark.figures import latency_figure
+from smooth_operator.lab.benchmark.page.report import macros
 from smooth_operator.lab.benchmark.page.summary import summary_text
-from smooth_operator.lab.benchmark.page.tables import headline_table
 from smooth_operator.lab.benchmark.ranking import (
     COLUMNS,
     HEADLINES,
@@ -53,13 +53,13 @@ def test_posture_and_collision_stand_among_the_papers_columns() -> None:
     assert {"finger_extension_error", "pinch_gap_excess_mm", "jumps_per_1000"} < {
         m.name for m in set(COLUMNS) - set(HEADLINES)
     }
-    page = headline_table(LINES, colors_of(["safe", "close", "still"]))
+    page = macros().headline(LINES, colors_of(["safe", "close", "still"]))
     assert "gap excess" in page
     assert "60.0 %" in page
     heads = [
-        re.sub("<.*?>", "", cell) for cell in re.findall("<tr class='groups'>(.*?)</tr>", page)
+        re.sub("<.*?>", "", cell) for cell in re.findall('<tr class="groups">(.*?)</tr>', page)
     ]
-    assert heads == ["alllooksmotionsafetyspeedthe paper&#x27;s"]
+    assert heads == ["alllooksmotionsafetyspeedthe paper&#39;s"]
 
 
 def test_a_method_that_collides_is_not_named_for_grasping() -> None:
@@ -193,7 +193,7 @@ def test_tables_sort_and_plots_answer_to_the_pointer(chromium: Any, tmp_path: Pa
         svg = write_figure(figure, tmp_path / "plot")
     script = (files("smooth_operator.reporting") / "interact.js").read_text(encoding="utf-8")
     page = chromium.new_page(viewport={"width": 900, "height": 900})
-    table = headline_table(LINES, colors_of(names))
+    table = macros().headline(LINES, colors_of(names))
     page.set_content(f"<!doctype html>{table}{svg}<script>{script}</script>")
     rows = page.locator("tbody tr th")
     assert rows.all_inner_texts() == names

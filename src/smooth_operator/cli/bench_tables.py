@@ -78,10 +78,9 @@ def print_comparison(comparison: Comparison) -> None:
     table = _empty(f"this minus {comparison.name}", "cell", shown)
     for cell in comparison.cells:
         recording, hand, side, method, preset = cell.key
-        changes = {change.metric.name: change for change in cell.changes}
         values = []
         for metric in shown:
-            change = changes.get(metric.name)
+            change = cell.change(metric)
             if change is None:
                 values.append(Text("–"))
             elif change.difference == 0:

@@ -42,8 +42,6 @@ def table(
     headers: Sequence[Html],
     rows: Iterable[Iterable[Html]],
     class_: str = "",
-    foot: Html = Html(""),
-    groups: Sequence[tuple[str, int]] = (),
 ) -> Html:
     """A table that scrolls by itself where it is too wide; the first column names its rows.
 
@@ -51,8 +49,6 @@ def table(
         headers: headers of the columns, either bare HTML or whole ``<th>`` elements.
         rows: cells, either bare HTML or whole ``<td>`` elements.
         class_: class of the table.
-        foot: rows below the others, as HTML.
-        groups: titles above the columns after the first, each with its number of columns.
     """
 
     def row(cells: Iterable[Html]) -> str:
@@ -64,13 +60,7 @@ def table(
         for header in headers
     )
     body = "".join(row(cells) for cells in rows)
-    below = f"<tbody class='below'>{foot}</tbody>" if foot else ""
-    over = "".join(
-        element("th", escape(title), scope="colgroup", colspan=str(count))
-        for title, count in groups
-    )
-    top = f"<tr class='groups'><td></td>{over}</tr>" if over else ""
-    inside = f"<thead>{top}<tr>{head}</tr></thead><tbody>{body}</tbody>{below}"
+    inside = f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody>"
     return element("div", element("table", Html(inside), class_=class_), class_="scroll")
 
 

@@ -13,8 +13,7 @@ from smooth_operator.formats.environment import environment
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.lab.benchmark.benchmark_folder import PLOTS, REPORT
-from smooth_operator.lab.benchmark.page.report import player
-from smooth_operator.lab.benchmark.page.tables import facts_table, header
+from smooth_operator.lab.benchmark.page.report import facts_table, header, player
 from smooth_operator.lab.benchmark.panels import Panel, Run, make_clip, robot_landmarks
 from smooth_operator.methods.default import DEFAULT_METHOD
 from smooth_operator.reporting.drawing import colors_of, styled

@@ -55,6 +55,10 @@ class Compared:
     changes: tuple[Change, ...]
     notes: tuple[str, ...]
 
+    def change(self, metric: Metric) -> Change | None:
+        """Change of a metric; None if one of the benchmarks lacks it."""
+        return next((each for each in self.changes if each.metric.name == metric.name), None)
+
 
 @dataclass(frozen=True)
 class Comparison:

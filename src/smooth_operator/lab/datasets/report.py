@@ -12,8 +12,8 @@ import numpy as np
 from smooth_operator.lab.datasets.clip import RobotClip
 from smooth_operator.lab.datasets.filters import Dropped
 from smooth_operator.lab.datasets.quality import FIGURES, worst
-from smooth_operator.reporting.html import Html, element, escape, join, paragraph, text_table
-from smooth_operator.reporting.report_page import Plots, write_report_page
+from smooth_operator.reporting.html import Html
+from smooth_operator.reporting.report_page import Plots, templates, write_report_page
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -86,92 +86,33 @@ def write_report(output: Path, content: Mapping[str, Any], figures: FigureTable)
         drawn = _histograms(figures, content["limits"])
     except ImportError:
         drawn = None
-    plots = Plots(output / "plots")
-    sections = [
-        ("Counts", "counts", _counts(content)),
-        ("Why episodes were dropped", "reasons", _reasons(content)),
-        (
-            "Quality",
-            "quality",
-            join(
-                [
-                    paragraph(
-                        "Of each episode the hand that is worse off. Blue: kept; orange: dropped; "
-                        "dashed: the limit."
-                    ),
-                    plots.element(drawn, "quality", "Quality figures of the episodes"),
-                    _percentiles(content),
-                ]
-            ),
-        ),
-        ("Could not be read or retargeted", "failed", _failed(content)),
-    ]
-    title = f"{content['episodes']} episodes of {content['hand']}"
-    heading = join(
-        [
-            element("h1", escape(title)),
-            paragraph(
-                f"{content['method']} {content['preset']}, written as {content['format']}; every "
-                "episode is in episodes.jsonl."
-            ),
-        ]
+    plot = Plots(output / "plots").element(drawn, "quality", "Quality figures of the episodes")
+    template = templates("smooth_operator.lab.datasets").get_template("report.html.j2")
+    macros: Any = template.make_module(
+        {
+            **content,
+            "plot": plot,
+            "percentages": [f"{p} %" for p in _PERCENTILES],
+            "measures": {figure.name: figure for figure in FIGURES},
+            "shown": _SHOWN,
+        }
     )
+    sections = [
+        (title, anchor, Html(str(section())))
+        for title, anchor, section in (
+            ("Counts", "counts", macros.counts),
+            ("Why episodes were dropped", "reasons", macros.dropped_for),
+            ("Quality", "quality", macros.quality),
+            ("Could not be read or retargeted", "failed", macros.failures),
+        )
+    ]
     write_report_page(
         output / "report.html",
-        title,
-        heading,
+        f"{content['episodes']} episodes of {content['hand']}",
+        Html(str(macros.heading())),
         sections,
         f"smooth-operator {content['version']}",
     )
-
-
-def _counts(content: Mapping[str, Any]) -> Html:
-    rows = [
-        ("clips retargeted", content["clips"], content["frames"]),
-        ("episodes in the data set", content["episodes"], content["episode_frames"]),
-        ("parts of clips dropped", content["dropped"], content["dropped_frames"]),
-        ("could not be read or retargeted", len(content["failed"]), ""),
-    ]
-    over = ", ".join(f"{count} {suffix}" for suffix, count in content["passed_over"].items())
-    notes = [*content["notes"], *([f"Files that no layout knows: {over}"] if over else [])]
-    return join(
-        [
-            text_table(("", "number", "frames"), rows),
-            *(paragraph(note) for note in notes),
-        ]
-    )
-
-
-def _reasons(content: Mapping[str, Any]) -> Html:
-    if not content["reasons"]:
-        return paragraph("None was dropped.")
-    limits = content["limits"]
-    rows = [
-        (name, limits.get(name, ""), count)
-        for name, count in sorted(content["reasons"].items(), key=lambda item: -item[1])
-    ]
-    return text_table(("limit", "value", "episodes"), rows)
-
-
-def _percentiles(content: Mapping[str, Any]) -> Html:
-    figures = {figure.name: figure for figure in FIGURES}
-    rows = []
-    for name, values in content["figures"].items():
-        figure = figures.get(name)
-        meaning = "length of the episode" if figure is None else figure.meaning
-        unit = "s" if figure is None else figure.unit
-        rows.append((name, unit, *(f"{value:.3g}" for value in values.values()), meaning))
-    heads = [f"{p} %" for p in _PERCENTILES]
-    return text_table(("figure", "unit", *heads, "what it is"), rows)
-
-
-def _failed(content: Mapping[str, Any]) -> Html:
-    failed = content["failed"]
-    if not failed:
-        return paragraph("None.")
-    shown = text_table(("clip", "reason"), list(failed.items())[:_SHOWN])
-    more = len(failed) - _SHOWN
-    return shown if more <= 0 else join([shown, paragraph(f"and {more} more in report.json")])
 
 
 def _histograms(figures: FigureTable, limits: Mapping[str, Any]) -> Figure | None:

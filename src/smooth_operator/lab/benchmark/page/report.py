@@ -1,13 +1,14 @@
-"""``report.html``: tables, the player of clips, and plots."""
+"""``report.html``: tables, the player of clips, and plots; its sections are Jinja2 templates."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
-from jaxtyping import Float
 
 from smooth_operator.atomic_files import file_name
 from smooth_operator.hands.hand import Hand
@@ -19,40 +20,93 @@ from smooth_operator.lab.benchmark.contact_sheet import (
     panels_by_hand,
     skeleton_shape,
 )
-from smooth_operator.lab.benchmark.page import tables
 from smooth_operator.lab.benchmark.page.summary import write_summary
 from smooth_operator.lab.benchmark.panels import Panel, make_clip, make_panels
+from smooth_operator.lab.benchmark.quality import PER_FINGER
 from smooth_operator.lab.benchmark.ranking import (
+    COLUMN_GROUPS,
+    COLUMNS,
+    RANK,
     Line,
-    by_hand,
-    by_panel,
-    by_tracker,
-    collision_footnotes,
+    best,
+    columns,
     lines_of,
+    numbers,
     overall,
-    sample_text,
+    shown_value,
 )
 from smooth_operator.lab.benchmark.results import Row, row_method, row_unit
-from smooth_operator.lab.benchmark.settings import Settings
+from smooth_operator.lab.benchmark.settings import Settings, method_label
 from smooth_operator.lab.benchmark.suite import Finished
+from smooth_operator.metrics import Metric
+from smooth_operator.metrics.metric import GROUPS
+from smooth_operator.metrics.registry import known_metrics
 from smooth_operator.reporting.drawing import colors_of, styled
 from smooth_operator.reporting.hand_surface import HandShape
-from smooth_operator.reporting.html import (
-    Html,
-    data,
-    details,
-    dot,
-    element,
-    escape,
-    join,
-    paragraph,
-)
-from smooth_operator.reporting.report_page import SORTING, Plots, write_report_page
+from smooth_operator.reporting.html import Html, data, element, join, paragraph
+from smooth_operator.reporting.report_page import SORTING, Plots, templates, write_report_page
 
-BUSY = 0.25
+BUSY: Final = 0.25
 """Share of the cores in others' hands from which a latency is warned of."""
 
-_PAPER_HAND = "mimic_p050"
+_PAPER_HAND: Final = "mimic_p050"
+
+PAPER_TABLE: Final[dict[str, dict[str, float]]] = {
+    "DexPilot": {
+        "cosine_similarity": 0.9932, "scale_ratio": 0.885, "motion_preservation": 0.727,
+        "flatness": 7.71e-6, "workspace_utilisation": 0.261, "latency_ms.p50": 4.905,
+    },
+    "GeoRT": {
+        "cosine_similarity": 0.9799, "scale_ratio": 1.050, "motion_preservation": 0.695,
+        "flatness": 3.01e-6, "workspace_utilisation": 0.352, "latency_ms.p50": 1.410,
+    },
+    "Hybrid": {
+        "cosine_similarity": 0.9879, "scale_ratio": 0.891, "motion_preservation": 0.675,
+        "flatness": 6.17e-6, "workspace_utilisation": 0.225, "latency_ms.p50": 9.892,
+    },
+    "SBR": {
+        "cosine_similarity": 0.9969, "scale_ratio": 0.877, "motion_preservation": 0.776,
+        "flatness": 7.17e-7, "workspace_utilisation": 0.210, "latency_ms.p50": 3.664,
+    },
+}  # fmt: skip
+"""Source: the paper's table of simulation metrics. Its latency is one number a method; it stands
+here under the median."""
+
+PAPER_NOTE: Final = (
+    "The paper's figures are from other data (14 operators at about 100 Hz, mimic P0.50 right, an "
+    "RTX 4090) and follow its own definitions: read them as a reference, not as a row to beat."
+)
+
+
+def macros(**context: Any) -> Any:
+    """The template's macros, with the names that they use."""
+    template = templates(__package__).get_template("sections.html.j2")
+    shared = {
+        "best": best, "columns": columns, "data": data, "finger_lines": _finger_lines,
+        "groups": _column_groups, "label": method_label, "numbers": _numbers, "paper": PAPER_TABLE,
+        "paper_note": PAPER_NOTE, "place": _place, "rank": RANK, "ranked": _ranked,
+        "sentence": _sentence, "shown": shown_value, "tops": _tops, "words": _words,
+    }  # fmt: skip
+    return template.make_module({**shared, **context})
+
+
+def header(metric: Metric) -> Html:
+    """The heading of a column: name, unit and direction of a metric; it sorts the table."""
+    return Html(str(macros().header(metric)))
+
+
+def facts_table(facts: Mapping[str, Any]) -> Html:
+    """Names and values."""
+    return Html(str(macros().facts(facts)))
+
+
+def player(clip: Mapping[str, object]) -> Html:
+    """One pane a method, with play, pause, a slider and a speed.
+
+    Args:
+        clip: result of ``make_clip``.
+    """
+    return Html(str(macros().player(clip)))
 
 
 def write_report(
@@ -79,263 +133,21 @@ def write_report(
     """
     plots = Plots(settings.output / PLOTS)
     write_summary(rows, settings)
-    page = _Page(finished, rows, plots, shape)
-    return page.write(settings.output / REPORT, settings, comparison)
-
-
-class _Page:
-    def __init__(
-        self,
-        finished: Sequence[Finished],
-        rows: Sequence[Row],
-        plots: Plots,
-        shape: Callable[[Hand], HandShape],
-    ) -> None:
-        self._finished, self._rows, self._plots = finished, rows, plots
-        self._shape = shape
-        self._colors = colors_of(row_method(row) for row in rows)
-        self._hands = by_hand(rows)
-        self._panels = {panel.key: panel for panel in make_panels(finished)}
-
-    def write(self, path: Path, settings: Settings, comparison: Comparison | None) -> Path:
-        failed = [row for row in self._rows if row["status"] != "ok"]
-        sections = [
-            ("Summary", "summary", self._summary()),
-            ("Poses", "poses", self._poses()),
-            ("Latency", "latency", self._latency()),
-        ]
-        if comparison is not None:
-            sections.append(("Comparison", "comparison", tables.comparison_tables(comparison)))
-        sections.append(("Recordings", "recordings", self._recordings()))
-        if failed:
-            sections.append(("Failures", "failures", self._failures()))
-        sections += [
-            ("Metrics", "metrics", self._metrics(settings)),
-            ("Environment", "environment", self._environment(settings)),
-        ]
-        here = files("smooth_operator.lab.benchmark.page")
-        return write_report_page(
-            path,
-            "Retargeting benchmark",
-            self._header(settings, len(failed)),
-            sections,
-            "Made by smooth-operator bench. Figures: results.json; plots as files: plots/; "
-            "commands of each cell: cells/.",
-            styles=(here / "player.css",),
-            scripts=(here / "player.js", SORTING),
-            without_scripts=".player { display: none; }",
-        )
-
-    def _header(self, settings: Settings, failed: int) -> Html:
-        recordings = len({row["recording"] for row in self._rows})
-        hands = len(self._hands)
-        methods = len(self._colors)
-        dates = sorted(str(row["date"]) for row in self._rows if row["date"])
-        text = (
-            f"{_count(recordings, 'recording')}, {_count(hands, 'hand')}, "
-            f"{_count(methods, 'method')}: {_count(len(self._rows), 'cell')}"
-            + (f", {failed} of them failed" if failed else "")
-            + (f". Measured {dates[-1][:16].replace('T', ' ')} UTC" if dates else "")
-        )
-        return join([element("h1", "Retargeting benchmark"), paragraph(text, "soft")])
-
-    def _summary(self) -> Html:
-        parts: list[Html] = []
-        for hand, rows in self._hands.items():
-            count = len({row_unit(row) for row in rows if row["status"] == "ok"})
-            trackers = by_tracker(rows)
-            lines = overall(rows)
-            several = len({row["recording"] for row in rows if row["status"] == "ok"}) > 1
-            title = f"{hand}: mean over {sample_text(rows)}" if several else hand
-            parts.append(element("h3", escape(title)))
-            parts.append(self._verdict(lines, count))
-            parts.append(tables.headline_table(lines, self._colors, paper=hand == _PAPER_HAND))
-            parts += [paragraph(note, "soft") for note in collision_footnotes(rows)]
-            if len(trackers) > 1:
-                parts += [
-                    details(
-                        f"{tracker}: mean over {sample_text(own)}",
-                        tables.headline_table(overall(own), self._colors),
-                    )
-                    for tracker, own in trackers.items()
-                ]
-            if several:
-                parts.append(
-                    paragraph(
-                        "Parts of one file are one recording. A figure is the mean over the "
-                        "recordings of each tracker, then over the trackers. Flatness and "
-                        "workspace utilisation depend on a recording's rate and length. Methods "
-                        "that failed on a recording do not compete here.",
-                        "soft",
-                    )
-                )
-            with styled():
-                drawn = figures.tradeoff_figure(rows, self._colors)
-            if drawn is not None:
-                parts.append(
-                    self._plots.element(
-                        drawn,
-                        f"accuracy-smoothness-{hand}",
-                        "Accuracy against smoothness: the lower left corner is best. "
-                        + ("Small: a recording each; large: their mean. " if several else "")
-                        + "Both axes are logarithmic.",
-                    )
-                )
-        return join(parts)
-
-    def _poses(self) -> Html:
-        """A contact sheet for each hand and side."""
-        parts = []
-        for (hand, side), panels in panels_by_hand(self._panels.values()).items():
-            name = f"{hand} {side}"
-            drawn = self._plots.picture(
-                contact_sheet(panels, self._shape),
-                f"sheet-{hand}-{side}",
-                f"{name}: the frames that show each pose best, from the palm and from the thumb's "
-                "side. Every hand stands upright on its own wrist.",
-            )
-            none = paragraph(f"{name}: no recording shows a pose, such as a flat hand or a fist.")
-            parts.append(drawn or none)
-        return join(parts)
-
-    def _verdict(self, lines: Sequence[Line], count: int) -> Html:
-        """Verdict in one sentence, with a folded explanation."""
-        verdict = ranking.verdict(lines)
-        if not verdict:
-            return Html("")
-        mind = (
-            f" {_count(count, 'recording')}: on others the order may be another."
-            if count < ranking.FEW
-            else ""
-        )
-        inside = [
-            paragraph(verdict),
-            details("How this is decided", paragraph(ranking.RULES + mind)),
-        ]
-        return element("div", join(inside), class_="verdict")
-
-    def _latency(self) -> Html:
-        timed = [one for one in self._finished if one.latency is not None]
-        if not timed:
-            return paragraph("Latency was not measured.")
-        parts = [
-            paragraph(
-                "Measured alone: one process, no other worker, the methods taking turns in short "
-                "blocks, each in its own state, after a warm-up. Landmarks to command, without "
-                "tracker, robot or network."
-            )
-        ]
-        latencies = [one.latency for one in timed if one.latency]
-        shares = [latency.others for latency in latencies if latency.others is not None]
-        loads = [latency.load for latency in latencies if latency.load is not None]
-        if shares or loads:
-            text = (
-                [f"other processes took up to {100 * max(shares):.0f} % of the cores"]
-                if shares
-                else []
-            )
-            text += [f"load average {min(loads):.2f} to {max(loads):.2f}"] if loads else []
-            busy = bool(shares) and max(shares) > BUSY
-            warned = ": the machine was busy, so take these for upper bounds" if busy else ""
-            parts.append(
-                paragraph(f"Meanwhile {', '.join(text)}{warned}.", "warning" if busy else "soft")
-            )
-        for hand in self._hands:
-            samples: dict[str, list[Float[np.ndarray, " N"]]] = {}
-            for one, row in zip(self._finished, self._rows, strict=True):
-                if one.latency is not None and row["hand"] == hand:
-                    samples.setdefault(row_method(row), []).append(one.latency.samples_ms)
-            with styled():
-                drawn = figures.latency_figure(samples, self._colors)
-            if drawn is not None:
-                parts.append(
-                    self._plots.element(
-                        drawn,
-                        f"latency-{hand}",
-                        f"Each dot is a frame on {hand}, all recordings together; the lines are "
-                        "means of the recordings' percentiles, as in the table; the number is the "
-                        "median.",
-                    )
-                )
-        return join(parts)
-
-    def _recordings(self) -> Html:
-        groups = {
-            key: rows
-            for key, rows in by_panel(self._rows).items()
-            if any(row["status"] == "ok" for row in rows)  # the others stand under failures
-        }
-        parts = []
-        for i, (key, rows) in enumerate(groups.items()):
-            recording, hand, side = key
-            inside = [tables.headline_table(lines_of(rows), self._colors), _facts(rows[0])]
-            panel = self._panels.get(key)
-            if panel is not None:
-                inside += self._panel(panel, rows)
-            title = f"{recording} on {hand} {side}"
-            content = join(inside)
-            if len(groups) == 1:
-                parts.append(Html(f"<h3>{escape(title)}</h3>{content}"))
-            else:
-                parts.append(details(title, content, opened=i == 0, class_="recording"))
-        return join(parts)
-
-    def _panel(self, panel: Panel, rows: Sequence[Row]) -> list[Html]:
-        name = file_name("-".join(panel.key), panel.key)
-        hands = sum(len(p.runs) + 1 for p in self._panels.values())
-        parts = [player(make_clip(panel, self._colors, hands))]
-        with styled():
-            tips = figures.fingertip_figure(panel, self._colors)
-            joints = figures.joint_figure(panel, self._colors)
-        parts.append(
-            self._plots.element(
-                tips,
-                f"fingertips-{name}",
-                f"Fingertips in the palm frame over the {figures.TRAJECTORY_SECONDS:g} s in which "
-                "the human's travel furthest; the human (grey) as the first method saw it.",
-            )
-        )
-        drawn = self._plots.element(
-            joints, f"joints-{name}", "Joint positions in the same stretch; dashed: their limits."
-        )
-        good = [row for row in rows if row["status"] == "ok"]
-        parts.append(details("Joint trajectories", drawn))
-        parts.append(details("Finger by finger", tables.finger_tables(good, self._colors)))
-        parts.append(details("All metrics", tables.full_table(good, self._colors)))
-        return parts
-
-    def _failures(self) -> Html:
-        words = "These have no figures; everything else went on without them. They are tried again "
-        words += "when the same command is run again."
-        return join([paragraph(words), tables.failure_table(self._rows)])
-
-    def _metrics(self, settings: Settings) -> Html:
-        words = {
-            "sound": "The human is aligned as the method saw it, figures are means over frames, "
-            "and motion is compared where both hands move.",
-            "paper": "As published: the human is fitted to the robot's own pose in every frame, "
-            "cosine similarity and scale ratio are medians, and still frames count in motion "
-            "preservation.",
-        }
-        text = f"Definition “{settings.definition}”. {words[settings.definition]}"
-        return join([paragraph(text), tables.metric_table()])
-
-    def _environment(self, settings: Settings) -> Html:
-        machines: dict[str, dict[str, object]] = {}
-        for row in self._rows:
-            if row["status"] == "ok":
-                facts = {**(row["hardware"] or {}), **(row["versions"] or {})}
-                machines.setdefault(repr(sorted(facts.items())), facts)
-        parts = []
-        if len(machines) > 1:
-            parts.append(
-                paragraph(
-                    "The cells were not all made on the same machine with the same versions.",
-                    "warning",
-                )
-            )
-        parts += [tables.facts_table(facts) for facts in machines.values()]
-        settings_table = {
+    colors = colors_of(row_method(row) for row in rows)
+    panels = {panel.key: panel for panel in make_panels(finished)}
+    failed = [row for row in rows if row["status"] != "ok"]
+    content = macros(
+        colors=colors,
+        hands=[_hand(hand, own, colors, plots) for hand, own in ranking.by_hand(rows).items()],
+        sheets=list(_sheets(panels, shape, plots)),
+        timing=_timing(finished, rows, colors, plots),
+        former=comparison,
+        panels=list(_recordings(rows, panels, colors, plots)),
+        failed=ranking.failures(rows),
+        definition=settings.definition,
+        meanings=_meanings(),
+        machines=_machines(rows),
+        settings={
             "recordings": settings.recordings,
             "hands": settings.hands,
             "methods": settings.methods,
@@ -343,12 +155,157 @@ class _Page:
             "seed": settings.seed,
             "definition": settings.definition,
             "latency frames": settings.latency_frames,
-        }
-        parts += [element("h3", "Asked for"), tables.facts_table(settings_table)]
-        return join(parts)
+        },
+    )
+    names = ["summary", "poses", "latency", *(["comparison"] if comparison else []), "recordings"]
+    names += [*(["failures"] if failed else []), "metrics", "environment"]
+    here = files(__package__)
+    return write_report_page(
+        settings.output / REPORT,
+        "Retargeting benchmark",
+        _heading(rows, len(failed)),
+        [(name.capitalize(), name, Html(str(getattr(content, name)()))) for name in names],
+        "Made by smooth-operator bench. Figures: results.json; plots as files: plots/; "
+        "commands of each cell: cells/.",
+        styles=(here / "player.css",),
+        scripts=(here / "player.js", SORTING),
+        without_scripts=".player { display: none; }",
+    )
 
 
-def _facts(row: Row) -> Html:
+def _heading(rows: Sequence[Row], failed: int) -> Html:
+    dates = sorted(str(row["date"]) for row in rows if row["date"])
+    counts = (
+        ("recording", len({row["recording"] for row in rows})),
+        ("hand", len(ranking.by_hand(rows))),
+        ("method", len({row_method(row) for row in rows})),
+    )
+    text = f"{', '.join(_count(n, what) for what, n in counts)}: {_count(len(rows), 'cell')}"
+    text += f", {failed} of them failed" if failed else ""
+    text += f". Measured {dates[-1][:16].replace('T', ' ')} UTC" if dates else ""
+    return join([element("h1", "Retargeting benchmark"), paragraph(text, "soft")])
+
+
+def _hand(
+    hand: str, rows: Sequence[Row], colors: Mapping[str, str], plots: Plots
+) -> dict[str, Any]:
+    """Content of the summary of a hand."""
+    good = [row for row in rows if row["status"] == "ok"]
+    count, several = len({row_unit(row) for row in good}), len({r["recording"] for r in good}) > 1
+    lines, trackers = overall(rows), ranking.by_tracker(rows)
+    mind = f" {_count(count, 'recording')}: on others the order may be another."
+    with styled():
+        drawn = figures.tradeoff_figure(rows, colors)
+    caption = "Accuracy against smoothness: the lower left corner is best. "
+    caption += "Small: a recording each; large: their mean. " if several else ""
+    caption += "Both axes are logarithmic."
+    return {
+        "title": f"{hand}: mean over {ranking.sample_text(rows)}" if several else hand,
+        "lines": lines,
+        "several": several,
+        "paper": hand == _PAPER_HAND,
+        "verdict": ranking.verdict(lines),
+        "rules": ranking.RULES + (mind if count < ranking.FEW else ""),
+        "notes": ranking.collision_footnotes(rows),
+        "trackers": [
+            (f"{tracker}: mean over {ranking.sample_text(own)}", overall(own))
+            for tracker, own in trackers.items()
+            if len(trackers) > 1
+        ],
+        "plot": plots.element(drawn, f"accuracy-smoothness-{hand}", caption),
+    }
+
+
+def _sheets(
+    panels: Mapping[Any, Panel], shape: Callable[[Hand], HandShape], plots: Plots
+) -> Iterator[tuple[str, Html]]:
+    """A contact sheet for each hand and side; empty where no pose was shown."""
+    for (hand, side), own in panels_by_hand(panels.values()).items():
+        name = f"{hand} {side}"
+        caption = (
+            f"{name}: the frames that show each pose best, from the palm and from the thumb's "
+            "side. Every hand stands upright on its own wrist."
+        )
+        yield name, plots.picture(contact_sheet(own, shape), f"sheet-{hand}-{side}", caption)
+
+
+def _timing(
+    finished: Sequence[Finished], rows: Sequence[Row], colors: Mapping[str, str], plots: Plots
+) -> dict[str, Any] | None:
+    """Content of the section on latency; None if it was not measured."""
+    timed = [
+        (one.latency, row)
+        for one, row in zip(finished, rows, strict=True)
+        if one.latency is not None
+    ]
+    if not timed:
+        return None
+    shares = [latency.others for latency, _ in timed if latency.others is not None]
+    loads = [latency.load for latency, _ in timed if latency.load is not None]
+    busy = bool(shares) and max(shares) > BUSY
+    parts = [f"other processes took up to {100 * max(shares):.0f} % of the cores"] if shares else []
+    parts += [f"load average {min(loads):.2f} to {max(loads):.2f}"] if loads else []
+    warning = ": the machine was busy, so take these for upper bounds" if busy else ""
+    drawings = []
+    for hand in ranking.by_hand(rows):
+        samples: dict[str, list[np.ndarray]] = {}
+        for latency, row in timed:
+            if row["hand"] == hand:
+                samples.setdefault(row_method(row), []).append(latency.samples_ms)
+        with styled():
+            drawn = figures.latency_figure(samples, colors)
+        caption = (
+            f"Each dot is a frame on {hand}, all recordings together; the lines are means of the "
+            "recordings' percentiles, as in the table; the number is the median."
+        )
+        drawings.append(plots.element(drawn, f"latency-{hand}", caption))
+    text = f"Meanwhile {', '.join(parts)}{warning}." if parts else ""
+    return {"text": text, "busy": busy, "plots": drawings}
+
+
+def _recordings(
+    rows: Sequence[Row], panels: Mapping[Any, Panel], colors: Mapping[str, str], plots: Plots
+) -> Iterator[dict[str, Any]]:
+    """Content of each recording on a hand; those on which all failed stand under failures."""
+    hands = sum(len(panel.runs) + 1 for panel in panels.values())
+    for key, own in ranking.by_panel(rows).items():
+        good = [row for row in own if row["status"] == "ok"]
+        if not good:
+            continue
+        content = {
+            "title": "{} on {} {}".format(*key), "lines": lines_of(own), "facts": _facts(own[0]),
+            "good": good, "lines_good": lines_of(good), "statuses": list(map(_statuses, good)),
+            "clip": None,
+        }  # fmt: skip
+        panel = panels.get(key)
+        if panel is not None:
+            stem = file_name("-".join(key), key)
+            with styled():
+                tips = figures.fingertip_figure(panel, colors)
+                joints = figures.joint_figure(panel, colors)
+            content["clip"] = make_clip(panel, colors, hands)
+            content["tips"] = plots.element(
+                tips,
+                f"fingertips-{stem}",
+                f"Fingertips in the palm frame over the {figures.TRAJECTORY_SECONDS:g} s in which "
+                "the human's travel furthest; the human (grey) as the first method saw it.",
+            )
+            caption = "Joint positions in the same stretch; dashed: their limits."
+            content["joints"] = plots.element(joints, f"joints-{stem}", caption)
+        yield content
+
+
+def _machines(rows: Sequence[Row]) -> list[dict[str, object]]:
+    """Facts of the machines and versions that made the cells, each once."""
+    machines: dict[str, dict[str, object]] = {}
+    for row in rows:
+        if row["status"] == "ok":
+            facts = {**(row["hardware"] or {}), **(row["versions"] or {})}
+            machines.setdefault(repr(sorted(facts.items())), facts)
+    return list(machines.values())
+
+
+def _facts(row: Row) -> str:
     source = row["source"]
     facts = []
     if source["frames"]:
@@ -357,51 +314,90 @@ def _facts(row: Row) -> Html:
         facts.append(f"{source['rate_hz']:.4g} Hz, {source['duration_s']:.3g} s")
     if source["side_assumed"]:
         facts.append("taken for a right hand, since it does not say")
-    return paragraph("; ".join(facts) + "." if facts else "", "soft")
+    return "; ".join(facts) + "." if facts else ""
+
+
+# What the macros call.
+
+
+def _ranked(lines: Sequence[Line]) -> list[Line]:
+    ranks = ranking.mean_ranks(lines)
+    return [replace(one, values={**one.values, RANK.name: ranks.get(one.method)}) for one in lines]
+
+
+def _tops(lines: Sequence[Line], metrics: Sequence[Metric]) -> list[set[int]]:
+    return [best(lines, metric) for metric in metrics]
+
+
+def _column_groups() -> list[tuple[str, int]]:
+    """Title of each group of the main columns, with its number of columns."""
+    more = len(columns()) - len(COLUMNS)
+    groups = [("all", 1), *((title, len(own)) for title, own in COLUMN_GROUPS.items())]
+    return [*groups, ("plugins", more)] if more else groups
+
+
+def _numbers() -> dict[str, list[Metric]]:
+    """All metrics that are numbers, by the title of their group."""
+    groups: dict[str, list[Metric]] = {title.partition(":")[0]: [] for title in GROUPS.values()}
+    for metric in numbers():
+        title = GROUPS.get(metric.group, "Other").partition(":")[0]
+        groups.setdefault(title, []).append(metric)
+    return {title: own for title, own in groups.items() if own}
+
+
+def _meanings() -> dict[str, list[Metric]]:
+    """All metrics, by the question that their group answers."""
+    metrics = known_metrics()
+    groups = {question: [m for m in metrics if m.group == g] for g, question in GROUPS.items()}
+    rest = [m for m in metrics if m.group not in GROUPS]
+    rest += [m for m in PER_FINGER if m.name not in {n.name for n in metrics}]
+    return {**groups, "Plugins and fingers": rest}
+
+
+def _finger_lines(
+    rows: Sequence[Row],
+) -> Iterator[tuple[Metric, list[str], dict[str, list[tuple[float | None, bool]]]]]:
+    """Metric, fingers, and of each method the fingers' values and whether they are the best."""
+    good = [row for row in rows if isinstance(row.get("fingers"), Mapping)]
+    fingers = list(dict.fromkeys(finger for row in good for finger in row["fingers"]))
+    for metric in PER_FINGER:
+        values = {
+            finger: [row["fingers"].get(finger, {}).get(metric.name) for row in good]
+            for finger in fingers
+        }
+        if all(value is None for column in values.values() for value in column):
+            continue
+        tops = {
+            finger: best([Line("", {metric.name: value}) for value in column], metric)
+            for finger, column in values.items()
+        }
+        table = {
+            row_method(row): [(values[finger][i], i in tops[finger]) for finger in fingers]
+            for i, row in enumerate(good)
+        }
+        yield metric, fingers, table
+
+
+def _statuses(row: Row) -> str:
+    counts = (row.get("metrics") or {}).get("status") or {}
+    return ", ".join(f"{n} {count}" for n, count in counts.items() if count) or "–"
+
+
+def _place(key: Sequence[str]) -> str:
+    return "{} on {} {}".format(*key[:3])
+
+
+def _sentence(text: str) -> str:
+    return f"{text[:1].upper()}{text[1:]}."
+
+
+def _words(value: object) -> str:
+    if isinstance(value, Mapping):
+        return ", ".join(f"{name} {_words(inner)}" for name, inner in value.items())
+    if isinstance(value, (list, tuple)):
+        return ", ".join(_words(inner) for inner in value)
+    return "–" if value is None else str(value)
 
 
 def _count(number: int, what: str) -> str:
     return f"{number} {what}" if number == 1 else f"{number} {what}s"
-
-
-def player(clip: Mapping[str, object]) -> Html:
-    """One pane a method, with play, pause, a slider and a speed.
-
-    Args:
-        clip: result of ``make_clip``.
-    """
-    panes = clip["panes"]
-    assert isinstance(panes, list)
-    shown = join(
-        element(
-            "div",
-            Html(
-                f'<canvas role="img" aria-label="{escape(pane["method"])}: human and robot hand">'
-                f"</canvas><span>{dot(pane['color'])}"
-                f"{escape(pane['method'])}</span>"
-            ),
-            class_="pane",
-        )
-        for pane in panes
-    )
-    controls = Html(
-        '<button type="button">Play</button>'
-        '<input type="range" min="0" value="0" aria-label="frame">'
-        "<output></output>"
-        '<select aria-label="speed"><option value="1">1 ×</option>'
-        '<option value="0.5">½ ×</option><option value="0.25">¼ ×</option></select>'
-    )
-    hint = paragraph(
-        "Grey: the human as the method saw it; coloured: the robot. Drag to turn, double-click to "
-        "turn back.",
-        "soft",
-    )
-    inside = join(
-        [
-            data(clip),
-            element("div", shown, class_="panes"),
-            element("div", controls, class_="controls"),
-            hint,
-        ]
-    )
-    return element("div", inside, class_="player")
