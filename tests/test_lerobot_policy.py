@@ -80,7 +80,8 @@ def load(root: Path) -> Any:
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with ``plain`` and ``seen``, recorded by lerobot-record, and ``take.mcap``."""
+    """A folder with ``plain``, ``joints``, ``object`` and ``seen``, recorded by lerobot-record, and
+    ``take.mcap``."""
     folder = tmp_path_factory.mktemp("policy")
     address = f"tcp://127.0.0.1:{free_port()}"
     teleop = [
@@ -100,7 +101,13 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
         stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, encoding="utf-8",
     ) as operator:  # fmt: skip
         try:
-            for name, more in (("plain", {}), ("seen", {"robot.cameras": CAMERA})):
+            for name, more in (
+                ("plain", {}),
+                ("joints", {"robot.environment_state": "joints"}),
+                ("object", {"robot.environment_state": "object",
+                            "robot.sinks": "['mujoco:task=card']"}),
+                ("seen", {"robot.cameras": CAMERA}),
+            ):  # fmt: skip
                 if name == "seen" and not can_draw():
                     continue
                 where = {"dataset.repo_id": f"test/{name}", "dataset.root": folder / name}
@@ -138,28 +145,45 @@ def test_act_is_trained_on_a_recording_with_a_simulated_camera(recorded: Path) -
     assert "Rollout finished" in text
 
 
-def test_a_log_merges_with_a_recording_by_lerobots_tool(recorded: Path) -> None:
+@pytest.mark.parametrize(("name", "options"), [("plain", []), ("joints", ["--environment-state"])])
+def test_a_log_merges_with_a_recording_by_lerobots_tool(
+    recorded: Path, name: str, options: list[str]
+) -> None:
     command = ["convert", str(recorded / "take.mcap"), "--columns", "robot", "--fps", str(FPS)]
-    assert main([*command, "--task", TASK, "--output", str(recorded / "log")]) == 0
-    own, log = load(recorded / "plain"), load(recorded / "log")
+    output, merged = recorded / f"{name}-log", recorded / f"{name}-both"
+    assert main([*command, *options, "--task", TASK, "--output", str(output)]) == 0
+    own, log = load(recorded / name), load(output)
     assert log.features == own.features
     assert log.meta.robot_type == own.meta.robot_type == "smooth_hand"
     run("lerobot_edit_dataset", recorded, {
-        "new_repo_id": "test/both", "new_root": recorded / "both", "operation.type": "merge",
-        "operation.repo_ids": "[test/plain, test/log]",
-        "operation.roots": f"[{recorded / 'plain'}, {recorded / 'log'}]", "push_to_hub": "false",
+        "new_repo_id": f"test/{merged.name}", "new_root": merged, "operation.type": "merge",
+        "operation.repo_ids": f"[test/{name}, test/{output.name}]",
+        "operation.roots": f"[{recorded / name}, {output}]", "push_to_hub": "false",
     })  # fmt: skip
-    both = load(recorded / "both")
+    both = load(merged)
     assert (both.num_episodes, len(both)) == (2, len(own) + len(log))
     np.testing.assert_array_equal(both[len(own)]["action"], log[0]["action"])
 
 
-def test_act_is_trained_on_the_environments_state_of_a_log(recorded: Path) -> None:
-    command = ["convert", str(recorded / "take.mcap"), "--columns", "robot", "--task", TASK]
-    assert main([*command, "--environment-state", "--output", str(recorded / "state")]) == 0
-    model = train(recorded, recorded / "state", "state-policy")
+def test_act_is_trained_on_the_environments_state_and_moves_the_robot(recorded: Path) -> None:
+    model = train(recorded, recorded / "joints", "joints-policy")
     inputs = json.loads((model / "config.json").read_text())["input_features"]
     assert inputs["observation.environment_state"]["shape"] == [20]
+    text = run("lerobot_rollout", recorded, {
+        "policy.path": model, "policy.device": "cpu", "robot.type": "smooth_hand",
+        "robot.hand": "mimic_p050", "robot.environment_state": "joints", "task": TASK, "fps": FPS,
+        "duration": 2, "play_sounds": "false",
+    })  # fmt: skip
+    assert "Rollout finished" in text
+
+
+def test_a_policy_of_a_recording_at_a_task_is_evaluated_in_it(recorded: Path) -> None:
+    """The object's pose of the recorder is that of the environment, by name and size."""
+    from lerobot_env_smooth_hand.environment import OBJECT_NAMES
+
+    names = load(recorded / "object").features["observation.environment_state"]["names"]
+    assert tuple(names) == OBJECT_NAMES
+    evaluate(recorded, train(recorded, recorded / "object", "object-policy"), "object-evaluation")
 
 
 def test_a_policy_is_evaluated_in_the_environment(recorded: Path) -> None:
@@ -192,13 +216,16 @@ def test_a_policy_is_evaluated_in_the_environment(recorded: Path) -> None:
             seen, *_ = environment.step(action)
         data.save_episode()
     data.finalize()
-    model = train(recorded, recorded / "card", "card-policy")
+    evaluate(recorded, train(recorded, recorded / "card", "card-policy"), "evaluation")
+
+
+def evaluate(recorded: Path, model: Path, name: str) -> None:
     run("lerobot_eval", recorded, {
         "policy.path": model, "policy.device": "cpu", "env.type": "smooth_hand",
         "env.task": "card", "env.fps": FPS, "env.seconds": 1, "env.width": 64, "env.height": 64,
-        "eval.n_episodes": 2, "eval.batch_size": 2, "output_dir": recorded / "evaluation",
+        "eval.n_episodes": 2, "eval.batch_size": 2, "output_dir": recorded / name,
         "eval.recording": str(not can_draw()).lower(),  # else it renders videos
     })  # fmt: skip
-    info = json.loads((recorded / "evaluation" / "eval_info.json").read_text())
+    info = json.loads((recorded / name / "eval_info.json").read_text())
     assert info["overall"]["n_episodes"] == 2
     assert 0.0 <= info["overall"]["pc_success"] <= 100.0

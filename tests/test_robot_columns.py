@@ -62,7 +62,7 @@ def test_a_row_is_a_moment_of_lerobots_clock(tmp_path: Path) -> None:
     keys = [f"{name}.pos" for name in HAND.actuated_names]
     assert info["features"]["action"]["names"] == keys
     assert info["features"]["observation.state"] == info["features"]["action"]
-    every = [f"{name}.pos" for name in HAND.joint_names]
+    every = [f"environment.{name}.pos" for name in HAND.joint_names]
     assert info["features"]["observation.environment_state"]["names"] == every
     assert set(columns) == set(info["features"])
     assert file.metadata.num_row_groups == 2  # one an episode

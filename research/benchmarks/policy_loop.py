@@ -43,6 +43,7 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.lab.benchmark.settings import select_methods
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.simulation.scenes import scene_for
+from smooth_operator.simulation.scenes.scene import object_pose
 from smooth_operator.simulation.scenes.variation import draw_variation
 from smooth_operator.simulation.tasks import task_named
 from smooth_operator_research.demonstrations.demonstration import (
@@ -174,8 +175,6 @@ def trial_in_world(task: str, hand: str, method: str, number: int) -> Trial:
 
 def sampled(hand: Hand, success: bool, seconds: float, trace: TrialTrace | None) -> Trial:
     """A trial at ``FPS``: what was measured before a command, and the command."""
-    from lerobot_env_smooth_hand.environment import object_state
-
     assert trace is not None
     every, actuated = round(LOOKS_HZ / FPS), list(hand.actuated)
     rows = np.arange(every, len(trace.commands), every)
@@ -185,7 +184,7 @@ def sampled(hand: Hand, success: bool, seconds: float, trace: TrialTrace | None)
         success,
         seconds,
         trace.positions[rows - 1][:, actuated],
-        np.array([object_state(s.position, s.quaternion, start) for s in objects]),
+        np.array([object_pose(s.position, s.quaternion, start) for s in objects]),
         trace.commands[rows][:, actuated],
     )
 

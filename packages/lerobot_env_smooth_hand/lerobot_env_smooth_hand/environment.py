@@ -14,6 +14,7 @@ from smooth_operator.errors import ConfigError
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.simulation.camera import SimulatedCamera
 from smooth_operator.simulation.scenes import ScenePhysics, scene_for
+from smooth_operator.simulation.scenes.scene import OBJECT_POSE, object_pose
 from smooth_operator.simulation.scenes.variation import draw_variation
 from smooth_operator.simulation.tasks import TASKS, Phase, TaskRun, task_named
 from smooth_operator.types import as_side
@@ -24,8 +25,9 @@ LOOKS_HZ: Final = 100.0
 SETTLE_S: Final = 1.0
 """Time in which the hand goes to its start pose before an episode [s]."""
 
-OBJECT_NAMES: Final = tuple(f"object.{name}" for name in ("x", "y", "z", "qw", "qx", "qy", "qz"))
-"""Components of the environment's state: position [m] and quaternion of the object in the world."""
+OBJECT_NAMES: Final = tuple(f"environment.{name}" for name in OBJECT_POSE)
+"""Names of the environment's state, as the robot ``smooth_hand`` records it: position [m] and
+quaternion of the object in the world."""
 
 Observation = dict[str, Any]
 
@@ -178,7 +180,7 @@ class HandTask(gymnasium.Env[Observation, np.ndarray]):
         measured = physics.positions[list(self.hand.actuated)]
         observation: Observation = {
             "agent_pos": measured.astype(np.float32),
-            "environment_state": object_state(
+            "environment_state": object_pose(
                 state.position, state.quaternion, self._scene.start[1]
             ),
         }
@@ -195,18 +197,6 @@ class HandTask(gymnasium.Env[Observation, np.ndarray]):
         camera, self._camera = self._camera, None
         if camera is not None:
             camera.close()
-
-
-def object_state(position: np.ndarray, quaternion: np.ndarray, reference: np.ndarray) -> np.ndarray:
-    """(7,) float32 of ``OBJECT_NAMES``.
-
-    Args:
-        position: (3,) of the object in the world [m].
-        quaternion: (4,) w x y z of the object in the world.
-        reference: (4,) at the start; of q and -q the one that is nearer to it is taken.
-    """
-    sign = 1.0 if float(np.dot(quaternion, reference)) >= 0.0 else -1.0
-    return np.concatenate([position, sign * quaternion]).astype(np.float32)
 
 
 def register() -> None:

@@ -1,7 +1,8 @@
 """The columns that ``lerobot-record`` writes for the robot ``smooth_hand``, from a log.
 
 Data sets of both merge with LeRobot's own tool: keys, units, sizes and type of the robot are equal,
-if the robot has its default settings, or with the wrist ``--robot.wrist=quaternion``.
+if the robot has its default settings, or with the wrist ``--robot.wrist=quaternion``, and with the
+environment state ``--robot.environment_state=joints``.
 
 =================================  ============  =================================================
 ``observation.state``              float32 (m,)  measured positions of the actuated joints [rad]
@@ -106,7 +107,7 @@ class RobotLayout:
         action = [*state, *(POSE_KEYS if self.wrist else ())]
         named = {"action": action, "observation.state": state}
         if self.environment is not None:
-            named[ENVIRONMENT_STATE] = [f"{name}.pos" for name in self.environment]
+            named[ENVIRONMENT_STATE] = [f"environment.{name}.pos" for name in self.environment]
         features: dict[str, dict[str, Any]] = {
             key: {"dtype": "float32", "shape": [len(names)], "names": names}
             for key, names in named.items()

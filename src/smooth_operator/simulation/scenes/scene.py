@@ -21,6 +21,9 @@ OBJECT: Final = "object"
 PLATFORM: Final = "platform"
 """Prefix of the names of the platform's shapes."""
 
+OBJECT_POSE: Final = tuple(f"object_{name}.pos" for name in ("x", "y", "z", "qw", "qx", "qy", "qz"))
+"""Names of the components of ``object_pose``."""
+
 _ALL: Final = 0xFFFF  # collision mask: collides with every shape that collides
 _STIFF: Final = 0.004  # time constant of contacts [s]; in MuJoCo's default a card sinks in
 _WIDTH, _HEIGHT = 1280, 960  # largest picture
@@ -180,6 +183,22 @@ class SceneState:
     fixed: bool = False
     starts: int = 0
     away: bool = False
+
+
+def object_pose(
+    position: Float[np.ndarray, "3"],
+    quaternion: Float[np.ndarray, "4"],
+    reference: Float[np.ndarray, "4"],
+) -> Float[np.ndarray, "7"]:
+    """(7,) float32: position [m] and quaternion w x y z of the object, without jumps of sign.
+
+    Args:
+        position: (3,) of the object in the world [m].
+        quaternion: (4,) w x y z of the object in the world.
+        reference: (4,) at the start; of q and -q the one that is nearer to it is taken.
+    """
+    sign = 1.0 if float(np.dot(quaternion, reference)) >= 0.0 else -1.0
+    return np.concatenate([position, sign * quaternion]).astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)
