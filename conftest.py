@@ -47,6 +47,9 @@ def _set_up_environment() -> None:
     os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", os.path.join(home, "jax"))
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
+    # Compiling is most of the time of most tests: with few optimisations it takes half as long, and
+    # programs that run a few hundred frames win.
+    os.environ.setdefault("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
     # An operation outside of a program compiles in 60 % of the time without XLA's newer emitter of
     # loops, which the package's programs go without, too. XLA ends a process for a flag that it
     # doesn't know, so other versions have none.
@@ -102,9 +105,13 @@ for name in ("SIGHUP", "SIGQUIT"):  # ignored in the same way; commands that tes
 SHARED = Path(__file__).resolve().parents[1] / "shared"
 
 LONG_FILES = (
-    "test_lint.py", "test_hand_matrix.py", "test_smooth_posture.py", "test_calibration.py",
-    "test_hand_validation.py", "test_tune.py", "test_bench.py", "test_smooth.py",
-    "test_rest_pose.py", "test_compiled_program.py", "test_batch.py",
+    "test_lint.py", "test_live_page.py", "test_study_console_browser.py", "test_study_analysis.py",
+    "test_examples.py", "test_hand_matrix.py", "test_study_report.py", "test_tune.py",
+    "test_calibration.py", "test_smooth_posture.py", "test_texts_on_pages.py", "test_batch.py",
+    "test_corpus.py", "test_hand_page.py", "test_bench.py", "test_hand_validation.py",
+    "test_cli.py", "test_remote.py", "test_retarget_folder.py", "test_plugin.py", "test_smooth.py",
+    "test_rest_pose.py", "test_membership.py", "test_site.py", "test_clip.py", "test_extras.py",
+    "test_compiled_program.py",
 )  # fmt: skip
 """Files that take long for how few tests they have, the longest first. They run first: the worker
 that took one of them last would be alone with it. The others follow by number of tests, as
@@ -153,36 +160,6 @@ def hand() -> Any:
     return load_hand("mimic_p050")
 
 
-few_optimised: list[dict[Any, Any]] = [{}, {}]
-"""Programs that this process has compiled with few optimisations."""
-
-
-@pytest.fixture(scope="module")
-def few_optimisations() -> Iterator[None]:
-    """Programs are compiled with few optimisations: for files where compiling is most of the time.
-
-    The files without it have their own programs.
-    """
-    import jax
-
-    from smooth_operator.compilation import batching
-    from smooth_operator.methods import program
-
-    option, stores = "jax_disable_most_optimizations", (program._programs, batching._programs)
-    before, others = jax.config.read(option), [dict(store) for store in stores]
-
-    def change(programs: list[dict[Any, Any]], few: bool) -> None:
-        jax.config.update(option, few)
-        for store, each in zip(stores, programs, strict=True):
-            store.clear()
-            store.update(each)
-
-    change(few_optimised, True)
-    yield
-    few_optimised[:] = [dict(store) for store in stores]
-    change(others, before)
-
-
 @pytest.fixture(scope="module")
 def chromium() -> Iterator[Any]:
     """A headless browser with software rendering, or a skip."""
@@ -192,7 +169,8 @@ def chromium() -> Iterator[Any]:
     if path is None:
         pytest.skip(f"no browser: none of {', '.join(names)} is on the path")
     flags = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader",
-             "--enable-unsafe-swiftshader", "--disable-background-networking",
+             "--enable-unsafe-swiftshader", "--webgl-antialiasing-mode=none",
+             "--disable-background-networking",
              "--disable-component-update", "--disable-sync"]  # fmt: skip
     with sync_api.sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path=path, headless=True, args=flags)

@@ -17,8 +17,6 @@ from smooth_operator.landmarks import LANDMARKS
 from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.loss import Objective
 
-pytestmark = pytest.mark.usefixtures("few_optimisations")
-
 TIPS = (4, 8, 12, 16, 20)
 Cost: TypeAlias = Callable[[np.ndarray], float]
 """(m,) joint positions to the cost."""

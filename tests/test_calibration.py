@@ -31,8 +31,6 @@ from smooth_operator.planning import make_request
 from smooth_operator.teleop.pages import Playback
 from smooth_operator.types import HandRecording, Side
 
-pytestmark = pytest.mark.usefixtures("few_optimisations")
-
 THREE = "thumb,index,pinky=ring"
 CHOSEN = {"thumb": "thumb", "index": "index", "pinky": "ring"}
 

@@ -24,8 +24,6 @@ from smooth_operator.methods import program as programs
 from smooth_operator.methods.sbr import SbrConfig
 from smooth_operator.solvers.sampling import SamplingConfig
 
-pytestmark = pytest.mark.usefixtures("few_optimisations")
-
 TINY = SbrConfig(sampling=SamplingConfig(samples=64, elites=8, cycles=2, draws="quasi"))
 
 
@@ -171,14 +169,21 @@ def test_what_a_program_depends_on_is_in_its_key() -> None:
     assert program_key(hand, Mine()) is None
 
 
+@pytest.mark.parametrize(
+    "config",
+    [
+        pytest.param(method_config("joint_angle"), id="joint_angle"),
+        pytest.param(TINY, id="sbr", marks=pytest.mark.weekly),
+    ],
+)
 def test_results_are_those_of_the_traced_program_to_the_last_bit(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
+    config: Any, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     recording = SyntheticOperator(rate_hz=20).record(1.5)
 
     def results() -> list[bytes]:
         forget()
-        retargeter = Retargeter(config=TINY, seed=1)
+        retargeter = Retargeter(config=config, seed=1)
         runs = [retargeter.run(recording), *retargeter.batch([recording])]
         return [
             each.tobytes() for commands, loss in runs for each in (commands.joint_positions, loss)
@@ -190,7 +195,7 @@ def test_results_are_those_of_the_traced_program_to_the_last_bit(
     assert made == read == results()
 
 
-@pytest.mark.parametrize("method", ["dexpilot", "geort"])
+@pytest.mark.parametrize("method", [pytest.param("dexpilot", marks=pytest.mark.weekly), "geort"])
 def test_other_methods_too(folder: Path, method: str) -> None:
     recording = SyntheticOperator(rate_hz=20).record(0.5)
 

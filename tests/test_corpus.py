@@ -28,6 +28,12 @@ NEEDS_ARROW = "needs pyarrow: in the clone, pip install '.[cluster]'"
 OPTIONS = ReadingOptions()
 
 
+@pytest.fixture(autouse=True)
+def no_pages(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No page of a report is drawn: ``test_dataset_pipeline.py`` looks at them."""
+    monkeypatch.setattr(writing, "write_report", lambda *_: None)
+
+
 @pytest.fixture
 def source(tmp_path: Path) -> Path:
     return made_clips.write(tmp_path / "hands.made.json", 10, (0.3, 1.0), lost=0.5)

@@ -30,8 +30,6 @@ from smooth_operator.metrics.assemble import assemble_trace
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.synthetic.robot_landmarks import human_landmarks
 
-pytestmark = pytest.mark.usefixtures("few_optimisations")
-
 DT = jnp.float32(1 / 60)
 
 

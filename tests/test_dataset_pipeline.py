@@ -137,11 +137,7 @@ def test_both_hands_are_those_of_the_library(folder: Path, whole: tuple[Path, Su
         for name in ("b", "deep/c"):
             clip, path = clips[name], folder / f"{name}.pair.npz"
             source = PAIRS.read(ClipRef(name, path), ReadingOptions())
-            expected, _ = retargeter.run(source.hands[side])
             commands = clip.commands[side]
-            np.testing.assert_allclose(
-                commands.joint_positions, expected.joint_positions, atol=2e-3
-            )
             # To the last bit, whatever was with it.
             ((expected, _),) = retargeter.batch([source.hands[side]])
             assert commands.joint_positions.tobytes() == expected.joint_positions.tobytes()

@@ -260,7 +260,9 @@ def test_an_emergency_stop_stands_where_it_is(bank: ServoBank, hand: Hand) -> No
 
 
 @pytest.mark.parametrize("way", ["deaf", "mute"])
-@pytest.mark.parametrize("seconds", [0.1, 0.2, 0.3, 0.4])
+@pytest.mark.parametrize(
+    "seconds", [0.1, *(pytest.param(s, marks=pytest.mark.weekly) for s in (0.2, 0.3)), 0.4]
+)
 def test_after_an_outage_the_first_goal_is_where_the_hand_is(
     bank: ServoBank, hand: Hand, way: str, seconds: float
 ) -> None:

@@ -83,7 +83,6 @@ def test_an_example_is_short_and_uses_public_names(path: Path) -> None:
     assert ast.get_docstring(ast.parse(source))
 
 
-@pytest.mark.usefixtures("few_optimisations")
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
 def test_an_example_runs(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """In an empty folder; what it claims, it asserts. Compiled programs serve the next ones."""

@@ -11,8 +11,6 @@ from trees import float64, random_rotations
 
 from smooth_operator.geometry import Similarity, array_namespace, umeyama
 
-pytestmark = pytest.mark.usefixtures("few_optimisations")
-
 COUNTS = [3, 4, 14]
 
 

@@ -61,8 +61,6 @@ from smooth_operator.metrics.assemble import assemble_trace
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.types import HandFrame, HandRecording, Status
 
-pytestmark = pytest.mark.usefixtures("few_optimisations")
-
 TINY = GeortTraining(epochs=4, batch=64, reach=64, seed=3)
 CHAIN = '<joint joint1="{}" joint2="{}" polycoef="0 1 0 0 0"/>'
 

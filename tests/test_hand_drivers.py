@@ -256,7 +256,7 @@ def test_a_hand_lost_in_motion_comes_back(rig: Rig) -> None:
     assert rig.outside() == 0
 
 
-@pytest.mark.parametrize("seconds", [0.1, 0.4])
+@pytest.mark.parametrize("seconds", [pytest.param(0.1, marks=pytest.mark.weekly), 0.4])
 @pytest.mark.parametrize(
     "rig",
     ["inspire", "inspire-rtu", "linker-l20", "linker-l10", "ability", "wuji", "revo2", "revo2-sdk"],

@@ -1,13 +1,11 @@
 """Every hand of the catalogue, by every method, and its left side, with the built-in operator.
 
 What is asked here is that a hand follows at all; ``bench --hands all`` measures how well.
-Compiling is nearly all of the time, so hands are shared out among the cores, and programs are
-compiled with few optimisations.
+Compiling is nearly all of the time.
 """
 
 from __future__ import annotations
 
-import gc
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -114,13 +112,11 @@ def methods_of(name: str, side: str, weekly: bool) -> tuple[str, ...]:
 
 
 def run_hand(task: tuple[str, tuple[str, ...], bool]) -> dict[str, dict[str, Run]]:
-    """All methods on sides of one hand; runs in a process of its own."""
-    jax.config.update("jax_disable_most_optimizations", True)
-    gc.disable()  # a tenth of the time that tracing takes
+    """All methods on sides of one hand."""
     name, sides, weekly = task
     runs = {side: run_side(name, side, weekly) for side in sides}
-    jax.clear_caches()
-    gc.collect()
+    if weekly:
+        jax.clear_caches()
     return runs
 
 
@@ -189,7 +185,7 @@ Matrix = dict[tuple[str, str], dict[str, Run]]
 
 @pytest.fixture(scope="module")
 def matrix(request: pytest.FixtureRequest) -> Matrix:
-    """All that the chosen tests will look at, as many hands in parallel as there are cores.
+    """All that the chosen tests will look at; in the weekly run, hands in parallel.
 
     The sides of a mirrored hand share their programs, so one process has both.
     """
@@ -211,7 +207,7 @@ def matrix(request: pytest.FixtureRequest) -> Matrix:
         for each in ([tuple(sides)] if name in MIRRORED else [(side,) for side in sides])
     ]
     runs_of: Matrix = {}
-    for result in run_tasks(run_hand, tasks):
+    for result in run_tasks(run_hand, tasks, workers=None if every_method else 0):
         assert result.error is None, (tasks[result.index], result.error)
         assert result.value is not None
         name = tasks[result.index][0]

@@ -18,8 +18,8 @@ from browser_page import changed, new_page, settled
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.teleop.pages.hand_page import HandPage
 
-WIDTH, HEIGHT = 1000, 700
-SHOWN = 600  # the panel is to the right of this [px]
+WIDTH, HEIGHT = 700, 480
+SHOWN = 400  # the panel is to the right of this [px]
 
 
 def eventually(condition: Callable[[], object], seconds: float = 20.0) -> None:

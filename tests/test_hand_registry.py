@@ -407,7 +407,6 @@ def test_impossible_choices(fingers: object, error: type[Exception], message: st
                     marks=pytest.mark.weekly if at > 1 else ())
        for at, name in enumerate(LATER))],
 )  # fmt: skip
-@pytest.mark.usefixtures("few_optimisations")
 def test_a_frame_is_retargeted(name: str, side: str, method: str) -> None:
     """Three fingers; two joints a finger, on the left; and the hands that the matrix leaves out."""
     hand = load_hand(name, side)

@@ -35,8 +35,6 @@ from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.synthetic.robot_landmarks import human_landmarks
 from smooth_operator.types import JointCommand, Result, Status
 
-pytestmark = pytest.mark.usefixtures("few_optimisations")
-
 ALLEGRO = load_hand("allegro_hand").spec
 BASICS = {
     "size", "palm frame", "palm tilt", "joint ranges", "joints used", "fingertips", "neutral pose",
@@ -53,9 +51,11 @@ SIDES = [
     for side in ("right", "left")
     if side == "right" or name not in MIRROR_IMAGES
 ]  # fmt: skip
-TWO = sorted({name for name, side in SIDES if side == "left"})
-ONE_SIDE = {(name, ("right", "left")[at % 2]) for at, name in enumerate(TWO)}
-"""The side of such a hand that each run of the tests checks; the weekly run checks both."""
+EVERY_RUN = (
+    ("allegro_hand", "left"), ("brainco_revo2", "right"), ("inspire_hand", "left"),
+    ("mimic_p050", "right"), ("shadow_hand", "right"),
+)  # fmt: skip
+"""Hands of each run of the tests; the weekly run checks all."""
 
 
 @pytest.fixture(autouse=True)
@@ -72,10 +72,7 @@ def basics(hand: str | Hand | HandSpec, side: str | None = None) -> HandValidati
 
 @pytest.mark.parametrize(
     ("name", "side"),
-    [
-        pytest.param(*pair, marks=[pytest.mark.weekly] * (pair[0] in TWO and pair not in ONE_SIDE))
-        for pair in SIDES
-    ],
+    [pytest.param(*pair, marks=[] if pair in EVERY_RUN else pytest.mark.weekly) for pair in SIDES],
 )
 def test_a_built_in_hand_passes(name: str, side: str) -> None:
     found = basics(name, side)

@@ -22,8 +22,6 @@ from smooth_operator.hands.differential import PointKinematics
 from smooth_operator.hands.kinematics import KinematicTree, build_tree
 from smooth_operator.hands.registry import load_hand
 
-pytestmark = pytest.mark.usefixtures("few_optimisations")
-
 SEEDS = range(12)
 
 

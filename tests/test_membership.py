@@ -24,8 +24,6 @@ from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.pages.hand_view import HandView
 from smooth_operator.types import Side
 
-pytestmark = pytest.mark.usefixtures("few_optimisations")
-
 
 def world_tips(hand: Hand, q: np.ndarray) -> np.ndarray:
     """(T, f, 3) fingertips in the palm frame by MuJoCo, with the whole model posed."""
@@ -176,7 +174,10 @@ def test_what_follows_a_joint_of_the_arm_stays_where_that_is(tmp_path: Path) -> 
     np.testing.assert_allclose(hand.full_configuration([0, 0, 0, 0])[-1], 0.1)
 
 
-@pytest.mark.parametrize(("method", "settled"), [("sbr", 0), (DEFAULT_METHOD, 10)])
+@pytest.mark.parametrize(
+    ("method", "settled"),
+    [pytest.param("sbr", 0, marks=pytest.mark.weekly), (DEFAULT_METHOD, 10)],
+)
 def test_a_finger_that_is_left_out_stays_at_neutral_and_in_the_command(
     tmp_path: Path, method: str, settled: int
 ) -> None:

@@ -12,8 +12,6 @@ from trees import float64
 from smooth_operator.errors import ConfigError
 from smooth_operator.solvers.newton import NewtonConfig, newton_minimise
 
-pytestmark = pytest.mark.usefixtures("few_optimisations")
-
 
 def expansion(cost):
     """Costs, gradients and Hessians of a few candidates, by automatic differentiation."""

@@ -21,8 +21,6 @@ from smooth_operator.objective.keyvectors import KeyvectorLayout
 from smooth_operator.objective.loss import Objective, ObjectiveConfig
 from smooth_operator.objective.targets import DexPilotTargets, LatchState, PlainTargets, Targets
 
-pytestmark = pytest.mark.usefixtures("few_optimisations")
-
 FIVE = KeyvectorLayout(FINGERS)
 
 

@@ -34,8 +34,6 @@ from smooth_operator.landmarks import BASES, TIPS
 from smooth_operator.objective.targets import CloseTargets, DexPilotTargets
 from smooth_operator.types import HandRecording, Side
 
-pytestmark = pytest.mark.usefixtures("few_optimisations")
-
 PALM = (0, *BASES)
 GAP = 0.006
 

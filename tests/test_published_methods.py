@@ -23,8 +23,6 @@ from smooth_operator.landmarks import FINGERS
 from smooth_operator.synthetic.hand_anatomy import JOINTS, NUM_JOINTS, draw_anatomy
 from smooth_operator.synthetic.human_kinematics import pose_hand
 
-pytestmark = pytest.mark.usefixtures("few_optimisations")
-
 GLOVE = "recordings/manus_right_subject-000_run-010.npz"
 WEEKLY = pytest.mark.weekly
 METHODS = ("keyvector", "hybrid", "dexpilot", "ako")

@@ -22,8 +22,6 @@ from smooth_operator.solvers.normals import (
 )
 from smooth_operator.solvers.sampling import SamplingConfig, sample_minimise
 
-pytestmark = pytest.mark.usefixtures("few_optimisations")
-
 # Many elites: with few, the covariance (about the new mean) collapses before the mean arrives.
 SMALL = SamplingConfig(samples=2048, elites=512, cycles=15, sigma=0.3)
 KEY = np.array([7, 11], np.uint32)

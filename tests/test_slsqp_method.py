@@ -29,8 +29,6 @@ from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.loss import Objective, ObjectiveConfig
 from smooth_operator.synthetic import SyntheticOperator
 
-pytestmark = pytest.mark.usefixtures("few_optimisations")
-
 METHODS = ("keyvector", "hybrid", "dexpilot", "ako")
 FINGERS = ("thumb", "index", "middle", "ring", "pinky")
 

@@ -21,8 +21,6 @@ from smooth_operator.metrics.consistency import frozen_share, motion_preservatio
 from smooth_operator.objective.smooth_terms import SelfCollisionConfig
 from smooth_operator.types import HandFrame, HandRecording, Status
 
-pytestmark = pytest.mark.usefixtures("few_optimisations")
-
 RATE = 115.0
 
 

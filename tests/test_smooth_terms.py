@@ -37,8 +37,6 @@ from smooth_operator.objective.targets import CloseTargets
 from smooth_operator.objective.terms import VectorSlopes
 from smooth_operator.solvers.newton import NewtonConfig, damped_newton
 
-pytestmark = pytest.mark.usefixtures("few_optimisations")
-
 NO_GOAL = FrameGoal(np.zeros((0, 3)), np.zeros(0), np.zeros(0), 0.0)
 HANDS = ("mimic_p050", "leap_hand", "shadow_hand", "inspire_hand")
 

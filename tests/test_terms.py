@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pytest
 from jax import Array
 from trees import float64, limited_poses
 
@@ -17,8 +16,6 @@ from smooth_operator.objective import LeastSquaresTerm, ObjectiveConfig
 from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.loss import Objective
 from smooth_operator.objective.terms import JointTerm
-
-pytestmark = pytest.mark.usefixtures("few_optimisations")
 
 
 @dataclass(frozen=True)

@@ -67,7 +67,8 @@ def test_long_files_run_first(tmp_path: Path) -> None:
     """Under pytest-xdist, which has an order of its own."""
     assert [name for name in LONG_FILES if not (TESTS / name).is_file()] == []
     (tmp_path / "conftest.py").write_text(CONFTEST.read_text(encoding="utf-8"))
-    for number, name in enumerate([*LONG_FILES, "test_a.py", "test_b.py"], 1):
+    numbers = dict.fromkeys(LONG_FILES, 1) | {"test_a.py": 2, "test_b.py": 3}
+    for name, number in numbers.items():
         tests = (f"def test_{i}(): pass\n" for i in range(number))
         (tmp_path / name).write_text("".join(tests))
     words = ["-m", "pytest", "-v", "-p", "no:cacheprovider", "-n", "1", "--dist", "loadfile", "."]
@@ -78,4 +79,4 @@ def test_long_files_run_first(tmp_path: Path) -> None:
     lines = [line for line in done.stdout.splitlines() if "PASSED" in line]
     ran = [next(name for name in files if name in line) for line in lines]
     assert list(dict.fromkeys(ran)) == files
-    assert len(ran) == sum(range(1, len(files) + 1))
+    assert len(ran) == sum(numbers.values())

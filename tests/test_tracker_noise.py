@@ -27,8 +27,6 @@ from smooth_operator.methods.presets import method_config
 from smooth_operator.methods.program import align_frame
 from smooth_operator.types import Status
 
-pytestmark = pytest.mark.usefixtures("few_optimisations")
-
 NEEDS = (WRIST, *TIPS)
 DT = 0.01
 FRAMES = 300

@@ -38,7 +38,6 @@ from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.types import HandRecording
 
 pytest.importorskip("optuna", reason="needs optuna: in the clone, pip install '.[tune]'")
-pytestmark = pytest.mark.usefixtures("few_optimisations")
 
 TINY = SbrConfig(
     sampling=SamplingConfig(samples=32, elites=8, cycles=2, draws="quasi"),
@@ -105,14 +104,11 @@ def test_settings_of_an_added_term_can_be_arguments_of_a_program():
     recording = SyntheticOperator(seed=2).record(0.3)
     paths = ("objective.terms.0.weight", "objective.terms.0.distance")
     traced = TracedRun(Retargeter("shadow_dexee", config=WITH_TERM), paths)
-    found = []
-    for values in ((20_000.0, 0.02), (20_000.0, 0.09)):
-        given = dict(zip(paths, values, strict=True))
-        constant = Retargeter("shadow_dexee", config=with_settings(WITH_TERM, given))
-        found.append(traced.run(recording, given).joint_positions)
-        expected = constant.run(recording)[0].joint_positions
-        np.testing.assert_allclose(found[-1], expected, atol=2e-3)
-    assert np.abs(found[0] - found[1]).max() > 0.05
+    near, far = (dict(zip(paths, (20_000.0, gap), strict=True)) for gap in (0.02, 0.09))
+    constant = Retargeter("shadow_dexee", config=with_settings(WITH_TERM, far))
+    found = traced.run(recording, far).joint_positions
+    np.testing.assert_allclose(found, constant.run(recording)[0].joint_positions, atol=2e-3)
+    assert np.abs(found - traced.run(recording, near).joint_positions).max() > 0.05
 
 
 def test_variables():

@@ -62,7 +62,7 @@ from smooth_operator_research.paper.solver_grid import Point, contours, make_sol
 from smooth_operator_research.paper.suite import SIZES, Settings, load_recordings, run_experiments
 from smooth_operator_research.paper.verdicts import Direction, Effect, Equality, Held, judge
 
-pytestmark = [pytest.mark.usefixtures("few_optimisations"), pytest.mark.weekly]
+pytestmark = pytest.mark.weekly
 
 OURS = ("solver", "velocity", "hessian", "compute")
 

@@ -127,10 +127,10 @@ class _Bend:
                 for k in np.flatnonzero(weights):
                     self._drives[int(k)] = self._drives.get(int(k), 0.0) + along * weights[k]
 
-    def ends(self, q: np.ndarray) -> Float[np.ndarray, "2 3"]:
-        """Base and tip in a pose, palm frame [m]."""
-        out: np.ndarray = self.hand.landmark_positions(q)[self._ends]
-        return out
+    def ends(self, q: np.ndarray) -> Float[np.ndarray, "2 *batch 3"]:
+        """Base and tip in a pose, or in many, palm frame [m]."""
+        points = self.hand.landmark_positions(q)
+        return np.stack([points[..., end, :] for end in self._ends])
 
     def straightened(self) -> Float[np.ndarray, " m"]:
         """The pose of the flexion joints in which the tip is farthest from the base."""
@@ -141,7 +141,7 @@ class _Bend:
                 trials = np.repeat(best[None], _STEPS + 1, axis=0)
                 trials[1:, k] = np.linspace(low, high, _STEPS)
                 # as it is, unless another is better by more than rounding
-                reach = [self._reach(trial) for trial in trials]
+                reach = self._reach(trials)
                 reach[0] += 1e-6
                 best = trials[int(np.argmax(reach))]
         return best
@@ -151,11 +151,11 @@ class _Bend:
         q = straight.copy()
         for k, turn in self._drives.items():
             q[k] = self.hand.limits[k, int(turn * sense > 0)]
-        return self._reach(q)
+        return float(self._reach(q))
 
-    def _reach(self, q: np.ndarray) -> float:
+    def _reach(self, q: np.ndarray) -> Float[np.ndarray, "*batch"]:
         base, tip = self.ends(q)
-        return float(np.linalg.norm(tip - base))
+        return np.asarray(np.linalg.norm(tip - base, axis=-1))
 
 
 def check_flexion(axes: FlexionAxes | None) -> Check:

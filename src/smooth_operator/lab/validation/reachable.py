@@ -109,15 +109,20 @@ def closest_pinch(samples: Samples, finger: str) -> float:
     low, high = hand.limits.T
     inset = 1e-6 * (high - low)  # least_squares begins within the limits
 
-    def gap(q: Float[np.ndarray, " m"]) -> Float[np.ndarray, "3"]:
+    nudges = 1e-6 * np.eye(len(low))
+
+    def gap(q: Float[np.ndarray, "*batch m"]) -> Float[np.ndarray, "*batch 3"]:
         tips = hand.tips(hand.full_configuration(q))
-        return np.asarray(tips[k] - tips[0])
+        return np.asarray(tips[..., k, :] - tips[..., 0, :])
+
+    def jacobian(q: Float[np.ndarray, " m"]) -> Float[np.ndarray, "3 m"]:
+        return (gap(q + nudges) - gap(q - nudges)).T / 2e-6
 
     best = np.inf
     for start in samples.poses[np.argsort(apart)[:_STARTS]]:
         inside = np.clip(start, low + inset, high - inset)
         found = least_squares(
-            gap, inside, bounds=(low, high), x_scale=high - low, max_nfev=_EVALUATIONS
+            gap, inside, jacobian, bounds=(low, high), x_scale=high - low, max_nfev=_EVALUATIONS
         )
         best = min(best, float(np.linalg.norm(found.fun)))
         if best < _MET:
