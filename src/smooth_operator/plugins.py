@@ -11,8 +11,10 @@ import functools
 import importlib
 import importlib.util
 import re
+import sys
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final, TypeVar
 
 from smooth_operator.errors import ConfigError, SmoothOperatorError, UnknownNameError
@@ -60,7 +62,7 @@ class Entry:
                 raise _broken(where, error) from error  # a module that it needs
             raise ConfigError(
                 f"{where}: there is no module {error.name!r}: install the distribution that "
-                "has it, or start where Python finds it (PYTHONPATH)"
+                "has it, or start in the folder that has it"
             ) from error
         except Exception as error:  # of foreign code: anything
             raise _broken(where, error) from error
@@ -240,10 +242,16 @@ class Registry(Mapping[str, Entry]):
 def is_target(text: str) -> bool:
     """True for ``package.module:attribute``; a module without a dot must exist.
 
-    So a misspelt name with an argument (``repaly:glove.npz``) is not taken for a module.
+    So a misspelt name with an argument (``repaly:glove.npz``) is not taken for a module. From then
+    on Python finds the modules of the current folder, after all others, if that one is there.
     """
     match = _TARGET.fullmatch(text)
     if match is None:
         return False
     module = match["module"]
+    top, folder = module.partition(".")[0], Path.cwd()
+    near = (folder / f"{top}.py").is_file() or (folder / top / "__init__.py").is_file()
+    if near and str(folder) not in sys.path:
+        sys.path.append(str(folder))
+        importlib.invalidate_caches()
     return "." in module or importlib.util.find_spec(module) is not None

@@ -49,6 +49,9 @@ def build_component(registry: Registry, text: str) -> Any:
     """
     kind = registry.kind
     word, rest = registry.split(text)
+    if word not in registry and rest[:1].isupper():  # a class of a module that is not there
+        more = f"For a class of your own, start in the folder that has {word}.py."
+        raise UnknownNameError(kind, word, registry, more)
     part = registry.load(word)
     if not (isinstance(part, type) and dataclasses.is_dataclass(part)):
         raise ConfigError(

@@ -8,11 +8,11 @@ from typing import Any, Final
 
 from smooth_operator.errors import MissingExtraError, SourceError
 
-_INSTALL: Final = {
-    "linux": "It needs libraries of the system: sudo apt install libgl1 libglib2.0-0 libxcb1 "
-    "(Debian, Ubuntu), or an OpenCV without windows, see docs/how-to/webcam.md"
-}
-"""System -> what OpenCV needs there."""
+SYSTEM_LIBRARIES: Final = (
+    "It needs libraries of the system: sudo apt install libgl1 libglib2.0-0 libxcb1 libegl1 "
+    "libgles2 (Debian, Ubuntu)"
+)
+"""What OpenCV and MediaPipe need on a Linux without a desktop."""
 
 _FAILURES: Final[list[str]] = []
 """Why OpenCV could not be loaded in this process, once it could not."""
@@ -41,9 +41,10 @@ def opencv() -> Any:
             del sys.modules[name]
         vars(sys).pop("OpenCV_LOADER", None)
         sys.modules["cv2"] = None  # type: ignore[assignment]  # no library that uses it tries again
-        advice = _INSTALL.get(
-            sys.platform,
-            "Install it again: python -m pip install --force-reinstall opencv-contrib-python",
+        advice = (
+            SYSTEM_LIBRARIES
+            if sys.platform == "linux"
+            else "Install it again: python -m pip install --force-reinstall opencv-contrib-python"
         )
         _FAILURES.append(f"OpenCV can't be loaded: {error}. {advice}")
         raise SourceError(_FAILURES[0]) from error

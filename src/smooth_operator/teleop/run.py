@@ -55,6 +55,7 @@ from smooth_operator.teleop.sinks.sink import Sink
 from smooth_operator.teleop.sinks.tick import Driver
 from smooth_operator.teleop.sources.live import LiveSource
 from smooth_operator.teleop.sources.replay import Replay
+from smooth_operator.teleop.sources.webcam.webcam_source import Video
 from smooth_operator.types import Side
 from smooth_operator.web.browser import open_page
 
@@ -369,7 +370,9 @@ class _Run:
             )
             loop.watch = session.watch
             begun.serve(session)
-        waits = self.task is not None or self.duration is not None or isinstance(source, Replay)
+        # What is played, and ends, begins with its first frame.
+        played = isinstance(source, Replay) or (isinstance(source, Video) and not source.loop)
+        waits = self.task is not None or self.duration is not None or played
         if self.others or waits:
             switcher.building = "compiling"
             _compile(settled, request, self.others, blind, reporter)

@@ -25,7 +25,7 @@ from smooth_operator.atomic_files import atomic_write, output_error
 from smooth_operator.errors import ConfigError, MissingExtraError, SourceError
 from smooth_operator.landmarks import BASES, WRIST
 from smooth_operator.own_files import make_private, user_cache
-from smooth_operator.teleop.opencv import opencv
+from smooth_operator.teleop.opencv import SYSTEM_LIBRARIES, opencv
 from smooth_operator.types import HandFrame, Side, as_side
 
 Points: TypeAlias = Literal["world", "picture"]
@@ -369,6 +369,10 @@ class HandLandmarker:
             try:
                 self._landmarker = vision.HandLandmarker.create_from_options(options)
             except (RuntimeError, ValueError, OSError) as error:
+                if "shared object" in str(error):
+                    raise SourceError(
+                        f"MediaPipe can't be loaded: {error}. {SYSTEM_LIBRARIES}"
+                    ) from error
                 raise SourceError(
                     f"MediaPipe can't load {model}: {error}. Leave model= out to have the right "
                     "file fetched"
