@@ -11,7 +11,7 @@ import contextlib
 import hashlib
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any, BinaryIO, Final, TypeAlias, cast
 
@@ -31,8 +31,14 @@ INDEX: Final = "index.json"
 _PREFIX: Final = "pack-"
 _MOST_BYTES: Final = 64_000_000
 _DATE: Final = (1980, 1, 1, 0, 0, 0)
-_SMALL: Final = {"landmarks", "metacarpals", "orientations", "confidence"}
-"""Arrays that float32 holds to a micrometre."""
+_DTYPES: Final = dict.fromkeys(
+    ("landmarks", "metacarpals", "orientations", "confidence", "tracks", "latency_ms"), np.float32
+) | {"status": np.int8}
+"""Types of arrays that float32 holds to a micrometre, and of codes."""
+_KINDS: Final[dict[str, Any]] = {
+    kind.__name__: kind for kind in (RobotClip, Clip, HandRecording, ObjectTrack, CommandTrajectory)
+}
+_LEFT_OUT: Final = {(RobotClip, "config"), (RobotClip, "figures"), (HandRecording, "meta")}
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,7 +168,15 @@ def write_pack(folder: Path, items: Sequence[Finished]) -> dict[str, Kept]:
             for clip in item.clips:
                 config = configs.setdefault(to_json(clip.config), len(configs))
                 arrays, document = encoded(clip)
-                clips.append({"arrays": number, "config": config, **document})
+                clips.append(
+                    {
+                        "arrays": number,
+                        "names": [*arrays],
+                        "config": config,
+                        "clip": document,
+                        **_facts(clip),
+                    }
+                )
                 for name, values in arrays.items():
                     with pack.open(zipfile.ZipInfo(f"{number}/{name}.npy", _DATE), "w") as member:
                         np.lib.format.write_array(member, values, allow_pickle=False)
@@ -215,81 +229,73 @@ class _Pack:
             with self._zip.open(f"{prefix}{name}.npy") as member:
                 arrays[name] = np.lib.format.read_array(member, allow_pickle=False)
         config = shared_config(self.index["configs"][document["config"]])
-        return replace(decoded(arrays, document), config=config)
+        return replace(decoded(arrays, document["clip"]), config=config)
+
+
+def _shown(clips: Sequence[Mapping[str, Any]]) -> bool:
+    """True if the videos and meshes that clips name are still there."""
+    return all(Path(path).exists() for clip in clips for path in clip["files"])
 
 
 def _pack_entry(path: Path, position: int, clips: Sequence[Mapping[str, Any]]) -> Kept:
     keys = [str(clip["key"]) for clip in clips]
-    sides: set[Side] = {side for clip in clips for side in clip["commands"]}
+    sides: set[Side] = {side for clip in clips for side in clip["sides"]}
     return Kept(
         path,
         position,
         keys[0] if len(keys) == 1 else key_digest(keys),
         tuple(sorted(sides, reverse=True)),
         sum(clip["frames"] for clip in clips),
-        any("camera" in clip["names"] for clip in clips),
-        max(len(clip["objects"]) for clip in clips),
+        any(clip["camera"] for clip in clips),
+        max(clip["objects"] for clip in clips),
     )
 
 
-def _shown(clips: Sequence[Mapping[str, Any]]) -> bool:
-    """True if the videos and meshes that clips name are still there."""
-    named = {clip["video"] for clip in clips}
-    named |= {each["mesh"] for clip in clips for each in clip["objects"]}
-    return all(Path(path).exists() for path in named - {None})
-
-
-def encoded(whole: RobotClip) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """A clip as arrays by name and a document of JSON, without its configuration and figures."""
+def _facts(whole: RobotClip) -> dict[str, Any]:
+    """Facts of a clip that are looked at without reading it."""
     clip = whole.clip
-    arrays: dict[str, Any] = {"stamps": clip.stamps, "camera": clip.T_world_camera}
-    for side, hand in clip.hands.items():
-        for name in ("landmarks", "valid", "metacarpals", "orientations", "T_world_wrist"):
-            arrays[f"{side}.hand.{name}"] = getattr(hand, name)
-        arrays[f"{side}.hand.confidence"] = clip.confidence.get(side)
-        arrays[f"{side}.hand.shape"] = clip.shape.get(side)
-    for side, commands in whole.commands.items():
-        arrays[f"{side}.positions"] = commands.joint_positions
-        arrays[f"{side}.status"] = np.asarray(commands.status, np.int8)
-        arrays[f"{side}.wrist"] = whole.T_world_wrist.get(side)
-        arrays[f"{side}.valid"] = whole.valid[side]
-    for name, values in whole.tracks.items():
-        arrays[f"track.{name}"] = np.asarray(values, np.float32)
-    for number, each in enumerate(clip.objects):
-        arrays[f"object.{number}"] = each.T_world_object
-    stored = {
-        name: np.asarray(values, np.float32 if name.rpartition(".")[2] in _SMALL else None)
-        for name, values in arrays.items()
-        if values is not None
-    }
-    document = {
-        "name": clip.name,
+    files = [clip.video, *(each.mesh for each in clip.objects)]
+    return {
         "key": whole.key,
         "frames": len(clip),
-        "names": [*stored],
-        "layout": clip.layout,
-        "task": clip.task,
-        "source": [str(path) for path in clip.source],
-        "video": None if clip.video is None else str(clip.video),
-        "video_start_s": clip.video_start_s,
-        "meta": clip.meta,
-        "hands": {
-            side: {"name": hand.name, "world": hand.world} for side, hand in clip.hands.items()
-        },
-        "objects": [
-            {
-                "name": each.name,
-                "mesh": None if each.mesh is None else str(each.mesh),
-                "scale": each.scale,
-            }
-            for each in clip.objects
-        ],
-        "commands": {
-            side: {"hand": whole.hand_names[side], "joints": commands.joint_names}
-            for side, commands in whole.commands.items()
-        },
+        "sides": [*whole.commands],
+        "camera": clip.T_world_camera is not None,
+        "objects": len(clip.objects),
+        "files": [file for file in files if file is not None],
     }
-    return stored, document
+
+
+def encoded(whole: RobotClip) -> tuple[dict[str, np.ndarray], list[Any]]:
+    """A clip as arrays by name and a document of JSON, without its configuration and figures.
+
+    In the document, what is no plain value is a pair of its kind and its content.
+    """
+    arrays: dict[str, np.ndarray] = {}
+    names: dict[int, str] = {}  # arrays that several parts share are written once
+
+    def part(value: Any, *path: str) -> Any:
+        if isinstance(value, np.ndarray):
+            name = names.setdefault(id(value), ".".join(path))
+            dtype = next((_DTYPES[word] for word in path if word in _DTYPES), None)
+            arrays.setdefault(name, np.asarray(value, dtype))
+            return ["array", name]
+        if is_dataclass(value) and not isinstance(value, type):
+            content = {
+                each.name: ["json", getattr(value, each.name)]
+                if each.name == "meta"
+                else part(getattr(value, each.name), *path, each.name)
+                for each in fields(value)
+                if (type(value), each.name) not in _LEFT_OUT
+            }
+            return [type(value).__name__, content]
+        if isinstance(value, Mapping):
+            return ["mapping", {key: part(each, *path, key) for key, each in value.items()}]
+        if isinstance(value, (tuple, list)):
+            return ["tuple", [part(each, *path, str(i)) for i, each in enumerate(value)]]
+        return ["path", str(value)] if isinstance(value, Path) else value
+
+    document: list[Any] = part(whole)
+    return arrays, document
 
 
 def as_stored(whole: RobotClip) -> RobotClip:
@@ -297,74 +303,21 @@ def as_stored(whole: RobotClip) -> RobotClip:
     return replace(decoded(*encoded(whole)), config=whole.config)
 
 
-def decoded(arrays: Mapping[str, np.ndarray], document: Mapping[str, Any]) -> RobotClip:
-    """A clip from what ``encoded`` gave, without its configuration and figures."""
-    stamps = arrays["stamps"]
+def decoded(arrays: Mapping[str, np.ndarray], document: Any) -> RobotClip:
+    """A clip from the result of ``encoded``, without its configuration and figures."""
 
-    def of_hand(side: str, name: str) -> np.ndarray | None:
-        return arrays.get(f"{side}.hand.{name}")
+    def value(part: Any) -> Any:
+        if not isinstance(part, list):
+            return part
+        kind, content = part
+        if kind == "json":
+            return content
+        if kind == "tuple":
+            return tuple(map(value, content))
+        if kind in ("array", "path"):
+            return arrays[content] if kind == "array" else Path(content)
+        members = {name: value(each) for name, each in content.items()}
+        return members if kind == "mapping" else _KINDS[kind](**members)
 
-    hands = {
-        side: HandRecording(
-            arrays[f"{side}.hand.landmarks"],
-            stamps,
-            side,
-            of_hand(side, "valid"),
-            of_hand(side, "metacarpals"),
-            of_hand(side, "orientations"),
-            own["name"],
-            T_world_wrist=of_hand(side, "T_world_wrist"),
-            world=own["world"],
-        )
-        for side, own in document["hands"].items()
-    }
-    mesh = [each["mesh"] for each in document["objects"]]
-    clip = Clip(
-        document["name"],
-        hands,
-        document["layout"],
-        tuple(Path(path) for path in document["source"]),
-        document["task"],
-        _present({side: of_hand(side, "confidence") for side in hands}),
-        arrays.get("camera"),
-        tuple(
-            ObjectTrack(
-                each["name"],
-                arrays[f"object.{number}"],
-                None if mesh[number] is None else Path(mesh[number]),
-                each["scale"],
-            )
-            for number, each in enumerate(document["objects"])
-        ),
-        _present({side: of_hand(side, "shape") for side in hands}),
-        None if document["video"] is None else Path(document["video"]),
-        document["video_start_s"],
-        document["meta"],
-    )
-    sides: list[Side] = list(document["commands"])
-    return RobotClip(
-        clip,
-        {
-            side: CommandTrajectory(
-                arrays[f"{side}.positions"],
-                tuple(document["commands"][side]["joints"]),
-                stamps,
-                np.full(len(stamps), np.nan),
-                arrays[f"{side}.status"],
-            )
-            for side in sides
-        },
-        {side: document["commands"][side]["hand"] for side in sides},
-        _present({side: arrays.get(f"{side}.wrist") for side in sides}),
-        {side: arrays[f"{side}.valid"] for side in sides},
-        {
-            name.removeprefix("track."): values
-            for name, values in arrays.items()
-            if name.startswith("track.")
-        },
-        key=document["key"],
-    )
-
-
-def _present(values: Mapping[Side, np.ndarray | None]) -> dict[Side, np.ndarray]:
-    return {side: value for side, value in values.items() if value is not None}
+    clip: RobotClip = value(document)
+    return clip
