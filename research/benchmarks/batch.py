@@ -23,23 +23,22 @@ from typing import Literal
 
 import jax
 import numpy as np
-import tyro
 from timing import peak_memory_mib
 
-from smooth_operator import HandRecording, Retargeter, SmoothOperatorError
+from smooth_operator import HandRecording, Retargeter
 from smooth_operator.lab.offline.folder import retarget_all, survey
 from smooth_operator.landmarks import BASES, WRIST
 from smooth_operator.parallel import usable_cores
 from smooth_operator.planning import make_request
 from smooth_operator.synthetic import SyntheticOperator
-from smooth_operator_research.run_report import BenchmarkError, Report
+from smooth_operator_research.run_report import BenchmarkError, Report, ReportSettings, run_program
 
 PEER = Path(__file__).with_name("dex_retargeting_folder.py")
 _PEER = "dex-retargeting, LEAP hand"
 
 
 @dataclass(frozen=True)
-class Settings:
+class Settings(ReportSettings):
     """What to run.
 
     Attributes:
@@ -55,8 +54,6 @@ class Settings:
         device: cpu or gpu; stops where JAX has none of that kind.
         peer_python: interpreter of an environment with dex-retargeting.
         peer_urdf: folder with leap_hand/leap_hand_right.urdf for it.
-        output: JSON file; build/benchmarks/batch.json unless given.
-        compare: an earlier JSON file to compare this run with.
     """
 
     methods: tuple[str, ...] = ("smooth:teleop", "sbr:realtime", "geort", "joint_angle")
@@ -71,8 +68,6 @@ class Settings:
     device: Literal["cpu", "gpu"] = "cpu"
     peer_python: Path | None = None
     peer_urdf: Path | None = None
-    output: Path | None = None
-    compare: Path | None = None
 
 
 def main(settings: Settings) -> None:
@@ -248,7 +243,4 @@ def peer(settings: Settings, source: Path, workers: int) -> None:
 
 
 if __name__ == "__main__":
-    try:
-        main(tyro.cli(Settings, description=__doc__))
-    except SmoothOperatorError as error:
-        raise BenchmarkError(str(error)) from error
+    run_program(main, Settings, __doc__)

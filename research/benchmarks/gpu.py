@@ -25,15 +25,14 @@ from typing import Any
 
 import jax
 import numpy as np
-import tyro
 from timing import percentiles
 
-from smooth_operator import HandFrame, Retargeter, SmoothOperatorError
+from smooth_operator import HandFrame, Retargeter
 from smooth_operator.errors import ConfigError
 from smooth_operator.lab.datasets.gpu import gpu_samples
 from smooth_operator.methods.sbr import SbrConfig
 from smooth_operator.synthetic import SyntheticOperator
-from smooth_operator_research.run_report import BenchmarkError, Report
+from smooth_operator_research.run_report import Report, ReportSettings, run_program
 
 BLOCK = 10
 MOTIONS = 32
@@ -42,7 +41,7 @@ COMPARED = 50
 
 
 @dataclass(frozen=True)
-class Settings:
+class Settings(ReportSettings):
     """What to run.
 
     Attributes:
@@ -55,8 +54,6 @@ class Settings:
         commit: revision of the code, where it is no clone.
         commands: only save the first commands of preset ``paper`` in this file (.npy).
         page: only print the page of an earlier JSON file.
-        output: JSON file; build/benchmarks/gpu.json unless given.
-        compare: an earlier JSON file to compare this run with.
     """
 
     samples: int = 8192
@@ -72,8 +69,6 @@ class Settings:
     commit: str = ""
     commands: Path | None = None
     page: Path | None = None
-    output: Path | None = None
-    compare: Path | None = None
 
 
 Step = Callable[[Any, HandFrame], tuple[Any, np.ndarray, float]]
@@ -306,7 +301,4 @@ def against_cpu(report: Report, settings: Settings) -> None:
 
 
 if __name__ == "__main__":
-    try:
-        main(tyro.cli(Settings, description=__doc__))
-    except SmoothOperatorError as error:
-        raise BenchmarkError(str(error)) from error
+    run_program(main, Settings, __doc__)

@@ -19,18 +19,17 @@ from pathlib import Path
 
 import jax
 import numpy as np
-import tyro
 from arithmetic import FLOAT, KINDS, operations
 from timing import percentiles
 
-from smooth_operator import HandFrame, Retargeter, SmoothOperatorError
+from smooth_operator import HandFrame, Retargeter
 from smooth_operator.parallel import usable_cores as cores
 from smooth_operator.synthetic import SyntheticOperator
-from smooth_operator_research.run_report import BenchmarkError, Report
+from smooth_operator_research.run_report import BenchmarkError, Report, ReportSettings, run_program
 
 
 @dataclass(frozen=True)
-class Settings:
+class Settings(ReportSettings):
     """What to run.
 
     Attributes:
@@ -38,16 +37,12 @@ class Settings:
         frames: how many frames to time.
         hand: robot hand.
         method: retargeting method.
-        output: JSON file; build/benchmarks/limit.json unless given.
-        compare: an earlier JSON file to compare this run with.
     """
 
     preset: str = "paper"
     frames: int = 300
     hand: str = "mimic_p050"
     method: str = "sbr"
-    output: Path | None = None
-    compare: Path | None = None
 
 
 def main(settings: Settings) -> None:
@@ -192,7 +187,4 @@ def traffic(
 
 
 if __name__ == "__main__":
-    try:
-        main(tyro.cli(Settings, description=__doc__))
-    except SmoothOperatorError as error:
-        raise BenchmarkError(str(error)) from error
+    run_program(main, Settings, __doc__)

@@ -16,8 +16,6 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-import tyro
-
 from smooth_operator_research.objects.comparison import (
     AWARE,
     BLIND,
@@ -35,11 +33,11 @@ from smooth_operator_research.objects.comparison import (
 )
 from smooth_operator_research.objects.picture import draw_comparison
 from smooth_operator_research.objects.scenes import SceneSpec, make_clip
-from smooth_operator_research.run_report import Report
+from smooth_operator_research.run_report import Report, ReportSettings, run_program
 
 
 @dataclass(frozen=True)
-class Settings:
+class Settings(ReportSettings):
     """What to run.
 
     Attributes:
@@ -51,8 +49,6 @@ class Settings:
         noise: of the landmarks [mm], a standard deviation; the contacts of record are without.
         side: of the hands.
         picture: draw one clip into this file instead.
-        output: JSON file; build/benchmarks/objects.json unless given.
-        compare: an earlier JSON file to compare this run with.
     """
 
     hands: tuple[str, ...] = REPORTED_HANDS
@@ -63,8 +59,6 @@ class Settings:
     noise: float = 0.0
     side: str = "right"
     picture: Path | None = None
-    output: Path | None = None
-    compare: Path | None = None
 
 
 def main(settings: Settings) -> None:
@@ -100,4 +94,4 @@ def _note(line: str) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Settings, description=__doc__))
+    run_program(main, Settings, __doc__)

@@ -29,14 +29,14 @@ import tyro
 from batch import in_wrist_axes
 from timing import percentiles
 
-from smooth_operator import HandRecording, SmoothOperatorError, load_hand
+from smooth_operator import HandRecording, load_hand
 from smooth_operator.formats.frames import frame_slice
 from smooth_operator.formats.readers import rated_if_unstamped, read_recording
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import align_recording
 from smooth_operator.methods.presets import method_config
 from smooth_operator.metrics import Trace, evaluate
-from smooth_operator_research.run_report import BenchmarkError, Report
+from smooth_operator_research.run_report import BenchmarkError, Report, ReportSettings, run_program
 
 WORKER = Path(__file__).with_name("peer_worker.py")
 QUALITY = {
@@ -57,7 +57,7 @@ BEYOND_RAD = 1e-3
 
 
 @dataclass(frozen=True)
-class Settings:
+class Settings(ReportSettings):
     """What to run.
 
     Attributes:
@@ -70,8 +70,6 @@ class Settings:
         dex_urdf: folder with leap_hand/leap_hand_right.urdf for it.
         authors: folder with commands of the authors' code.
         repeats: processes of each program; latencies are pooled, starts are medians.
-        output: JSON file; build/benchmarks/peers.json unless given.
-        compare: an earlier JSON file to compare this run with.
     """
 
     recording: Annotated[Path, tyro.conf.Positional]
@@ -83,8 +81,6 @@ class Settings:
     dex_urdf: Path | None = None
     authors: Path | None = None
     repeats: int = 5
-    output: Path | None = None
-    compare: Path | None = None
 
 
 @dataclass
@@ -253,7 +249,4 @@ def judged(hand: Hand, recording: HandRecording, q: np.ndarray) -> dict[str, flo
 
 
 if __name__ == "__main__":
-    try:
-        main(tyro.cli(Settings, description=__doc__))
-    except SmoothOperatorError as error:
-        raise BenchmarkError(str(error)) from error
+    run_program(main, Settings, __doc__)

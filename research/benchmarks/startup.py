@@ -20,11 +20,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import tyro
 
-from smooth_operator import SmoothOperatorError
 from smooth_operator.synthetic import SyntheticOperator
-from smooth_operator_research.run_report import BenchmarkError, Report
+from smooth_operator_research.run_report import BenchmarkError, Report, ReportSettings, run_program
 
 CHILD = Path(__file__).with_name("first_command.py")
 STATES = ("no cache", "cache", "kept")
@@ -44,7 +42,7 @@ STAGES = {
 
 
 @dataclass(frozen=True)
-class Settings:
+class Settings(ReportSettings):
     """What to run.
 
     Attributes:
@@ -52,16 +50,12 @@ class Settings:
         repeats: fresh processes for each; medians are reported.
         hand: robot hand.
         method: retargeting method.
-        output: JSON file; build/benchmarks/startup.json unless given.
-        compare: an earlier JSON file to compare this run with.
     """
 
     presets: tuple[str, ...] = ("paper", "realtime")
     repeats: int = 5
     hand: str = "mimic_p050"
     method: str = "sbr"
-    output: Path | None = None
-    compare: Path | None = None
 
 
 def main(settings: Settings) -> None:
@@ -130,7 +124,4 @@ def first_command(job: Mapping[str, object], state: str, cache: Path) -> dict[st
 
 
 if __name__ == "__main__":
-    try:
-        main(tyro.cli(Settings, description=__doc__))
-    except SmoothOperatorError as error:
-        raise BenchmarkError(str(error)) from error
+    run_program(main, Settings, __doc__)

@@ -19,7 +19,7 @@ import numpy as np
 import tyro
 from timing import percentiles
 
-from smooth_operator import HandFrame, HandRecording, Retargeter, SmoothOperatorError, Status
+from smooth_operator import HandFrame, HandRecording, Retargeter, Status
 from smooth_operator.landmarks import FINGERS, TIPS
 from smooth_operator.metrics import evaluate
 from smooth_operator.metrics.assemble import assemble_trace
@@ -37,7 +37,7 @@ from smooth_operator.teleop.sources.webcam.picture_tracker import (
 )
 from smooth_operator.teleop.sources.webcam.webcam_source import Video
 from smooth_operator.types import Side
-from smooth_operator_research.run_report import BenchmarkError, Report
+from smooth_operator_research.run_report import BenchmarkError, Report, ReportSettings, run_program
 
 QUALITY = {
     "flatness": "flatness [m²]",
@@ -49,7 +49,7 @@ QUALITY = {
 
 
 @dataclass(frozen=True)
-class Settings:
+class Settings(ReportSettings):
     """What to run.
 
     Attributes:
@@ -61,8 +61,6 @@ class Settings:
         method: retargeting method.
         cutoffs: of the filter [Hz]; 0 is none.
         seed: of the built-in operator and its noise.
-        output: JSON file; build/benchmarks/video.json unless given.
-        compare: an earlier JSON file to compare this run with.
     """
 
     video: Annotated[Path, tyro.conf.Positional]
@@ -73,8 +71,6 @@ class Settings:
     method: str = "sbr"
     cutoffs: tuple[float, ...] = (0.0, 8.0, 4.0, 2.0, 1.0)
     seed: int = 0
-    output: Path | None = None
-    compare: Path | None = None
 
 
 def main(settings: Settings) -> None:
@@ -249,7 +245,4 @@ def pinches(report: Report, settings: Settings) -> None:
 
 
 if __name__ == "__main__":
-    try:
-        main(tyro.cli(Settings, description=__doc__))
-    except SmoothOperatorError as error:
-        raise BenchmarkError(str(error)) from error
+    run_program(main, Settings, __doc__)

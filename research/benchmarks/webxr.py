@@ -20,14 +20,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tyro
 from timing import percentiles
 
-from smooth_operator import Retargeter, SmoothOperatorError, Status
+from smooth_operator import Retargeter, Status
 from smooth_operator.teleop.sources.live import Mailbox
 from smooth_operator.teleop.sources.webxr import WebXr
 from smooth_operator.types import Side
-from smooth_operator_research.run_report import RESULTS, BenchmarkError, Report
+from smooth_operator_research.run_report import (
+    RESULTS,
+    BenchmarkError,
+    Report,
+    ReportSettings,
+    run_program,
+)
 
 sys.path.append(str(Path(__file__).resolve().parents[2] / "tests"))
 from emulated_headset import NoEmulator, fetch_emulator, new_headset
@@ -46,7 +51,7 @@ FLAGS = (
 
 
 @dataclass(frozen=True)
-class Settings:
+class Settings(ReportSettings):
     """What to run.
 
     Attributes:
@@ -56,8 +61,6 @@ class Settings:
         preset: its preset.
         width: of the emulated headset's view [px]; more pixels are more software rendering.
         height: of the same [px].
-        output: JSON file; build/benchmarks/webxr.json unless given.
-        compare: an earlier JSON file to compare this run with.
     """
 
     seconds: float = 20.0
@@ -66,8 +69,6 @@ class Settings:
     preset: str = "realtime"
     width: int = 480
     height: int = 640
-    output: Path | None = None
-    compare: Path | None = None
 
 
 def main(settings: Settings) -> None:
@@ -189,7 +190,4 @@ def _headset(settings: Settings) -> Iterator[Any]:
 
 
 if __name__ == "__main__":
-    try:
-        main(tyro.cli(Settings, description=__doc__))
-    except SmoothOperatorError as error:
-        raise BenchmarkError(str(error)) from error
+    run_program(main, Settings, __doc__)

@@ -202,7 +202,7 @@ def test_fk_names_what_is_missing_and_does_not_time_what_is_wrong(
     assert "Pinocchio: not installed, so there is a gap" in outcome.setup
     paper, ours = outcome.verdicts
     assert paper.held == "not shown"
-    assert fk.INSTALL in paper.paragraph
+    assert fk.INSTALL in paper.note
     assert MUJOCO in ours.ours
     legend = [text.get_text() for text in outcome.drawings[0].figure.legends[0].get_texts()]
     assert "Pinocchio: not installed" in legend
@@ -357,7 +357,6 @@ def test_noise_makes_rougher_and_is_resumed(
         (human,) = by["human", clean, source.name]
         assert human["flatness"] == human["seen_flatness"]
         assert by["human", noisy, source.name][0]["seen_flatness"] > 9 * human["flatness"]
-    assert f"Verdict: {outcome.verdicts[0].held}" in outcome.verdicts[0].paragraph
     assert "geort × " in outcome.verdicts[0].ours
     assert "geort ×" not in outcome.verdicts[2].ours
     monkeypatch.setattr(follow, "built_for", None)  # no method runs again
@@ -379,7 +378,7 @@ def test_rate_reports_accelerations_and_lags(
         assert -50 < figures["lag_ms"] < 250
         assert figures["correlation"] > 0.5
     assert outcome.figures["too_slow"] == []
-    assert "100 Hz" in outcome.verdicts[0].paragraph
+    assert "100 Hz" in outcome.verdicts[0].note
     faster = dataclasses.replace(TINY, rates=(100.0, 200.0))
     monkeypatch.setitem(more_sizes._SIZES, "tiny", faster)
     again = rate.FrameRate().run(mixed)
@@ -451,8 +450,8 @@ def test_an_order_holds_only_where_all_pairs_do() -> None:
     swapped = ("dexpilot:published", "sbr:paper", "hybrid:published", "geort")
     verdict = table._verdict(_benchmark(swapped), cosine, papers)
     assert verdict.held == "mixed"
-    assert "5 are shown" in verdict.paragraph
-    assert "1 in the opposite one" in verdict.paragraph
+    assert "5 are shown" in verdict.note
+    assert "1 in the opposite one" in verdict.note
     assert verdict.ours.startswith("DexPilot")
     assert _benchmark(swapped).winners("paper", cosine, list(swapped)) == {"dexpilot:published"}
 

@@ -12,13 +12,15 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+import tyro
 
+from smooth_operator.errors import SmoothOperatorError
 from smooth_operator.formats.environment import environment
 
 RESULTS: Final = Path("build") / "benchmarks"
@@ -32,6 +34,31 @@ _Table = tuple[str, tuple[str, ...], list[list[object]], int]
 
 class BenchmarkError(SystemExit):
     """Stops a program with a sentence instead of a trace."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReportSettings:
+    """Files of a run.
+
+    Attributes:
+        output: JSON file of the figures; build/benchmarks/NAME.json unless given.
+        compare: an earlier JSON file to compare this run with.
+    """
+
+    output: Path | None = None
+    compare: Path | None = None
+
+
+def run_program(main: Callable[[Any], None], settings: type, description: str | None) -> None:
+    """Reads the settings of a program from the command line and runs it.
+
+    Raises:
+        BenchmarkError: the package refused something, with its sentence.
+    """
+    try:
+        main(tyro.cli(settings, description=description))
+    except SmoothOperatorError as error:
+        raise BenchmarkError(str(error)) from error
 
 
 def _load() -> list[float] | None:

@@ -150,7 +150,8 @@ def _section(content: Mapping[str, Any], folder: Path) -> Html:
     parts = [paragraph(content["setup"], "soft")]
     parts += [
         Html(f"<p><b>{_MARKS.get(v['held'], '')} {escape(v['claim'])}.</b> "
-             f"{escape(v['paragraph'])}</p>")
+             f"The paper: {escape(v['paper'])}. Here: {escape(v['ours'])}. Verdict: "
+             f"{escape(v['held'])}. {escape(v['note'])}</p>")
         for v in content["verdicts"]
     ]  # fmt: skip
     parts += [_picture(folder / f"{d['name']}.svg", d["caption"]) for d in content["drawings"]]

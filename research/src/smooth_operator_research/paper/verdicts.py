@@ -42,14 +42,14 @@ class Verdict:
         paper: its figure.
         ours: our figure with its interval.
         held: whether it held.
-        paragraph: all of that in words, with what a reader must know to judge it.
+        note: what a reader must know to judge it, besides the tables.
     """
 
     claim: str
     paper: str
     ours: str
     held: Held
-    paragraph: str
+    note: str = ""
 
 
 class Judge(Protocol):
