@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from study_cases import ITEMS, POINTS, Row, holes, simulate
 
-from smooth_operator.study.analysis.contrasts import coefficients, compare, linear_means
 from smooth_operator.study.analysis.frame import Frame, make_frame
 from smooth_operator.study.analysis.mixed import fit_mixed
+from smooth_operator.study.analysis.models import coefficients, compare, linear_means
 from smooth_operator.study.analysis.results import ScopeResult
 
 SCRIPT = Path(__file__).with_name("study_nested.R")

@@ -17,10 +17,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from smooth_operator.study.console.access import ConsoleAuth
-from smooth_operator.study.console.commands import Command
-from smooth_operator.study.console.server import Console
-from smooth_operator.study.console.session_service import SessionService
+from smooth_operator.study.console.server import Console, ConsoleAuth
+from smooth_operator.study.console.session_service import Command, SessionService
 from smooth_operator.study.design.plan import Plan, make_plan
 from smooth_operator.study.design.protocol import Condition, Protocol, RubricLine, Task
 from smooth_operator.study.store.nasa_tlx import SCALE_NAMES

@@ -39,7 +39,7 @@ source.stop()
 CONSOLE = """
 import asyncio, sys
 from pathlib import Path
-from smooth_operator.study.console.access import ConsoleAuth
+from smooth_operator.study.console.server import ConsoleAuth
 from smooth_operator.study.console.server import Console
 from smooth_operator.study.console.session_service import SessionService
 from smooth_operator.study.store.study_store import open_study

@@ -35,10 +35,13 @@ from study_console import (
 
 from smooth_operator.cli import main
 from smooth_operator.errors import RemoteRefusedError, StudyError, UnknownNameError
-from smooth_operator.study.console.access import ConsoleAuth, auth_for, qr_code
-from smooth_operator.study.console.commands import command_of
-from smooth_operator.study.console.session_service import SessionService, StoreFailedError
-from smooth_operator.study.console.session_teleop import HIDDEN
+from smooth_operator.study.console.server import ConsoleAuth, auth_for, qr_code
+from smooth_operator.study.console.session_service import (
+    SessionService,
+    StoreFailedError,
+    command_of,
+)
+from smooth_operator.study.console.switching import HIDDEN
 from smooth_operator.study.design.plan import Plan
 from smooth_operator.study.design.plan_file import read_plan, write_plan_files
 from smooth_operator.study.store.events import Noted, TrialScored
@@ -453,7 +456,7 @@ def test_the_pages_need_nothing_from_elsewhere() -> None:
 
 def full(store: StudyStore, pages: int) -> None:
     """As a disk that has no room left."""
-    with store._database.reading() as connection:
+    with store.reading() as connection:
         connection.execute(f"PRAGMA max_page_count={pages}")
 
 

@@ -20,7 +20,7 @@ from study_console import (
     served,
 )
 
-from smooth_operator.study.console.access import ConsoleAuth
+from smooth_operator.study.console.server import ConsoleAuth
 from smooth_operator.study.console.session_service import SessionService
 from smooth_operator.study.design.plan import Plan, make_plan
 from smooth_operator.study.design.plan_file import write_plan_files

@@ -13,8 +13,7 @@ from study_console import command, console_plan, due_command
 from test_study_console import walk
 
 from smooth_operator.errors import StudyError, UnknownNameError
-from smooth_operator.study.console.commands import Command
-from smooth_operator.study.console.session_service import SessionService
+from smooth_operator.study.console.session_service import Command, SessionService
 from smooth_operator.study.design.plan import make_plan
 from smooth_operator.study.design.protocol import RubricLine
 from smooth_operator.study.store.events import Amended, TrialScored, Withdrawn

@@ -15,8 +15,7 @@ from test_study_console_browser import Pages
 
 from smooth_operator.cli import main
 from smooth_operator.errors import SmoothOperatorError, StudyError
-from smooth_operator.study.console.commands import command_of
-from smooth_operator.study.console.session_service import SessionService
+from smooth_operator.study.console.session_service import SessionService, command_of
 from smooth_operator.study.design.forms import DEFAULT_FORMS, Form, FormField
 from smooth_operator.study.design.plan import Plan
 from smooth_operator.study.design.plan_file import plan_of, plan_table, read_plan

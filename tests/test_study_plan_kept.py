@@ -16,9 +16,9 @@ from smooth_operator.study.design.plan import make_plan
 from smooth_operator.study.design.plan_file import (
     plan_of,
     plan_table,
+    preregistration,
     write_preregistration,
 )
-from smooth_operator.study.design.preregistration import preregistration
 from smooth_operator.study.design.protocol import Condition, Protocol, Task
 from smooth_operator.version import __version__
 

@@ -19,8 +19,13 @@ from smooth_operator.study.analysis.results import MODES
 from smooth_operator.study.design.plan import Plan, make_plan
 from smooth_operator.study.design.protocol import Condition, Protocol, Task
 from smooth_operator.study.power import power_run
-from smooth_operator.study.power.power_report import power_json, write_power
-from smooth_operator.study.power.power_run import LOG, PowerSettings, run_power
+from smooth_operator.study.power.power_run import (
+    LOG,
+    PowerSettings,
+    power_json,
+    run_power,
+    write_power,
+)
 from smooth_operator.study.power.simulated_study import (
     Simulator,
     Spread,

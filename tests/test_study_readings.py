@@ -12,8 +12,12 @@ from study_cases import simulate
 from smooth_operator.errors import StudyError
 from smooth_operator.study.analysis import Analysis, analyze_study
 from smooth_operator.study.analysis.models import clustered_wald, model_wald
-from smooth_operator.study.analysis.preference import Preference, preference
-from smooth_operator.study.analysis.readings import equivalences, reading_rows
+from smooth_operator.study.analysis.readings import (
+    Preference,
+    equivalences,
+    preference,
+    reading_rows,
+)
 from smooth_operator.study.analysis.results import Pair, Refused, ScopeResult, operator_weights
 from smooth_operator.study.analysis.spearman import correlation_within
 from smooth_operator.study.data import read_study

@@ -17,8 +17,13 @@ from study_cases import Row, simulate, write_rows
 from smooth_operator.cli import main
 from smooth_operator.study.analysis import analyze_study
 from smooth_operator.study.analysis.methods_text import CITATIONS
-from smooth_operator.study.analysis.report.conclusion import conclusion
-from smooth_operator.study.analysis.report.tables import number, p_equation, signed, with_minus
+from smooth_operator.study.analysis.report.tables import (
+    conclusion,
+    number,
+    p_equation,
+    signed,
+    with_minus,
+)
 from smooth_operator.study.data import read_study
 from smooth_operator.study.design.protocol import Condition, Protocol, Task
 

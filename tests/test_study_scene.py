@@ -14,8 +14,7 @@ from study_console import command, console_plan, due_command
 from smooth_operator.cli import main
 from smooth_operator.errors import StudyError
 from smooth_operator.simulation.tasks.task import GENERAL_RUBRIC, TASKS, RubricLine
-from smooth_operator.study.console.commands import Command
-from smooth_operator.study.console.session_service import SessionService
+from smooth_operator.study.console.session_service import Command, SessionService
 from smooth_operator.study.design.plan import Plan, make_plan
 from smooth_operator.study.design.plan_file import read_plan
 from smooth_operator.study.store.study_store import StudyStore, open_study

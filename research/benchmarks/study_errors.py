@@ -203,11 +203,10 @@ def draw(design: Design, plan: Plan, data: StudyData, rng: np.random.Generator) 
 
     trials, asked = data.trials, data.questionnaires
     assert asked is not None
-    logit = np.log(design.success / (1 - design.success)) + about(
-        trials, trials.trial_global, 0, 0.012
-    )
+    index = trials.trial_global
+    logit = np.log(design.success / (1 - design.success)) + about(trials, index, 0, 0.012)
     success = rng.random(len(logit)) < 1 / (1 + np.exp(-logit))
-    mean = MEANS[0] + about(trials, trials.trial_global, 1, -0.06)
+    mean = MEANS[0] + about(trials, index, 1, -0.06)
     noise = rng.standard_normal(len(mean))
     if design.log_normal:
         mean = np.maximum(mean, 3.0)

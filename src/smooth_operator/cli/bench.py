@@ -36,13 +36,7 @@ SOME_FAILED = 1
 
 
 def bench(options: Bench) -> None:
-    """Looks everything up, measures, writes, prints.
-
-    Raises:
-        SmoothOperatorError: the settings can't be met; nothing was measured.
-        SystemExit: with ``SOME_FAILED``.
-        KeyboardInterrupt: stopped; what is finished is kept.
-    """
+    """Looks everything up, measures, writes, prints."""
     if not options.no_report or options.sheet:
         require("the report (--no-report leaves it out)", "lab", "matplotlib")
     progress = Progressing(options.quiet)

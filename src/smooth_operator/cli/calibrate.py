@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, cast
 
 from tyro.conf import Positional, arg
 
-from smooth_operator.cli.common_options import Common, HandSide, Ordered
+from smooth_operator.cli.common_options import Common, HandSide, Ordered, Quiet
 from smooth_operator.errors import ConfigError, OutputError
 from smooth_operator.methods.default import DEFAULT_METHOD
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Calibrate(Ordered, Common):
+class Calibrate(Ordered, Common, Quiet):
     """Fit a robot hand to its operator: poses found in a recording, into a file for --operator."""
 
     work: ClassVar[str] = "smooth_operator.cli.calibrate:calibrate_recording"
@@ -80,16 +80,9 @@ Examples:
     json: bool = False
     """Print the report as one JSON object on standard output, and nothing else there."""
 
-    quiet: bool = False
-    """No progress on standard error."""
-
 
 def calibrate_recording(options: Calibrate) -> None:
-    """Reads, calibrates, writes three files, prints what was found.
-
-    Raises:
-        SmoothOperatorError: with the reason; nothing is then written.
-    """
+    """Reads, calibrates, writes three files, prints what was found."""
     from smooth_operator.atomic_files import atomic_write
     from smooth_operator.calibration.estimate import calibrate
     from smooth_operator.calibration.operator_file import write_operator
@@ -202,21 +195,17 @@ def _print(content: dict[str, Any]) -> None:
         f"{content['frames_used']} of {content['frames']} frames used",
         markup=False,
     )
-    table = plain_table()
-    for header in ("pose", "found", "sure", "note"):
-        table.add_column(header)
+    table = plain_table(None, ("pose", "found", "sure", "note"))
     for pose, row in content["poses"].items():
         times = len(row["segments"])
         sure = f"{row['confidence']:.2f}" if times else "–"
         table.add_row(pose, f"{times} ×" if times else "no", sure, row["note"])
     console.print(table)
-    table = plain_table()
-    table.add_column("finger")
-    for header in (
-        "reach [mm]", "robot's [mm]", "scale", "tip along, to pad [mm]", "gap in pinch [mm]",
-        "left, 90 % under [mm]",
-    ):  # fmt: skip
-        table.add_column(header, justify="right")
+    headers = (
+        "finger", "reach [mm]", "robot's [mm]", "scale", "tip along, to pad [mm]",
+        "gap in pinch [mm]", "left, 90 % under [mm]",
+    )  # fmt: skip
+    table = plain_table(None, headers, left=1)
     for name, finger in content["fingers"].items():
         gap, after = finger["pinch_gap_mm"], finger["pinch_gap_corrected_mm"]
         table.add_row(

@@ -39,7 +39,9 @@ class Common:
 
     Attributes:
         work: ``package.module:function``, called with the options. It is imported when the command
-            runs, so that ``--help`` loads none of it.
+            runs, so that ``--help`` loads none of it. It raises ``SmoothOperatorError`` with the
+            reason where the command can't be done (status 2), ``SystemExit`` with the status of a
+            run that is done in part, and ``KeyboardInterrupt`` where it was stopped (130).
         details: help below the first line of the class's docstring.
         more: help that only ``--help-all`` shows.
         rare: fields that only ``--help-all`` shows.
@@ -69,7 +71,15 @@ class Ordered:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Retargeting:
+class Quiet:
+    """Option of every command that shows its progress."""
+
+    quiet: bool = False
+    """No progress on standard error."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Retargeting(Quiet):
     """Options of every command that retargets."""
 
     hand: Annotated[str, arg(metavar="NAME")] = "mimic_p050"
@@ -96,9 +106,6 @@ class Retargeting:
 
     definition: Literal["sound", "paper"] = "sound"
     """Definition of the metrics; paper is as published, to compare with its table."""
-
-    quiet: bool = False
-    """No progress on standard error."""
 
 
 @dataclass(frozen=True, kw_only=True)

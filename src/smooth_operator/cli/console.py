@@ -6,7 +6,7 @@ import contextlib
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 from rich import box
 from rich.console import Console
@@ -196,9 +196,30 @@ def output_console(width: int = _WIDTH_OF_A_FILE) -> Console:
     return console
 
 
-def plain_table(title: str | Text | None = None) -> Table:
-    """A table with a line below its head and no frame."""
-    return Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+def plain_table(
+    title: str | Text | None = None,
+    headers: Iterable[str | Text] = (),
+    rows: Iterable[Iterable[str | Text]] = (),
+    *,
+    left: int | None = None,
+    **options: Any,
+) -> Table:
+    """A table with a line below its head and no frame.
+
+    Args:
+        title: title above it.
+        headers: head of each column.
+        rows: cells of each row.
+        left: number of columns that are aligned to the left, the others to the right; None for all.
+        options: options of rich for all columns.
+    """
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    for k, header in enumerate(headers):
+        aligned: Literal["left", "right"] = "left" if left is None or k < left else "right"
+        table.add_column(header, justify=aligned, **options)
+    for row in rows:
+        table.add_row(*row)
+    return table
 
 
 def print_summary(title: str, metrics: Mapping[str, object], following: Sequence[str]) -> None:

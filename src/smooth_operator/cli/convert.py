@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from tyro.conf import Positional, arg
 
-from smooth_operator.cli.common_options import Common, HandSide, Ordered
+from smooth_operator.cli.common_options import Common, HandSide, Ordered, Quiet
 from smooth_operator.errors import ConfigError, OutputError, RecordingError
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Convert(Ordered, Common):
+class Convert(Ordered, Common, Quiet):
     """Turn recordings and their commands into another file format, and back."""
 
     work: ClassVar[str] = "smooth_operator.cli.convert:convert"
@@ -99,20 +99,12 @@ Examples:
     overwrite: bool = False
     """Replace an output that this program wrote."""
 
-    quiet: bool = False
-    """Print important messages only."""
-
 
 _SUFFIX_OF: dict[Format, str] = {"mcap": ".mcap", "npz": ".npz", "hdf5": ".h5"}
 
 
 def convert(options: Convert) -> None:
-    """Finds the episodes, looks whether they may be written, and converts one after the other.
-
-    Raises:
-        SmoothOperatorError: with the reason. A dataset is then not there; of several files those
-            before the failing one are, each whole.
-    """
+    """Finds the episodes, looks whether they may be written, and converts one after the other."""
     from smooth_operator.cli.console import Progressing
     from smooth_operator.teleop.recording.convert import Source, find_sources, format_of, losses
     from smooth_operator.teleop.sources.webcam.camera import is_video

@@ -27,12 +27,7 @@ _SHOWN_FAILURES = 20
 
 
 def dataset(options: Dataset) -> None:
-    """Makes the data set, and reports what was kept and dropped.
-
-    Raises:
-        SmoothOperatorError: with the reason; what is finished stays.
-        SystemExit: 1, if a clip failed.
-    """
+    """Makes the data set, and reports what was kept and dropped."""
     request = request_of(options)
     progress = Progressing(options.quiet)
     shown = _Shown(progress)
@@ -159,12 +154,8 @@ def _print(summary: Summary) -> None:
         console.print(text, markup=False, soft_wrap=True)
 
     if summary.failed:
-        table = plain_table("failed")
-        table.add_column("clip", overflow="fold")
-        table.add_column("reason", overflow="fold")
-        for name, reason in list(summary.failed.items())[:_SHOWN_FAILURES]:
-            table.add_row(name, reason)
-        console.print(table)
+        shown = list(summary.failed.items())[:_SHOWN_FAILURES]
+        console.print(plain_table("failed", ("clip", "reason"), shown, overflow="fold"))
         if len(summary.failed) > _SHOWN_FAILURES:
             say(f"and {len(summary.failed) - _SHOWN_FAILURES} more")
     if summary.shard is not None:
@@ -175,12 +166,9 @@ def _print(summary: Summary) -> None:
         )
         return
     if summary.reasons:
-        table = plain_table("dropped")
-        table.add_column("limit")
-        table.add_column("episodes", justify="right")
-        for reason, number in sorted(summary.reasons.items(), key=lambda item: -item[1]):
-            table.add_row(reason, str(number))
-        console.print(table)
+        reasons = sorted(summary.reasons.items(), key=lambda item: -item[1])
+        rows = ((reason, str(number)) for reason, number in reasons)
+        console.print(plain_table("dropped", ("limit", "episodes"), rows, left=1))
     for note in summary.notes:
         say(note)
     say(

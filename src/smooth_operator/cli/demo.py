@@ -46,11 +46,7 @@ Examples:
 
 
 def demo(options: Demo) -> None:
-    """Records the operator, retargets, measures, writes the folder, serves the page.
-
-    Raises:
-        SmoothOperatorError: with the reason; what stood in the folder is then as it was.
-    """
+    """Records the operator, retargets, measures, writes the folder, serves the page."""
     from smooth_operator.errors import require
 
     require("a report with figures", "lab", "matplotlib")

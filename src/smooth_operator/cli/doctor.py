@@ -28,12 +28,7 @@ _START_S: Final = 2.0
 
 
 def doctor(options: Doctor) -> None:
-    """Prints what was found and measured, as tables or JSON, and what to change.
-
-    Raises:
-        ConfigError: fewer than 10 frames, or the preset needs a whole recording.
-        UnknownNameError: there is no such hand, method or preset.
-    """
+    """Prints what was found and measured, as tables or JSON, and what to change."""
     if options.frames < 10:
         raise ConfigError(f"--frames must be at least 10, not {options.frames}")
     hand = load_hand(options.hand, options.side)  # whatever is wrong is said now
@@ -120,18 +115,14 @@ def _print(
     advice: list[str],
 ) -> None:
     console = output_console()
-    table = plain_table("Machine")
-    table.add_column("")
-    table.add_column("found")
-    for name, value in report.items():
-        table.add_row(name.replace("_", " "), "-" if value is None else str(value))
-    console.print(table)
-    table = plain_table(f"{options.hand}, {options.method}: a fresh process to its first command")
-    for title in ("[s]", "first", "second"):
-        table.add_column(title, justify="left" if title == "[s]" else "right")
-    for name in starts[0].__dataclass_fields__:
-        table.add_row(name.replace("_", " "), *(f"{getattr(each, name):.2f}" for each in starts))
-    console.print(table)
+    rows = ((n.replace("_", " "), "-" if v is None else str(v)) for n, v in report.items())
+    console.print(plain_table("Machine", ("", "found"), rows))
+    times = (
+        (name.replace("_", " "), *(f"{getattr(each, name):.2f}" for each in starts))
+        for name in starts[0].__dataclass_fields__
+    )
+    title = f"{options.hand}, {options.method}: a fresh process to its first command"
+    console.print(plain_table(title, ("[s]", "first", "second"), times, left=1))
     console.print(
         f"A frame: {frames.p50_ms:.2f} ms (p50), {frames.p99_ms:.2f} ms (p99), "
         f"{frames.worst_ms:.2f} ms (worst of {frames.count}).",

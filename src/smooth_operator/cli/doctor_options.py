@@ -7,12 +7,12 @@ from typing import Annotated, ClassVar
 
 from tyro.conf import arg
 
-from smooth_operator.cli.common_options import METHOD_HELP, PRESET_HELP, Common, HandSide
+from smooth_operator.cli.common_options import METHOD_HELP, PRESET_HELP, Common, HandSide, Quiet
 from smooth_operator.methods.default import DEFAULT_METHOD
 
 
 @dataclass(frozen=True, kw_only=True)
-class Doctor(Common):
+class Doctor(Common, Quiet):
     """Where does time go on this machine, and what to change?"""
 
     work: ClassVar[str] = "smooth_operator.cli.doctor:doctor"
@@ -39,6 +39,3 @@ Examples:
 
     json: bool = False
     """One JSON object on standard output instead of the tables."""
-
-    quiet: bool = False
-    """No progress on standard error."""

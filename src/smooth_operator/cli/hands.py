@@ -180,14 +180,7 @@ def _row(name: str) -> Row:
 
 
 def remove_hand_command(options: Remove) -> None:
-    """Deletes spec files and copies of models, after asking.
-
-    Raises:
-        UnknownNameError: the user has no such hand.
-        HandModelError: the hand is built in, or has no such side.
-        ConfigError: it may not ask, or the answer was no.
-        OutputError: a file can't be deleted.
-    """
+    """Deletes spec files and copies of models, after asking."""
     from smooth_operator.hand_files.user_hands import removable, remove_hand
 
     files = ", ".join(str(path) for path in removable(options.hand, options.side))

@@ -81,14 +81,7 @@ Examples:
 
 
 def add_hand(options: Add) -> None:
-    """Analyses a model, prints what was found, writes the spec file, opens the page.
-
-    Raises:
-        HandModelError: the file can't be used, or holds no hand.
-        UnknownNameError: an option names a body that is not there.
-        ConfigError: an option can't be understood, or a hand of that name exists.
-        OutputError: the spec file can't be written.
-    """
+    """Analyses a model, prints what was found, writes the spec file, opens the page."""
     from smooth_operator.hand_files.user_hands import save_hand
     from smooth_operator.hands.registry import spec_name, user_hands_folder
     from smooth_operator.hands.spec_file import check_hand_name, read_hand_spec

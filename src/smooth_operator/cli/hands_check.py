@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Final
 
 from tyro.conf import Positional, arg
 
-from smooth_operator.cli.common_options import Common, HandSide
+from smooth_operator.cli.common_options import Common, HandSide, Quiet
 
 if TYPE_CHECKING:
     from smooth_operator.lab.validation import HandValidation
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Check(Common):
+class Check(Common, Quiet):
     """Is a hand's description right? Limits, axes, tips, pinches, and a round trip."""
 
     work: ClassVar[str] = "smooth_operator.cli.hands_check:check_hand_command"
@@ -49,9 +49,6 @@ Examples:
     json: bool = False
     """One JSON object on standard output instead of the checklist."""
 
-    quiet: bool = False
-    """No progress on standard error."""
-
 
 FAILED: Final = 1
 """Exit status when a check failed."""
@@ -65,13 +62,7 @@ _MARKS: Final[dict[Verdict, tuple[str, str]]] = {
 
 
 def check_hand_command(options: Check) -> None:
-    """Checks a hand and prints the checklist.
-
-    Raises:
-        UnknownNameError: there is no such hand.
-        HandModelError: it can't be loaded.
-        SystemExit: with ``FAILED``, if a check failed.
-    """
+    """Checks a hand and prints the checklist."""
     from smooth_operator.cli.console import Progressing
     from smooth_operator.compilation.cache import jax_cache
     from smooth_operator.lab.validation import check_hand

@@ -59,13 +59,7 @@ class Render(_OneHand):
 
 
 def show_hand(options: Show) -> None:
-    """Prints a hand's tables and serves its page until Ctrl-C.
-
-    Raises:
-        UnknownNameError: there is no such hand.
-        HandModelError: it can't be used.
-        ConfigError: the page can't be served there.
-    """
+    """Prints a hand's tables and serves its page until Ctrl-C."""
     from smooth_operator.cli.page import hand_to_draw
     from smooth_operator.hands.registry import load_hand
 
@@ -89,13 +83,7 @@ def show_hand(options: Show) -> None:
 
 
 def render_hand(options: Render) -> None:
-    """Writes a picture of a hand.
-
-    Raises:
-        UnknownNameError: there is no such hand.
-        HandModelError: it can't be used.
-        OutputError: the picture can't be written.
-    """
+    """Writes a picture of a hand."""
     from smooth_operator.cli.page import hand_to_draw
     from smooth_operator.hands.registry import load_hand
     from smooth_operator.teleop.pages.hand_picture import save_hand_picture
@@ -206,9 +194,6 @@ def _print_tables(hand: Hand) -> None:
     console.print(joints)
 
     say("landmarks in the palm frame, neutral pose [mm]")
-    points = plain_table()
-    for header in ("landmark", "x", "y", "z"):
-        points.add_column(header, justify="left" if header == "landmark" else "right")
-    for name, at in zip(hand.tree.names, hand.landmark_positions(hand.neutral), strict=True):
-        points.add_row(name, *(f"{1e3 * value + 0.0:.1f}" for value in at))
-    console.print(points)
+    points = zip(hand.tree.names, hand.landmark_positions(hand.neutral), strict=True)
+    rows = ((name, *(f"{1e3 * value + 0.0:.1f}" for value in at)) for name, at in points)
+    console.print(plain_table(None, ("landmark", "x", "y", "z"), rows, left=1))

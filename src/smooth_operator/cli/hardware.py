@@ -93,11 +93,7 @@ def list_hardware(options: List) -> None:
 
 
 def monitor_hardware(options: Monitor) -> None:
-    """Shows a hand until the time is over or Ctrl-C.
-
-    Raises:
-        SmoothOperatorError: it can't be opened.
-    """
+    """Shows a hand until the time is over or Ctrl-C."""
     sink, _, hand = opened(options.device, options.side, options.hand)
     try:
         sink.open({options.side: hand}, {})
@@ -176,9 +172,4 @@ def _picture(sink: HardwareSink, state: HandState | None) -> Table:
 
 
 def _rows(headers: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> Table:
-    table = plain_table()
-    for header in headers:
-        table.add_column(header, no_wrap=True)
-    for row in rows:
-        table.add_row(*(Text(cell) for cell in row))
-    return table
+    return plain_table(None, headers, (map(Text, row) for row in rows), no_wrap=True)

@@ -18,12 +18,7 @@ from smooth_operator.terminal import printable
 
 
 def check_hardware(options: Check) -> None:
-    """Goes through the actuators of a hand, and writes what was found.
-
-    Raises:
-        SmoothOperatorError: it can't be opened, or was lost on the way; nothing is written.
-        KeyboardInterrupt: a signal; the hand is relaxed and nothing is written.
-    """
+    """Goes through the actuators of a hand, and writes what was found."""
     table: ActuatorMap
     if options.ids is None:
         sink, table, hand = opened(options.device, options.side, options.hand)

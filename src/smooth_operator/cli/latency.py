@@ -44,11 +44,7 @@ _SHOWN: Final = ("p50", "p95", "p99", "max")
 
 
 def latency(options: Latency) -> None:
-    """Prints a table for each log, or JSON.
-
-    Raises:
-        RecordingError: a file is no log, or holds no commands.
-    """
+    """Prints a table for each log, or JSON."""
     from smooth_operator.formats.jsonable import to_json
     from smooth_operator.teleop.recording import read_log
     from smooth_operator.teleop.runtime.statistics import log_timing
@@ -67,16 +63,14 @@ def _print(path: Path, timing: Mapping[str, Any]) -> None:
     from smooth_operator.cli.console import output_console, plain_table
 
     console = output_console()
-    table = plain_table(str(path))
-    table.add_column("[ms]")
-    for name in _SHOWN:
-        table.add_column(name, justify="right")
     rows = {**timing["stages_ms"], "added: received to sent": timing.get("added_latency_ms", {})}
     rows["between commands"] = timing.get("interval_ms", {})
     rows = {name: row for name, row in rows.items() if row} or {"method": timing["method_ms"]}
-    for name, row in rows.items():
-        table.add_row(name, *(f"{row[key]:.2f}" if key in row else "–" for key in _SHOWN))
-    console.print(table)
+    cells = (
+        (name, *(f"{row[key]:.2f}" if key in row else "–" for key in _SHOWN))
+        for name, row in rows.items()
+    )
+    console.print(plain_table(str(path), ("[ms]", *_SHOWN), cells, left=1))
     parts = [f"{timing['commands']} commands"]
     if "rate_hz" in timing:
         parts.append(f"{timing['frames_answered']} of them answer frames")

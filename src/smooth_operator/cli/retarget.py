@@ -89,12 +89,7 @@ Examples:
 
 
 def retarget(options: Retarget) -> None:
-    """Reads, retargets, measures, writes; all that a user can get wrong is checked first.
-
-    Raises:
-        SmoothOperatorError: with the reason; nothing is then left half done.
-        SystemExit: 1, if some recordings of a folder failed.
-    """
+    """Reads, retargets, measures, writes; all that a user can get wrong is checked first."""
     from smooth_operator.cli.console import Progressing, print_metrics, print_summary
     from smooth_operator.cli.outputs import check_commands_path, folder_for
     from smooth_operator.cli.session import execute_shown, measure_shown, requested
@@ -333,12 +328,8 @@ def _print_summary(summary: Mapping[str, Any], output: Path) -> None:
     recordings = summary["recordings"]
     failures = [entry for entry in recordings if entry["state"] == "failed"]
     if failures:
-        table = plain_table("failed")
-        table.add_column("recording", overflow="fold")
-        table.add_column("reason", overflow="fold")
-        for entry in failures[:_SHOWN_FAILURES]:
-            table.add_row(entry["name"], entry["reason"] or "")
-        console.print(table)
+        shown = ((entry["name"], entry["reason"] or "") for entry in failures[:_SHOWN_FAILURES])
+        console.print(plain_table("failed", ("recording", "reason"), shown, overflow="fold"))
         if len(failures) > _SHOWN_FAILURES:
             left = len(failures) - _SHOWN_FAILURES
             console.print(f"and {left} more in {SUMMARY}", soft_wrap=True)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Final
 
 from tyro.conf import Positional, arg
 
-from smooth_operator.cli.common_options import Common, Synthetic
+from smooth_operator.cli.common_options import Common, Quiet, Synthetic
 from smooth_operator.errors import OutputError
 
 if TYPE_CHECKING:
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sample(Common, Synthetic):
+class Sample(Common, Synthetic, Quiet):
     """Write a recording of the built-in operator, as input for the other commands."""
 
     work: ClassVar[str] = "smooth_operator.cli.sample:sample"
@@ -39,20 +39,12 @@ Examples:
     overwrite: bool = False
     """Replace an existing file."""
 
-    quiet: bool = False
-    """Print nothing on standard error."""
-
 
 _SUFFIXES: Final = (".npz", ".mcap", ".h5", ".hdf5")
 
 
 def sample(options: Sample) -> None:
-    """Records the operator and writes the file.
-
-    Raises:
-        ConfigError: a setting is outside its range.
-        OutputError: the suffix names no format, the file exists, or it can't be written.
-    """
+    """Records the operator and writes the file."""
     from smooth_operator.cli.console import Progressing
     from smooth_operator.cli.outputs import folder_for
     from smooth_operator.formats.episode import Episode

@@ -16,24 +16,18 @@ from smooth_operator.errors import ConfigError, StudyError
 from smooth_operator.study.analysis import Analysis, analyze_study
 from smooth_operator.study.analysis.operators import flow_text, leave_out
 from smooth_operator.study.analysis.output import write_analysis
-from smooth_operator.study.analysis.report.conclusion import conclusion
+from smooth_operator.study.analysis.report.tables import conclusion
 from smooth_operator.study.analysis.results import MODES
 from smooth_operator.study.data import read_study
 from smooth_operator.study.data.reading import NAMES
-from smooth_operator.study.store.database import FILE
+from smooth_operator.study.store.study_store import FILE
 
 SOME_REFUSED: Final = 1
 """Exit status if some parts of the analysis were refused with a reason."""
 
 
 def analyze_command(options: Analyze) -> None:
-    """Analyses a study, writes the results and prints the conclusion.
-
-    Raises:
-        StudyError: the data can't be used; nothing is written then.
-        OutputError: the folder can't be written to.
-        SystemExit: a part was refused; the status is ``SOME_REFUSED``.
-    """
+    """Analyses a study, writes the results and prints the conclusion."""
     progress = Progressing(options.quiet)
     if not options.study:
         raise ConfigError("no data: give a folder, tables (.csv) or a JSON file")

@@ -8,19 +8,13 @@ from pathlib import Path
 from smooth_operator.cli.study_options import Erase, Export
 from smooth_operator.errors import ConfigError, UnknownNameError
 from smooth_operator.study.design.plan_file import NAME, read_plan, write_plan
-from smooth_operator.study.store.database import FILE
 from smooth_operator.study.store.export import export_study
-from smooth_operator.study.store.study_store import open_study
+from smooth_operator.study.store.study_store import FILE, open_study
 from smooth_operator.terminal import printable
 
 
 def export_data(options: Export) -> None:
-    """Exports the data and prints the names of the files.
-
-    Raises:
-        StudyError: there is no such study.
-        OutputError: a file can't be written.
-    """
+    """Exports the data and prints the names of the files."""
     _check_there(options.study)
     with open_study(options.study) as store:
         files = export_study(store, options.output, operators=options.operator or None)
@@ -28,13 +22,7 @@ def export_data(options: Export) -> None:
 
 
 def erase_data(options: Erase) -> None:
-    """Deletes the data of an operator after asking, and takes them off the plan in the folder.
-
-    Raises:
-        StudyError: there is no such study.
-        UnknownNameError: there is no such operator.
-        ConfigError: there is no terminal to ask in, and --yes is missing.
-    """
+    """Deletes the data of an operator after asking, and takes them off the plan in the folder."""
     _check_there(options.study)
     with open_study(options.study) as store:
         if options.operator not in (*store.plan.codes, *store.erased):

@@ -17,8 +17,7 @@ from smooth_operator.formats.csv_table import csv_text
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.io.documents import parse_json
-from smooth_operator.study.data.checked_tables import METRIC_COLUMNS
-from smooth_operator.study.data.reading import NAMES
+from smooth_operator.study.data.reading import METRIC_COLUMNS, NAMES
 from smooth_operator.study.data.take_metrics import (
     METRIC_NAMES,
     Take,
@@ -32,13 +31,7 @@ from smooth_operator.types import CommandTrajectory
 
 
 def study_metrics(options: Metrics) -> None:
-    """Writes the table of simulation metrics.
-
-    Raises:
-        StudyError: there is no such study, or no trial of it is in the takes.
-        RecordingError: a take can't be read.
-        OutputError: the table can't be written.
-    """
+    """Writes the table of simulation metrics."""
     progress = Progressing()
     folder = Path(options.study)
     folder = folder if folder.is_dir() else folder.parent

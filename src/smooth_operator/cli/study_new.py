@@ -51,13 +51,7 @@ _STORE: Final = "study.db"
 
 
 def new_study(options: New) -> None:
-    """Makes a plan, writes its files and prints the schedule.
-
-    Raises:
-        StudyError: the options make no study.
-        ConfigError: the folder holds a study already, or options contradict each other.
-        OutputError: a file can't be written.
-    """
+    """Makes a plan, writes its files and prints the schedule."""
     folder = options.folder
     file = folder / NAME
     if file.exists() and not options.overwrite:
@@ -83,12 +77,7 @@ def new_study(options: New) -> None:
 
 
 def enrol_operator(options: Enrol) -> None:
-    """Adds an operator to the plan in the file and in the store.
-
-    Raises:
-        StudyError: there is no such study, or the operator does these tasks already.
-        OutputError: a file can't be written.
-    """
+    """Adds an operator to the plan in the file and in the store."""
     folder = options.study if options.study.is_dir() else options.study.parent
     plan = read_plan(options.study)
     if (folder / _STORE).exists():  # what is stored decides: the code may be that of one erased
@@ -177,13 +166,9 @@ def _task(text: str, templates: dict[str, Task]) -> Task:
 def _print(plan: Plan) -> None:
     console = output_console(140)
     protocol = plan.protocol
-    table = plain_table(f"{protocol.name}: schedule")
     heading, *rows = schedule_table(plan)
-    for name in heading:
-        table.add_column(name)
-    for row in rows:
-        table.add_row(*map(Text, row))
-    console.print(table)
+    cells = (map(Text, row) for row in rows)
+    console.print(plain_table(f"{protocol.name}: schedule", heading, cells))
     labels = ", ".join(f"{c.label} = {c.name}" for c in protocol.conditions)
     console.print(f"labels for operators: {labels}", markup=False, soft_wrap=True)
     run = ", ".join(" ".join(filter(None, (c.method, c.preset))) for c in protocol.conditions)

@@ -18,15 +18,17 @@ from smooth_operator.simulation.tasks.task import PAPER_TASKS
 from smooth_operator.study.analysis.results import MODES
 from smooth_operator.study.design.plan_file import read_plan
 from smooth_operator.study.design.protocol import Protocol
-from smooth_operator.study.power.power_report import (
+from smooth_operator.study.power.power_run import (
     TITLES,
+    TRUTHS,
+    PowerSettings,
     Tallies,
     errs,
     power_json,
     rate_of,
+    run_power,
     write_power,
 )
-from smooth_operator.study.power.power_run import TRUTHS, PowerSettings, run_power
 from smooth_operator.study.power.simulated_study import Spread, assumptions_for
 from smooth_operator.study.power.verdicts import Rate
 from smooth_operator.terminal import printable
@@ -35,12 +37,7 @@ _SHARES: Final = (1 / 3, 2 / 3, 1.0, 4 / 3, 2.0)
 
 
 def simulate_power(options: Power) -> None:
-    """Simulates, prints, writes.
-
-    Raises:
-        StudyError: there is no such study, or the assumptions can't be.
-        OutputError: the folder can't be written to.
-    """
+    """Simulates, prints, writes."""
     settings = _settings(options)
     folder = options.output or (_home(options.study) / "power")
     progress = Progressing(quiet=options.json)

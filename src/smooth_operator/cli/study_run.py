@@ -12,8 +12,7 @@ from pathlib import Path
 from smooth_operator.cli.study_options import Run
 from smooth_operator.errors import ConfigError
 from smooth_operator.signals import Ending, ended_by_signals
-from smooth_operator.study.console.access import auth_for
-from smooth_operator.study.console.server import Console, check_installed
+from smooth_operator.study.console.server import Console, auth_for, check_installed
 from smooth_operator.study.console.session_service import SessionService
 from smooth_operator.study.console.switching import Teleop
 from smooth_operator.study.design.plan import Plan
@@ -22,9 +21,8 @@ from smooth_operator.study.design.plan_file import (
     read_plan,
     write_plan_files,
 )
-from smooth_operator.study.store.database import FILE
 from smooth_operator.study.store.nasa_tlx import ENGLISH, TlxWords, read_words
-from smooth_operator.study.store.study_store import StudyStore, open_study
+from smooth_operator.study.store.study_store import FILE, StudyStore, open_study
 from smooth_operator.terminal import print_note
 from smooth_operator.web.addresses import is_local
 from smooth_operator.web.browser import open_page
@@ -32,13 +30,7 @@ from smooth_operator.web.listening import listen
 
 
 def run_study(options: Run) -> None:
-    """Serves the pages of a study until Ctrl-C.
-
-    Raises:
-        StudyError: there is no such study, or its store can't be opened.
-        ConfigError: the pages can't be served there.
-        MissingExtraError: a package of the console or the teleoperation is missing.
-    """
+    """Serves the pages of a study until Ctrl-C."""
     check_installed()
     teleop = _teleop(options.teleop)
     folder = _folder(options.study)

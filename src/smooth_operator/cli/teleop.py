@@ -147,13 +147,7 @@ Exit status: 0 done, 1 a sink failed (the summary says which), 2 something can't
 
 
 def teleop(options: Teleop) -> None:
-    """Runs a teleoperation, with keys in the terminal and what happens on standard error.
-
-    Raises:
-        SmoothOperatorError: something can't be opened; nothing has moved then.
-        SystemExit: 1, a sink failed on the way.
-        KeyboardInterrupt: a signal; everything is closed and what it came to is printed.
-    """
+    """Runs a teleoperation, with keys in the terminal and what happens on standard error."""
     from smooth_operator.cli.console import Progressing
     from smooth_operator.teleop.run import PageSettings, teleoperate
 

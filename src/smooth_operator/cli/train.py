@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Final, Literal
 
 from tyro.conf import Positional, arg
 
-from smooth_operator.cli.common_options import Common, HandSide, Ordered
+from smooth_operator.cli.common_options import Common, HandSide, Ordered, Quiet
 from smooth_operator.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Train(Ordered, Common):
+class Train(Ordered, Common, Quiet):
     """Train a learning-based method for a robot hand: geort."""
 
     work: ClassVar[str] = "smooth_operator.cli.train:train"
@@ -78,20 +78,12 @@ Examples:
     resume: bool = False
     """Continue the training in DIR, started with the same recording and options."""
 
-    quiet: bool = False
-    """No progress on standard error."""
-
 
 SYNTHETIC: Final = "synthetic"
 
 
 def train(options: Train) -> None:
-    """Reads, trains, writes.
-
-    Raises:
-        SmoothOperatorError: with the reason.
-        KeyboardInterrupt: stopped, after saying how to go on.
-    """
+    """Reads, trains, writes."""
     from smooth_operator.cli.console import Progressing
     from smooth_operator.cli.outputs import folder_for
     from smooth_operator.compilation.cache import jax_cache

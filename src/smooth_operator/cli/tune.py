@@ -18,12 +18,7 @@ from smooth_operator.lab.tuning.tune import FIGURES
 
 
 def tune(options: Tune) -> None:
-    """Looks everything up, searches, writes, prints.
-
-    Raises:
-        SmoothOperatorError: the request is invalid; nothing was tried then.
-        KeyboardInterrupt: stopped; the trials are on disk, and the best of them is written.
-    """
+    """Looks everything up, searches, writes, prints."""
     progress = Progressing(options.quiet)
     dispatch_here()  # before planning, which may start JAX
     settings = tuning.TuningSettings(
@@ -94,13 +89,12 @@ def _bar(progress: Progressing, trials: int) -> Iterator[Callable[..., None]]:
 
 def _print(plan: tuning.Tuning, tuned: tuning.Tuned) -> None:
     console = output_console()
-    values = plain_table(f"score {tuned.score:.4f}")
-    for header in ("setting", "start", "best", "between"):
-        values.add_column(header, justify="left" if header == "setting" else "right")
-    for v in plan.variables:
-        best = tuned.values[v.path]
-        values.add_row(v.path, f"{v.start:.4g}", f"{best:.4g}", f"{v.low:.4g} … {v.high:.4g}")
-    console.print(values)
+    rows = (
+        (v.path, f"{v.start:.4g}", f"{tuned.values[v.path]:.4g}", f"{v.low:.4g} … {v.high:.4g}")
+        for v in plan.variables
+    )
+    headers = ("setting", "start", "best", "between")
+    console.print(plain_table(f"score {tuned.score:.4f}", headers, rows, left=1))
     figures = plain_table()
     figures.add_column("figure, start → best", no_wrap=True)
     for source in plan.sources:

@@ -64,13 +64,7 @@ Examples:
 
 
 def view(options: View) -> None:
-    """Matches commands and frames, and serves the page until Ctrl-C.
-
-    Raises:
-        RecordingError: a file can't be read, or the commands do not belong to the recording.
-        HandModelError: the commands are not of this hand, or of different hands.
-        ConfigError: too few files are named, or the page can't be served there.
-    """
+    """Matches commands and frames, and serves the page until Ctrl-C."""
     if options.save is not None:
         from smooth_operator.simulation.renderer import draw_off_screen
 

@@ -14,7 +14,7 @@ from smooth_operator.reporting.report_page import templates
 from smooth_operator.study.analysis.analyze import Analysis
 from smooth_operator.study.analysis.operators import flow_text
 from smooth_operator.study.analysis.results import MODES, OUTCOMES, ScopeResult
-from smooth_operator.study.design.latin import balanced_rows
+from smooth_operator.study.design.plan import balanced_rows
 from smooth_operator.version import __version__
 
 

@@ -11,12 +11,6 @@ from jaxtyping import Float
 from scipy.stats import kurtosis, levene, shapiro, skew
 
 from smooth_operator.errors import StudyError
-from smooth_operator.study.analysis.contrasts import (
-    Comparisons,
-    coefficients,
-    compare,
-    linear_means,
-)
 from smooth_operator.study.analysis.frame import INDEX, Frame, check_frame
 from smooth_operator.study.analysis.gee import (
     GeeFit,
@@ -25,7 +19,15 @@ from smooth_operator.study.analysis.gee import (
     separating,
 )
 from smooth_operator.study.analysis.mixed import MixedFit
-from smooth_operator.study.analysis.models import ONE_SIDED, Fit, fit_modes
+from smooth_operator.study.analysis.models import (
+    ONE_SIDED,
+    Comparisons,
+    Fit,
+    coefficients,
+    compare,
+    fit_modes,
+    linear_means,
+)
 from smooth_operator.study.analysis.results import MODES, Mode, Outcome, Refused, ScopeResult
 from smooth_operator.study.analysis.separated import in_words, split
 

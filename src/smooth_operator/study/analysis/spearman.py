@@ -18,8 +18,8 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.study.analysis.contrasts import correlation_in_words
 from smooth_operator.study.analysis.dunnett import holm, quantile, two_sided
+from smooth_operator.study.analysis.models import correlation_in_words
 from smooth_operator.study.analysis.results import operator_signs, operator_weights
 from smooth_operator.study.data.rows import StudyData
 

@@ -126,13 +126,6 @@ class Condition:
         method, _, preset = what.partition(":")
         return cls(name, method or name, preset or None)
 
-    @property
-    def text(self) -> str:
-        """Shortest text that ``of`` parses to this condition."""
-        if self.preset is not None:
-            return f"{self.name}={self.method}:{self.preset}"
-        return self.name if self.method == self.name else f"{self.name}={self.method}"
-
 
 @dataclass(frozen=True)
 class Protocol:

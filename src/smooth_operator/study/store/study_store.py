@@ -1,24 +1,31 @@
-"""Store of a study: appends events, and computes the progress of operators from them.
+"""Store of a study: appends events to SQLite, and computes the progress of operators from them.
 
 An event is acknowledged (``append`` returns) when it is on disk. Any number of processes may write
-to one store; each decides on what is stored when its turn comes.
+to one store; each decides on what is stored when its turn comes. Triggers refuse to change an
+event, and to delete one whose operator was not erased first; erasing leaves a row that says so.
+Times are ISO 8601 text in UTC.
 """
 
 from __future__ import annotations
 
+import contextlib
 import json
+import os
+import sqlite3
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from sqlite3 import Connection, Row
-from typing import Final
+from typing import Any, Final
 
-from smooth_operator.errors import StudyError
+from smooth_operator.errors import DocumentError, StudyError
+from smooth_operator.io.documents import parse_json
 from smooth_operator.study.design.plan import Plan
 from smooth_operator.study.design.plan_file import plan_of, plan_table
-from smooth_operator.study.store.database import Database, stored
 from smooth_operator.study.store.events import (
     Event,
     Record,
@@ -27,6 +34,220 @@ from smooth_operator.study.store.events import (
     payload,
 )
 from smooth_operator.study.store.progress import Progress, check_event, replay
+
+FILE: Final = "study.db"
+"""Name of the SQLite file in the folder of a study."""
+FORMAT: Final = 1
+"""Version of the tables, stored as SQLite's ``user_version``; a newer one is refused."""
+BUSY_S: Final = 60.0
+"""Longest time that a writer waits for its turn [s]."""
+_TABLES: Final = (
+    "CREATE TABLE plans (id INTEGER PRIMARY KEY, at TEXT NOT NULL, plan TEXT NOT NULL)",
+    """CREATE TABLE participants (operator TEXT PRIMARY KEY, created_at TEXT NOT NULL,
+    erased_at TEXT)""",
+    """CREATE TABLE events (id INTEGER PRIMARY KEY, operator TEXT NOT NULL,
+    number INTEGER NOT NULL, kind TEXT NOT NULL, at TEXT NOT NULL, author TEXT NOT NULL,
+    token TEXT UNIQUE, payload TEXT NOT NULL, UNIQUE (operator, number))""",
+    """CREATE TRIGGER events_never_change BEFORE UPDATE ON events
+    BEGIN SELECT RAISE(ABORT, 'events are append-only'); END""",
+    """CREATE TRIGGER events_never_vanish BEFORE DELETE ON events
+    WHEN NOT EXISTS (SELECT 1 FROM participants p WHERE p.operator = OLD.operator
+      AND p.erased_at IS NOT NULL)
+    BEGIN SELECT RAISE(ABORT, 'events are append-only'); END""",
+    """CREATE TRIGGER plans_never_change BEFORE UPDATE ON plans
+    BEGIN SELECT RAISE(ABORT, 'plans are append-only'); END""",
+    """CREATE TRIGGER plans_never_vanish BEFORE DELETE ON plans
+    BEGIN SELECT RAISE(ABORT, 'plans are append-only'); END""",
+    f"PRAGMA user_version = {FORMAT}",
+)
+
+
+class Database:
+    """One open file. All methods may be called from any thread; transactions take turns.
+
+    Args:
+        target: folder of a study, or its SQLite file, which is created if missing.
+
+    Raises:
+        StudyError: the file can't be opened, or is no SQLite database.
+    """
+
+    def __init__(self, target: str | Path) -> None:
+        self._path = _path_of(target)
+        self._lock = threading.RLock()
+        try:
+            _make_private(self._path)
+            self._connection = sqlite3.connect(
+                self._path, timeout=BUSY_S, isolation_level=None, check_same_thread=False
+            )
+        except (sqlite3.Error, OSError) as error:
+            raise StudyError(f"can't open the store {self._path}: {error}") from error
+        try:
+            self._connection.row_factory = sqlite3.Row
+            _use_write_ahead_log(self._connection)
+            # An event is on disk before it is acknowledged; an erased one can't be read from disk.
+            for setting in ("synchronous=FULL", "foreign_keys=ON", "secure_delete=ON"):
+                self._connection.execute(f"PRAGMA {setting}")
+            self._file = os.stat(self._path).st_ino
+            self._create()
+        except (sqlite3.Error, OSError) as error:
+            self.close()
+            raise StudyError(f"can't open the store {self._path}: {error}") from error
+        except BaseException:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """Closes the file."""
+        with self._lock:
+            self._connection.close()
+
+    @contextmanager
+    def writing(self) -> Iterator[sqlite3.Connection]:
+        """Runs a transaction that is on disk when it ends, or leaves nothing after an exception.
+
+        A writer locks the file before it reads, or two would decide on the same state.
+
+        Raises:
+            StudyError: nothing was written; says why.
+        """
+        with self._lock:
+            try:
+                with self._transaction("BEGIN IMMEDIATE"):
+                    yield self._connection
+                    self._check_file()
+            except (sqlite3.Error, OSError) as error:
+                raise StudyError(f"nothing was written: {error}") from error
+
+    @contextmanager
+    def reading(self) -> Iterator[sqlite3.Connection]:
+        """Runs a transaction that sees one state; inside ``writing`` it is a part of that one.
+
+        Raises:
+            StudyError: the file can't be read; says why.
+        """
+        with self._lock:
+            if self._connection.in_transaction:
+                yield self._connection
+                return
+            try:
+                with self._transaction("BEGIN"):
+                    self._check_file()
+                    yield self._connection
+            except (sqlite3.Error, OSError) as error:
+                raise StudyError(f"the store can't be read: {error}") from error
+
+    @contextmanager
+    def _transaction(self, begin: str) -> Iterator[None]:
+        self._connection.execute(begin)
+        try:
+            yield
+            self._connection.execute("COMMIT")
+        except BaseException:
+            if self._connection.in_transaction:
+                self._connection.execute("ROLLBACK")
+            raise
+
+    def version(self) -> tuple[int, int]:
+        """Numbers that differ after each change of the file, by this program or another one."""
+        with self.reading() as connection:
+            (others,) = connection.execute("PRAGMA data_version").fetchone()
+            return int(others), connection.total_changes
+
+    def empty_write_ahead_log(self) -> None:
+        """Removes deleted content that is still in the write-ahead log.
+
+        Raises:
+            StudyError: another program that reads the file keeps the content alive.
+        """
+        with self._lock:
+            busy, *_ = self._connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()
+        if busy:
+            raise StudyError(
+                "the data was deleted, but another program that reads the store keeps old pages "
+                "of it alive; end that, and delete again"
+            )
+
+    def _check_file(self) -> None:
+        """Refuses a file that was deleted or moved away; SQLite would write into it silently."""
+        try:
+            now = os.stat(self._path).st_ino
+        except FileNotFoundError:
+            raise OSError(f"{self._path} was deleted or moved away") from None
+        if now != self._file:
+            raise OSError(f"{self._path} was replaced by another file")
+
+    def _create(self) -> None:
+        """Creates the tables in an empty file.
+
+        Raises:
+            StudyError: the file holds other tables, or those of a newer program.
+        """
+        with self.reading() as connection:
+            if self._has_tables(connection):
+                return
+        with self.writing() as connection:
+            if not self._has_tables(connection):
+                for statement in _TABLES:
+                    connection.execute(statement)
+
+    def _has_tables(self, connection: sqlite3.Connection) -> bool:
+        names = {row[0] for row in connection.execute("SELECT name FROM sqlite_master")}
+        (version,) = connection.execute("PRAGMA user_version").fetchone()
+        if names and (version != FORMAT or "events" not in names):
+            raise StudyError(
+                f"can't open the store {self._path}: it is in format {version}, this program reads "
+                f"{FORMAT}: update it, or give the study.db of a study"
+            )
+        return bool(names)
+
+
+def stored(text: str, what: str) -> Any:
+    """Parses a value that the database holds as JSON and another program may have damaged.
+
+    Raises:
+        StudyError: it is no JSON.
+    """
+    try:
+        return parse_json(text)
+    except DocumentError as error:
+        raise StudyError(f"{what} is damaged: {error}; restore the database from a copy") from error
+
+
+def _path_of(target: str | Path) -> Path:
+    path = Path(target)
+    if path.is_dir():
+        path = path / FILE
+    if not path.parent.is_dir():
+        raise StudyError(f"can't open the store {path}: there is no folder {path.parent}")
+    return path.absolute()
+
+
+def _make_private(path: Path) -> None:
+    """Creates the file for its owner alone; leaves an existing one unchanged.
+
+    It holds what people did and how they felt. SQLite gives its log file the same rights.
+    """
+    with contextlib.suppress(FileExistsError):
+        os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600))
+
+
+def _use_write_ahead_log(connection: sqlite3.Connection) -> None:
+    """Turns on the write-ahead log, with which readers don't block writers.
+
+    SQLite does not wait for this change as it does for others.
+    """
+    until = time.monotonic() + BUSY_S
+    while True:
+        try:
+            if connection.execute("PRAGMA journal_mode").fetchone()[0] == "wal":
+                return
+            connection.execute("PRAGMA journal_mode=WAL").fetchone()
+        except sqlite3.OperationalError as error:
+            if "locked" not in str(error) or time.monotonic() > until:
+                raise
+        time.sleep(0.01 + 0.01 * (os.getpid() % 7))
+
 
 AUTHORS: Final = ("experimenter", "operator", "system")
 """Possible authors of an event."""
@@ -61,7 +282,7 @@ def open_study(target: str | Path, plan: Plan | None = None) -> StudyStore:
     Raises:
         StudyError: the store can't be opened, is empty, or has another protocol.
     """
-    store = StudyStore(Database(target))
+    store = StudyStore(target)
     try:
         if plan is not None:
             store.revise(plan)
@@ -72,19 +293,15 @@ def open_study(target: str | Path, plan: Plan | None = None) -> StudyStore:
         raise
 
 
-class StudyStore:
+class StudyStore(Database):
     """A study in a file; made by ``open_study``. All methods may be called from any thread."""
 
-    def __init__(self, database: Database) -> None:
-        self._database = database
+    def __init__(self, target: str | Path) -> None:
+        super().__init__(target)
         self._progress: dict[str, Progress] = {}
         self._plan: tuple[int, Plan] | None = None
         self.clock = Clock()
         """Clock of all times and durations."""
-
-    def close(self) -> None:
-        """Closes the file."""
-        self._database.close()
 
     @property
     def plan(self) -> Plan:
@@ -93,7 +310,7 @@ class StudyStore:
         Raises:
             StudyError: no study is stored.
         """
-        with self._database.reading() as connection:
+        with self.reading() as connection:
             return self._newest_plan(connection)
 
     @property
@@ -105,7 +322,7 @@ class StudyStore:
     def erased(self) -> tuple[str, ...]:
         """Operators whose data was deleted; their codes are not used again."""
         query = "SELECT operator FROM participants WHERE erased_at IS NOT NULL ORDER BY operator"
-        with self._database.reading() as connection:
+        with self.reading() as connection:
             return tuple(row["operator"] for row in connection.execute(query))
 
     def absent(self) -> tuple[str, ...]:
@@ -144,7 +361,7 @@ class StudyStore:
         if author not in AUTHORS:
             raise StudyError(f"an author is one of {', '.join(AUTHORS)}, not {author!r}")
         event = event_of(event.kind, payload(event))  # as strict as reading it back will be
-        with self._database.writing() as connection:
+        with self.writing() as connection:
             self._enter(connection, operator)
             if token is not None and (written := self._by_token(connection, token)) is not None:
                 whose, record = written
@@ -164,12 +381,8 @@ class StudyStore:
 
     def recorded(self, token: str) -> tuple[str, Record] | None:
         """Finds the operator and the record that were written with a token."""
-        with self._database.reading() as connection:
+        with self.reading() as connection:
             return self._by_token(connection, token)
-
-    def version(self) -> tuple[int, int]:
-        """Numbers that differ after each change, by this program or another one."""
-        return self._database.version()
 
     def progress(self, operator: str) -> Progress:
         """Computes the progress of an operator.
@@ -181,13 +394,13 @@ class StudyStore:
             UnknownNameError: no such operator takes part.
             StudyError: the data was deleted.
         """
-        with self._database.reading() as connection:
+        with self.reading() as connection:
             _check_not_erased(connection, operator)
             return self._updated(connection, operator)
 
     def records(self, operator: str) -> list[Record]:
         """Returns all events of an operator in their order, undone ones and undoings included."""
-        with self._database.reading() as connection:
+        with self.reading() as connection:
             return list(_records(connection, operator, 0))
 
     def revise(self, plan: Plan) -> None:
@@ -197,7 +410,7 @@ class StudyStore:
             StudyError: the new plan has other rows for someone who has begun or, once anyone has,
                 another protocol or other orders.
         """
-        with self._database.writing() as connection:
+        with self.writing() as connection:
             if _newest_plan_id(connection) is not None:
                 before = self._newest_plan(connection)
                 if plan == before:
@@ -217,7 +430,7 @@ class StudyStore:
         Raises:
             UnknownNameError: no such operator takes part.
         """
-        with self._database.writing() as connection:
+        with self.writing() as connection:
             if operator not in self.erased:
                 self._enter(connection, operator)
                 connection.execute(
@@ -226,7 +439,7 @@ class StudyStore:
                 _insert_plan(connection, self._newest_plan(connection).withdraw(operator))
             query = "DELETE FROM events WHERE operator = ?"
             deleted = connection.execute(query, (operator,)).rowcount
-        self._database.empty_write_ahead_log()
+        self.empty_write_ahead_log()
         return deleted
 
     def __enter__(self) -> StudyStore:

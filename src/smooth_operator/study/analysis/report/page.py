@@ -11,8 +11,8 @@ from smooth_operator.reporting.report_page import Plots, templates, write_report
 from smooth_operator.study.analysis.analyze import Analysis
 from smooth_operator.study.analysis.methods_text import cited, methods_paragraph
 from smooth_operator.study.analysis.report import tables
-from smooth_operator.study.analysis.report.conclusion import NAMES, conclusion
 from smooth_operator.study.analysis.report.figures import FIGURES
+from smooth_operator.study.analysis.report.tables import NAMES, conclusion
 
 REPORT: Final = "report.html"
 FOLDER: Final = "figures"
