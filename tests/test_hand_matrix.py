@@ -46,7 +46,7 @@ EVERY_RUN = {
 """Hands of each run of the tests (coupled joints, four fingers, mirrored, a model for each side)
 and their methods: each method once, since compiling is the time. The weekly run has all pairs."""
 SIDES = ("right", "left")
-BOTH_SIDES = ("mimic_p050", "shadow_hand")
+BOTH_SIDES = ("mimic_p050",)
 """Hands of each run of the tests whose left side is tried, too."""
 SIDED = [
     *((name, side) for name in EVERY_RUN for side in SIDES

@@ -390,7 +390,7 @@ def test_ray_is_the_pool(tmp_path: Path) -> None:
     assert (results[3].error or "").startswith("MissingExtraError: this needs")
 
 
-def test_a_local_cluster_that_starts_slowly_is_started_again() -> None:
+def test_a_local_cluster_is_started_again_and_an_absent_one_is_named() -> None:
     class Ray:
         """Ray, on a machine that is too slow for it ``slow`` times."""
 
@@ -413,16 +413,13 @@ def test_a_local_cluster_that_starts_slowly_is_started_again() -> None:
         assert once.calls == ["init local", "shutdown", "init local"]
     with pytest.raises(WorkerError, match="timed out"), cluster.connected(twice, "local", 2):
         pass
+    absent = pytest.raises(WorkerError, match="can't reach the Ray cluster 'nobody:1'")
+    with absent, cluster.connected(Ray(0), "nobody:1", None):
+        pass
 
 
 def on_ray(task: Any) -> Any:
     return die_at_first(task) if isinstance(task, Path) else misbehave(task)
-
-
-def test_a_cluster_that_is_not_there() -> None:
-    pytest.importorskip("ray", reason="needs ray: in the clone, pip install '.[cluster]'")
-    with pytest.raises(WorkerError, match="can't reach the Ray cluster 'nobody:1'"):
-        next(run_tasks(square, [1.0], cluster="nobody:1"))
 
 
 def total(group: tuple[Any, ...]) -> int:

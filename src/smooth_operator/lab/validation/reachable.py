@@ -116,7 +116,7 @@ def closest_pinch(samples: Samples, finger: str) -> float:
         return np.asarray(tips[..., k, :] - tips[..., 0, :])
 
     def jacobian(q: Float[np.ndarray, " m"]) -> Float[np.ndarray, "3 m"]:
-        return (gap(q + nudges) - gap(q - nudges)).T / 2e-6
+        return np.asarray((gap(q + nudges) - gap(q - nudges)).T / 2e-6)
 
     best = np.inf
     for start in samples.poses[np.argsort(apart)[:_STARTS]]:
