@@ -20,7 +20,7 @@ from smooth_operator.calibration.segments import Prompt, poses, prompts
 from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.formats.readers import read_recording
-from smooth_operator.hands.hand import Hand, straight_pose
+from smooth_operator.hands.hand import Hand, knuckle_joints, straight_pose
 from smooth_operator.human.alignment import human_palm_axes, palm_alignment
 from smooth_operator.human.operator import COMPONENTS, tip_frames
 from smooth_operator.lab.offline.folder import survey
@@ -240,7 +240,7 @@ def test_a_recording_without_whole_hands_is_refused(exact: HandRecording, hand: 
 # The robot's side.
 
 
-@pytest.mark.parametrize("name", ["mimic_p050", "allegro_hand", "leap_hand", "shadow_dexee"])
+@pytest.mark.parametrize("name", ["mimic_p050", "allegro_hand", "leap_hand"])
 def test_a_straight_pose_reaches_as_far_as_any(name: str) -> None:
     robot = load_hand(name)
     straight = straight_pose(robot)
@@ -254,6 +254,24 @@ def test_a_straight_pose_reaches_as_far_as_any(name: str) -> None:
     ]
     reach = np.linalg.norm(points[:, names] - points[:, bases], axis=-1).max(axis=0)
     assert (straight.reach >= 0.985 * reach).all()
+
+
+@pytest.mark.parametrize(
+    "name", ["shadow_hand", "schunk_svh", "tesollo_dg5f", "orca_v2", "shadow_dexee"]
+)
+def test_joints_behind_the_knuckle_do_not_lengthen_a_finger(name: str) -> None:
+    robot = load_hand(name)
+    assert knuckle_joints(robot).any()
+    points = robot.landmark_positions(np.clip(0.0, *robot.limits.T))
+    for finger, reach in list(zip(robot.fingers, straight_pose(robot).reach, strict=True))[1:]:
+        own = [robot.tree.names.index(f"{finger}_{part}") for part in ("mcp", "pip", "dip", "tip")]
+        bones = np.linalg.norm(np.diff(points[own], axis=0), axis=-1).sum()
+        assert 0.95 * bones < reach < 1.03 * bones
+
+
+@pytest.mark.parametrize("name", ["mimic_p050", "allegro_hand", "leap_hand", "wuji_hand"])
+def test_hands_without_joints_behind_the_knuckle(name: str) -> None:
+    assert not knuckle_joints(load_hand(name)).any()
 
 
 # The report, and what it is worth.
