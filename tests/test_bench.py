@@ -30,7 +30,7 @@ from smooth_operator.lab.benchmark.comparison import verdict
 from smooth_operator.lab.benchmark.latency import Watch
 from smooth_operator.lab.benchmark.panels import Panel, Run, make_clip, view_basis
 from smooth_operator.lab.benchmark.quality import Task, finger_metrics, measure_cell
-from smooth_operator.lab.benchmark.ranking import HEADLINES, Line, best, failures, overall
+from smooth_operator.lab.benchmark.ranking import Line, best, failures, overall
 from smooth_operator.lab.benchmark.recordings import load_sources, parse_request, unique_names
 from smooth_operator.lab.benchmark.results import Row
 from smooth_operator.lab.benchmark.settings import Settings, select_methods
@@ -40,7 +40,7 @@ from smooth_operator.methods.method import MethodConfig
 from smooth_operator.methods.presets import PRESETS
 from smooth_operator.methods.registry import METHODS
 from smooth_operator.methods.sbr import SbrConfig
-from smooth_operator.metrics import METRICS, Metric, evaluate
+from smooth_operator.metrics import METRICS, evaluate
 from smooth_operator.parallel import run_tasks
 from smooth_operator.planning import make_request, plan
 from smooth_operator.plugins import Entry
@@ -473,13 +473,6 @@ def test_user_errors_come_before_the_long_work(
     assert [path.name for path in foreign.iterdir()] == ["config.json"]
 
 
-def test_help_teaches(capfd: pytest.CaptureFixture[str]) -> None:
-    assert main(["bench", "--help"]) == 0
-    out = capfd.readouterr().out
-    assert "Examples:" in out
-    assert "Exit status" in out
-
-
 # -- comparing ------------------------------------------------------------------------------------
 
 
@@ -781,10 +774,6 @@ def test_the_watch_tells_shares() -> None:
     watch._started -= 10.0
     share = watch.others()
     assert share is None or 0 <= share <= 1
-
-
-def test_headlines_are_the_papers() -> None:
-    assert [type(metric) for metric in HEADLINES] == [Metric] * 6
 
 
 # -- in a browser ---------------------------------------------------------------------------------

@@ -194,7 +194,7 @@ def read_rows(path: Path, rate: float | None, side: Any, layout: str | None) -> 
     return HandRecording(frames, np.arange(len(frames)) / (rate or 100.0), side or "right")
 
 
-ROWS = Reader("a .rows file", read_rows, suffixes=(".rows",), count=lambda path: 7)
+ROWS = Reader("a .rows file", read_rows, suffixes=(".rows",))
 WRONG = Reader("a .wrong file", lambda *given: "hands", suffixes=(".wrong",))  # type: ignore
 
 
@@ -222,7 +222,7 @@ def test_a_plugins_reader_recognises_its_files(
     read = read_recording(tmp_path / "a.rows", rate=50.0)
     np.testing.assert_allclose(read.landmarks, recording.landmarks)
     assert (read.rate_hz, read.side, read.meta["format"]) == (50.0, "right", "rows")
-    assert [f.frames for f in find_recordings(tmp_path)[0] if f.name == "a.rows"] == [7]
+    assert "a.rows" in [f.name for f in find_recordings(tmp_path)[0]]
     (tmp_path / "b.rows").write_text("1,2,three")
     with pytest.raises(RecordingError, match=r"b\.rows: can't be read as a \.rows file: could not"):
         read_recording(tmp_path / "b.rows")

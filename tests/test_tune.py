@@ -23,7 +23,6 @@ from smooth_operator.formats.setting_paths import (
 from smooth_operator.lab.benchmark.recordings import Source, load_sources, parse_request
 from smooth_operator.lab.tuning import Tuned, TuningSettings, plan_tuning, tune
 from smooth_operator.lab.tuning.held_out import check_held_out
-from smooth_operator.lab.tuning.pareto import front
 from smooth_operator.lab.tuning.score import Bound, Scoring
 from smooth_operator.lab.tuning.search_plan import parse_variable
 from smooth_operator.lab.tuning.traced import TracedRun
@@ -250,11 +249,6 @@ def test_what_breaks_a_bound_is_worse_than_what_does_not():
         Scoring({}, (Bound("lag", 1.0),))
 
 
-def test_the_front_of_the_trials():
-    points = np.array([[1, 5], [2, 2], [3, 3], [4, 1], [2, 4], [5, 1]], float)
-    assert front(points).tolist() == [True, True, False, True, False, False]
-
-
 # -- all of it -----------------------------------------------------------------------------------
 
 
@@ -285,7 +279,6 @@ def test_a_search_leaves_a_preset_that_can_be_used(tuned: tuple[Path, Tuned]):
     result = json.loads((folder / "result.json").read_text())
     figures = result["recordings"]["synthetic-right-4[0:40]"]
     assert figures["best"]["cosine_similarity"] == found.best[0]["cosine_similarity"]
-    assert (folder / "pareto.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_a_search_goes_on_where_it_was_stopped(tuned: tuple[Path, Tuned], tmp_path: Path):
@@ -326,7 +319,6 @@ def test_a_search_finds_a_minimum_and_repeats_itself(
     monkeypatch.setitem(PRESETS["sbr"], "tiny", TINY)
     module = sys.modules[tune.__module__]
     monkeypatch.setattr(module, "run_trial", run_trial)
-    monkeypatch.setattr(module, "save_pareto", lambda *_: None)
     found = tune(plan_tuning(settings(tmp_path / "one", trials=100)))
     assert found.trials == found.fresh == len(trials) == 100
     best = np.log(list(found.values.values())) - goal

@@ -27,7 +27,7 @@ class Train(Ordered, Common, Quiet):
     work: ClassVar[str] = "smooth_operator.cli.train:train"
     details: ClassVar[str] = """Needs the extra lab.
 
-DIR gets model.npz, ready to use, model.json (how it was trained), losses.csv, losses.png and
+DIR gets model.npz, ready to use, model.json (how it was trained), losses.csv and
 checkpoint.npz. Ctrl-C keeps all of it; the same command with --resume continues, and
 gives the same bytes as a training without a stop.
 

@@ -17,10 +17,9 @@ class Tune(Common):
 
     work: ClassVar[str] = "smooth_operator.cli.tune:tune"
     details: ClassVar[str] = """FOLDER gets preset.toml (for --preset, wherever there is one),
-result.json (figures of the start and of the best, recording by recording), pareto.png (the
-trade-offs) and trials.jsonl, Optuna's journal. Ctrl-C keeps all of it; the same command continues
-and gives the result of a search without a stop. More --trials continue further. Needs the extra
-tune.
+result.json (figures of the start and of the best, recording by recording) and trials.jsonl,
+Optuna's journal. Ctrl-C keeps all of it; the same command continues and gives the result of a
+search without a stop. More --trials continue further. Needs the extra tune.
 
 The score is 0 at the start and lower if better: on each recording the sum of
 weight x log(error / error at the start), for the errors cosine, cosine_all, scale, motion,

@@ -34,8 +34,6 @@ class Reader:
         magic: first bytes of its files, one of these.
         suffixes: endings of their names, in lower case (``.csv``): which files of a folder are
             looked at; for a format without ``magic``, also which files are its own.
-        count: ``count(path)`` gives the number of frames without reading them all, or None; None if
-            there is no such function.
 
     Raises:
         ConfigError: neither ``magic`` nor ``suffixes`` is given.
@@ -45,7 +43,6 @@ class Reader:
     read: Callable[[Path, float | None, Side | None, str | None], HandRecording] | Entry
     magic: tuple[bytes, ...] = ()
     suffixes: tuple[str, ...] = ()
-    count: Callable[[Path], int | None] | Entry | None = None
 
     def __post_init__(self) -> None:
         if not (self.magic or self.suffixes):
@@ -75,7 +72,7 @@ class Reader:
             ConfigError: ``read`` can't be imported, or gives something else.
             MissingExtraError: the format needs an extra that is not installed.
         """
-        read = _function(self.read)
+        read = self.read.load() if isinstance(self.read, Entry) else self.read
         try:
             recording: Any = read(path, rate, side, layout)
         except SmoothOperatorError:
@@ -89,15 +86,6 @@ class Reader:
             )
         return recording
 
-    def count_frames(self, path: Path) -> int | None:
-        """Number of frames in a file; None if only reading the file tells it."""
-        count: int | None = None if self.count is None else _function(self.count)(path)
-        return count
-
-
-def _function(reader: Any) -> Any:
-    return reader.load() if isinstance(reader, Entry) else reader
-
 
 _ARRAYS: Final = Entry("smooth_operator.formats.readers:read_arrays")
 
@@ -110,7 +98,6 @@ LOG: Final = Reader(
     Entry(f"{_RECORDING}.log_reader:read_log_recording"),
     (MCAP_MAGIC,),
     (".mcap",),
-    count=Entry(f"{_RECORDING}.log_reader:count_log_frames"),
 )
 HDF5: Final = Reader(
     "this program's own .h5 file",
@@ -150,7 +137,7 @@ READERS: Final = Registry(
         "avp": Entry(f"{_HERE}:AVP", AVP.what),
         "hts": Entry(f"{_HERE}:HTS", HTS.what),
     },
-    needs=("what", "recognises", "read_file", "count_frames"),
+    needs=("what", "recognises", "read_file"),
 )
 """Name -> ``Reader``. A file belongs to the first that recognises it."""
 

@@ -50,6 +50,7 @@ where that counts from 1970: read it with any Parquet reader.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -70,6 +71,40 @@ POSE_KEYS: Final = tuple(f"tcp.{name}" for name in POSE_NAMES)
 """Keys of a wrist's target in LeRobot, those of the teleoperator plug-in."""
 
 INDICES: Final = ("timestamp", "frame_index", "episode_index", "index", "task_index")
+
+
+def feature(dtype: str, names: Sequence[str] | None = None) -> dict[str, Any]:
+    """A feature of ``meta/info.json``: one number, or one for each of some names."""
+    shape = [1 if names is None else len(names)]
+    return {"dtype": dtype, "shape": shape, "names": None if names is None else list(names)}
+
+
+def index_features() -> dict[str, dict[str, Any]]:
+    """The features of ``INDICES``."""
+    return {name: feature("float32" if name == "timestamp" else "int64") for name in INDICES}
+
+
+def index_columns(
+    count: int, *, number: int, first: int, task: int, fps: float
+) -> dict[str, np.ndarray]:
+    """The columns ``INDICES`` of an episode of ``count`` frames.
+
+    Args:
+        count: number of frames.
+        number: ``episode_index``.
+        first: ``index`` of its first frame.
+        task: ``task_index``.
+        fps: frames a second.
+    """
+    frames = np.arange(count)
+    return {
+        "timestamp": (frames / fps).astype(np.float32),
+        "frame_index": frames,
+        "episode_index": np.full(count, number),
+        "index": frames + first,
+        "task_index": np.full(count, task),
+    }
+
 
 UNITS: Final = {
     "observation.state": "m, landmarks; rad, measured joint positions, where those are its names",
@@ -197,12 +232,7 @@ class Layout:
         features: dict[str, dict[str, Any]] = {}
 
         def add(name: str, dtype: str, names: tuple[str, ...] | None = None) -> None:
-            shape = [1 if names is None else len(names)]
-            features[name] = {
-                "dtype": dtype,
-                "shape": shape,
-                "names": None if names is None else list(names),
-            }
+            features[name] = feature(dtype, names)
 
         if self.measured is not None:
             add("observation.state", "float32", _keys(self.measured))
@@ -240,9 +270,7 @@ class Layout:
         if self.measured is not None:
             add("measured_positions", "float64", self.measured)
             add("measured_stamp", "float64")
-        for name in INDICES:
-            add(name, "float32" if name == "timestamp" else "int64")
-        return features
+        return features | index_features()
 
 
 def _keys(joints: tuple[str, ...]) -> tuple[str, ...]:
@@ -324,12 +352,7 @@ def episode_columns(
         measured, when = episode.states.at(episode.stamps)
         columns |= {"observation.state": measured, "measured_positions": measured}
         columns["measured_stamp"] = when
-    frames = np.arange(count)
-    columns["timestamp"] = frames / fps
-    columns["frame_index"] = frames
-    columns["episode_index"] = np.full(count, number)
-    columns["index"] = frames + first
-    columns["task_index"] = np.full(count, task)
+    columns |= index_columns(count, number=number, first=first, task=task, fps=fps)
     # Values beyond float32 become infinite there, as they must; the float64 columns have them.
     with np.errstate(over="ignore"):
         return {

@@ -21,7 +21,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from smooth_operator.episode_files.lerobot.columns import INDICES, POSE_KEYS
+from smooth_operator.episode_files.lerobot.columns import (
+    POSE_KEYS,
+    feature,
+    index_columns,
+    index_features,
+)
 from smooth_operator.errors import RecordingError
 from smooth_operator.formats.episode import Episode
 from smooth_operator.hands.registry import load_hand
@@ -108,14 +113,8 @@ class RobotLayout:
         named = {"action": action, "observation.state": state}
         if self.environment is not None:
             named[ENVIRONMENT_STATE] = [f"environment.{name}.pos" for name in self.environment]
-        features: dict[str, dict[str, Any]] = {
-            key: {"dtype": "float32", "shape": [len(names)], "names": names}
-            for key, names in named.items()
-        }
-        for name in INDICES:
-            dtype = "float32" if name == "timestamp" else "int64"
-            features[name] = {"dtype": dtype, "shape": [1], "names": None}
-        return features
+        features = {key: feature("float32", names) for key, names in named.items()}
+        return features | index_features()
 
     def columns(
         self, episode: Episode, *, number: int, first: int, task: int, fps: int
@@ -141,8 +140,7 @@ class RobotLayout:
         count = int(np.floor((float(stamps[-1]) - begin) * fps + 1e-6)) + 1
         if count < 1:
             raise RecordingError(f"{episode.name}: its commands end before it is measured")
-        frames = np.arange(count)
-        moments = begin + frames / fps
+        moments = begin + np.arange(count) / fps
         newest = np.searchsorted(stamps, moments + 1e-9, side="right") - 1
         rows = np.searchsorted(states.stamps[measured], moments + 1e-9, side="right") - 1
         positions = states.positions[measured][rows]
@@ -153,11 +151,7 @@ class RobotLayout:
         columns = {
             "action": action[newest],
             "observation.state": of(self.joints),
-            "timestamp": frames / fps,
-            "frame_index": frames,
-            "episode_index": np.full(count, number),
-            "index": frames + first,
-            "task_index": np.full(count, task),
+            **index_columns(count, number=number, first=first, task=task, fps=fps),
         }
         if self.environment is not None:
             columns[ENVIRONMENT_STATE] = of(self.environment)

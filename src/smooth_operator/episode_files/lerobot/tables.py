@@ -24,6 +24,10 @@ EPISODES_PATH: Final = f"meta/episodes/{CHUNK_PATH}.parquet"
 VIDEO_PATH: Final = f"videos/{{video_key}}/{CHUNK_PATH}.mp4"
 FILES_A_CHUNK: Final = 1000  # as LeRobot
 VIDEO_MB: Final = 200
+FILE_MB: Final = 100  # at most in a file, as LeRobot
+
+PAUSE: Final = 3.0
+"""A step this many times the median is a pause of the tracker."""
 
 OWN_COLUMN: Final = "smooth_operator"
 """Column of ``meta/episodes`` with what LeRobot has no place for, as JSON."""
@@ -287,6 +291,64 @@ def episodes_table(
     columns["meta/episodes/chunk_index"] = [chunk] * len(rows)
     columns["meta/episodes/file_index"] = [file] * len(rows)
     return arrow().table(columns)
+
+
+def episode_row(
+    number: int, first: int, count: int, task: str, place: tuple[int, int]
+) -> dict[str, Any]:
+    """A row of ``meta/episodes``, without statistics.
+
+    Args:
+        number: ``episode_index``.
+        first: ``index`` of its first frame.
+        count: number of its frames.
+        task: its task.
+        place: numbers of the chunk and of the file in it that hold its frames.
+    """
+    return {
+        "episode_index": number,
+        "tasks": [task],
+        "length": count,
+        "data/chunk_index": place[0],
+        "data/file_index": place[1],
+        "dataset_from_index": first,
+        "dataset_to_index": first + count,
+    }
+
+
+def dataset_info(
+    features: Mapping[str, Any],
+    *,
+    robot: str | None,
+    episodes: int,
+    frames: int,
+    tasks: int,
+    fps: float,
+    video_path: str | None = None,
+) -> dict[str, Any]:
+    """The content of ``meta/info.json``."""
+    return {
+        "codebase_version": CODEBASE_VERSION,
+        "robot_type": robot,
+        "total_episodes": episodes,
+        "total_frames": frames,
+        "total_tasks": tasks,
+        "chunks_size": FILES_A_CHUNK,
+        "data_files_size_in_mb": FILE_MB,
+        "video_files_size_in_mb": VIDEO_MB,
+        "fps": int(fps) if float(fps).is_integer() else fps,
+        "splits": {"train": f"0:{episodes}"},
+        "data_path": DATA_PATH,
+        "video_path": video_path,
+        "features": features,
+    }
+
+
+def mean_rate(stamps: Float[np.ndarray, " T"]) -> float | None:
+    """Frames a second over all steps but pauses, so that time adds up; None without two frames."""
+    steps = np.diff(stamps)
+    usual = steps[steps <= PAUSE * np.median(steps)] if len(steps) else steps
+    return float(1.0 / usual.mean()) if len(usual) and usual.mean() > 0.0 else None
 
 
 def tasks_table(tasks: Iterable[str]) -> Any:

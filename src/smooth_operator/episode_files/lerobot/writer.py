@@ -13,20 +13,22 @@ from smooth_operator.episode_files.lerobot import robot_columns
 from smooth_operator.episode_files.lerobot.columns import UNITS, Layout, episode_columns
 from smooth_operator.episode_files.lerobot.robot_columns import RobotLayout
 from smooth_operator.episode_files.lerobot.tables import (
-    CODEBASE_VERSION,
     DATA_PATH,
     EPISODES_PATH,
+    FILE_MB,
     FILES_A_CHUNK,
     OWN_COLUMN,
     UNNAMED_TASK,
-    VIDEO_MB,
     Statistics,
     arrow,
     column,
     column_statistics,
     dataset_card,
+    dataset_info,
+    episode_row,
     episodes_table,
     joint_statistics,
+    mean_rate,
     parquet,
     tasks_table,
 )
@@ -38,8 +40,6 @@ from smooth_operator.io.documents import read_json
 
 MARK: Final = "meta/smooth_operator.json"
 PROGRAM: Final = "smooth-operator"
-_FILE_MB: Final = 100  # at most in a file, as LeRobot
-_PAUSE: Final = 3.0  # a step this many times the median is a pause of the tracker
 _KEPT_BYTES: Final = 256 << 20  # of episodes kept between the two passes, so not read again
 
 Load: TypeAlias = Callable[[], Episode]
@@ -131,20 +131,10 @@ def write_dataset(
                     )
                     notes.look(episode)
                 count = len(values["index"])
-                chunk, file = files.append({name: column(v) for name, v in values.items()})
+                place = files.append({name: column(v) for name, v in values.items()})
                 statistics.append({name: column_statistics(v) for name, v in values.items()})
-                rows.append(
-                    {
-                        "episode_index": number,
-                        "tasks": [task],
-                        "length": count,
-                        "data/chunk_index": chunk,
-                        "data/file_index": file,
-                        "dataset_from_index": first,
-                        "dataset_to_index": first + count,
-                        **({} if survey.robot else {OWN_COLUMN: to_json(_own(episode))}),
-                    }
-                )
+                own = {} if survey.robot else {OWN_COLUMN: to_json(_own(episode))}
+                rows.append(episode_row(number, first, count, task, place) | own)
                 first += count
                 done(count)
         finally:
@@ -158,21 +148,14 @@ def write_dataset(
             for name in features
         }
         _write_json(stage / "meta" / "stats.json", joint)
-        info = {
-            "codebase_version": CODEBASE_VERSION,
-            "robot_type": survey.robot_type,
-            "total_episodes": len(rows),
-            "total_frames": first,
-            "total_tasks": len(survey.tasks),
-            "chunks_size": FILES_A_CHUNK,
-            "data_files_size_in_mb": _FILE_MB,
-            "video_files_size_in_mb": VIDEO_MB,
-            "fps": fps,
-            "splits": {"train": f"0:{len(rows)}"},
-            "data_path": DATA_PATH,
-            "video_path": None,
-            "features": features,
-        }
+        info = dataset_info(
+            features,
+            robot=survey.robot_type,
+            episodes=len(rows),
+            frames=first,
+            tasks=len(survey.tasks),
+            fps=fps,
+        )
         _write_json(stage / "meta" / "info.json", info)
         _write_json(stage / MARK, {"program": PROGRAM, "version": 1})
         (stage / "README.md").write_text(_card(info), encoding="utf-8")
@@ -231,7 +214,8 @@ def _look(episodes: Sequence[Load], columns: Columns, environment_state: bool) -
         if task not in survey.tasks:
             survey.tasks.append(task)
         survey.lengths.append(len(episode))
-        survey.rates += _rate(episode.stamps)
+        rate = mean_rate(episode.stamps)
+        survey.rates += [] if rate is None else [rate]
         robot = (episode.config or {}).get("hand")
         survey.robots.add(robot if isinstance(robot, str) else "")
         size = len(episode) * 8 * 300  # about: of all the columns that a frame may have
@@ -241,14 +225,6 @@ def _look(episodes: Sequence[Load], columns: Columns, environment_state: bool) -
     if survey is None:
         raise RecordingError("there is no episode to write a dataset of")
     return survey
-
-
-def _rate(stamps: np.ndarray) -> list[float]:
-    """Frames a second, if there are two: of all steps but pauses, so that time adds up."""
-    steps = np.diff(stamps)
-    usual = steps[steps <= _PAUSE * np.median(steps)] if len(steps) else steps
-    mean = float(usual.mean()) if len(usual) else 0.0
-    return [1.0 / mean] if mean > 0.0 else []
 
 
 def _again(episodes: Sequence[Load], survey: _Survey) -> Iterator[Episode]:
@@ -294,7 +270,7 @@ class _DataFiles:
     def append(self, columns: dict[str, Any]) -> tuple[int, int]:
         """Adds an episode; chunk and file that it went to."""
         table = arrow().table(columns)
-        if self._writer is None or self._bytes + table.nbytes > _FILE_MB << 20:
+        if self._writer is None or self._bytes + table.nbytes > FILE_MB << 20:
             self.close()
             self._number += 1
             self._bytes = 0

@@ -204,22 +204,49 @@ def _described(
         )
         for i, finger in zip(order, names, strict=True)
     )
-    findings = checklist(
-        skeleton=skeleton,
-        tree=tree,
-        layout=layout,
-        thumb=analysis.thumb,
-        order=order,
-        names=names,
-        overruled=frozenset(analysis.chosen.values()),
-        tips=tips,
-        coupled=coupled_finding,
-        wrist=(wrist, wrist_sure, wrist_why),
-        bases=bases_finding(moved_bases),
-        neutral=neutral_said,
-        spec=spec,
-        palm_given=overrules.palm is not None,
-        hands=hands,
+    thumb_joints = " → ".join(descriptions[0].joints)
+    sure_order = 1.0 if set(names) <= set(analysis.chosen.values()) else layout.order_confidence
+    other = "left" if layout.side == "right" else "right"
+    overrule = "any body or joint of the right one"
+    findings = (
+        Finding(
+            "side", layout.side, layout.side_confidence, layout.side_evidence, f"--side {other}"
+        ),
+        _palm_finding(analysis, dict(zip(order, names, strict=True)), overrules, hands),
+        Finding(
+            "thumb",
+            thumb_joints,
+            analysis.thumb.confidence,
+            analysis.thumb.evidence,
+            f"--thumb BODY ({overrule})",
+        ),
+        Finding(
+            "order",
+            ", ".join(names),
+            sure_order,
+            layout.order_evidence,
+            f"--finger {names[-1]}=BODY ({overrule})",
+        ),
+        *(
+            Finding(
+                f"tip of {name}",
+                _place(tips[i].point),
+                tips[i].confidence,
+                tips[i].evidence,
+                f"--tip {name}=BODY:x,y,z (metres)",
+            )
+            for i, name in zip(order, names, strict=True)
+        ),
+        coupled_finding,
+        Finding("wrist", _place(wrist), wrist_sure, wrist_why, "--wrist BODY:x,y,z (metres)"),
+        bases_finding(moved_bases),
+        Finding(
+            "neutral",
+            f"{len(neutral)} joints",
+            0.8,
+            neutral_said,
+            "edit [neutral] in the spec file",
+        ),
     )
     notes = (*notes, *coupling_notes(coupled), *tree.left_out)
     return Discovery(spec, findings, descriptions, coupled, notes)
@@ -427,47 +454,22 @@ def _on_tendons(skeleton: Skeleton) -> set[str]:
     return {skeleton.joint_names[j] for j in wrapped - equal}
 
 
-def checklist(
-    *,
-    skeleton: Skeleton,
-    tree: HandTree,
-    layout: Layout,
-    thumb: Thumb,
-    order: tuple[int, ...],
-    names: tuple[str, ...],
-    overruled: frozenset[str],
-    tips: Mapping[int, Tip],
-    coupled: Finding,
-    wrist: tuple[Point, float, tuple[str, ...]],
-    bases: Finding,
-    neutral: tuple[str, ...],
-    spec: HandSpec,
-    palm_given: bool,
-    hands: int,
-) -> tuple[Finding, ...]:
-    """Puts what was found into words.
+def _palm_finding(
+    analysis: _Analysis, names: Mapping[int, str], overrules: Overrules, hands: int
+) -> Finding:
+    """Finding about the palm.
 
     Args:
-        skeleton: the model.
-        tree: palm and chains.
-        layout: side and order.
-        thumb: index of the thumb.
-        order: chains, thumb first.
-        names: their human fingers.
-        overruled: human fingers whose chains a person named.
-        tips: chain -> tip.
-        coupled: finding about joints that follow another.
-        wrist: point, confidence, reasons.
-        bases: finding about the fingers' bases.
-        neutral: the neutral pose in words.
-        spec: the description.
-        palm_given: True if a person named the palm.
+        analysis: analysis of the palm.
+        names: chain -> human finger.
+        overrules: facts from a person.
         hands: number of hands in the file.
     """
+    skeleton, tree = analysis.skeleton, analysis.tree
     chains = tree.chains
     palm_why = [f"{len(chains)} chains of joints branch from it"]
     palm_sure = 0.95
-    nested = [n for i, n in zip(order, names, strict=True) if chains[i].shared]
+    nested = [name for i, name in names.items() if chains[i].shared]
     if nested:
         palm_why.append(f"{', '.join(nested)} share a joint inside the palm")
         palm_sure = 0.85
@@ -479,68 +481,12 @@ def checklist(
     if tree.left_out:
         palm_why.append("left out: " + "; ".join(tree.left_out))
         palm_sure -= 0.15
-    if palm_given:
+    if overrules.palm is not None:
         palm_sure, palm_why = 1.0, ["given"]
-
-    out = [
-        Finding("side", layout.side, layout.side_confidence, layout.side_evidence, "--side left"
-                if layout.side == "right" else "--side right"),
-        Finding("palm", spec.palm, round(palm_sure, 2), tuple(palm_why), "--palm BODY"),
-        Finding(
-            "thumb",
-            _chain_value(skeleton, chains[order[0]].joints),
-            thumb.confidence,
-            thumb.evidence,
-            "--thumb BODY (any body or joint of the right one)",
-        ),
-        Finding(
-            "order",
-            ", ".join(names),
-            1.0 if overruled >= set(names) else layout.order_confidence,
-            layout.order_evidence,
-            f"--finger {names[-1]}=BODY (any body or joint of the right one)",
-        ),
-    ]  # fmt: skip
-    for i, name in zip(order, names, strict=True):
-        tip = tips[i]
-        x, y, z = _millimetres(tip.point)
-        out.append(
-            Finding(
-                f"tip of {name}",
-                f"{tip.point.body} ({x:.1f}, {y:.1f}, {z:.1f}) mm",
-                tip.confidence,
-                tip.evidence,
-                f"--tip {name}=BODY:x,y,z (metres)",
-            )
-        )
-    out.append(coupled)
-    point, sure, why = wrist
-    x, y, z = _millimetres(point)
-    out.append(
-        Finding(
-            "wrist",
-            f"{point.body} ({x:.1f}, {y:.1f}, {z:.1f}) mm",
-            sure,
-            why,
-            "--wrist BODY:x,y,z (metres)",
-        )
-    )
-    out.append(bases)
-    out.append(
-        Finding(
-            "neutral",
-            f"{len(spec.neutral)} joints",
-            0.8,
-            neutral,
-            "edit [neutral] in the spec file",
-        )
-    )
-    return tuple(out)
+    value = skeleton.body_name(tree.palm)
+    return Finding("palm", value, round(palm_sure, 2), tuple(palm_why), "--palm BODY")
 
 
-def _chain_value(skeleton: Skeleton, joints: tuple[int, ...]) -> str:
-    return " → ".join(skeleton.joint_names[j] for j in joints)
-
-
-def _millimetres(point: Point) -> list[float]:
-    return [round(1e3 * c, 1) + 0.0 for c in point.offset]
+def _place(point: Point) -> str:
+    x, y, z = (round(1e3 * c, 1) + 0.0 for c in point.offset)
+    return f"{point.body} ({x:.1f}, {y:.1f}, {z:.1f}) mm"

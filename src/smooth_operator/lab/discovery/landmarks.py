@@ -86,13 +86,11 @@ def _level(at: Placement, joint: int, end: np.ndarray, length: float) -> np.ndar
 
 
 def _point(skeleton: Skeleton, at: Placement, joint: int, place: np.ndarray) -> Point:
-    body = int(skeleton.model.jnt_bodyid[joint])
-    return _fixed(skeleton, at, body, place)
+    return _fixed(skeleton, at, int(skeleton.model.jnt_bodyid[joint]), place)
 
 
 def _fixed(skeleton: Skeleton, at: Placement, body: int, place: np.ndarray) -> Point:
-    x, y, z = (round(float(c), 6) + 0.0 for c in at.local(body, place))
-    return Point(skeleton.body_name(body), (x, y, z))
+    return skeleton.point(body, at.local(body, place))
 
 
 def find_wrist(
@@ -187,9 +185,7 @@ def fix_bases(
     out, moved = [], {}
     for finger, place, path in zip(fingers, places(neutral), travel, strict=True):
         if path > _STILL:
-            x, y, z = (round(float(c), 6) + 0.0 for c in place)
-            base = Point(skeleton.body_name(palm), (x, y, z))
-            finger = replace(finger, points=(base, *finger.points[1:]))
+            finger = replace(finger, points=(skeleton.point(palm, place), *finger.points[1:]))
             moved[finger.name] = float(path)
         out.append(finger)
     return tuple(out), moved

@@ -17,6 +17,7 @@ from jaxtyping import Float
 from smooth_operator.errors import HandModelError, require
 from smooth_operator.hands.loading import Coupling, load_model
 from smooth_operator.hands.model_assets import read_model_files, read_model_xml
+from smooth_operator.hands.spec import Point
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,6 +172,11 @@ class Skeleton:
     def body_name(self, body: int) -> str:
         """Name of a body."""
         return str(self.model.body(body).name)
+
+    def point(self, body: int, place: np.ndarray) -> Point:
+        """A point of a body's frame [m], for a description; to the micrometre."""
+        x, y, z = (round(float(c), 6) + 0.0 for c in place)
+        return Point(self.body_name(body), (x, y, z))
 
     def path(self, body: int) -> tuple[int, ...]:
         """Bodies from the world (left out) down to this one."""

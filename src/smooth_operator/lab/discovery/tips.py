@@ -88,7 +88,7 @@ def find_tip(skeleton: Skeleton, chain: Chain, at: Placement) -> Tip:
             confidence += 0.08 if apart < _AGREE else -0.05
         else:
             evidence.append("the last link has no shape to compare with")
-        return _tip(local, skeleton.body_name(body), confidence, evidence, world)
+        return _tip(skeleton.point(body, local), confidence, evidence, world)
     if end is not None:
         body = _outermost(skeleton, rigid, at, end.far)
         evidence = ["far end of the last link's shape, on its middle line"]
@@ -100,25 +100,18 @@ def find_tip(skeleton: Skeleton, chain: Chain, at: Placement) -> Tip:
             confidence = 0.6
         if frames:
             evidence.append(f"{frames[0][1]!r} is not there: it lies at the joint or half-way")
-        return _tip(
-            at.local(body, end.tip), skeleton.body_name(body), confidence, evidence, end.tip
-        )
+        point = skeleton.point(body, at.local(body, end.tip))
+        return _tip(point, confidence, evidence, end.tip)
     guess, confidence, why = _extrapolated(skeleton, chain, at)
+    evidence = ["no site, no tip link and no shape at the end of the finger", why]
     return _tip(
-        at.local(chain.last, guess),
-        skeleton.body_name(chain.last),
-        confidence,
-        ["no site, no tip link and no shape at the end of the finger", why],
-        guess,
+        skeleton.point(chain.last, at.local(chain.last, guess)), confidence, evidence, guess
     )
 
 
-def _tip(
-    local: np.ndarray, body: str, confidence: float, evidence: list[str], world: np.ndarray
-) -> Tip:
-    x, y, z = (round(float(c), 6) + 0.0 for c in local)
+def _tip(point: Point, confidence: float, evidence: list[str], world: np.ndarray) -> Tip:
     u, v, w = (float(c) for c in world)
-    return Tip(Point(body, (x, y, z)), round(confidence, 2), tuple(evidence), (u, v, w))
+    return Tip(point, round(confidence, 2), tuple(evidence), (u, v, w))
 
 
 def _outermost(skeleton: Skeleton, rigid: tuple[int, ...], at: Placement, far: np.ndarray) -> int:

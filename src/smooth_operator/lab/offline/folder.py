@@ -23,7 +23,7 @@ from smooth_operator.formats.commands import config_path, encode_commands, write
 from smooth_operator.formats.frames import frame_slice
 from smooth_operator.formats.jsonable import to_json
 from smooth_operator.formats.readers import rated_if_unstamped
-from smooth_operator.formats.registry import file_kind, find_reader, recording_suffixes
+from smooth_operator.formats.registry import file_kind, recording_suffixes
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import default_side
 from smooth_operator.lab.offline.execution import answers, tools_of
@@ -35,7 +35,7 @@ from smooth_operator.lab.offline.finished import (
     remove_leftovers,
 )
 from smooth_operator.lab.offline.trajectory_retargeter import check_method
-from smooth_operator.parallel import TaskResult, run_groups, usable_cores
+from smooth_operator.parallel import run_groups, usable_cores
 from smooth_operator.parallel.tasks import timed
 from smooth_operator.planning import Plan, RetargetRequest, configuration, plan
 from smooth_operator.types import CommandTrajectory, HandRecording, Side, Status
@@ -53,19 +53,21 @@ class Found:
     Attributes:
         path: where it is.
         name: its path in the folder, with slashes.
-        frames: number of frames; an estimate if ``exact`` is False.
-        exact: True if ``frames`` was counted.
+        frames: number of frames; of files that aren't arrays, an estimate by their size.
     """
 
     path: Path
     name: str
     frames: int
-    exact: bool
 
     @property
     def output(self) -> str:
         """Path of its commands in the folder of results."""
         return Path(self.name).with_suffix(".npz").as_posix()
+
+    def failed(self, reason: str | None, seconds: float = 0.0) -> Entry:
+        """The result without commands, with the reason."""
+        return Entry(self.name, self.output, "failed", self.frames, reason=reason, seconds=seconds)
 
 
 def find_recordings(folder: Path, *, leave_out: Path | None = None) -> tuple[list[Found], int]:
@@ -87,20 +89,16 @@ def find_recordings(folder: Path, *, leave_out: Path | None = None) -> tuple[lis
     """
     recordings, commands = [], 0
     for path in _files(folder, leave_out):
-        frames, exact = _size(path) // _BYTES_PER_FRAME, False
+        frames = _size(path) // _BYTES_PER_FRAME
         # What is wrong with a file is reported by its reader.
         with contextlib.suppress(RecordingError, OSError):
-            kind = file_kind(path)
-            if kind in ("npy", "npz"):
+            if file_kind(path) in ("npy", "npz"):
                 arrays = open_arrays(path)
                 if all(n in arrays for n in _COMMANDS) and not any(n in arrays for n in _LANDMARKS):
                     commands += 1
                     continue
-                frames, exact = _frames_of_arrays(arrays), True
-            else:
-                counted = find_reader(kind).count_frames(path)
-                frames, exact = (frames, False) if counted is None else (counted, True)
-        recordings.append(Found(path, path.relative_to(folder).as_posix(), frames, exact))
+                frames = _frames_of_arrays(arrays)
+        recordings.append(Found(path, path.relative_to(folder).as_posix(), frames))
     # By name among equals, so that the order is the same everywhere.
     return sorted(recordings, key=lambda item: (-item.frames, item.name)), commands
 
@@ -255,7 +253,7 @@ def retarget_group(group: Sequence[Job]) -> tuple[Entry, ...]:
     for index, job in enumerate(group):
         read, reason, _ = timed(_read_job, job)
         if read is None:
-            done[index] = _failed(job, reason)
+            done[index] = job.found.failed(reason)
         else:
             batches.setdefault(read.tools, []).append((index, read))
     for batch in batches.values():
@@ -300,29 +298,21 @@ def _read_job(job: Job) -> _Read:
 
 def _batch(reads: Sequence[_Read]) -> list[Entry]:
     """Recordings for one retargeter; if they fail together, each is tried by itself."""
-    outcome, reason, seconds = timed(_retarget, reads)
+    keep = reads[0].job.request.scale != "calibrate"  # each scale is a program
+    plans = [read.todo for read in reads]
+    outcome, reason, seconds = timed(lambda plans: answers(plans, keep=keep), plans)
     if outcome is None:
         if len(reads) == 1:
-            return [_failed(reads[0].job, reason)]
+            return [reads[0].job.found.failed(reason)]
         return [entry for read in reads for entry in _batch([read])]
     total = max(1, sum(len(commands) for commands, _ in outcome))
     entries = []
     for read, (commands, loss) in zip(reads, outcome, strict=True):
         entry, reason, more = timed(lambda _: _written(read, commands, loss), None)  # noqa: B023
         share = seconds * len(commands) / total
-        entry = _failed(read.job, reason) if entry is None else entry
+        entry = read.job.found.failed(reason) if entry is None else entry
         entries.append(replace(entry, seconds=share + more))
     return entries
-
-
-def _retarget(reads: Sequence[_Read]) -> list[tuple[CommandTrajectory, np.ndarray]]:
-    keep = reads[0].job.request.scale != "calibrate"  # each scale is a program
-    return answers([read.todo for read in reads], keep=keep)
-
-
-def _failed(job: Job, reason: str | None) -> Entry:
-    recording = job.found
-    return Entry(recording.name, recording.output, "failed", recording.frames, reason=reason)
 
 
 def _written(read: _Read, commands: CommandTrajectory, loss: np.ndarray) -> Entry:
@@ -366,10 +356,7 @@ def _written(read: _Read, commands: CommandTrajectory, loss: np.ndarray) -> Entr
 def _read(path: Path, request: RetargetRequest) -> tuple[HandRecording, float | None]:
     """The recording, and the rate if it needed one: others of the folder may have their own."""
 
-    def read(rate: float | None) -> HandRecording:
-        return request.read_recording(path, rate)
-
-    return rated_if_unstamped(read, request.rate)
+    return rated_if_unstamped(lambda rate: request.read_recording(path, rate), request.rate)
 
 
 SUMMARY: Final = "summary.json"
@@ -448,8 +435,7 @@ def survey(
             path = output / item.output
             reason = refused.get(item.name) or _refusal(path, output)
             if reason is not None:
-                failed = Entry(item.name, item.output, "failed", item.frames, reason=reason)
-                settled.append(failed)
+                settled.append(item.failed(reason))
             elif config is not None:
                 settled.append(_finished_entry(item, config))
             else:
@@ -484,7 +470,7 @@ def retarget_all(
         workers=workers, cluster=cluster,
     ):  # fmt: skip
         repeated = repeated or result.attempts > 1
-        entries = [_lost(job, result) for job in group] if result.value is None else result.value
+        entries = result.value or [job.found.failed(result.error, result.seconds) for job in group]
         yield from (replace(entry, attempts=result.attempts) for entry in entries)
     if repeated:  # a worker that died in the middle of a write leaves its file; no other writes now
         remove_leftovers({job.output.parent for job in jobs})
@@ -508,19 +494,6 @@ def grouped(jobs: Sequence[Job], workers: int | None, cluster: str | None) -> li
         now.append(job)
         frames += job.found.frames
     return [*groups, tuple(now)] if now else groups
-
-
-def _lost(job: Job, result: TaskResult[tuple[Entry, ...]]) -> Entry:
-    recording = job.found
-    return Entry(
-        recording.name,
-        recording.output,
-        "failed",
-        recording.frames,
-        reason=result.error,
-        seconds=result.seconds,
-        attempts=result.attempts,
-    )
 
 
 def _refusal(path: Path, output: Path) -> str | None:

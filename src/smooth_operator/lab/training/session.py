@@ -15,7 +15,7 @@ import numpy as np
 
 from smooth_operator.atomic_files import atomic_write
 from smooth_operator.baselines.geort import GeortModel, write_geort_model
-from smooth_operator.errors import ConfigError, OutputError, RecordingError, require
+from smooth_operator.errors import ConfigError, OutputError, RecordingError
 from smooth_operator.formats.arrays import open_arrays
 from smooth_operator.formats.csv_table import csv_text
 from smooth_operator.formats.environment import environment
@@ -28,7 +28,6 @@ CHECKPOINT: Final = "checkpoint.npz"
 MODEL: Final = "model.npz"
 ABOUT: Final = "model.json"
 CURVES: Final = "losses.csv"
-PLOT: Final = "losses.png"
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,9 +35,9 @@ class TrainingSession:
     """Trains into a folder.
 
     The folder gets ``checkpoint.npz``, ``model.npz`` (the networks so far, ready to use),
-    ``model.json`` (how they were trained, as the model also has it), ``losses.csv`` and, at
-    the end, ``losses.png``. Each file is whole or not there. A training that was stopped and
-    resumed ends in the same bytes as one that was not, on the same machine.
+    ``model.json`` (how they were trained, as the model also has it), and ``losses.csv``.
+    Each file is whole or not there. A training that was stopped and resumed ends in the same bytes
+    as one that was not, on the same machine.
 
     Attributes:
         trainer: trainer of the model.
@@ -83,10 +82,7 @@ class TrainingSession:
         except KeyboardInterrupt:
             if int(state.epoch) > max(saved, 0):
                 self._save(state)
-            if int(state.epoch) > 0:
-                plot_curves(self.folder / PLOT, state)
             raise
-        plot_curves(self.folder / PLOT, state)
         return self._save(state)
 
     def _start(self, resume: bool) -> TrainingState:
@@ -98,7 +94,7 @@ class TrainingSession:
                 f"{self.folder}: there is a training already: go on with it (--resume), or name "
                 "another folder"
             )
-        existing = [n for n in (MODEL, ABOUT, CURVES, PLOT) if (self.folder / n).exists()]
+        existing = [n for n in (MODEL, ABOUT, CURVES) if (self.folder / n).exists()]
         if existing:
             raise OutputError(
                 f"{self.folder}: {', '.join(existing)} would be overwritten; name another folder"
@@ -119,11 +115,6 @@ class TrainingSession:
         return model
 
 
-require("training", "lab", "matplotlib")
-
-_UNITS = ("weighted", "1 - cosine", "m²", "relative", "m²")
-
-
 def write_curves(path: Path, state: TrainingState) -> None:
     """Write the losses of all epochs done as CSV: epoch, then train_ and validation_ columns.
 
@@ -140,37 +131,6 @@ def write_curves(path: Path, state: TrainingState) -> None:
     )
     with atomic_write(path) as file:
         file.write(csv_text(["epoch", *columns], numbered).encode())
-
-
-def plot_curves(path: Path, state: TrainingState) -> None:
-    """Draw the same as PNG, one panel for each loss.
-
-    Raises:
-        OutputError: it can't be written.
-    """
-    from matplotlib.figure import Figure  # not pyplot: no global state, no display
-
-    done = int(state.epoch)
-    epochs = np.arange(1, done + 1)
-    curves = {
-        "training": (np.asarray(state.train)[:done], "#0072B2"),
-        "validation": (np.asarray(state.validation)[:done], "#D55E00"),
-    }
-    figure = Figure(figsize=(14, 3.2))
-    figure.subplots_adjust(left=0.04, right=0.99, top=0.88, bottom=0.16, wspace=0.26)
-    panels = figure.subplots(1, 1 + len(LOSSES))
-    for i, (panel, name) in enumerate(zip(panels, ("loss", *LOSSES), strict=True)):
-        for label, (values, colour) in curves.items():
-            shown = values[:, i] > 0  # a logarithm has no place for nothing, nor for NaN
-            panel.plot(epochs[shown], values[shown, i], color=colour, label=label)
-            if shown.any():
-                panel.set_yscale("log")
-        panel.set_title(f"{name} [{_UNITS[i]}]", fontsize=10)
-        panel.set_xlabel("epoch")
-        panel.grid(alpha=0.25)
-    panels[0].legend(frameon=False)
-    with atomic_write(path) as file:
-        figure.savefig(file, format="png", dpi=120)
 
 
 FORMAT: Final = "smooth-operator geort checkpoint"

@@ -20,7 +20,6 @@ from smooth_operator.formats.preset_file import FORMAT, PresetFile
 from smooth_operator.formats.toml_writer import toml_key, toml_value
 from smooth_operator.io.documents import parse_json
 from smooth_operator.lab.benchmark.cells import benchmark_code
-from smooth_operator.lab.tuning.pareto import save_pareto
 from smooth_operator.lab.tuning.score import figure
 from smooth_operator.lab.tuning.search_plan import COMMAND, Tuning
 from smooth_operator.lab.tuning.trial import TrialTask, run_trial
@@ -32,7 +31,6 @@ CONFIG: Final = "config.json"
 LOG: Final = "trials.jsonl"
 PRESET: Final = "preset.toml"
 RESULT: Final = "result.json"
-PARETO: Final = "pareto.png"
 
 SPREAD: Final = 0.5
 """Share of the trials that is spread over the box, by a scrambled Sobol sequence."""
@@ -261,9 +259,8 @@ class _Search:
 
 
 def _write(plan: Tuning, search: _Search) -> Tuned:
-    """Writes the preset, the figures and the trade-offs."""
-    finished = search.finished()
-    best = min(finished, key=lambda trial: trial.value)
+    """Writes the preset and the figures."""
+    best = min(search.finished(), key=lambda trial: trial.value)
     values, score = search.values(best), float(best.value)
     start, figures = search.metrics(0), search.metrics(best.number)
     folder = plan.settings.output
@@ -291,8 +288,6 @@ def _write(plan: Tuning, search: _Search) -> Tuned:
         "made": origin,
     }
     write_json(folder / RESULT, result, indent=1)
-    tried = [search.metrics(trial.number) for trial in finished]
-    save_pareto(folder / PARETO, tried, start, figures, names)
     return Tuned(values, score, start, figures, search.count, search.fresh, folder / PRESET)
 
 

@@ -8,6 +8,7 @@ mirror image.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Final
 
 import mujoco
@@ -165,23 +166,20 @@ def check_flexion(axes: FlexionAxes | None) -> Check:
     cosines = axes.closing @ axes.palmar
     figures = {n: round(float(c), 3) for n, c in zip(axes.names, cosines, strict=True)}
     text = f"all fingers close towards one side (cosine {cosines.min():.2f} or more)"
+    check = partial(Check, "flexion", figures=figures)
     if against := [n for n, c in figures.items() if c < _AGREE]:
-        return Check(
-            "flexion",
+        return check(
             "failed",
             f"{', '.join(against)}: closes away from the side to which the others close",
             "turn the sign of its flexion axes in the model, or of its limits",
-            figures,
         )
     if skew := [n for n, c in figures.items() if c < _SKEW]:
-        return Check(
-            "flexion",
+        return check(
             "warning",
             f"{', '.join(skew)}: closes across the others (cosine {cosines.min():.2f})",
             "look at the axes of that finger, and at its tip",
-            figures,
         )
-    return Check("flexion", "ok", text, "", figures)
+    return check("ok", text)
 
 
 def check_side(samples: Samples, axes: FlexionAxes | None, sound: tuple[str, ...]) -> Check:
@@ -207,34 +205,25 @@ def check_side(samples: Samples, axes: FlexionAxes | None, sound: tuple[str, ...
     )
     text += f" to where they are on a {hand.spec.side} hand"
     other = "left" if hand.spec.side == "right" else "right"
+    check = partial(Check, "side", figures=figures)
     if (order < -_CLEAR and thumb_offset < _CLEAR) or (thumb_offset < -_CLEAR and order <= _CLEAR):
-        return Check(
-            "side",
+        return check(
             "failed",
             text,
             f'this is a {other} hand: side = "{other}" (or, of a model of the other hand, '
             "mirror = true)",
-            figures,
         )
     if order < -_CLEAR:
-        return Check(
-            "side",
+        return check(
             "failed",
             text,
             f"the fingers are named in the wrong order: {first} should be next to the thumb",
-            figures,
         )
     if thumb_offset < -_CLEAR:
-        return Check(
-            "side",
-            "warning",
-            text,
-            "the thumb is on the little finger's side: is it the thumb?",
-            figures,
-        )
+        return check("warning", text, "the thumb is on the little finger's side: is it the thumb?")
     if max(thumb_offset, order) < _CLEAR:
-        return Check("side", "ok", f"{text}: it may serve as either", "", figures)
-    return Check("side", "ok", text, "", figures)
+        return check("ok", f"{text}: it may serve as either")
+    return check("ok", text)
 
 
 def _unit(vector: np.ndarray) -> np.ndarray:

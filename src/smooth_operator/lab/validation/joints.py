@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Final
 
 import mujoco
@@ -46,34 +47,29 @@ def check_ranges(hand: Hand) -> Check:
         return _list([name for name, hit in zip(named, mask, strict=True) if hit])
 
     beyond = np.where(slides, ranges > _LONG, ranges > _TURN)
+    check = partial(Check, "joint ranges", figures=figures)
     if beyond.any():
-        return Check(
-            "joint ranges",
+        return check(
             "failed",
             f"{text}: {those(beyond)} can go further than any finger",
             "limits are in radians (metres of a slide): are these in degrees (millimetres)?",
-            figures,
         )
     if len(turns) and turns.max() < _NARROW:
-        return Check(
-            "joint ranges",
+        return check(
             "failed",
             f"{text}: no joint turns by more than {np.degrees(_NARROW):.0f} degrees",
             "limits in radians were read as degrees: an MJCF file in radians needs "
             '<compiler angle="radian"/>',
-            figures,
         )
     odd = ~slides & ((ranges < _NARROW) | (ranges > _WIDE))
     if odd.any():
-        return Check(
-            "joint ranges",
+        return check(
             "warning",
             f"{text}; unusual: {those(odd)}",
             "compare the limits of these joints with the data sheet, and those of joints that "
             "follow them",
-            figures,
         )
-    return Check("joint ranges", "ok", text, "", figures)
+    return check("ok", text)
 
 
 def check_motion(samples: Samples) -> Check:
@@ -91,33 +87,28 @@ def check_motion(samples: Samples) -> Check:
     idle = [name for name, distance in moved.items() if distance < _STILL]
     on_fingers = _on_fingers(hand)
     dead = [name for name in idle if name in on_fingers]
+    check = partial(Check, "joints used", figures=figures)
     if dead:
-        return Check(
-            "joints used",
+        return check(
             "failed",
             f"{_list(dead)}: no landmark moves with it",
             "the finger's tip lies on the joint's axis or before it: give the tip on the last "
             "link, past its last joint",
-            figures,
         )
     if idle:
-        return Check(
-            "joints used",
+        return check(
             "warning",
             f"{_list(idle)}: no landmark moves with it",
             "it belongs to no finger of the description, and stays at neutral: name its finger, "
             "if it has one",
-            figures,
         )
     if slight := [name for name, distance in moved.items() if distance < _SLIGHT]:
-        return Check(
-            "joints used",
+        return check(
             "warning",
             f"{_list(slight)}: moves its landmarks by {1e3 * moved[least]:.1f} mm only",
             "compare the joint's limits and axis with the data sheet",
-            figures,
         )
-    return Check("joints used", "ok", text, "", figures)
+    return check("ok", text)
 
 
 def check_neutral(hand: Hand) -> Check:
@@ -163,15 +154,14 @@ def check_shapes(hand: Hand) -> Check:
     links = stand_in_links(hand)
     solid = int(solid_shapes(hand).sum())
     figures = {"shapes": solid, "estimated": list(links)}
+    check = partial(Check, "shapes", figures=figures)
     if not links:
-        return Check("shapes", "ok", f"{solid} shapes that collide", "", figures)
-    return Check(
-        "shapes",
+        return check("ok", f"{solid} shapes that collide")
+    return check(
         "warning",
         f"{solid} shapes that collide; those of {_list(list(links))} can't be read or are missing: "
         "'smooth' keeps estimated capsules along the bones apart in their place",
         "put the mesh files where the model file names them, and add the hand again",
-        figures,
     )
 
 
@@ -223,34 +213,29 @@ def check_palm(samples: Samples) -> Check:
     figures = {"condition": round(condition, 3), "travel_mm": round(1e3 * travel, 2)}
     align = ", ".join(hand.spec.align)
     text = f"{align}: condition {condition:.2f} (0 is a line, human palms 0.5)"
+    check = partial(Check, "palm frame", figures=figures)
     if condition < MIN_CONDITION:
-        return Check(
-            "palm frame",
+        return check(
             "failed",
             text,
             "these landmarks lie on a line, so they fix no direction: name others in align, or "
             "give the finger bases and the wrist their places",
-            figures,
         )
     if travel > _MOVES:
-        return Check(
-            "palm frame",
+        return check(
             "warning",
             f"{text}; they move by {1e3 * travel:.0f} mm with the joints",
             "put the bases that align onto a body fixed to the palm, at their place in the "
             "neutral pose: a human's knuckles don't move in the palm",
-            figures,
         )
     if condition < _POOR:
-        return Check(
-            "palm frame",
+        return check(
             "warning",
             text,
             "nearly a line: noise of the tracker will turn the hand; name landmarks in align that "
             "are further apart",
-            figures,
         )
-    return Check("palm frame", "ok", text, "", figures)
+    return check("ok", text)
 
 
 def check_tilt(samples: Samples) -> Check:
@@ -267,24 +252,17 @@ def check_size(samples: Samples) -> Check:
     reach = float(np.linalg.norm(samples.tips - hand.wrist, axis=-1).max())
     figures = {"reach_mm": round(1e3 * reach, 1)}
     text = f"{1e3 * reach:.0f} mm from the wrist to the farthest fingertip"
+    check = partial(Check, "size", figures=figures)
     if not _POSSIBLE[0] < reach < _POSSIBLE[1]:
-        return Check(
-            "size",
+        return check(
             "failed",
             text,
             "no hand is of that size: model and offsets are in metres (a mesh's scale, or a wrist "
             "on the wrong body, can also do it)",
-            figures,
         )
     if not _USUAL[0] < reach < _USUAL[1]:
-        return Check(
-            "size",
-            "warning",
-            text,
-            "unusual: look at the wrist and the units of the model",
-            figures,
-        )
-    return Check("size", "ok", text, "", figures)
+        return check("warning", text, "unusual: look at the wrist and the units of the model")
+    return check("ok", text)
 
 
 def _align_names(samples: Samples) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -78,22 +79,19 @@ def check_pinches(samples: Samples, sound: tuple[str, ...]) -> Check:
     figures = {name: round(1e3 * gap, 2) for name, gap in gaps.items()}
     text = "thumb to " + ", ".join(f"{name} {1e3 * gap:.1f}" for name, gap in gaps.items()) + " mm"
     apart = [name for name, gap in gaps.items() if gap > _MEETS]
+    check = partial(Check, "pinches", figures=figures)
     if not apart:
-        return Check("pinches", "ok", text, "", figures)
+        return check("ok", text)
     if all(gap > _NEAR for gap in gaps.values()):
-        return Check(
-            "pinches",
+        return check(
             "failed",
             text,
             "the thumb meets no finger: look at its limits and tip, and whether it is the thumb",
-            figures,
         )
-    return Check(
-        "pinches",
+    return check(
         "warning",
         text,
         f"no pinch with {', '.join(apart)}: some hands can't; if yours can, look at limits, tips",
-        figures,
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, Final
 
 import mujoco
@@ -52,16 +53,17 @@ def check_tips(hand: Hand) -> tuple[Check, tuple[str, ...]]:
             distant[finger.name] = 1e3 * away
     sound = tuple(name for name in hand.fingers if name not in faults)
     advice = "give the tip as a body of the finger's last link, with an offset in metres to its pad"
+    check = partial(Check, "fingertips", figures=figures)
     if faults:
         summary = "; ".join(f"{name} tip {text}" for name, text in faults.items())
-        return Check("fingertips", "failed", summary, advice, figures), sound
+        return check("failed", summary, advice), sound
     if distant:
         summary = (
             f"{', '.join(distant)}: up to {max(distant.values()):.0f} mm away from the shapes of "
             "the link"
         )
         advice = f"if the model doesn't just lack the fingertips' shapes, {advice}"
-        return Check("fingertips", "warning", summary, advice, figures), sound
+        return check("warning", summary, advice), sound
     own = [place["own"] for place in figures.values() if "own" in place]
     summary = "each moves with its finger"
     if own:
@@ -70,7 +72,7 @@ def check_tips(hand: Hand) -> tuple[Check, tuple[str, ...]]:
         )
     else:
         summary += "; the model has no shapes of the last links to compare with"
-    return Check("fingertips", "ok", summary, "", figures), sound
+    return check("ok", summary), sound
 
 
 def _place(hand: Hand, finger: str) -> dict[str, float]:

@@ -211,12 +211,6 @@ def log_topics(path: Path) -> Mapping[str, int] | None:
     return topics
 
 
-def count_log_frames(path: Path) -> int | None:
-    """Hand frames, from the summary at the end of the log; None where it was cut off."""
-    topics = log_topics(path)
-    return None if topics is None else topics.get(HAND, 0)
-
-
 # --- records of the file -------------------------------------------------------------------------
 
 

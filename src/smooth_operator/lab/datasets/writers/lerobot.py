@@ -22,22 +22,25 @@ from typing import IO, Any, Final
 import numpy as np
 
 from smooth_operator.atomic_files import atomic_write, write_json
+from smooth_operator.episode_files.lerobot.columns import index_columns
 from smooth_operator.episode_files.lerobot.tables import (
-    CODEBASE_VERSION,
     DATA_PATH,
     EPISODES_PATH,
+    FILE_MB,
     FILES_A_CHUNK,
     OWN_COLUMN,
     UNNAMED_TASK,
-    VIDEO_MB,
     VIDEO_PATH,
     Statistics,
     arrow,
     column,
     columns_statistics,
     dataset_card,
+    dataset_info,
+    episode_row,
     episodes_table,
     joint_statistics,
+    mean_rate,
     parquet,
     tasks_table,
 )
@@ -47,7 +50,7 @@ from smooth_operator.lab.datasets.clip import RobotClip
 from smooth_operator.lab.datasets.writers.arrays import clip_document
 from smooth_operator.lab.datasets.writers.lerobot_columns import RobotLayout, unit_of
 from smooth_operator.lab.datasets.writers.registry import WritingOptions
-from smooth_operator.lab.datasets.writers.resampling import drift, mean_rate, resampled
+from smooth_operator.lab.datasets.writers.resampling import drift, resampled
 from smooth_operator.lab.datasets.writers.shards import (
     ShardedWriter,
     close_quietly,
@@ -60,7 +63,6 @@ from smooth_operator.lab.datasets.writers.videos import VIDEO_KEY, VideoHead, pl
 
 require("a LeRobot data set", "datasets", "pyarrow")
 
-_FILE_MB: Final = 100  # at most in a file, as LeRobot
 _OFF_GRID: Final = 0.25  # frames
 _IMAGENET: Final = {"mean": (0.485, 0.456, 0.406), "std": (0.229, 0.224, 0.225)}
 
@@ -75,10 +77,10 @@ class _Writer(ShardedWriter):
         self._videos: dict[str, int] = {}
         self._total: dict[str, Statistics] = {}
         self._tasks_written = -1
-        names = ("rate", "action", "videos", "camera", "objects", "absent")
+        names = ("rate", "videos", "camera", "objects")
         fixed = {name: getattr(options, name) for name in names}
         fixed["joints"] = {side: list(names) for side, names in options.joints.items()}
-        super().__init__(output, options, "lerobot", _FILE_MB, fixed)
+        super().__init__(output, options, "lerobot", FILE_MB, fixed)
 
     def _path(self, template: str, number: int) -> Path:
         chunk, file = divmod(number, FILES_A_CHUNK)
@@ -105,17 +107,17 @@ class _Writer(ShardedWriter):
         if self._layout is None:
             fps = self._fps(clip, head)
             layout = RobotLayout.of(clip, self.options, fps)
-            layout.check(clip, absent=self.options.absent)
+            layout.check(clip)
             layout = replace(layout, video=None if head is None else head.feature())
         else:
             layout = self._layout
-            layout.check(clip, absent=self.options.absent)
+            layout.check(clip)
             self._check_video(clip, head, layout)
         fps = layout.fps
         if drift(clip.clip.stamps, fps) > _OFF_GRID:
             clip = resampled(clip, fps)
             self.note(f"resampled to {fps:g} frames a second")
-        columns = layout.columns(clip, self.options.action)
+        columns = layout.columns(clip)
         video, start = None, 0.0
         if head is not None:
             assert clip.clip.video is not None
@@ -151,23 +153,10 @@ class _Writer(ShardedWriter):
         if task not in self._tasks:
             self._tasks[task] = len(self._tasks)
             self._new_tasks.append(task)
-        frames = np.arange(count)
-        columns["timestamp"] = (frames / fps).astype(np.float32)
-        columns["frame_index"] = frames
-        columns["episode_index"] = np.full(count, number)
-        columns["index"] = frames + first
-        columns["task_index"] = np.full(count, self._tasks[task])
-        chunk, file = divmod(self._number, FILES_A_CHUNK)
-        row = {
-            "episode_index": number,
-            "tasks": [task],
-            "length": count,
-            "data/chunk_index": chunk,
-            "data/file_index": file,
-            "dataset_from_index": first,
-            "dataset_to_index": first + count,
-            OWN_COLUMN: to_json(clip_document(clip, entry["key"], self.configuration(clip))),
-        }
+        index = self._tasks[task]
+        columns |= index_columns(count, number=number, first=first, task=index, fps=fps)
+        row = episode_row(number, first, count, task, divmod(self._number, FILES_A_CHUNK))
+        row[OWN_COLUMN] = to_json(clip_document(clip, entry["key"], self.configuration(clip)))
         if video is not None:
             row |= self._linked(video, start, count / fps)
         self._rows.append(row)
@@ -266,22 +255,15 @@ class _Writer(ShardedWriter):
         if layout.video is not None:
             features = {**features, VIDEO_KEY: dict(layout.video)}
             stats[VIDEO_KEY] = _video_statistics(self._frames)
-        whole = float(layout.fps).is_integer()
-        info = {
-            "codebase_version": CODEBASE_VERSION,
-            "robot_type": layout.robot or None,
-            "total_episodes": self._episodes,
-            "total_frames": self._frames,
-            "total_tasks": len(self._tasks),
-            "chunks_size": FILES_A_CHUNK,
-            "data_files_size_in_mb": _FILE_MB,
-            "video_files_size_in_mb": VIDEO_MB,
-            "fps": int(layout.fps) if whole else layout.fps,
-            "splits": {"train": f"0:{self._episodes}"},
-            "data_path": DATA_PATH,
-            "video_path": None if layout.video is None else VIDEO_PATH,
-            "features": features,
-        }
+        info = dataset_info(
+            features,
+            robot=layout.robot or None,
+            episodes=self._episodes,
+            frames=self._frames,
+            tasks=len(self._tasks),
+            fps=layout.fps,
+            video_path=None if layout.video is None else VIDEO_PATH,
+        )
         write_json(meta / "stats.json", stats, indent=4)
         write_json(meta / "info.json", info, indent=4)
         with atomic_write(self.output / "README.md") as file:

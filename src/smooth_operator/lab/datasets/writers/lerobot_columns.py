@@ -7,7 +7,7 @@ names. What LeRobot would make inputs of a policy of, were it so called, begins 
 ==========================  =============  ========================================================
 ``observation.state``       float32 (n,)   ``SIDE_JOINT.pos`` [rad], ``SIDE_tcp.x`` … ``.qz`` of
                                            the robot's wrist [m, quaternion wxyz]
-``action``                  float32 (n,)   the state of the next frame, or of the same one
+``action``                  float32 (n,)   the state of the next frame
 ``stamp``                   float64        true time of the frame [s]
 ``SIDE_valid``              bool           whether the command answers a hand that was seen
 ``SIDE_status``             int64          ``Status`` of the command; -1: the clip lacks the hand
@@ -36,7 +36,13 @@ from typing import Any
 import numpy as np
 
 from smooth_operator import poses
-from smooth_operator.episode_files.lerobot.columns import INDICES, POSE_KEYS, POSE_NAMES
+from smooth_operator.episode_files.lerobot.columns import (
+    INDICES,
+    POSE_KEYS,
+    POSE_NAMES,
+    feature,
+    index_features,
+)
 from smooth_operator.errors import RecordingError
 from smooth_operator.lab.datasets.clip import SIDES, RobotClip
 from smooth_operator.lab.datasets.writers.arrays import clip_valid
@@ -45,7 +51,7 @@ from smooth_operator.types import Side
 
 UNITS = {
     "observation.state": "rad, joint positions; m and quaternion wxyz, the robot's wrists",
-    "action": "the same, of the frame that comes next unless asked for otherwise",
+    "action": "the same, of the frame that comes next",
     "timestamp": "s, frame_index / fps",
     "stamp": "s, true time of the frame",
     "valid": "whether the command answers a hand that was seen",
@@ -107,11 +113,11 @@ class RobotLayout:
             value["robot"], value["video"],
         )  # fmt: skip
 
-    def check(self, clip: RobotClip, *, absent: str) -> None:
+    def check(self, clip: RobotClip) -> None:
         """Refuses a clip that these columns can't hold.
 
         Raises:
-            RecordingError: it lacks a hand or the wrists, or its joints are others.
+            RecordingError: it has another hand, lacks the wrists, or its joints are others.
         """
         name = clip.clip.name
         for side, commands in clip.commands.items():
@@ -135,12 +141,6 @@ class RobotLayout:
             raise RecordingError(
                 f"{name}: {has}; write clips with and without wrists to two data sets"
             )
-        lacking = [side for side in self.joints if side not in clip.commands]
-        if lacking and absent == "refuse":
-            raise RecordingError(
-                f"{name}: it has no {lacking[0]} hand, and absent is 'refuse'; write the clips of "
-                "one hand to a data set of their own, or fill in"
-            )
 
     def state_names(self) -> list[str]:
         """Names of the components of state and action."""
@@ -156,8 +156,7 @@ class RobotLayout:
         features: dict[str, dict[str, Any]] = {}
 
         def add(name: str, dtype: str, names: list[str] | None = None) -> None:
-            shape = [1 if names is None else len(names)]
-            features[name] = {"dtype": dtype, "shape": shape, "names": names}
+            features[name] = feature(dtype, names)
 
         add("observation.state", "float32", self.state_names())
         add("action", "float32", self.state_names())
@@ -178,17 +177,10 @@ class RobotLayout:
             names = [f"object{i}.{name}" for i in range(self.objects) for name in POSE_NAMES]
             add("objects", "float32", names)
             add("objects_valid", "bool", [f"object{i}" for i in range(self.objects)])
-        for name in INDICES:
-            add(name, "float32" if name == "timestamp" else "int64")
-        return features
+        return features | index_features()
 
-    def columns(self, clip: RobotClip, action: str) -> dict[str, np.ndarray]:
-        """(T,) or (T, k) of each feature but the indices, in its type.
-
-        Args:
-            clip: one that ``check`` lets pass.
-            action: ``next`` or ``same``.
-        """
+    def columns(self, clip: RobotClip) -> dict[str, np.ndarray]:
+        """(T,) or (T, k) of each feature but the indices, in its type, of a clip that fits."""
         human, count = clip.clip, len(clip.clip)
         state: list[np.ndarray] = []
         columns: dict[str, np.ndarray] = {"stamp": np.asarray(human.stamps, np.float64)}
@@ -215,7 +207,7 @@ class RobotLayout:
                 columns[f"{side}_human_wrist"], columns[f"{side}_human_wrist_valid"] = wrist_poses
         columns["observation.state"] = flat = np.concatenate(state, axis=1)
         # What a hand does next; the last frame stays where it is.
-        columns["action"] = np.concatenate([flat[1:], flat[-1:]]) if action == "next" else flat
+        columns["action"] = np.concatenate([flat[1:], flat[-1:]])
         if self.camera:
             columns["camera"], columns["camera_valid"] = _poses(human.T_world_camera, count)
         if self.objects:

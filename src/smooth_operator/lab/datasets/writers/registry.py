@@ -28,9 +28,6 @@ class WritingOptions:
             LeRobot takes the first clip's, SPIDER 50, FlashDexRetarget 60, the others keep each
             clip's stamps.
         videos: LeRobot: ``none``; ``link``, hard links or symbolic ones; ``copy``.
-        action: LeRobot: ``next``, the state of the next frame; ``same``, of the same frame.
-        absent: LeRobot: what becomes of a clip that lacks a hand of ``joints``: ``fill``, zeros
-            with ``valid`` false; ``refuse``.
         camera: LeRobot: whether a frame has columns of the camera's pose.
         objects: LeRobot: for how many objects a frame has columns.
         shard_mb: size at which a shard is full [MB]; None for the format's own choice.
@@ -47,8 +44,6 @@ class WritingOptions:
     joints: Mapping[Side, tuple[str, ...]] = field(default_factory=dict)
     rate: float | None = None
     videos: Literal["none", "link", "copy"] = "none"
-    action: Literal["next", "same"] = "next"
-    absent: Literal["fill", "refuse"] = "fill"
     camera: bool = True
     objects: int = 2
     shard_mb: float | None = None

@@ -8,18 +8,16 @@ frames around it, and a command is valid only if both are and no pause of the tr
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from smooth_operator import poses
+from smooth_operator.episode_files.lerobot.tables import PAUSE
 from smooth_operator.lab.datasets.clip import RobotClip
 from smooth_operator.lab.datasets.writers.arrays import clip_valid
 from smooth_operator.types import CommandTrajectory, HandRecording, Side
-
-PAUSE: Final = 3.0
-"""A step this many times the median is a pause of the tracker."""
 
 
 def drift(stamps: Float[np.ndarray, " T"], rate: float) -> float:
@@ -28,13 +26,6 @@ def drift(stamps: Float[np.ndarray, " T"], rate: float) -> float:
         return 0.0
     nominal = np.arange(len(stamps)) / rate
     return float(np.abs(stamps - stamps[0] - nominal).max() * rate)
-
-
-def mean_rate(stamps: Float[np.ndarray, " T"]) -> float | None:
-    """Frames a second over all steps but pauses; None without two frames."""
-    steps = np.diff(stamps)
-    usual = steps[steps <= PAUSE * np.median(steps)] if len(steps) else steps
-    return float(1.0 / usual.mean()) if len(usual) and usual.mean() > 0.0 else None
 
 
 def resampled(clip: RobotClip, rate: float) -> RobotClip:
