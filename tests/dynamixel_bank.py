@@ -119,7 +119,6 @@ class ServoBank:
     Attributes:
         silent: ids that do not answer.
         deaf, mute: whether nothing reaches the servos, or nothing of them the computer.
-        glitches: (id, position) of the next answers, one each: what a servo is not at.
         corrupt: status packets from now on whose checksum is wrong.
         delay: of each answer [s].
         fast: whether they know the fast sync read.
@@ -132,7 +131,6 @@ class ServoBank:
         self.silent: set[int] = set()
         self.corrupt, self.delay, self.fast = 0, 0.0, True
         self.deaf = self.mute = False
-        self.glitches: list[tuple[int, int]] = []
         self.goals: list[tuple[float, dict[int, int], float]] = []
         self.bad = 0  # instructions with a wrong checksum
         self._buffer = b""
@@ -215,9 +213,6 @@ class ServoBank:
         return self._sent(packet(number, b"", 2))
 
     def _sync_read(self, numbers: list[int], address: int, size: int, fast: bool) -> bytes:
-        if address == 126 and self.glitches:
-            number, position = self.glitches.pop(0)
-            self.servos[number].put(132, 4, position)  # until the servo moves again
         there = [n for n in numbers if n in self.servos and n not in self.silent]
         if not fast:
             rows = [(n, bytes(self.servos[n].table[address : address + size])) for n in there]

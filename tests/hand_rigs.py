@@ -68,11 +68,9 @@ class Rig:
         """The sink, with fast motion unless told otherwise."""
         values = {"approach": 50.0, "speed": 50.0, **settings}
         joint = "," if ":" in self.sink else ":"
-        made = build_sink(
+        return build_sink(
             self.sink + joint + ",".join(f"{name}={value}" for name, value in values.items())
         )
-        assert isinstance(made, HardwareSink)
-        return made
 
     def positions(self) -> np.ndarray:
         """Where the motors are, in the commands' unit."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from typing import Any
 
 from smooth_operator.teleop.sources.live import Arrival, Mailbox, Running
 from smooth_operator.types import HandFrame
@@ -62,13 +63,14 @@ def started(waits: Waits) -> tuple[Running, Kept]:
     return running, mailbox
 
 
-def until(condition: Callable[[], object], timeout: float = 20.0) -> None:
-    """Wait until something is so.
+def until(condition: Callable[[], Any], timeout: float = 90.0) -> Any:
+    """Wait until something is true; its value. A busy machine takes long.
 
     Raises:
         AssertionError: it never came to be.
     """
     end = time.monotonic() + timeout
-    while not condition():
+    while not (value := condition()):
         assert time.monotonic() < end, "it did not come to be in time"
         time.sleep(0.005)
+    return value

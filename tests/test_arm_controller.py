@@ -279,7 +279,6 @@ def test_a_task_stands_in_front_of_the_arm(task: str) -> None:
     np.testing.assert_allclose(physics.arm_positions, carried.home, atol=5e-3)
     state = physics.observe()
     np.testing.assert_allclose(state.position, physics.scene.start[0], atol=0.01)
-    assert physics.carried is not None
     away = state.position[:2] - physics.carried.base[:2, 3]
     assert 0.2 < np.linalg.norm(away) < ARMS["xarm7"].reach, "the object is within reach"
 
@@ -293,7 +292,6 @@ def test_the_sink_carries_the_hand_and_reads_the_arm_back() -> None:
     sink.open({"right": hand}, {})
     try:
         before = sink.measured_wrist("right")
-        assert before is not None
         q = hand.full_configuration(hand.neutral)
         wanted = carried.home + np.array([0.15, 0, 0, 0, 0, 0, 0])
         arm = ArmCommand("panda", carried.arm.joint_names, wanted, np.zeros(7), before)
@@ -306,7 +304,6 @@ def test_the_sink_carries_the_hand_and_reads_the_arm_back() -> None:
             assert time.monotonic() < end, "the arm does not go where it is sent"
             time.sleep(0.02)
         after = sink.measured_wrist("right")
-        assert after is not None
         assert after[1] - before[1] > 0.05, "a positive first joint turns it to the left"
         assert sink.arm_base("right") is None, "there is no task"
     finally:

@@ -39,7 +39,6 @@ def log(tmp_path: Path) -> Path:
 
 
 def _check(track: ArmTrack | None) -> None:
-    assert track is not None
     assert (track.name, track.joint_names, len(track)) == ("ur5e", JOINTS, 4)
     np.testing.assert_array_equal(track.positions[3], _arm(3, False).positions)
     np.testing.assert_allclose(track.measured[1], [0.11, 0.21, 0.31])

@@ -348,7 +348,6 @@ def test_the_report_promises_what_held_for_frames_it_was_not_fitted_on(
     early = np.full((20, 2), 0.004)
     two = np.concatenate([early, early + 0.006])
     left = closed_gaps(replace(found, gaps={finger: two}), finger)
-    assert left is not None
     np.testing.assert_allclose(left[20:], 0.006, atol=1e-12)
     assert closed_gaps(replace(found, gaps={finger: two[:6]}), finger) is None
 

@@ -369,13 +369,6 @@ def test_a_key_that_goes_wrong_is_not_the_last(
     os.close(master)
 
 
-SEEN = {
-    "tracked": True,
-    "engaged": True,
-    "released": False,
-}
-
-
 @pytest.fixture(scope="module")
 def loop() -> TeleopLoop:
     asked = make_request(method="joint_angle")
@@ -398,19 +391,6 @@ def test_a_line_says_what_the_arm_does_and_how_near_it_is_to_something() -> None
     assert "data-arm" not in live_texts.modes(
         {"right": {"mode": "tracking", "latched": None, "wrist": None, "arm": None}}
     )
-
-
-def test_a_line_says_whether_there_is_a_wrist_and_what_it_does() -> None:
-    def line(**wrist: Any) -> str:
-        hand = {"mode": "tracking", "latched": None, "wrist": {**SEEN, **wrist}}
-        return live_texts.modes({"right": hand})
-
-    assert "wrist: tracked, no arm here" in line()
-    assert "held (released; C engages)" in line(engaged=False, released=True)
-    assert "held (the tracker lost it)" in line(engaged=False, tracked=False)
-    assert "wrist: held<" in line(engaged=False)
-    none = live_texts.modes({"right": {"mode": "tracking", "latched": None, "wrist": None}})
-    assert "wrist: not tracked" in none
 
 
 def test_the_page_is_told_both_wrists(loop: TeleopLoop) -> None:

@@ -92,7 +92,6 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_schemas_are_foxgloves(session: Path) -> None:
     with session.open("rb") as stream:
         summary = make_reader(stream).get_summary()
-    assert summary is not None
     found: dict[str, Any] = {}
     for schema in summary.schemas.values():
         if schema.name.startswith("foxglove."):
@@ -116,15 +115,11 @@ def test_a_session_is_drawn_at_a_bounded_rate(session: Path) -> None:
     for topic, content in found.items():
         assert 50 <= len(content) <= 62, topic  # 2 s
     log = read_log(session)
-    assert log.commands is not None
-    assert log.recording is not None
     assert len(log.commands) == len(log.recording) == 200  # and its readers read what they did
 
 
 def test_the_scene_shows_hand_and_robot_side_by_side(session: Path) -> None:
     found, log, hand = messages(session), read_log(session), load_hand("mimic_p050")
-    assert log.recording is not None
-    assert log.commands is not None
     place = found["/foxglove/frames"][0][1]["transforms"][0]
     assert (place["parent_frame_id"], place["child_frame_id"]) == ("robot", "tracker")
     (first,) = found["/foxglove/hand"][0][1]["entities"]
@@ -140,7 +135,6 @@ def test_the_scene_shows_hand_and_robot_side_by_side(session: Path) -> None:
         assert lines["pose"]["orientation"] == {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
         assert lines["color"] == {"r": 0.9, "g": 0.6, "b": 0.35, "a": 1.0}
         frame = log.recording[times[at]]
-        assert frame.valid is not None
         ends = xyz(lines["points"])[lines["indices"]].reshape(-1, 2, 3)
         bones = [b for b in BONES if frame.valid[list(b)].all()]
         np.testing.assert_allclose(ends, frame.landmarks[np.array(bones)], atol=1e-6)
@@ -179,7 +173,6 @@ def test_a_robot_that_can_not_be_drawn_costs_no_command(tmp_path: Path) -> None:
     log.close()
     assert set(messages(tmp_path / "a.mcap")) == {"/foxglove/joints"}
     commands = read_log(tmp_path / "a.mcap").commands
-    assert commands is not None
     assert len(commands) == 1
 
 

@@ -68,17 +68,13 @@ def log(tmp_path: Path, hand: Hand) -> Path:
 
 def test_a_log_has_each_measurement_once(log: Path, hand: Hand) -> None:
     states = read_log(log).states
-    assert states is not None
     assert states.positions.shape == (5, len(hand.joint_names))
     assert states.names == hand.joint_names
     assert np.isnan(states.positions[:, 3]).all()
     assert states.positions[:, 0] == pytest.approx([0.0, 0.02, 0.04, 0.06, 0.08])
-    assert states.currents is not None
     assert states.currents[:, 0].tolist() == [100.0, 102.0, 104.0, 106.0, 108.0]
-    assert states.touch is not None
     assert states.touch.shape == (5, 3)
     commands = read_log(log).commands
-    assert commands is not None
     assert len(commands) == 10
 
 
@@ -90,8 +86,6 @@ def test_measured_joints_survive_a_conversion(log: Path, tmp_path: Path, suffix:
     path = tmp_path / f"copy{suffix}"
     write_episode(path, episode)
     again = read_episode(path).states
-    assert episode.states is not None
-    assert again is not None
     for name in ("stamps", "positions", "currents", "touch"):
         np.testing.assert_array_equal(getattr(again, name), getattr(episode.states, name), name)
     assert (again.names, again.actuators) == (episode.states.names, ("a", "b"))
@@ -114,8 +108,6 @@ def test_a_dataset_observes_the_measured_joints(log: Path, tmp_path: Path, hand:
     state = np.array(table["observation.state"].to_pylist())
     assert state[:, 0] == pytest.approx([0.0, 0.0, 0.02, 0.02, 0.04, 0.04, 0.06, 0.06, 0.08, 0.08])
     again = read_episode(path)
-    assert again.states is not None
-    assert episode.states is not None
     np.testing.assert_array_equal(again.states.stamps, episode.states.stamps)
     np.testing.assert_array_equal(again.states.positions, episode.states.positions)
     bare = replace(episode, states=None, name="bare")
@@ -159,7 +151,6 @@ def test_the_simulation_measures_and_a_real_hand_goes_before_it(hand: Hand) -> N
     runner = SinkRunner([sink])
     runner.open({"right": hand}, {})
     state = runner.state("right")
-    assert state is not None
     assert state.names == hand.joint_names
     assert state.positions.shape == (len(hand.joint_names),)
     assert runner.state("left") is None
@@ -175,7 +166,6 @@ def test_the_simulation_measures_and_a_real_hand_goes_before_it(hand: Hand) -> N
 
     runner.add(Real())  # type: ignore[arg-type]
     found = runner.state("right")
-    assert found is not None
     assert found.stamp == 1.0
     runner.close()
     assert runner.state("right") is None

@@ -61,7 +61,6 @@ def test_the_dialogue_finds_joint_ends_and_sense(table: ActuatorMap, hand: Hand)
     said: list[str] = []
     with ActuatorMover(fake, table, seconds=0.05) as mover:
         made = TableCheck(mover, hand, ask, said.append).run(table)
-    assert made is not None
     first, second = made.actuators
     assert first.joints == {other: 1.0}
     assert first.ends[0] == pytest.approx(156.0)
@@ -84,7 +83,6 @@ def test_the_last_command_ends_the_question(table: ActuatorMap, hand: Hand) -> N
     said: list[str] = []
     with ActuatorMover(FakeHand(table), table, seconds=0.02) as mover:
         made = TableCheck(mover, hand, ask, said.append).run(table)
-    assert made is not None
     assert made.actuators[0].ends == table.actuators[0].ends
     assert sum("is reached: taken as the end" in line for line in said) == 2
 

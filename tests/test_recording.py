@@ -76,13 +76,11 @@ def test_real_manus_recording(shared: Path) -> None:
     assert recording.meta["glove_ids"] == [3064964832]
     assert recording.rate_hz == pytest.approx(118.5, abs=0.1)
     assert recording.duration == pytest.approx(43.38, abs=0.01)
-    assert recording.valid is not None
     assert recording.valid.all()
     with np.load(path, allow_pickle=False) as stored:
         data = stored["data"].astype(float)
     np.testing.assert_array_equal(recording.landmarks, data[:, FROM_MANUS_25, :3])
     np.testing.assert_array_equal(recording.metacarpals, data[:, METACARPALS_MANUS_25, :3])
-    assert recording.orientations is not None
     np.testing.assert_allclose(np.linalg.norm(recording.orientations, axis=-1), 1.0, atol=1e-12)
     np.testing.assert_allclose(recording.orientations, data[:, FROM_MANUS_25, 3:], atol=0.011)
 
@@ -127,7 +125,6 @@ def test_manus_ids_and_quaternion_order_are_honoured(tmp_path: Path) -> None:
     np.testing.assert_array_equal(restored.landmarks, plain.landmarks)
     np.testing.assert_array_equal(restored.metacarpals, plain.metacarpals)
     np.testing.assert_array_equal(restored.orientations, plain.orientations)
-    assert plain.orientations is not None
     expected = np.asarray(manus()["data"], float)[:, 6, 3:]  # node 6: index MCP, landmark 5
     np.testing.assert_allclose(plain.orientations[:, 5], expected, atol=1e-6)
 
@@ -172,7 +169,6 @@ def test_zero_quaternion_is_unknown(tmp_path: Path) -> None:
     data = np.asarray(manus()["data"]).copy()
     data[3, 6, 3:] = 0.0
     recording = read_recording(save(tmp_path / "a.npz", manus(data=data)))
-    assert recording.orientations is not None
     assert np.isnan(recording.orientations[3, 5]).all()
     assert np.isfinite(np.delete(recording.orientations, 3, axis=0)).all()
 
@@ -426,9 +422,7 @@ def test_landmarks_out_of_this_world_are_refused_or_not_seen(tmp_path: Path) -> 
     poses[5, 0] = 1e15
     arrays = {"landmarks": points, "timestamps": np.arange(FRAMES) / 30, "T_world_wrist": poses}
     recording = read_recording(save(tmp_path / "b.npz", arrays))
-    assert recording.valid is not None
     assert np.flatnonzero(~recording.valid.all(axis=1)).tolist() == [3]
-    assert recording.T_world_wrist is not None
     assert np.flatnonzero(np.isnan(recording.T_world_wrist[:, 0])).tolist() == [5]
     assert recording.meta["implausible_frames"] == 1
 

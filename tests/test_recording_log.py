@@ -5,9 +5,6 @@ from __future__ import annotations
 import errno
 import os
 import re
-import subprocess
-import sys
-import textwrap
 from pathlib import Path
 
 import numpy as np
@@ -82,7 +79,6 @@ def test_round_trip_is_exact(tmp_path: Path, compression: str, side: Side, rich:
     assert log.config == {"method": "sbr", "limit": "inf"}
     assert log.recording is not None
     assert_same(hands, log.recording)
-    assert log.commands is not None
     i = np.arange(len(hands))
     assert log.commands.joint_names == NAMES
     expected = np.stack([i / 7, np.pi * (i / 7)], axis=1)
@@ -99,24 +95,11 @@ def test_round_trip_is_exact(tmp_path: Path, compression: str, side: Side, rich:
     }
 
 
-@pytest.mark.shared
-def test_real_recording_through_the_log(shared: Path, tmp_path: Path) -> None:
-    hands = read_recording(shared / "recordings" / "manus_right_subject-000_run-010.npz")[:400]
-    with LogWriter(tmp_path / "a.mcap") as log:
-        for frame in hands:
-            log.write_hand(frame)
-    assert_same(hands, read_recording(tmp_path / "a.mcap"))
-    assert read_log(tmp_path / "a.mcap").commands is None
-    assert (tmp_path / "a.mcap").stat().st_size < 400 * 4000
-
-
 def test_opens_in_the_mcap_library_and_its_types_say_what_it_holds(tmp_path: Path) -> None:
     hands = recording(10)
     path = write(tmp_path / "a.mcap", hands)
     with path.open("rb") as stream:
         summary = make_reader(stream, validate_crcs=True).get_summary()
-    assert summary is not None
-    assert summary.statistics is not None
     counts = summary.statistics.channel_message_counts
     topics = {c.topic: counts[c.id] for c in summary.channels.values()}
     own = {topic: n for topic, n in topics.items() if not topic.startswith("/foxglove/")}
@@ -133,12 +116,9 @@ def test_opens_in_the_mcap_library_and_its_types_say_what_it_holds(tmp_path: Pat
 
     found = {topic: [plain(m) for t, _, m in messages if t == topic] for topic in own}
     first = found["/hand"][0]
-    assert hands.metacarpals is not None
-    assert hands.orientations is not None
     np.testing.assert_array_equal(first["landmarks"], hands.landmarks[0].ravel())
     np.testing.assert_array_equal(first["metacarpals"], hands.metacarpals[0].ravel())
     np.testing.assert_array_equal(first["orientations"], hands.orientations[0].ravel())
-    assert hands.valid is not None
     assert first["valid"] == hands.valid[0].tolist()
     assert (first["side"], first["stamp"], first["wrist"]) == ("right", hands.stamps[0], [])
     third = {topic: rows[3] for topic, rows in found.items() if topic != "/config"}
@@ -157,7 +137,6 @@ def test_types_carry_their_units(tmp_path: Path) -> None:
     path = write(tmp_path / "a.mcap", recording(1))
     with path.open("rb") as stream:
         summary = make_reader(stream).get_summary()
-    assert summary is not None
     own = [s for s in summary.schemas.values() if s.name.startswith("smooth_operator.")]
     for schema in own:
         (file,) = FileDescriptorSet.FromString(schema.data).file
@@ -200,8 +179,6 @@ def test_numbers_that_are_not_finite_come_back_as_unknown(tmp_path: Path) -> Non
                 JointCommand(np.array([np.inf, 1.0]), NAMES, frame.stamp), Status.OK, float("inf")
             )
     back = read_log(tmp_path / "a.mcap")
-    assert back.recording is not None
-    assert back.commands is not None
     assert np.isnan(back.recording.landmarks[2, 5, 0])
     np.testing.assert_array_equal(back.commands.joint_positions[0], [np.nan, 1.0])
     assert np.isnan(back.commands.latency_ms).all()
@@ -226,7 +203,6 @@ def test_partial_logs(tmp_path: Path) -> None:
     log = read_log(tmp_path / "commands.mcap")
     assert log.recording is None
     assert log.config == {"late": True}
-    assert log.commands is not None
     np.testing.assert_array_equal(log.commands.latency_ms, [0.5, np.nan])
     np.testing.assert_array_equal(log.stages_ms["solve"], [np.nan, 1.0])
 
@@ -237,10 +213,7 @@ def test_optional_fields_may_come_and_go(tmp_path: Path) -> None:
         log.write_hand(HandFrame(hands.landmarks[0], -2.5))  # before zero is a time as well
         log.write_hand(hands[1])
     back = read_log(tmp_path / "a.mcap").recording
-    assert back is not None
-    assert back.metacarpals is not None
     assert np.isnan(back.metacarpals[0]).all()
-    assert hands.metacarpals is not None
     np.testing.assert_array_equal(back.metacarpals[1], hands.metacarpals[1])
     assert back.stamps[0] == -2.5
 
@@ -255,7 +228,6 @@ def test_cut_off_anywhere_gives_the_complete_chunks(tmp_path: Path, compression:
     content = whole.read_bytes()
     with whole.open("rb") as stream:
         summary = make_reader(stream).get_summary()
-    assert summary is not None
     ends = np.array([c.chunk_start_offset + c.chunk_length for c in summary.chunk_indexes])
     topics = {number: channel.topic for number, channel in summary.channels.items()}
     counts: dict[str, list[int]] = {topic: [] for topic in topics.values()}
@@ -291,7 +263,6 @@ def test_cut_off_anywhere_gives_the_complete_chunks(tmp_path: Path, compression:
                 read_recording(cut)
             continue
         assert log.recording is not None
-        assert log.commands is not None
         assert_same(hands[: sum(counts["/hand"][:complete])], log.recording)
         commands = sum(counts["/command"][:complete])
         np.testing.assert_array_equal(log.commands.stamps, hands.stamps[:commands])
@@ -321,47 +292,7 @@ def test_damage_in_the_middle_keeps_what_came_before(tmp_path: Path) -> None:
     whole.write_bytes(content[: len(content) // 2] + bytes(5000))
     log = read_log(whole)
     assert log.truncated
-    assert log.recording is not None
     assert 10 < len(log.recording) < 40
-
-
-def test_killed_writer_leaves_a_readable_log(tmp_path: Path) -> None:
-    path = tmp_path / "killed.mcap"
-    script = textwrap.dedent(
-        """
-        import sys, time
-        import numpy as np
-        from smooth_operator.teleop.recording import LogWriter
-        from smooth_operator.types import HandFrame
-
-        points = np.linspace(0.0, 0.1, 63).reshape(21, 3)
-        with LogWriter(sys.argv[1], flush_seconds=0.05) as log:
-            for i in range(1_000_000):
-                log.write_hand(HandFrame(points + i, i / 100))
-                if i == 100:
-                    time.sleep(0.06)
-                if i == 102:
-                    print("ready", flush=True)
-                time.sleep(0.0005)
-        """
-    )
-    process = subprocess.Popen(
-        [sys.executable, "-c", script, str(path)], stdout=subprocess.PIPE, text=True
-    )
-    try:
-        assert process.stdout is not None
-        assert process.stdout.readline() == "ready\n"
-    finally:
-        process.kill()
-        process.wait()
-        if process.stdout is not None:
-            process.stdout.close()
-    log = read_log(path)
-    assert log.truncated
-    assert log.recording is not None
-    assert len(log.recording) > 100  # all that was older than flush_seconds
-    np.testing.assert_array_equal(log.recording.stamps, np.arange(len(log.recording)) / 100)
-    assert log.recording.landmarks[100, 0, 0] == 100.0
 
 
 def test_flush_and_time_bring_frames_to_the_file(tmp_path: Path) -> None:
@@ -423,8 +354,6 @@ def test_writer_refuses_what_could_not_be_read(tmp_path: Path) -> None:
             log.write_config({})
         log.write_hand(hands[2])
     result = read_log(tmp_path / "a.mcap")  # none of it left a trace
-    assert result.recording is not None
-    assert result.commands is not None
     assert (len(result.recording), len(result.commands), result.config) == (2, 1, {})
 
 

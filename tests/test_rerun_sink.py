@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from smooth_operator import load_hand
-from smooth_operator.errors import ConfigError, MissingExtraError
+from smooth_operator.errors import ConfigError
 from smooth_operator.teleop.components import build_sink
 from smooth_operator.teleop.sinks.sink import Sink
 from smooth_operator.teleop.sinks.tick import HandState, Mode, Tick
@@ -79,9 +79,3 @@ def test_what_rerun_is_to_write_to_is_checked() -> None:
     assert build_sink("rerun:take.rrd").observes
     with pytest.raises(ConfigError, match=r"NAME\.rrd, not 'take\.mcap'"):
         build_sink("rerun:take.mcap")
-
-
-@pytest.mark.skipif(HERE, reason="rerun-sdk is installed")
-def test_without_rerun_the_extra_is_named() -> None:
-    with pytest.raises(MissingExtraError, match="rerun"):
-        build_sink("rerun").check({})

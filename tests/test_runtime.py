@@ -58,22 +58,6 @@ def within(hand: Hand, limits: LimitsConfig, q: np.ndarray, dt: float) -> None:
     assert np.abs(np.diff(every, n=2, axis=0)).max() / dt**2 <= limits.acceleration * (1 + 1e-9)
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_wild_targets_never_break_a_limit(hand: Hand, seed: int) -> None:
-    config = LimitsConfig(velocity=8.0, acceleration=300.0)
-    limiter, rng = Limiter(hand, config), np.random.default_rng(seed)
-    low, high = hand.limits.T
-    out = [limiter.q, limiter.q]
-    target = limiter.q
-    for step in range(800):
-        if step % rng.integers(1, 30) == 0:
-            target = rng.uniform(low - 1, high + 1)
-        if step == 400:
-            target = np.full_like(target, np.nan)
-        out.append(limiter.step(target, PERIOD))
-    within(hand, config, np.array(out), PERIOD)
-
-
 def test_a_step_is_reached_without_overshoot(hand: Hand) -> None:
     limiter = Limiter(hand, LimitsConfig(velocity=5.0, acceleration=200.0))
     target = hand.limits[:, 1].copy()
@@ -300,7 +284,6 @@ def test_a_robot_holds_while_a_method_is_compiled(
     assert modes(waiting) == [Mode.WAITING]
     assert waiting[0].events == (COMPILING,)
     assert all(tick.status is None for tick in waiting)
-    assert stage.pipeline.latest is not None  # the page shows it
     assert stage.pipeline.latest.frame is frames[49]
     stage.pipeline.go_on()
     moving = stage.play(frames[50:250])

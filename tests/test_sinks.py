@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import re
 import subprocess
 import sys
 import textwrap
@@ -20,7 +19,7 @@ from live_time import until
 from rich.console import Console
 from ticks import make_tick
 
-from smooth_operator.errors import ConfigError, MissingExtraError, SinkError, install_command
+from smooth_operator.errors import ConfigError, SinkError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.teleop.components import SINKS, build_sink
@@ -284,7 +283,6 @@ def test_zmq_subscriber_killed_and_restarted_and_nobody_there(hand: Hand, listen
         process = subprocess.Popen(
             [sys.executable, "-c", textwrap.dedent(child), sink.address], stdout=subprocess.PIPE
         )
-        assert process.stdout is not None
         said: list[bytes] = []
         heard = threading.Thread(target=said.extend, args=(iter(process.stdout.readline, b""),))
         heard.start()
@@ -342,12 +340,6 @@ def test_zmq_never_sends_what_is_not_finite(hand: Hand) -> None:
 def test_bad_settings(text: str) -> None:
     with pytest.raises(ConfigError):
         build_sink(text)
-
-
-def test_missing_extra(hand: Hand, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "zmq", None)
-    with pytest.raises(MissingExtraError, match=re.escape(install_command("zmq"))):
-        ZmqSink().open({"right": hand}, {})
 
 
 # --- table

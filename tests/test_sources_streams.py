@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import itertools
 import json
-import re
 import socket
 import subprocess
 import sys
@@ -17,15 +16,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from glove_simulator import Glove, GloveFaults, GloveSimulator, write_manus
+from glove_simulator import GloveFaults, messages, write_manus
 from live_time import Kept, until
 
 from smooth_operator.errors import (
     ConfigError,
-    MissingExtraError,
     RecordingError,
     SourceError,
-    install_command,
 )
 from smooth_operator.landmarks import FROM_MANUS_25, METACARPALS_MANUS_25
 from smooth_operator.synthetic import SyntheticOperator
@@ -495,58 +492,27 @@ def test_pickled_python_objects_are_refused_not_opened() -> None:
             assert mailbox.all == []
 
 
-def test_without_pyzmq_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "zmq", None)
-    for source in (ZmqSource(), ManusStream()):
-        with pytest.raises(MissingExtraError, match=re.escape(install_command("zmq"))):
-            source.start(Kept())
-    with pytest.raises(MissingExtraError, match=re.escape(install_command("zmq"))):
-        GloveSimulator().open()
-
-
 # Gloves.
 
 
-@pytest.fixture(scope="module")
-def glove() -> Iterator[Glove]:
-    """A simulator of both hands, of which a test may take the prepared frames."""
-    missing = GloveFaults(missing=0.1)
-    made = GloveSimulator("tcp://127.0.0.1:*", rate=50.0, side="both", faults=missing).open()
-    yield made
-    made.close()
+def test_a_simulated_glove_s_faults_are_as_often_as_asked() -> None:
+    played = SyntheticOperator(rate_hz=50.0).record(20.0)
 
+    def ticks(count: int, **faults: float) -> list[tuple[float, list[HandFrame]]]:
+        sent = itertools.islice(messages(played, 50.0, "both", GloveFaults(**faults)), count)
+        return [
+            (due, [r.frame for r in read_manus(m, gloves={}, side=None, received=-1.0)])
+            for due, m in sent
+        ]
 
-def ticks(
-    glove: Glove, count: int, **faults: float
-) -> list[tuple[float, list[tuple[HandFrame, str]]]]:
-    """(due, [(frame, session) ...]) of the simulator's first messages."""
-    made = glove._prepared.messages(GloveFaults(**faults))
-    found = []
-    for due, message in itertools.islice(made, count):
-        readings = read_manus(message, gloves={}, side=None, received=-1.0)
-        found.append((due, [(r.frame, str(r.session)) for r in readings]))
-    return found
+    def hands(count: int = 1500, **faults: float) -> list[HandFrame]:
+        return [frame for _, frames in ticks(count, **faults) for frame in frames]
 
+    def steps(count: int = 1500, **faults: float) -> np.ndarray:
+        return np.diff([frame.time for frame in hands(count, **faults) if frame.side == "right"])
 
-def stamps(found: list[Any], side: str = "right") -> np.ndarray:
-    return np.array([f.stamp for _, hands in found for f, _ in hands if f.side == side])
-
-
-def test_a_glove_without_faults_is_even_and_never_jumps(glove: Glove) -> None:
-    found = ticks(glove, 4200)  # 42 s: there, back, and there again
-    for side in ("right", "left"):
-        np.testing.assert_allclose(np.diff(stamps(found, side)), 0.02, atol=1e-6)
-        moved = np.stack([f.landmarks for _, hands in found for f, _ in hands if f.side == side])
-        assert np.abs(np.diff(moved, axis=0)).max() < 0.05  # 2.5 m/s
-    assert [due for due, _ in found] == pytest.approx(np.repeat(np.arange(2100), 2) / 50.0)
-    assert len({session for _, hands in found for _, session in hands}) == 1
-
-
-def test_a_glove_s_faults_are_as_often_as_asked(glove: Glove) -> None:
-    def hands(**faults: float) -> list[HandFrame]:
-        return [frame for _, hands in ticks(glove, 1500, **faults) for frame, _ in hands]
-
-    found = ticks(glove, 1500, drop=0.1)
+    np.testing.assert_allclose(steps(4200), 0.02, atol=1e-6)  # 42 s: there, back, there again
+    found = ticks(1500, drop=0.1)
     assert len(found) / 2 / (found[-1][0] * 50) == pytest.approx(0.9, abs=0.04)
     seen = Counter(int(frame.valid.sum()) for frame in hands(missing=0.1))
     assert set(seen) == {0, 17, 21}
@@ -555,32 +521,11 @@ def test_a_glove_s_faults_are_as_often_as_asked(glove: Glove) -> None:
     right = [(f.landmarks[5, 1] > f.landmarks[17, 1]) == (f.side == "right")
              for f in hands(swap=0.1)]  # fmt: skip
     assert np.mean(right) == pytest.approx(0.9, abs=0.04)
-    assert (np.diff(stamps(ticks(glove, 1500, duplicate=0.1))) == 0).mean() > 0.06
-    assert (np.diff(stamps(ticks(glove, 1500, reorder=0.1))) < 0).mean() > 0.05
-    steps = np.diff(stamps(ticks(glove, 1000, silence_every=4.0, silence=2.0)))
-    np.testing.assert_allclose(steps[steps > 0.03], [2.02] * 4, atol=1e-6)
-    assert (np.diff(stamps(ticks(glove, 1000, restart_every=3.0))) < -2.0).sum() == 3
-
-
-def test_a_recording_is_published_and_mirrored_for_the_other_hand(tmp_path: Path) -> None:
-    recording = SyntheticOperator(rate_hz=50.0).record(0.2)
-    path = tmp_path / "hand.npz"
-    np.savez(path, landmarks=recording.landmarks, timestamps=recording.stamps, side="right")
-    glove = GloveSimulator("tcp://127.0.0.1:*", side="both", recording=path).open()
-    try:
-        assert glove.rate == pytest.approx(50.0)
-        found = ticks(glove, 60)
-        right, left = (
-            np.stack([f.landmarks for _, h in found for f, _ in h if f.side == side])
-            for side in ("right", "left")
-        )
-        np.testing.assert_allclose(right[:10], recording.landmarks, atol=1e-6)
-        np.testing.assert_allclose(right[9:19], recording.landmarks[::-1], atol=1e-6)
-        np.testing.assert_allclose(left, right * [1, -1, 1], atol=1e-9)
-    finally:
-        glove.close()
-    with pytest.raises(SourceError, match="listen"):
-        GloveSimulator("udp://x", recording=path).open()
+    assert (steps(duplicate=0.1) == 0).mean() > 0.06
+    assert (steps(reorder=0.1) < 0).mean() > 0.05
+    silences = steps(1000, silence_every=4.0, silence=2.0)
+    np.testing.assert_allclose(silences[silences > 0.03], [2.02] * 4, atol=1e-6)
+    assert (steps(1000, restart_every=3.0) < -2.0).sum() == 3
 
 
 COMMAND = [sys.executable, str(Path(__file__).with_name("glove_simulator.py"))]
@@ -591,7 +536,6 @@ def start_glove(path: Path, address: str, *more: str) -> tuple[subprocess.Popen[
         [*COMMAND, "--recording", str(path), "--address", address, "--side", "both", *more],
         stdout=subprocess.PIPE, text=True,
     )  # fmt: skip
-    assert process.stdout is not None
     return process, process.stdout.readline().split()[-1]
 
 

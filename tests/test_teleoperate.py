@@ -102,7 +102,6 @@ def test_a_run_is_one_call_from_text_or_objects_to_a_summary(
     assert kept.config["hand"] == "leap_hand"
     assert kept.config["sinks"] == ["kept", f"record:{log}"]
     recorded = read_log(log)
-    assert recorded.commands is not None
     assert recorded.commands.joint_names == kept.ticks[-1].command.names
     assert isinstance(loops[0], TeleopLoop)
     said = [record.message for record in caplog.records]

@@ -21,6 +21,7 @@ import mujoco
 import numpy as np
 import pytest
 from browser_page import changed, new_page, settled
+from live_time import until as eventually
 
 from smooth_operator import landmarks
 from smooth_operator.errors import ConfigError, HandModelError, RecordingError
@@ -136,17 +137,6 @@ def server(playback: Playback) -> Iterator[PlaybackServer]:
         yield running
 
 
-def eventually(check: Any, seconds: float = 30.0) -> Any:
-    """The first true value of ``check()``; an assertion error when time is up."""
-    end = time.monotonic() + seconds
-    while True:
-        value = check()
-        if value:
-            return value
-        assert time.monotonic() < end, "nothing happened in time"
-        time.sleep(0.01)
-
-
 # -- the recording ----------------------------------------------------------------------------
 
 
@@ -227,7 +217,6 @@ def test_primitive_meshes_have_mujocos_size(
         f'<mujoco><worldbody><geom type="{kind}" size="{size}"/></worldbody></mujoco>'
     )
     mesh = geom_mesh(model, 0)
-    assert mesh is not None
     np.testing.assert_allclose(mesh.bounds, [-np.array(half), half], atol=2e-4)
     assert mesh.is_watertight
     assert mesh.volume == pytest.approx(volume, rel=0.03)

@@ -28,7 +28,6 @@ from smooth_operator.teleop.opencv import opencv
 from smooth_operator.teleop.sources.live import Mailbox
 from smooth_operator.teleop.sources.webcam.camera import VideoFile
 from smooth_operator.teleop.sources.webcam.picture_tracker import (
-    OneEuroConfig,
     OneEuroState,
     PictureConfig,
     PictureTracker,
@@ -213,7 +212,7 @@ def smoothed(recording: HandRecording, cutoff: float) -> np.ndarray:
     state: OneEuroState | None = None
     out = []
     for points, stamp in zip(recording.landmarks, recording.stamps, strict=True):
-        state = one_euro(state, points, float(stamp), OneEuroConfig(cutoff))
+        state = one_euro(state, points, float(stamp), cutoff)
         out.append(state.points)
     return np.array(out)
 

@@ -216,11 +216,8 @@ def _surface(capsule: Capsule) -> trimesh.Trimesh:
     mesh = trimesh.creation.capsule(height=length, radius=capsule.radius, count=[16, 16])
     mesh.apply_translation(-mesh.bounds.mean(axis=0))
     if length > 0:
-        turn, wxyz, matrix = np.eye(4), np.empty(4), np.empty(9)
-        mujoco.mju_quatZ2Vec(wxyz, axis / length)
-        mujoco.mju_quat2Mat(matrix, wxyz)
-        turn[:3, :3] = matrix.reshape(3, 3)
-        mesh.apply_transform(turn)
+        geometry: Any = trimesh.geometry  # untyped
+        mesh.apply_transform(geometry.align_vectors((0.0, 0.0, 1.0), axis / length))
     mesh.apply_translation((first + second) / 2)
     return mesh
 

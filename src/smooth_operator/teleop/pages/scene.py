@@ -141,14 +141,11 @@ def thumb_lines(tips: Float[np.ndarray, "F 3"]) -> Float[np.ndarray, "G 2 3"]:
 
 
 def _turn_z(direction: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 4"]:
-    """(N, 4) quaternions (wxyz) that turn +z to each direction; identity for a zero vector."""
-    length = np.linalg.norm(direction, axis=-1, keepdims=True)
-    z = np.divide(direction, length, out=np.tile([0.0, 0.0, 1.0], (len(direction), 1)),
-                  where=length > 1e-9)  # fmt: skip
-    # the half-way quaternion (1 + z.e, e x z); straight down, any axis in the plane will do
-    quat = np.stack([1 + z[:, 2], -z[:, 1], z[:, 0], np.zeros(len(z))], axis=-1)
-    quat[quat[:, 0] < 1e-9] = [0.0, 1.0, 0.0, 0.0]
-    return np.asarray(quat / np.linalg.norm(quat, axis=-1, keepdims=True))
+    """(N, 4) quaternions (wxyz) that turn +z to each direction; any for a zero vector."""
+    turns = np.empty((len(direction), 4))
+    for turn, vector in zip(turns, direction, strict=True):
+        mujoco.mju_quatZ2Vec(turn, vector)
+    return turns
 
 
 _BALL, _BALL_PINCHED = 0.0035, 0.0075  # radii of the fingertip markers [m]

@@ -14,7 +14,6 @@ from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError, SinkError, UnknownNameError
 from smooth_operator.hands.hand import Hand
-from smooth_operator.teleop.hardware.actuator_map import BoundMap
 from smooth_operator.teleop.hardware.table_file import find_table, read_table
 from smooth_operator.teleop.ros2.messages import (
     Duration,
@@ -87,60 +86,23 @@ def joint_message(
 
 
 @dataclass(frozen=True)
-class JointLayout:
-    """Order and names of a hand's joints in a driver, which takes radians.
+class Layout:
+    """Joints of a hand as a driver takes them.
 
     Attributes:
-        names: (k,) the driver's names of the joints.
-        indices: (k,) indices of the joints in the hand.
+        names: (k,) names of the joints, or actuators, in their order.
+        values: (n,) positions of the hand's joints [rad] -> k commands.
+        rates: (n,) velocities of the hand's joints [rad/s] -> k velocities, or none: drivers with a
+            unit of their own use ``velocity`` for another quantity.
     """
 
     names: tuple[str, ...]
-    indices: tuple[int, ...]
-
-    def values(self, positions: Float[np.ndarray, " n"]) -> list[float]:
-        """(k,) positions of these joints [rad]."""
-        picked: list[float] = positions[list(self.indices)].tolist()
-        return picked
-
-    def rates(self, velocities: Float[np.ndarray, " n"]) -> list[float]:
-        """(k,) velocities of these joints [rad/s]."""
-        return self.values(velocities)
+    values: Callable[[Float[np.ndarray, " n"]], list[float]]
+    rates: Callable[[Float[np.ndarray, " n"]], list[float]]
 
 
-@dataclass(frozen=True)
-class TableLayout:
-    """Actuators of a table, which maps joints to them within their ends.
-
-    Attributes:
-        table: the table, bound to the joints of the hand.
-    """
-
-    table: BoundMap
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """(k,) names of the actuators."""
-        return self.table.table.names
-
-    def values(self, positions: Float[np.ndarray, " n"]) -> list[float]:
-        """(k,) commands for joint positions [rad]."""
-        commands = self.table.commands(self.table.angles(positions))
-        within: list[float] = self.table.clip(commands).tolist()
-        return within
-
-    def rates(self, velocities: Float[np.ndarray, " n"]) -> list[float]:
-        """Empty: drivers with a unit of their own use ``velocity`` for another quantity."""
-        del velocities
-        return []
-
-
-Layout: TypeAlias = JointLayout | TableLayout
-"""Order, names and unit of joints in a driver."""
-
-
-def table_layout(hand: Hand, table: str) -> TableLayout:
-    """The layout of a table for a hand.
+def table_layout(hand: Hand, table: str) -> Layout:
+    """The layout of a table for a hand, whose actuators keep within their ends.
 
     Args:
         hand: the hand.
@@ -157,10 +119,16 @@ def table_layout(hand: Hand, table: str) -> TableLayout:
             f"ros2: {read.file} is of the {read.side} hand, and commands are for the {side} one; "
             "put {side} into the name of the table"
         )
-    return TableLayout(read.bind(hand))
+    bound = read.bind(hand)
+
+    def values(positions: Float[np.ndarray, " n"]) -> list[float]:
+        commands: list[float] = bound.clip(bound.commands(bound.angles(positions))).tolist()
+        return commands
+
+    return Layout(read.names, values, lambda velocities: [])
 
 
-def joint_layout(hand: Hand, joints: str, prefix: str = "") -> JointLayout:
+def joint_layout(hand: Hand, joints: str, prefix: str = "") -> Layout:
     """The layout for a hand.
 
     Args:
@@ -176,8 +144,12 @@ def joint_layout(hand: Hand, joints: str, prefix: str = "") -> JointLayout:
         indices = hand.actuated if joints == "actuated" else tuple(range(len(hand.joint_names)))
     else:
         indices = tuple(dict.fromkeys(i for word in joints.split() for i in _matching(hand, word)))
-    names = tuple(prefix + hand.joint_names[i] for i in indices)
-    return JointLayout(names, indices)
+
+    def values(joint_values: Float[np.ndarray, " n"]) -> list[float]:
+        picked: list[float] = joint_values[list(indices)].tolist()
+        return picked
+
+    return Layout(tuple(prefix + hand.joint_names[i] for i in indices), values, values)
 
 
 def _matching(hand: Hand, pattern: str) -> list[int]:

@@ -213,8 +213,9 @@ class Recorder:
             try:
                 self._logs[side] = _HandLog(path, hands[side], config, overwrite=overwrite)
             except Exception:
-                for log in self._logs.values():
-                    log.discard()
+                for begun in self._logs.values():
+                    begun.log.close()
+                    begun.log.path.unlink(missing_ok=True)
                 if not existed:
                     path.unlink(missing_ok=True)
                 raise
@@ -277,13 +278,16 @@ class Recorder:
         try:
             self._write()
         except Exception as error:  # of the disk, or a tick that no log can hold
-            logs = self._logs.values()
+            logs = list(self._logs.values())
             with self._change:
                 self._failed = True  # takes no more
-            self.empty += [log.path for log in logs if not log.give_up()]
+            for each in logs:  # save what can be saved
+                with contextlib.suppress(OutputError):
+                    each.log.close()
+            self.empty += [each.log.path for each in logs if not each.log.commands_flushed]
             with self._change:
                 # those that wait, those that were being written, those in a chunk that was lost
-                self.dropped += self._buffered - sum(log.kept for log in logs)
+                self.dropped += self._buffered - sum(each.log.commands_flushed for each in logs)
                 self._waiting.clear()
                 self._error = error
 
@@ -304,12 +308,12 @@ class Recorder:
                 if position % _TURN == 0:
                     time.sleep(0)
             if time.monotonic() - flushed >= self._flush_s:
-                for log in self._logs.values():
-                    log.flush()
+                for each in self._logs.values():
+                    each.flush()
                 flushed = time.monotonic()
             if ending and not ticks:
-                for log in self._logs.values():
-                    log.close()
+                for each in self._logs.values():
+                    each.log.close()
                 return
 
 
@@ -319,9 +323,8 @@ class _HandLog:
     def __init__(
         self, path: Path, hand: Hand, config: Mapping[str, Any], *, overwrite: bool
     ) -> None:
-        self.path = path
         # Flushed from outside, for both hands together and also where nothing comes any more.
-        self._log = LogWriter(
+        self.log = LogWriter(
             path,
             overwrite=overwrite,
             chunk_bytes=_CHUNK_BYTES,
@@ -330,8 +333,8 @@ class _HandLog:
         )
         started = datetime.datetime.now(datetime.UTC).isoformat(timespec="milliseconds")
         meta = f'{{"started":"{started}","clock":"{time.perf_counter():.6f}"}}'
-        self._log.write_origin({"name": path.stem, "meta": meta})
-        self._log.write_config(config)
+        self.log.write_origin({"name": path.stem, "meta": meta})
+        self.log.write_config(config)
         self._stamps = StampMap()
         self._driver: Driver | None = None
         self._state: HandState | None = None
@@ -341,17 +344,15 @@ class _HandLog:
         """Append a tick."""
         stamp, frame = self._stamps(tick)
         if frame is not None:
-            self._log.write_hand(frame, stamp)
+            self.log.write_hand(frame, stamp)
         if tick.driver is not None and tick.driver is not self._driver:
             self._driver = tick.driver
-            self._log.write_method(
-                stamp, tick.driver.method, tick.driver.preset, tick.driver.config
-            )
+            self.log.write_method(stamp, tick.driver.method, tick.driver.preset, tick.driver.config)
         if tick.state is not None and tick.state is not self._state:
             self._state = tick.state
-            self._log.write_state(tick.state)
+            self.log.write_state(tick.state)
         arrival = tick.arrival
-        self._log.write_command(
+        self.log.write_command(
             JointCommand(tick.command.positions, tick.command.names, stamp),
             # Where no frame is answered none was bad; what the loop did then is its mode.
             Status.OK if tick.status is None else tick.status,
@@ -376,28 +377,8 @@ class _HandLog:
     def flush(self) -> None:
         """Bring what is pending to the disk, where it outlives a power cut as well."""
         if self._pending:
-            self._log.flush(sync=True)
+            self.log.flush(sync=True)
             self._pending = False
-
-    def close(self) -> None:
-        """End the file."""
-        self._log.close()
-
-    @property
-    def kept(self) -> int:
-        """Ticks that are in the file."""
-        return self._log.commands_flushed
-
-    def give_up(self) -> int:
-        """Save what can be saved, after an error; the number of ticks in the file."""
-        with contextlib.suppress(OutputError):
-            self._log.close()
-        return self.kept
-
-    def discard(self) -> None:
-        """Take the file away, since its like for the other hand can't be written."""
-        self._log.close()
-        self.path.unlink(missing_ok=True)
 
 
 SUFFIX = ".mcap"

@@ -272,7 +272,7 @@ def _recordings(
         good = [row for row in own if row["status"] == "ok"]
         if not good:
             continue
-        content = {
+        content: dict[str, Any] = {
             "title": "{} on {} {}".format(*key), "lines": lines_of(own), "facts": _facts(own[0]),
             "good": good, "lines_good": lines_of(good), "statuses": list(map(_statuses, good)),
             "clip": None,

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-import mujoco
 import numpy as np
 import trimesh
 import viser
@@ -215,7 +214,8 @@ class SceneryNodes:
         Args:
             pose: position and quaternion of the object.
         """
-        return np.asarray(_SPACE * self._corners @ _rotation(pose[3:]).T + np.array(pose[:3]))
+        turn = np.array(pose[3:], float)
+        return np.asarray(poses.rotate(turn, _SPACE * self._corners)) + np.array(pose[:3])
 
     def show(self, parts: Sequence[Mapping[str, Any]]) -> None:
         """Draw these shapes in the place of those before; see ``Scenery``."""
@@ -227,7 +227,7 @@ class SceneryNodes:
         for number, part in enumerate(parts):
             mesh, moves = _mesh(part["kind"], part["size"]), bool(part["moves"])
             if moves:
-                box = mesh.bounding_box.vertices @ _rotation(part["quaternion"]).T
+                box = poses.rotate(np.array(part["quaternion"]), mesh.bounding_box.vertices)
                 self._corners = np.concatenate([self._corners, box + np.array(part["position"])])
             *color, opacity = part["color"]
             opacity = opacity if moves else min(opacity, _STANDS)
@@ -267,12 +267,6 @@ class SceneryNodes:
 
 
 _HERE: Final = np.array([0.0, 0, 0, 1, 0, 0, 0])
-
-
-def _rotation(quaternion: Sequence[float]) -> Float[np.ndarray, "3 3"]:
-    matrix = np.zeros(9)
-    mujoco.mju_quat2Mat(matrix, np.array(quaternion, float))
-    return matrix.reshape(3, 3)
 
 
 def _mesh(kind: str, size: Sequence[float]) -> trimesh.Trimesh:

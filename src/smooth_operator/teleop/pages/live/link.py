@@ -1,9 +1,11 @@
-"""Messages between the live page's process and that of the loop, one JSON object a line."""
+"""Pipe between the live page's process and that of the loop: one JSON object a line."""
 
 from __future__ import annotations
 
+import contextlib
 import json
 import threading
+from collections.abc import Mapping
 from typing import IO, Any
 
 
@@ -12,50 +14,42 @@ class LoopEnded(Exception):
 
 
 class Link:
-    """Pipe to the loop's process: it gives the state to show, and takes clicks.
+    """One end of the pipe. The page asks what to show and sends clicks, the loop answers.
 
     Args:
-        incoming: answers.
-        outgoing: questions and clicks; from any thread.
+        incoming: messages of the other end.
+        outgoing: messages to it; from any thread.
     """
 
     def __init__(self, incoming: IO[bytes], outgoing: IO[bytes]) -> None:
         self._in, self._out = incoming, outgoing
         self._writing = threading.Lock()
 
-    def receive(self) -> dict[str, Any]:
-        """The next answer.
+    def receive(self) -> dict[str, Any] | None:
+        """The next message; None where the other end is gone."""
+        with contextlib.suppress(OSError, ValueError):
+            if line := self._in.readline():
+                message: dict[str, Any] = json.loads(line)
+                return message
+        return None
 
-        Raises:
-            LoopEnded: the pipe is closed.
-        """
-        line = self._in.readline()
-        if not line:
-            raise LoopEnded
-        answer: dict[str, Any] = json.loads(line)
-        return answer
-
-    def send(self, message: dict[str, Any]) -> None:
-        """Send a message.
-
-        Raises:
-            LoopEnded: the pipe is closed.
-        """
-        try:
-            with self._writing:
-                self._out.write(json.dumps(message).encode() + b"\n")
-                self._out.flush()
-        except OSError as error:
-            raise LoopEnded from error
+    def send(self, message: Mapping[str, Any]) -> None:
+        """Send a message; does nothing where the other end is gone, as ``receive`` reports."""
+        with contextlib.suppress(OSError, ValueError), self._writing:
+            self._out.write(json.dumps(message).encode() + b"\n")
+            self._out.flush()
 
     def do(self, name: str, *values: Any) -> None:
-        """Send a click; without a loop it does nothing."""
-        try:
-            self.send({"do": [name, *values]})
-        except LoopEnded:
-            return
+        """Send a click."""
+        self.send({"do": [name, *values]})
 
     def look(self, *, text: bool, scenery: int) -> dict[str, Any]:
-        """The state to show; see ``LiveSession.look``. With ``setup``, another one to build."""
+        """The state to show; see ``LiveSession.look``. With ``setup``, another one to build.
+
+        Raises:
+            LoopEnded: the loop is gone.
+        """
         self.send({"look": {"text": text, "scenery": scenery}})
-        return self.receive()
+        if (answer := self.receive()) is None:
+            raise LoopEnded
+        return answer

@@ -10,15 +10,15 @@ all that the loop's process knows of it. A page that hangs or dies harms nothing
 from __future__ import annotations
 
 import contextlib
-import json
 import subprocess
 import sys
 import threading
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import IO, TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from smooth_operator.errors import ConfigError
+from smooth_operator.teleop.pages.live.link import Link
 from smooth_operator.terminal import print_note
 from smooth_operator.types import Side
 
@@ -88,13 +88,12 @@ class LivePage:
             [sys.executable, "-P", "-m", _MODULE],  # -P: nothing from the working folder
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            bufsize=0,
         )
         assert self._process.stdin is not None
         assert self._process.stdout is not None
-        self._out: IO[bytes] = self._process.stdin
-        self._in: IO[bytes] = open(self._process.stdout.fileno(), "rb", closefd=False)  # noqa: SIM115
-        self._say(asdict(setup))
+        self._in, self._out = self._process.stdout, self._process.stdin
+        self._link = Link(self._in, self._out)
+        self._link.send(asdict(setup))
 
     @property
     def url(self) -> str:
@@ -104,7 +103,8 @@ class LivePage:
             ConfigError: the page can't be served there.
         """
         if not self._url:
-            first = self._hear() or {"failed": "the process of the page ended before it was ready"}
+            ended = {"failed": "the process of the page ended before it was ready"}
+            first = self._link.receive() or ended
             if "failed" in first:
                 raise ConfigError(str(first["failed"]))
             self._url = str(first["url"])
@@ -144,8 +144,6 @@ class LivePage:
             self._thread.join(_END_S)
             self._thread = None
         self._in.close()
-        if self._process.stdout is not None:
-            self._process.stdout.close()
         if self._session is not None:
             self._session.close()
 
@@ -158,7 +156,7 @@ class LivePage:
     def _answer(self) -> None:
         """Answer the page until it ends."""
         failed = ""
-        while (message := self._hear()) is not None:
+        while (message := self._link.receive()) is not None:
             session = self._session
             if "do" in message and session is not None:
                 session.do(*message["do"])
@@ -169,22 +167,9 @@ class LivePage:
                     answer["setup"] = asdict(setup)
                 elif session is not None:
                     answer = session.look(**message["look"])
-                self._say(answer)
+                self._link.send(answer)
             elif "failed" in message:
                 failed = f": {message['failed']}"
         if not self._ending:
             self.trouble = f"the process of the page ended{failed}; the loop goes on without it"
             print_note(f"note: {self.trouble}")
-
-    def _hear(self) -> dict[str, Any] | None:
-        """The next message; None at the end."""
-        with contextlib.suppress(OSError, ValueError):
-            line = self._in.readline()
-            if line:
-                message: dict[str, Any] = json.loads(line)
-                return message
-        return None
-
-    def _say(self, message: Mapping[str, Any]) -> None:
-        with contextlib.suppress(OSError, ValueError):  # the other end is gone: that is heard next
-            self._out.write(json.dumps(message).encode() + b"\n")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Mapping, Sequence
+from importlib import resources
 from pathlib import Path
 from typing import Any, Final
 
@@ -18,27 +19,6 @@ from smooth_operator.teleop.pages.viser_server import add_hotkeys, from_person, 
 from smooth_operator.teleop.recording.take_quality import TakeQuality, take_quality
 from smooth_operator.types import Side
 
-_STYLE: Final = """<style>
-button:has(.icon-tabler-hand-stop), button:has(.icon-tabler-lock-open) {
-  height: 3.2em !important; font-size: 1.25em !important; font-weight: 700}
-button:has(.icon-tabler-hand-stop) .mantine-Button-label {white-space: pre-line; line-height: 1.15}
-button:has(.icon-tabler-hand-stop) .mantine-Button-section,
-button:has(.icon-tabler-lock-open) .mantine-Button-section {margin-inline-end: 0.6em !important}
-div:has(> button :is(.icon-tabler-player-pause, .icon-tabler-player-play,
-    .icon-tabler-player-record, .icon-tabler-check, .icon-tabler-trash)) {
-  display: inline-block; width: calc(50% - 1.25em); vertical-align: top}
-@media (min-width: 700px) {
-  #live-legend {position: fixed; left: 12px; bottom: 12px; max-width: 44vw; z-index: 5;
-    padding: 0.4em 0.8em !important; border-radius: 6px; background: rgba(20, 22, 26, 0.75);
-    pointer-events: none}}
-body:has([data-mode="stopped"])::after {
-  content: "\\25A0  STOPPED"; position: fixed; inset: 0; z-index: 1000; pointer-events: none;
-  box-sizing: border-box; padding: 15vh 0.6em 0; box-shadow: inset 0 0 0 6px #ff2a2a;
-  background: rgba(255, 0, 0, 0.18); color: #ff4d4d; text-shadow: 0 0 0.2em #000;
-  font: 800 clamp(2rem, 6vw, 4.5rem) system-ui, sans-serif}
-</style>"""
-"""viser has buttons of one size; the style finds these two by their icons. An emergency stop tints
-the whole page."""
 _STOP: Final = "EMERGENCY STOP\nSpace, Esc or X"
 _STOPPED: Final = "STOPPED\nrelease it below"
 
@@ -117,7 +97,8 @@ class LivePanel:
         self._release = gui.add_button(
             "Release the stop (U)", color="orange", icon=viser.Icon.LOCK_OPEN, visible=False
         )
-        gui.add_html(_STYLE + live_texts.STYLE)
+        style = resources.files(__package__).joinpath("live_page.css").read_text("utf-8")
+        gui.add_html(f"<style>{style}</style>")
         self._trial = gui.add_html("", visible=False)
         self._modes = gui.add_html(live_texts.modes({}))
         self._pause = gui.add_button("Pause (P)", icon=viser.Icon.PLAYER_PAUSE)

@@ -29,23 +29,23 @@ def main() -> None:
         with contextlib.suppress(OSError):
             os.nice(_NICE)
     link = Link(sys.stdin.buffer, outgoing)
-    with contextlib.suppress(LoopEnded):
-        setup = link.receive()
-        try:
-            server = open_server(setup["host"], setup["port"])
-            link.send({"url": page_url(setup["host"], server)})
-            # After the address, which a person waits for: this reads the hand and more libraries.
-            from smooth_operator.teleop.pages.live.drawing import LiveDrawing
+    if (setup := link.receive()) is None:
+        return
+    try:
+        server = open_server(setup["host"], setup["port"])
+        link.send({"url": page_url(setup["host"], server)})
+        # After the address, which a person waits for: this reads the hand and more libraries.
+        from smooth_operator.teleop.pages.live.drawing import LiveDrawing
 
-            drawing = LiveDrawing(server, link, setup)
-        except SmoothOperatorError as error:
-            link.send({"failed": str(error)})
-            return
-        with contextlib.suppress(LoopEnded):
-            drawing.run()
-        # The system closes the port now. viser would wait for its browsers and threads, for
-        # seconds on a busy machine, and the run does not end before this process.
-        os._exit(0)
+        drawing = LiveDrawing(server, link, setup)
+    except SmoothOperatorError as error:
+        link.send({"failed": str(error)})
+        return
+    with contextlib.suppress(LoopEnded):
+        drawing.run()
+    # The system closes the port now. viser would wait for its browsers and threads, for
+    # seconds on a busy machine, and the run does not end before this process.
+    os._exit(0)
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import glob
 import os
 import sys
@@ -24,21 +25,6 @@ RETRY_S: Final = 1.0
 Capture: TypeAlias = Any
 
 
-@dataclass(frozen=True)
-class CameraMode:
-    """Requested mode of a camera; the camera may use another.
-
-    Attributes:
-        width: width of the pictures [pixels].
-        height: height of the pictures [pixels].
-        rate: picture rate [Hz].
-    """
-
-    width: int = 640
-    height: int = 480
-    rate: float = 30.0
-
-
 @dataclass(frozen=True, eq=False)
 class Picture:
     """One picture.
@@ -59,7 +45,9 @@ class Camera:
 
     Args:
         name: number, device or address of the camera.
-        mode: requested mode.
+        width: requested width of the pictures [pixels]; the camera may use another.
+        height: requested height of the pictures [pixels].
+        rate: requested picture rate [Hz].
 
     Raises:
         MissingExtraError: OpenCV is not installed.
@@ -69,13 +57,13 @@ class Camera:
         lost: True while the camera is lost and its reconnection is tried.
     """
 
-    def __init__(self, name: int | str, mode: CameraMode) -> None:
+    def __init__(self, name: int | str, width: int, height: int, rate: float) -> None:
         self.lost = False
-        self._name, self._mode = name, mode
+        self._open = functools.partial(open_camera, name, width, height, rate)
         self._stopping = threading.Event()
         self._came = threading.Condition()
         self._newest: Picture | None = None
-        capture = open_camera(name, mode)
+        capture = self._open()
         self._thread = threading.Thread(
             target=self._read, args=(capture,), name=f"camera {name}", daemon=True
         )
@@ -107,7 +95,7 @@ class Camera:
             self.lost = True
             while not self._stopping.wait(RETRY_S):
                 try:
-                    capture = open_camera(self._name, self._mode)
+                    capture = self._open()
                 except SourceError:
                     continue
                 session += 1
@@ -116,7 +104,7 @@ class Camera:
         capture.release()
 
 
-def open_camera(name: int | str, mode: CameraMode) -> Capture:
+def open_camera(name: int | str, width: int, height: int, rate: float) -> Capture:
     """A camera that gives pictures.
 
     Raises:
@@ -127,9 +115,9 @@ def open_camera(name: int | str, mode: CameraMode) -> Capture:
     capture = cv2.VideoCapture(name)
     if capture.isOpened():
         for key, value in (
-            (cv2.CAP_PROP_FRAME_WIDTH, mode.width),
-            (cv2.CAP_PROP_FRAME_HEIGHT, mode.height),
-            (cv2.CAP_PROP_FPS, mode.rate),
+            (cv2.CAP_PROP_FRAME_WIDTH, width),
+            (cv2.CAP_PROP_FRAME_HEIGHT, height),
+            (cv2.CAP_PROP_FPS, rate),
             (cv2.CAP_PROP_BUFFERSIZE, 1),
         ):
             capture.set(key, value)

@@ -14,7 +14,7 @@ import urllib.error
 import urllib.request
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Literal, TypeAlias
 
@@ -82,8 +82,7 @@ class PictureTracker:
         self._landmarker = HandLandmarker(
             hand_model(config.model), max_hands=config.max_hands, confidence=config.confidence
         )
-        self._tracks = Tracks()
-        self._filter = OneEuroConfig(config.smoothing) if config.smoothing else None
+        self._tracks: Mapping[Side, Track] = {}
         self._filtered: dict[Side, OneEuroState] = {}
 
     def frames(self, pixels: UInt8[np.ndarray, "h w 3"], time: float) -> list[HandFrame]:
@@ -107,9 +106,9 @@ class PictureTracker:
 
     def _landmarks(self, side: Side, hand: SeenHand, time: float) -> Float[np.ndarray, "21 3"]:
         landmarks = landmarks_of(hand, self._config.points)
-        if self._filter is None:
+        if not self._config.smoothing:
             return landmarks
-        state = one_euro(self._filtered.get(side), landmarks, time, self._filter)
+        state = one_euro(self._filtered.get(side), landmarks, time, self._config.smoothing)
         self._filtered[side] = state
         return state.points
 
@@ -136,28 +135,12 @@ def landmarks_of(hand: SeenHand, points: Points) -> Float[np.ndarray, "21 3"]:
     return scaled
 
 
-@dataclass(frozen=True)
-class OneEuroConfig:
-    """Settings of the One Euro filter.
-
-    Attributes:
-        cutoff: cutoff of a point at rest [Hz]; lower is smoother, with more delay.
-        gain: by how much the cutoff rises with speed [Hz per m/s].
-        speed_cutoff: cutoff of the low-pass on the speed [Hz].
-        gap: after a longer gap in the stamps the filter restarts [s].
-    """
-
-    cutoff: float = 4.0
-    gain: float = 20.0
-    speed_cutoff: float = 1.0
-    gap: float = 0.25
-
-    def __post_init__(self) -> None:
-        for name in ("cutoff", "speed_cutoff", "gap"):
-            if not 0.0 < getattr(self, name) < math.inf:
-                raise ConfigError(f"One Euro: {name} must be positive, not {getattr(self, name)}")
-        if not 0.0 <= self.gain < math.inf:
-            raise ConfigError(f"One Euro: gain must not be negative, not {self.gain}")
+_GAIN: Final = 20.0
+"""Rise of the filter's cutoff with speed [Hz per m/s]."""
+_SPEED_CUTOFF: Final = 1.0
+"""Cutoff of the low-pass on the speed [Hz]."""
+_GAP_S: Final = 0.25
+"""Longest gap in the stamps after which the filter goes on [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,28 +162,30 @@ def one_euro(
     state: OneEuroState | None,
     points: Float[np.ndarray, "N 3"],
     stamp: float,
-    config: OneEuroConfig = OneEuroConfig(),
+    cutoff: float,
+    gain: float = _GAIN,
 ) -> OneEuroState:
-    """Filter one frame.
+    """Filter one frame with a One Euro filter.
 
     Args:
         state: state of the last frame; None at the start.
         points: (N, 3) points [m]; one that is not finite stays so, and restarts afterwards.
         stamp: time of the frame [s]; if it does not increase, the filter restarts.
-        config: settings of the filter.
+        cutoff: cutoff of a point at rest [Hz]; lower is smoother, with more delay.
+        gain: rise of the cutoff with speed [Hz per m/s].
 
     Returns:
         the new state; its ``points`` are the filtered ones.
     """
     step = math.inf if state is None else stamp - state.stamp
-    if state is None or not 0.0 < step <= config.gap:
+    if state is None or not 0.0 < step <= _GAP_S:
         return OneEuroState(points, np.zeros_like(points), stamp)
     complete = np.isfinite(state.points).all(axis=1, keepdims=True)
     before = np.where(complete, state.points, points)
     velocity = np.where(np.isfinite(state.velocity), state.velocity, 0.0)
-    velocity = velocity + _share(config.speed_cutoff, step) * ((points - before) / step - velocity)
+    velocity = velocity + _share(_SPEED_CUTOFF, step) * ((points - before) / step - velocity)
     speed = np.linalg.norm(velocity, axis=1, keepdims=True)
-    moved = before + _share(config.cutoff + config.gain * speed, step) * (points - before)
+    moved = before + _share(cutoff + gain * speed, step) * (points - before)
     return OneEuroState(moved, np.where(complete, velocity, 0.0), stamp)
 
 
@@ -268,27 +253,20 @@ class Track:
     doubts: int = 0
 
 
-@dataclass(frozen=True)
-class Tracks:
-    """Last places of the hands: the state of ``assign_sides``."""
-
-    of: Mapping[Side, Track] = field(default_factory=dict)
-
-
 def assign_sides(
-    detections: Iterable[SeenHand], tracks: Tracks, time: float
-) -> tuple[dict[Side, SeenHand], Tracks]:
+    detections: Iterable[SeenHand], tracks: Mapping[Side, Track], time: float
+) -> tuple[dict[Side, SeenHand], dict[Side, Track]]:
     """Assign sides to the hands of a picture.
 
     Args:
         detections: the hands of one picture.
-        tracks: their last places; ``Tracks()`` at the start.
+        tracks: last place of each hand; empty at the start.
         time: time of the picture [s]; if it goes back, the tracks are discarded.
 
     Returns:
         side -> hand, at most one of each; and the new tracks.
     """
-    recent = {s: t for s, t in tracks.of.items() if 0.0 <= time - t.time <= MEMORY_S}
+    recent = {s: t for s, t in tracks.items() if 0.0 <= time - t.time <= MEMORY_S}
     chosen: dict[Side, tuple[SeenHand, Track]] = {}
     for hand in _without_duplicates(detections):
         side, doubts = _side_of(hand, recent)
@@ -297,8 +275,7 @@ def assign_sides(
         if rival is None or _rank(hand, side, recent) > _rank(rival[0], side, recent):
             chosen[side] = hand, track
     hands = {side: hand for side, (hand, _) in chosen.items()}
-    moved = recent | {side: track for side, (_, track) in chosen.items()}
-    return hands, Tracks(moved)
+    return hands, recent | {side: track for side, (_, track) in chosen.items()}
 
 
 def _without_duplicates(detections: Iterable[SeenHand]) -> list[SeenHand]:

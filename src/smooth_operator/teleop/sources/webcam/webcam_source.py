@@ -16,7 +16,7 @@ from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.formats.checks import check_recording
 from smooth_operator.landmarks import NUM_LANDMARKS
 from smooth_operator.teleop.sources.live import Running, SourceHealth, ThreadedSource
-from smooth_operator.teleop.sources.webcam.camera import Camera, CameraMode, VideoFile
+from smooth_operator.teleop.sources.webcam.camera import Camera, VideoFile
 from smooth_operator.teleop.sources.webcam.picture_tracker import PictureConfig, PictureTracker
 from smooth_operator.types import HandFrame, HandRecording, Side
 
@@ -73,7 +73,7 @@ class Webcam(_Pictures):
         """Load the model and open the camera; errors reach the caller."""
         tracker = PictureTracker(self)
         try:
-            camera = Camera(self.camera, CameraMode(self.width, self.height, self.rate))
+            camera = Camera(self.camera, self.width, self.height, self.rate)
         except BaseException:
             tracker.close()
             raise
@@ -139,14 +139,17 @@ class Video(_Pictures):
         """Post the hands of each picture when it is due."""
         video, tracker = self.__dict__.pop("_opened")
         with contextlib.closing(tracker):
-            session, counts = 0, Counts()
+            session, counts = 0, Counter[str]()
             while True:
                 with contextlib.closing(video):
                     self._play(video, tracker, running, session, counts)
                 if not self.loop or running.stopping.is_set():
                     break
                 video, session = VideoFile(self.path), session + 1
-        running.health = SourceHealth("running", str(counts))
+        late = f", {counts['late']} left out since they were late" if counts["late"] else ""
+        tried = counts["pictures"] - counts["late"]
+        detail = f"a hand on {counts['hands']} of {tried} pictures{late}"
+        running.health = SourceHealth("running", detail)
 
     def _play(
         self,
@@ -154,19 +157,19 @@ class Video(_Pictures):
         tracker: PictureTracker,
         running: Running,
         session: int,
-        counts: Counts,
+        counts: Counter[str],
     ) -> None:
         clock = running.mailbox.clock
         began = clock()
         while not running.stopping.is_set() and (time := video.advance()) is not None:
-            counts.pictures += 1
+            counts["pictures"] += 1
             early = began + time / self.speed - clock()
             if early > 0:
                 running.stopping.wait(early)
             elif self.every:
                 began -= early
             elif -early > 1.0 / (video.rate * self.speed):  # the next one is due already
-                counts.late += 1
+                counts["late"] += 1
                 continue
             pixels = video.picture()
             if pixels is None:
@@ -174,28 +177,8 @@ class Video(_Pictures):
             frames = tracker.frames(pixels, time)
             for frame in frames:
                 running.mailbox.post(frame, session=session, speed=self.speed)
-            counts.hands += bool(frames)
+            counts["hands"] += bool(frames)
             _say(running, frames)
-
-
-@dataclass
-class Counts:
-    """Counts of a video's pictures.
-
-    Attributes:
-        pictures: how many there were.
-        late: left out, since they were late.
-        hands: on how many there was a hand.
-    """
-
-    pictures: int = 0
-    late: int = 0
-    hands: int = 0
-
-    def __str__(self) -> str:
-        tried = self.pictures - self.late
-        late = f", {self.late} left out since they were late" if self.late else ""
-        return f"a hand on {self.hands} of {tried} pictures{late}"
 
 
 def _say(running: Running, frames: list[HandFrame]) -> None:
