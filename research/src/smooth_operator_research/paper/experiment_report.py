@@ -151,7 +151,7 @@ def _section(content: Mapping[str, Any], folder: Path) -> Html:
     parts += [
         Html(f"<p><b>{_MARKS.get(v['held'], '')} {escape(v['claim'])}.</b> "
              f"The paper: {escape(v['paper'])}. Here: {escape(v['ours'])}. Verdict: "
-             f"{escape(v['held'])}. {escape(v['note'])}</p>")
+             f"{escape(v['held'])}. {escape(v.get('note', ''))}</p>")
         for v in content["verdicts"]
     ]  # fmt: skip
     parts += [_picture(folder / f"{d['name']}.svg", d["caption"]) for d in content["drawings"]]
