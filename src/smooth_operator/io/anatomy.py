@@ -4,7 +4,7 @@ Order: the lengths between neighbouring landmarks hardly depend on the pose. Tho
 as ratios, are compared under every order of the fingers and under the layouts of other trackers
 and datasets (``LAYOUTS``); points that fit none are no hand. Side: fingers bend to the palm, the
 thumb's base is in front of it, and the knuckles arch away from it; a mirror image is the
-opposite. ``research/docs/benchmarks.md`` has both on real recordings.
+opposite. ``smooth_operator_research.judging.input_check`` measures both on real recordings.
 """
 
 from __future__ import annotations

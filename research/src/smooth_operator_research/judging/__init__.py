@@ -1,1 +1,5 @@
-"""Judging: ``motion_bound``, the largest motion preservation that a hand allows."""
+"""Judging: a calibration, the check of input, pinch damping, and a bound on motion.
+
+Programs, run as ``python -m smooth_operator_research.judging.NAME``: ``calibration_gain``,
+``input_check``, ``pinch_front`` and ``motion_bound``.
+"""

@@ -1,0 +1,193 @@
+"""What ``pinch_damping`` of ``smooth`` buys and costs: a table and a picture, with other methods.
+
+    python -m smooth_operator_research.judging.pinch_front --data RECORDINGS
+
+Each row is a value of ``pinch_damping``, with the latches of the preset ``grasp``, or another
+method. Columns are the measure *pinch and hold* and how far the hand follows the human, on each
+recording. ``grasp`` was chosen on the first two recordings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import tyro
+
+from smooth_operator import SmoothOperatorError
+from smooth_operator.formats.setting_paths import with_settings
+from smooth_operator.lab.benchmark.recordings import load_sources, parse_request
+from smooth_operator.lab.tuning.score import figure
+from smooth_operator.methods.method import MethodConfig
+from smooth_operator.methods.presets import default_preset, method_config
+from smooth_operator.metrics import evaluate
+from smooth_operator.metrics.assemble import assemble_trace
+from smooth_operator.parallel import run_tasks
+from smooth_operator.reporting.drawing import INK, styled, write_figure
+from smooth_operator_research.physics.measure import Case, Unit
+from smooth_operator_research.physics.pinch_hold import PinchHold
+from smooth_operator_research.run_report import RESULTS, BenchmarkError, Report
+
+RECORDINGS: Final = (
+    "manus_right_subject-000_run-010.npz@2300:4600",
+    "human_alex_21x3.npy@30hz",
+    "wilor_test_long_21x3.npz@30hz",
+)
+OPERATORS: Final = ("synthetic:1",)
+"""Built-in ones, which need no file."""
+PINCH: Final = ("held", "dropped", "let_go")
+FOLLOWING: Final = {
+    "cos thumb": "cosine_similarity",
+    "motion": "motion_preservation",
+    "vel. corr.": "velocity_correlation",
+}
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What to measure.
+
+    Attributes:
+        damping: values of ``pinch_damping``; 0 is the preset ``teleop``.
+        methods: others, with their default presets.
+        data: folder of the recordings; without it a built-in operator alone.
+        hand: robot hand.
+        workers: processes; one for each core if left out, 0 for none.
+        output: JSON file; Markdown and the picture stand next to it.
+    """
+
+    damping: tuple[float, ...] = (0.0, 30.0, 100.0, 300.0, 1000.0)
+    methods: tuple[str, ...] = ("sbr", "ako", "keyvector", "hybrid", "dexpilot")
+    data: Path | None = None
+    hand: str = "mimic_p050"
+    workers: int | None = None
+    output: Path = RESULTS / "pinch_front.json"
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """One row on one recording.
+
+    Attributes:
+        row: its name.
+        method: and
+        config: its configuration.
+        hand: robot hand.
+        request: the recording, as ``bench`` takes it.
+    """
+
+    row: str
+    method: str
+    config: MethodConfig
+    hand: str
+    request: str
+
+
+def measure(task: Task) -> Mapping[str, float | None]:
+    """The figures of a row on a recording."""
+    (source,) = load_sources([parse_request(task.request)])
+    recording = source.recording
+    if recording is None:
+        raise BenchmarkError(str(source.error))
+    unit = Unit(source.name, data=recording)
+    case = Case(
+        "pinch", task.hand, recording.side, task.method, default_preset(task.method), task.config,
+        "", unit,
+    )  # fmt: skip
+    row = PinchHold().run(case).row
+    trace = assemble_trace(recording, case.commands(recording), case.hand, reach_samples=0)
+    figures = evaluate(trace)
+    values: dict[str, float | None] = {name: _number(row[name]) for name in PINCH}
+    return values | {name: figure(figures, metric) for name, metric in FOLLOWING.items()}
+
+
+def rows_of(settings: Settings) -> dict[str, tuple[str, MethodConfig]]:
+    """Row -> method, configuration."""
+    grasp = method_config("smooth", "grasp")
+    rows: dict[str, tuple[str, MethodConfig]] = {}
+    for value in settings.damping:
+        config = with_settings(grasp, {"pinch_damping": value}) if value else method_config()
+        rows[f"{value:g}"] = "smooth", config
+    return rows | {name: (name, method_config(name)) for name in settings.methods}
+
+
+def main(settings: Settings) -> None:
+    """Measures all rows, prints the table and draws the picture."""
+    requests = [f"{settings.data}/{name}" for name in RECORDINGS] if settings.data else []
+    requests += OPERATORS
+    rows = rows_of(settings)
+    tasks = [
+        Task(row, method, config, settings.hand, request)
+        for row, (method, config) in rows.items()
+        for request in requests
+    ]
+    report = Report("pinch_front", vars(settings))
+    figures: dict[str, dict[str, Mapping[str, float | None]]] = {row: {} for row in rows}
+    for result in run_tasks(measure, tasks, workers=settings.workers):
+        task = tasks[result.index]
+        if result.value is None:
+            raise BenchmarkError(f"{task.row} on {task.request}: {result.error}")
+        figures[task.row][task.request] = result.value
+    columns = [*PINCH, *FOLLOWING]
+    names = [Path(request.split("@")[0]).stem for request in requests]
+    for name, request in zip(names, requests, strict=True):
+        cells = [[row, *(figures[row][request][c] for c in columns)] for row in rows]
+        report.table(name, ("pinch_damping, or method", *columns), cells)
+    means = {
+        row: {c: _mean([one[c] for one in figures[row].values()]) for c in columns} for row in rows
+    }
+    report.table(
+        "Mean of the recordings", ("pinch_damping, or method", *columns),
+        [[row, *(means[row][c] for c in columns)] for row in rows],
+    )  # fmt: skip
+    for row in rows:
+        for name, request in zip(names, requests, strict=True):
+            report.add(f"{row}/{name}", figures[row][request])
+    settings.output.parent.mkdir(parents=True, exist_ok=True)
+    report.finish(settings.output, None)
+    settings.output.with_suffix(".md").write_text(report.tables() + "\n", encoding="utf-8")
+    draw(means, len(settings.damping), settings.output.with_suffix(""))
+
+
+def draw(means: Mapping[str, Mapping[str, float | None]], damped: int, stem: Path) -> None:
+    """Held and dropped over motion preservation; the values of ``pinch_damping`` are joined."""
+    from matplotlib.figure import Figure
+
+    with styled():
+        drawn = Figure(figsize=(9.0, 3.6), layout="constrained")
+        for ax, column in zip(drawn.subplots(1, 2), ("held", "dropped"), strict=True):
+            points = [(row["motion"] or np.nan, row[column] or 0.0) for row in means.values()]
+            line, others = np.array(points[:damped]), points[damped:]
+            ax.plot(*line.T, marker="o", ms=5, label="smooth, by pinch_damping")
+            ax.plot(*np.array(others).reshape(-1, 2).T, "s", ms=5, color=INK, label="other methods")
+            for number, (name, point) in enumerate(zip(means, points, strict=True)):
+                if number >= damped:
+                    where = (4, 4, "left")
+                else:  # off the line, which falls in one panel and rises in the other
+                    where = (0, 7, "center") if column == "held" else (-3, 5, "right")
+                ax.annotate(
+                    name, point, where[:2], textcoords="offset points", size=6.5, ha=where[2]
+                )
+            ax.set(xlabel="motion preservation", ylabel=f"share {column}")
+            ax.margins(0.16)
+        ax.legend(fontsize=7)
+        write_figure(drawn, stem)
+
+
+def _number(value: object) -> float | None:
+    return float(value) if isinstance(value, int | float) else None
+
+
+def _mean(values: Sequence[float | None]) -> float | None:
+    finite = [value for value in values if value is not None]
+    return float(np.mean(finite)) if finite else None
+
+
+if __name__ == "__main__":
+    try:
+        main(tyro.cli(Settings, description=__doc__))
+    except SmoothOperatorError as error:
+        raise BenchmarkError(str(error)) from error
