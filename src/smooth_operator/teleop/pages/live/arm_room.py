@@ -215,7 +215,8 @@ class SceneryNodes:
             pose: position and quaternion of the object.
         """
         turn = np.array(pose[3:], float)
-        return np.asarray(poses.rotate(turn, _SPACE * self._corners)) + np.array(pose[:3])
+        corners: np.ndarray = poses.rotate(turn, _SPACE * self._corners) + np.array(pose[:3])
+        return corners
 
     def show(self, parts: Sequence[Mapping[str, Any]]) -> None:
         """Draw these shapes in the place of those before; see ``Scenery``."""
