@@ -96,7 +96,7 @@ is gone and still listed."""
 START = "methods.retargeter"
 """Module of ``Retargeter``, where the closure begins."""
 
-CLOSURE_LINES = 15_450
+CLOSURE_LINES = 15_480
 """Most lines of the modules that ``Retargeter`` can import: the core grows only on purpose."""
 
 LOADED_LINES = 13_150
