@@ -164,12 +164,12 @@ def planned_data(plan: Plan) -> StudyData:
     ]
     columns = [np.array(column) for column in zip(*trials, strict=True)]
     count = len(trials)
-    data = StudyData(Trials(*columns, np.zeros(count), np.full(count, np.nan)))
+    data = StudyData(Trials(*[*columns, np.zeros(count), np.full(count, np.nan)]))
     if not points:
         return data
     columns = [np.array(column) for column in zip(*points, strict=True)]
     answers = np.full((len(points), len(ITEMS)), np.nan)
-    return replace(data, questionnaires=Questionnaires(*columns, answers))
+    return replace(data, questionnaires=Questionnaires(*[*columns, answers]))
 
 
 def _place(block: Block) -> tuple[str, str, str, int]:
