@@ -456,7 +456,7 @@ def straight_pose(hand: Hand) -> StraightPose:
     for _ in range(_ROUNDS):
         for joint in extending:
             trial = np.tile(q, (_STEPS + 1, 1))
-            trial[1:, joint] = np.linspace(*hand.limits[joint], _STEPS)
+            trial[1:, joint] = np.linspace(hand.limits[joint, 0], hand.limits[joint, 1], _STEPS)
             total = np.linalg.norm(_rays(hand, trial), axis=-1).sum(axis=-1)
             best = int(np.argmax(total))
             if total[best] > total[0] + _GAIN:
@@ -478,13 +478,13 @@ def knuckle_joints(hand: Hand) -> Bool[np.ndarray, " m"]:
     points = palm.xpos + hand.landmark_positions(q) @ palm.xmat.reshape(3, 3).T
     for i in (FINGERS.index(finger) for finger in hand.fingers if finger != "thumb"):
         base, tip = (tree.keypoints[LANDMARKS[at[i]]].joint for at in (BASES, TIPS))
-        at, joints, off = points[tree.names.index(LANDMARKS[BASES[i]])], [], []
+        at, joints, off = points[tree.names.index(LANDMARKS[BASES[i]])], list[int](), list[float]()
         while tip not in (-1, base):  # toward the palm
             joints.append(tree.joints[tip].source)
             axis = data.joint(hand.joint_names[joints[-1]])
-            off.append(np.linalg.norm(np.cross(at - axis.xanchor, axis.xaxis)))
+            off.append(float(np.linalg.norm(np.cross(at - axis.xanchor, axis.xaxis))))
             tip = tree.joints[tip].parent
-        before = joints[int(np.argmin([*off, np.inf])) + 1 :]
+        before = joints[int(np.argmin(np.array([*off, np.inf]))) + 1 :]
         mask |= (hand.coupling_matrix[before] != 0).any(axis=0)
     return mask
 
