@@ -449,16 +449,14 @@ def straight_pose(hand: Hand) -> StraightPose:
     """The pose in which all fingers reach furthest from their bases, nearest to neutral.
 
     A coordinate search over the joints' ranges, repeated ``_ROUNDS`` times. A joint that does not
-    extend the reach, such as a spread, stays at neutral, and so does one that moves a knuckle away
-    from its landmark, such as a metacarpal's.
+    extend the reach, such as a spread, or moves a knuckle (``knuckle_joints``) stays at neutral.
     """
     q = hand.neutral.copy()
     extending = np.flatnonzero(~knuckle_joints(hand))
     for _ in range(_ROUNDS):
         for joint in extending:
-            low, high = hand.limits[joint]
             trial = np.tile(q, (_STEPS + 1, 1))
-            trial[1:, joint] = np.linspace(low, high, _STEPS)
+            trial[1:, joint] = np.linspace(hand.limits[joint, 0], hand.limits[joint, 1], _STEPS)
             total = np.linalg.norm(_rays(hand, trial), axis=-1).sum(axis=-1)
             best = int(np.argmax(total))
             if total[best] > total[0] + _GAIN:
@@ -473,24 +471,20 @@ def knuckle_joints(hand: Hand) -> Bool[np.ndarray, " m"]:
     They lie between the part that carries the finger's base landmark, often the palm, and the joint
     whose axis passes nearest to it: joints of metacarpals, and of spreads behind the knuckle.
     """
-    q = np.clip(0.0, *hand.limits.T)
-    data = mujoco.MjData(hand.model)
+    q, tree, data = np.clip(0.0, *hand.limits.T), hand.tree, mujoco.MjData(hand.model)
     data.qpos[:] = hand.qpos(hand.full_configuration(q))
     mujoco.mj_kinematics(hand.model, data)
-    palm, points = data.body(hand.spec.palm), hand.landmark_positions(q)
-    mask = np.zeros(len(q), bool)
-    for finger in set(hand.fingers) - {"thumb"}:
-        i = FINGERS.index(finger)
-        base, tip = (hand.tree.keypoints[LANDMARKS[at[i]]].joint for at in (BASES, TIPS))
-        joints = []  # tip first
-        while tip not in (-1, base):
-            joints.append(hand.tree.joints[tip].source)
-            tip = hand.tree.joints[tip].parent
-        at = points[hand.tree.names.index(LANDMARKS[BASES[i]])]
-        at = palm.xpos + palm.xmat.reshape(3, 3) @ at
-        axes = [data.joint(hand.joint_names[joint]) for joint in joints]
-        off = [np.linalg.norm(np.cross(at - axis.xanchor, axis.xaxis)) for axis in axes]
-        before = joints[int(np.argmin(off)) + 1 :] if joints else []
+    palm, mask = data.body(hand.spec.palm), np.zeros(len(q), bool)
+    points = palm.xpos + hand.landmark_positions(q) @ palm.xmat.reshape(3, 3).T
+    for i in (FINGERS.index(finger) for finger in hand.fingers if finger != "thumb"):
+        base, tip = (tree.keypoints[LANDMARKS[at[i]]].joint for at in (BASES, TIPS))
+        at, joints, off = points[tree.names.index(LANDMARKS[BASES[i]])], list[int](), list[float]()
+        while tip not in (-1, base):  # toward the palm
+            joints.append(tree.joints[tip].source)
+            axis = data.joint(hand.joint_names[joints[-1]])
+            off.append(float(np.linalg.norm(np.cross(at - axis.xanchor, axis.xaxis))))
+            tip = tree.joints[tip].parent
+        before = joints[int(np.argmin(np.array([*off, np.inf]))) + 1 :]
         mask |= (hand.coupling_matrix[before] != 0).any(axis=0)
     return mask
 

@@ -32,7 +32,7 @@ _SETTLED: Final = 1.0  # time after which small differences no longer count [s]
 _SMALL: Final = 0.02  # share of a length that counts as a small difference
 _FOLDS: Final = 0.2  # range of extensions in which a finger begins to count as unfolded
 _POSES: Final = 256  # random ones, for the thumb's length
-_BEHIND: Final = (0.005, 0.02)  # way of a place that is held back: counts not, counts in full [m]
+_BEHIND: Final = 0.005  # way of a place that is held back that does not count; in full 4 times [m]
 _TINY: Final = 1e-9
 
 
@@ -108,8 +108,7 @@ class Places(NamedTuple):
 
     Attributes:
         tips: (F, 3) in the palm frame [m].
-        steps: (F, 3) by which they should move in this frame: in the human's direction, or with a
-            place that the limit of speed held back [m].
+        steps: (F, 3) by which they should move, as the human's or with a place held back [m].
     """
 
     tips: Float[Array, "F 3"]
@@ -221,15 +220,12 @@ class Correspondence:
         shorter = jnp.minimum((steps * steps).sum(-1), (measured * measured).sum(-1))
         most = jnp.sqrt(shorter)[:, None] + self.config.faster * dt
         last = jnp.where(restart, places, before.places)
-        free = places
-        places = last + _shortened(places - last, most)
+        free, places = places, last + _shortened(places - last, most)
         steps = steps + (1 - nearest)[:, None] * (self._turned(steps) - steps)
         moves = _shortened(gain[:, None] * steps, most)
-        # a place that is held back catches up when the human is still, and the fingertip with it:
-        # its own error is worked off ten times as slowly, so fast fists would stay half closed
-        least, full = _BEHIND
+        # a place that was held back takes the fingertip along, whose own error decays too slowly
         back = jnp.sqrt(((free - places) ** 2).sum(-1, keepdims=True) + _TINY)
-        behind = jnp.clip((back - least) / (full - least), 0.0, 1.0)
+        behind = jnp.clip((back - _BEHIND) / (3 * _BEHIND), 0.0, 1.0)
         moves = moves + behind * (places - last - moves)
         return operator._replace(places=places), Places(places, moves)
 
