@@ -154,33 +154,6 @@ def test_places_are_not_much_faster_than_the_human(hand: Hand) -> None:
     assert (robot - human).max() < 0.1 * float(DT) + 1e-5
 
 
-def test_fingertips_go_on_with_places_that_were_held_back(hand: Hand) -> None:
-    """A hand closes within a frame: places arrive later, and steps lead there, too."""
-    calm = CorrespondenceConfig(near=0.0, far=1e-4, thumb_follows=0.0)
-    opened = operator_of(hand, 0.45)
-    closed = opened.copy()
-    for base in BASES[1:]:
-        closed[base + 3] = opened[base] + 0.4 * (opened[base + 3] - opened[base])
-    correspondence, tips = Correspondence(hand, calm), list(TIPS)
-    step, state, way = program(correspondence), correspondence.init(), []
-    last = opened
-    for i, points in enumerate([opened] * 60 + [closed] * 60):
-        moved = jnp.asarray((points - last)[tips])
-        restart = jnp.bool_(i == 0)
-        # the operator's lengths stand: only fingertips are shown
-        bones = jnp.full((21, 3), jnp.nan) if i > 59 else jnp.asarray(points)
-        state, places = step(state, bones, points[tips], moved, moved, DT, restart)
-        way.append((np.asarray(places.tips), np.asarray(places.steps)))
-        last = points
-    went = way[-1][0] - way[59][0]
-    asked = np.sum([steps for _, steps in way[60:]], axis=0)
-    assert np.linalg.norm(went[1:], axis=-1).min() > 0.03
-    assert (
-        np.linalg.norm((asked - went)[1:], axis=-1).max()
-        < 0.3 * np.linalg.norm(went[1:], axis=-1).min()
-    )
-
-
 def test_no_share_is_the_palms_alignment(hand: Hand) -> None:
     config = replace(CorrespondenceConfig(), share=0.0)
     frames = pinch(hand, 40)

@@ -32,7 +32,6 @@ _SETTLED: Final = 1.0  # time after which small differences no longer count [s]
 _SMALL: Final = 0.02  # share of a length that counts as a small difference
 _FOLDS: Final = 0.2  # range of extensions in which a finger begins to count as unfolded
 _POSES: Final = 256  # random ones, for the thumb's length
-_BEHIND: Final = 0.005  # way of a place that is held back that does not count; in full 4 times [m]
 _TINY: Final = 1e-9
 
 
@@ -66,7 +65,7 @@ class CorrespondenceConfig:
     thumb_share: float = 0.6
     thumb_follows: float = 0.1
     tilt: float = 0.0
-    faster: float = 0.25
+    faster: float = 0.2
     span: float = 10.0
 
     def __post_init__(self) -> None:
@@ -108,7 +107,7 @@ class Places(NamedTuple):
 
     Attributes:
         tips: (F, 3) in the palm frame [m].
-        steps: (F, 3) by which they should move, as the human's or with a place held back [m].
+        steps: (F, 3) by which they should move in this frame, in the human's direction [m].
     """
 
     tips: Float[Array, "F 3"]
@@ -220,13 +219,9 @@ class Correspondence:
         shorter = jnp.minimum((steps * steps).sum(-1), (measured * measured).sum(-1))
         most = jnp.sqrt(shorter)[:, None] + self.config.faster * dt
         last = jnp.where(restart, places, before.places)
-        free, places = places, last + _shortened(places - last, most)
+        places = last + _shortened(places - last, most)
         steps = steps + (1 - nearest)[:, None] * (self._turned(steps) - steps)
         moves = _shortened(gain[:, None] * steps, most)
-        # a place that was held back takes the fingertip along, whose own error decays too slowly
-        back = jnp.sqrt(((free - places) ** 2).sum(-1, keepdims=True) + _TINY)
-        behind = jnp.clip((back - _BEHIND) / (3 * _BEHIND), 0.0, 1.0)
-        moves = moves + behind * (places - last - moves)
         return operator._replace(places=places), Places(places, moves)
 
     def _measured(
