@@ -428,7 +428,7 @@ def test_dataset_read_with_pyarrow_alone(tmp_path: Path) -> None:
 
 
 def test_dataset_in_several_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("smooth_operator.episode_files.lerobot.writer._FILE_MB", 0)
+    monkeypatch.setattr("smooth_operator.episode_files.lerobot.writer.FILE_MB", 0)
     monkeypatch.setattr("smooth_operator.episode_files.lerobot.writer.FILES_A_CHUNK", 2)
     monkeypatch.setattr("smooth_operator.episode_files.lerobot.writer._KEPT_BYTES", 0)
     values = [episode(seed=i, name=f"take {i}") for i in range(3)]

@@ -261,8 +261,8 @@ LACK = {
     "convert in.npz --output x.h5": "hdf5",
     "bench in.npz --output bench": "lab",
     "calibrate in.npz --output operator.json": "lab",
-    "tune sbr in.npz --vary pose_weight=0.01:0.1:log --output tuned": "lab",
-    "train geort in.npz --output trained": "lab",
+    "tune sbr in.npz --vary pose_weight=0.01:0.1:log --output tuned": "tune",
+    "train geort in.npz --output trained": "train",
     "study analyze x.csv --output analysis": "study",
     "study power plan": "study",
     "study run plan": "study",
@@ -274,7 +274,6 @@ MODULES = {
     "smooth_operator.teleop.recording.log_reader": "teleop",
     "smooth_operator.teleop.sinks.record": "teleop",
     "smooth_operator.reporting.drawing": "lab",
-    "smooth_operator.lab.tuning": "lab",
     "smooth_operator.study.analysis": "study",
 }
 
