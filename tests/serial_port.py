@@ -44,7 +44,7 @@ class SerialPort:
         try:
             while not self._closing.is_set():
                 ready, _, _ = select.select([self._master], [], [], 0.02)
-                with contextlib.suppress(OSError):  # EIO: nobody has opened it
+                with contextlib.suppress(OSError):  # EIO: no client has opened it
                     self._take(os.read(self._master, 4096) if ready else b"")
         finally:
             os.close(self._slave)

@@ -57,7 +57,7 @@ class Settings(ReportSettings):
     """What to write.
 
     Attributes:
-        frames: of the episode, at 100 Hz; 0 for no episodes.
+        frames: number of frames of the episode, at 100 Hz; 0 leaves episodes out.
         clips: of each data set; 0 for no data sets.
         formats: of data sets; all built-in ones if left out.
         seconds: length of the session that is logged; 0 for no log.

@@ -13,7 +13,7 @@ import os
 import stat
 import sys
 from pathlib import Path
-from typing import Final
+from typing import Final, Literal
 
 from smooth_operator.errors import DocumentError
 
@@ -117,11 +117,26 @@ def user_cache() -> Path:
     path = os.environ.get(SWITCH, "").strip()
     if path and path.lower() not in OFF:
         return Path(path).expanduser()
+    return program_folder("cache")
+
+
+_PLACES: Final = {
+    "cache": ("LOCALAPPDATA", "AppData/Local", "Library/Caches", "XDG_CACHE_HOME", ".cache"),
+    "settings": (
+        "APPDATA", "AppData/Roaming", "Library/Application Support", "XDG_CONFIG_HOME", ".config",
+    ),
+}  # fmt: skip
+"""Kind -> variable and folder in the home on Windows, folder on macOS, both on Linux."""
+
+
+def program_folder(kind: Literal["cache", "settings"]) -> Path:
+    """Folder of this program among the user's caches or settings; it need not exist."""
+    windows, roaming, mac, xdg, dotted = _PLACES[kind]
     home = Path.home()
     if sys.platform == "win32":
-        base = Path(os.environ.get("LOCALAPPDATA") or home / "AppData" / "Local")
+        base = Path(os.environ.get(windows) or home / roaming)
     elif sys.platform == "darwin":
-        base = home / "Library" / "Caches"
+        base = home / mac
     else:
-        base = Path(os.environ.get("XDG_CACHE_HOME") or home / ".cache")
+        base = Path(os.environ.get(xdg) or home / dotted)
     return base / "smooth-operator"

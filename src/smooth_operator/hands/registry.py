@@ -8,7 +8,6 @@ folder of them.
 from __future__ import annotations
 
 import os
-import sys
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -19,6 +18,7 @@ from smooth_operator.hands.hand import Hand, load_hand_spec
 from smooth_operator.hands.model_assets import is_file
 from smooth_operator.hands.spec import FingerChoice, HandSpec, select_fingers
 from smooth_operator.hands.spec_file import read_hand_spec
+from smooth_operator.own_files import program_folder
 from smooth_operator.plugins import Entry, Registry, is_target
 from smooth_operator.types import Side, as_side
 
@@ -36,14 +36,7 @@ def user_hands_folder() -> Path:
     path = os.environ.get(SWITCH, "").strip()
     if path:
         return Path(path).expanduser()
-    home = Path.home()
-    if sys.platform == "win32":
-        base = Path(os.environ.get("APPDATA") or home / "AppData" / "Roaming")
-    elif sys.platform == "darwin":
-        base = home / "Library" / "Application Support"
-    else:
-        base = Path(os.environ.get("XDG_CONFIG_HOME") or home / ".config")
-    return base / "smooth-operator" / "hands"
+    return program_folder("settings") / "hands"
 
 
 def spec_name(name: str, side: Side) -> str:
