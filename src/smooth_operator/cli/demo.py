@@ -63,11 +63,16 @@ def demo(options: Demo) -> None:
 
     progress = Progressing(options.quiet)
     check_demo_folder(options.output)
+    if not options.no_view:  # before any work: an address or a port that can't be had
+        from smooth_operator.teleop.pages import Playback, serve
+        from smooth_operator.teleop.pages.viser_server import free_port
+
+        free_port(options.host, options.port)
     request = requested(options, side=options.side)
     operator = synthetic_operator(options, options.seed, default_side(request.hand))
     todo = plan(operator.record(options.duration), request)
     if options.model is not None:
-        drawn_on(todo.hand, options.model)  # what can't be drawn is said before any work
+        drawn_on(todo.hand, options.model)
     with folder_for(options.output):
         outcome = execute_shown(todo, progress)
         trace, metrics = measure_shown(todo, outcome, options.definition, progress)
@@ -82,8 +87,6 @@ def demo(options: Demo) -> None:
         print_summary(heading, metrics, _FOLLOWING)
     progress.note(f"wrote {options.output}")
     if not options.no_view:
-        from smooth_operator.teleop.pages import Playback, serve
-
         drawn = hand_to_draw(todo.hand, options)
         page = Playback(title, todo.hand, trace, drawn)
         serve(page, host=options.host, port=options.port, open_browser=not options.no_browser)

@@ -7,9 +7,10 @@ import re
 from smooth_operator.errors import ConfigError
 
 _RANGE = re.compile(r"\s*([+-]?\d+)?\s*:\s*([+-]?\d+)?\s*", re.ASCII)
+_LONG = 10**12  # frames; longer than any recording
 
 
-def frame_slice(text: str, length: int) -> slice:
+def frame_slice(text: str, length: int | None) -> slice:
     """Parse ``A:B`` with the meaning of a Python slice.
 
     ``:500`` is the first 500 frames, ``2600:3100`` the frames 2600 .. 3099, ``-500:`` the last 500;
@@ -17,7 +18,7 @@ def frame_slice(text: str, length: int) -> slice:
 
     Args:
         text: the range.
-        length: number of frames in the recording.
+        length: number of frames in the recording; None before it is read, for a check of the text.
 
     Returns:
         ``slice(start, stop)`` with 0 <= start < stop <= length.
@@ -32,13 +33,16 @@ def frame_slice(text: str, length: int) -> slice:
             f"not {text!r}{_hint(text)}"
         )
     start, stop = (None if part is None else int(part) for part in match.groups())
-    first, last, _ = slice(start, stop).indices(length)
+    first, last, _ = slice(start, stop).indices(_LONG if length is None else length)
     if first >= last:
-        raise ConfigError(
-            f"frames {text!r} selects nothing: the recording has {length} frames, 0 to {length - 1}"
+        reason = (
+            "A:B ends before frame B, which must be after A"
+            if length is None
+            else f"the recording has {length} frames, 0 to {length - 1}"
             if length
-            else f"frames {text!r} selects nothing: the recording is empty"
+            else "the recording is empty"
         )
+        raise ConfigError(f"frames {text!r} selects nothing: {reason}")
     return slice(first, last)
 
 

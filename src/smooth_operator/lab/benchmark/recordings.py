@@ -199,7 +199,7 @@ def parse_request(
                 "commas between them"
             )
     if frames is not None:
-        frame_slice(frames, 10**12)  # a text that is no range is refused before anything is read
+        frame_slice(frames, None)  # a text that is no range is refused before anything is read
     if name == SYNTHETIC or name.startswith(f"{SYNTHETIC}:"):
         seed = name.partition(":")[2] or "0"
         if not (seed.isascii() and seed.isdigit()):
@@ -292,7 +292,7 @@ def _load(request: Request) -> Source:
         if valid is None or not valid.any():
             raise RecordingError(f"{request.path}: no landmark in these frames is valid")
     except SmoothOperatorError as error:
-        return Source(request, name, error=f"{type(error).__name__}: {error}")
+        return Source(request, name, error=str(error))
     return Source(
         request,
         recording.name if request.path is None else name,

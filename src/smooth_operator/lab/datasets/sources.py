@@ -434,7 +434,7 @@ class _Looking:
         path, frames = Path(source).expanduser(), ""
         name, _, part = source.rpartition("@")
         if not path.exists() and Path(name).expanduser().is_file():
-            frame_slice(part, 10**12)  # refuses what is no range
+            frame_slice(part, None)  # refuses what is no range
             path, frames = Path(name).expanduser(), part
         if not path.exists() and any(sign in source for sign in _WILD):
             paths = [Path(match) for match in sorted(glob.glob(str(path), recursive=True))]

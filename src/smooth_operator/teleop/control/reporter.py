@@ -85,9 +85,17 @@ def summarise(
             f"p99 {added['p99']:.2f} ms; {100 * summary['deadlines_missed_share']:.2f} % late"
         )
     elif loop.mailbox.received:
+        others = loop.mailbox.received_of
+        if loop.pipelines.keys().isdisjoint(others):
+            reason = (
+                f"all are of a {' and a '.join(others)} hand, and the robot's is a "
+                f"{' and a '.join(loop.pipelines)} one: choose another --side, or mirror the source"
+            )
+        else:
+            reason = "the run ended before a method was compiled, or the robot was held"
         reporter.note(
-            f"{loop.mailbox.received} frames came in {seconds:.1f} s and none was answered: the "
-            "run ended before a method was compiled, or the robot was held",
+            f"{loop.mailbox.received} frames came in {seconds:.1f} s and none was answered: "
+            f"{reason}",
             matters=True,
         )
     else:
