@@ -221,12 +221,16 @@ class Registry(Mapping[str, Entry]):
         return parts
 
     def check(self, name: str, part: object) -> None:
-        """Refuses an object that lacks what a part of this kind needs.
+        """Refuses an object that lacks what a part of this kind needs, or a class of such.
 
         Raises:
-            ConfigError: an attribute in ``needs`` is absent.
+            ConfigError: an attribute in ``needs`` is absent, or a class leaves a method abstract.
         """
-        missing = [each for each in self.needs if not hasattr(part, each)]
+        missing = (
+            sorted(getattr(part, "__abstractmethods__", ()))
+            if isinstance(part, type)
+            else [each for each in self.needs if not hasattr(part, each)]
+        )
         if missing:
             raise ConfigError(
                 f"{self.find(name).target} can't be a {self.kind}: it lacks {', '.join(missing)}"

@@ -49,15 +49,20 @@ def build_component(registry: Registry, text: str) -> Any:
     """
     kind = registry.kind
     word, rest = registry.split(text)
-    if word not in registry and rest[:1].isupper():  # a class of a module that is not there
-        more = f"For a class of your own, start in the folder that has {word}.py."
-        raise UnknownNameError(kind, word, registry, more)
+    if word not in registry:
+        if Path(f"{word}.py").is_file():
+            more = f"{word}.py is here: name its class, as in {word}:CLASS."
+            raise UnknownNameError(kind, word, registry, more)
+        if rest[:1].isupper():
+            more = f"For a class of your own, start in the folder that has {word}.py."
+            raise UnknownNameError(kind, word, registry, more)
     part = registry.load(word)
     if not (isinstance(part, type) and dataclasses.is_dataclass(part)):
         raise ConfigError(
             f"{registry.find(word).target} can't be a {kind}: it must be a dataclass, whose fields "
             "are the settings"
         )
+    registry.check(word, part)
     component = settings_from_text(part, rest, kind, word)
     registry.check(word, component)
     return component

@@ -28,7 +28,7 @@ from smooth_operator.lab.datasets.sources import Found, Item, find_items, in_sha
 from smooth_operator.lab.datasets.store import Kept, Store, clear_unfinished
 from smooth_operator.lab.datasets.work import Entry, Job, do_job, unchanged
 from smooth_operator.lab.datasets.writers.registry import WritingOptions
-from smooth_operator.lab.datasets.writing import Order, Summary, write_episodes
+from smooth_operator.lab.datasets.writing import Order, Summary, hand_in, write_episodes
 from smooth_operator.lab.offline.finished import claimed
 from smooth_operator.lab.offline.folder import checked
 from smooth_operator.parallel import run_groups, usable_cores
@@ -172,7 +172,7 @@ def make_dataset(request: DatasetRequest, progress: Progress | None = None) -> S
 
 
 def check_output(request: DatasetRequest) -> None:
-    """Refuses a folder of results that is a source, or a file.
+    """Refuses a folder of results that is a source, a file, or has a data set of another hand.
 
     Raises:
         OutputError: with the folder.
@@ -188,6 +188,12 @@ def check_output(request: DatasetRequest) -> None:
             raise OutputError(
                 f"can't write into {str(request.output)!r}: it is a source; give a separate folder"
             )
+    hand, earlier = request.recipe.request.hand_name, hand_in(request.output)
+    if earlier not in (None, hand):
+        raise OutputError(
+            f"can't write into {str(request.output)!r}: it has the data set of {earlier}; give "
+            f"another folder for {hand}, or remove it first"
+        )
 
 
 def _finished(store: Store, items: Sequence[Item]) -> dict[str, Kept]:

@@ -334,6 +334,17 @@ def _prepare(order: Order) -> None:
     _mark(order, whole=False)
 
 
+def hand_in(output: Path) -> str | None:
+    """Name of the robot hand whose data set a folder of results has; None without one."""
+    if not (output / DATASET).exists():
+        return None
+    try:
+        report = read_json(output / REPORT)
+    except (OSError, ValueError):
+        return None
+    return report.get("hand") if isinstance(report, dict) else None
+
+
 def _state(order: Order) -> dict[str, Any] | None:
     try:
         state = read_json(order.output / "work" / _STATE)

@@ -16,7 +16,7 @@ from typing import Any, Final, Literal, TypeAlias
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.errors import ConfigError, SmoothOperatorError
+from smooth_operator.errors import ConfigError, SinkError, SmoothOperatorError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.simulation.arms.carried import CarriedHand
 from smooth_operator.teleop.sinks.sink import Sink
@@ -243,7 +243,12 @@ class _Entry:
 
     def open(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> None:
         """Open it; errors reach the caller."""
-        self.sink.open(hands, config)
+        try:
+            self.sink.open(hands, config)
+        except OSError as error:  # of a sink that does not word its errors itself
+            if isinstance(error, SmoothOperatorError):
+                raise
+            raise SinkError(f"{self.sink.label} can't be opened: {error}") from error
         with self._change:
             self.state, self._closed = "open", False
 
