@@ -1,7 +1,7 @@
 """Stand-ins for two makers' packages, ``wujihandpy`` and ``bc_stark_sdk``, with a simulated hand.
 
 They have the calls that our drivers use, with the names, parameters and results of the real ones;
-``test_hand_sdks.py`` compares them with the real packages where those are installed.
+``test_hand_protocols.py`` compares them with the real packages where those are installed.
 """
 
 from __future__ import annotations

@@ -16,6 +16,7 @@ from smooth_operator.human.alignment import FLAT_HAND
 from smooth_operator.planning import make_request
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.runtime.clutch import Clutch
+from smooth_operator.teleop.runtime.limiter import MAX_STEP_S, PoseLimiter
 from smooth_operator.teleop.runtime.pipeline import HandPipeline
 from smooth_operator.teleop.runtime.settings import LoopConfig, SafetyConfig, WristConfig
 from smooth_operator.teleop.sinks.tick import Mode, WristCommand
@@ -186,6 +187,16 @@ def test_limits_hold_at_every_pair_of_stamps(
     assert (steps <= (1e-12, 1e-7)).all(), steps  # 2 mm and 0.02 rad are allowed
     if (session, stage.clutch.config.wrist.scale) == (0, config.scale):
         assert np.isfinite(stage.poses).all()
+
+
+def test_a_pause_is_not_caught_up_with() -> None:
+    config = WristConfig()
+    limiter = PoseLimiter(config)
+    before = limiter.pose
+    after = limiter.step(poses.compose(wrist(0.2, turn=(0, 0, 1.5)), before), 2.0)
+    assert 0.0 < math.dist(after[:3], before[:3]) <= config.velocity * MAX_STEP_S + 1e-9
+    turn = poses.rotation_vectors(poses.multiply(after[3:], poses.conjugate(before[3:])))
+    assert 0.0 < math.hypot(*turn) <= config.turn_velocity * MAX_STEP_S + 1e-9
 
 
 def test_the_wrist_is_followed_without_lag() -> None:

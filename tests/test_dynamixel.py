@@ -200,6 +200,26 @@ def test_limits_are_back_before_torque_that_was_off(bank: ServoBank, hand: Hand)
     device.close()
 
 
+def test_a_servo_whose_torque_stays_off_is_a_wrong_answer(bank: ServoBank, hand: Hand) -> None:
+    sink = LeapSink(port=bank.path, baud=57600)
+    device = sink.device(sink.actuators("right"))
+    patiently(device.open, device.close)
+    start, servo = patiently(device.read).positions, bank.servos[3]
+    takes = servo.write
+    servo.write = lambda address, data: 0 if address == 64 else takes(address, data)
+
+    def refused() -> bool:
+        with pytest.raises(WrongAnswerError) as caught:
+            device.write(start)
+        return "a servo did not switch its torque on" in str(caught.value)
+
+    until(refused)
+    servo.write = takes
+    patiently(lambda: device.write(start))
+    until(lambda: servo.torque)
+    device.close()
+
+
 def test_servos_with_another_control_table_are_refused(bank: ServoBank, hand: Hand) -> None:
     bank.servos[7].put(0, 2, 350)  # XL-320
     written = bytes(bank.servos[7].table[:126])  # what follows is measured

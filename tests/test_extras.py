@@ -273,6 +273,7 @@ MODULES = {
     "smooth_operator.teleop.recording.log": "teleop",
     "smooth_operator.teleop.recording.log_reader": "teleop",
     "smooth_operator.teleop.sinks.record": "teleop",
+    "smooth_operator.lab.training": "train",
     "smooth_operator.reporting.drawing": "lab",
     "smooth_operator.study.analysis": "study",
 }

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
-import re
 import shlex
-import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from importlib.resources import files
@@ -31,11 +29,9 @@ from smooth_operator.cli import main
 from smooth_operator.errors import (
     ConfigError,
     HandModelError,
-    MissingExtraError,
     OutputError,
     RecordingError,
     UnknownNameError,
-    install_command,
 )
 from smooth_operator.formats.readers import read_recording
 from smooth_operator.hands.hand import Hand, load_hand_spec
@@ -441,14 +437,6 @@ def test_another_training_is_not_resumed(
     (tmp_path / MODEL).write_bytes(b"mine")
     with pytest.raises(OutputError, match=r"model\.npz would be overwritten"):
         TrainingSession(coach, tmp_path).run()
-
-
-def test_training_without_optax_says_what_to_install(
-    hand: Hand, operator: HandRecording, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(sys.modules, "optax", None)
-    with pytest.raises(MissingExtraError, match=re.escape(install_command("train"))):
-        trainer(hand, operator)
 
 
 # Files, and the hands that they are for

@@ -23,7 +23,7 @@ from smooth_operator.teleop.hardware.worker import HandWorker, WorkerSettings
 from smooth_operator.teleop.sinks.tick import Mode
 from smooth_operator.types import JointCommand
 
-PERIOD, SPEED, APPROACH = 0.01, 15.0, 0.5
+PERIOD, SPEED, APPROACH, SILENCE = 0.01, 15.0, 0.5, 0.2
 MOTOR = 8.0
 """Speed of the simulated motors [rad/s]."""
 
@@ -119,7 +119,8 @@ def radians(commands: np.ndarray) -> np.ndarray:
 class Run:
     """A worker on a ``Bus``, from its first command to the end of the test's time.
 
-    ``wish`` is what the operator asks for at a time [rad]; ``mode`` the loop's.
+    ``wish`` is what the operator asks for at a time [rad]; ``mode`` the loop's; ``silent`` True
+    when no command comes.
     """
 
     def __init__(
@@ -132,6 +133,7 @@ class Run:
         self.bus = Bus(self.clock, len(SIGNS))
         self.wish: Callable[[float], float] = lambda now: 0.0
         self.mode: Callable[[float], Mode] = lambda now: Mode.TRACKING
+        self.silent: Callable[[float], bool] = lambda now: False
         self.lock = str(folder / "port")
         for module in ("worker", "device", "table_file"):
             monkeypatch.setattr(f"smooth_operator.teleop.hardware.{module}.time", self.clock)
@@ -141,7 +143,7 @@ class Run:
     def __call__(self, seconds: float, lost_s: float = 0.5) -> HandWorker:
         end = self.clock.now + seconds
         guard = GuardSettings(APPROACH, SPEED)
-        settings = WorkerSettings(PERIOD, 0.2, lost_s, guard)
+        settings = WorkerSettings(PERIOD, SILENCE, lost_s, guard)
         worker = HandWorker(
             "fake", self.bus, self.lock, self.bound, "right", self.hand.name, settings
         )  # fmt: skip
@@ -152,7 +154,8 @@ class Run:
             now = self.clock.now
             joints = np.full(len(self.hand.actuated), self.wish(now))
             command = JointCommand(self.hand.full_configuration(joints), self.hand.joint_names)
-            worker.post(replace(tick, command=command, mode=self.mode(now)))
+            if not self.silent(now):
+                worker.post(replace(tick, command=command, mode=self.mode(now)))
             worker._ending = now > end
 
         self.patch.setattr(HandWorker, "_pace", pace)
@@ -345,6 +348,15 @@ def test_relaxing_does_not_wait_for_a_reading(
     run(1.5)
     assert run.bus.relaxed[0] < 101.0 + 0.05
     assert not run.since(run.bus.relaxed[0])  # nothing switches it on again
+
+
+def test_a_command_counts_for_silence_s_and_no_longer(
+    tmp_path: Path, hand: Hand, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = Run(tmp_path, hand, monkeypatch, 'on_silence = "relax"\n')
+    run.silent = lambda now: now > 101.0
+    run(1.5)
+    assert 101.0 + SILENCE - PERIOD < run.bus.relaxed[0] < 101.0 + SILENCE + 3 * PERIOD
 
 
 def test_an_actuator_without_a_position_stands_and_begins_where_it_is(run: Run) -> None:

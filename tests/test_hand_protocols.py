@@ -32,7 +32,7 @@ from smooth_operator.teleop.components import build_sink
 from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
 from smooth_operator.teleop.hardware.device import Reading, WrongAnswerError
 from smooth_operator.teleop.hardware.drivers.ability import AbilityDevice, framed, unstuffed
-from smooth_operator.teleop.hardware.drivers.allegro import AllegroDevice
+from smooth_operator.teleop.hardware.drivers.allegro import AllegroDevice, AllegroSink
 from smooth_operator.teleop.hardware.drivers.inspire import InspireDevice
 from smooth_operator.teleop.hardware.drivers.linker import LinkerDevice
 from smooth_operator.teleop.hardware.drivers.orca import OrcaSink
@@ -147,6 +147,26 @@ def test_linker_frames(monkeypatch: pytest.MonkeyPatch) -> None:
         right.open()
 
 
+def test_linker_answers_from_before_a_command_are_not_taken_for_answers_to_it() -> None:
+    needs("linker-l20")
+    wire = channel()
+    hand = LinkerHand(wire, "l20")
+    device = LinkerDevice(table("linker_l20_right"), f"virtual:{wire}", "l20")
+    try:
+        device.open()
+        device.read()
+        hand.faults.mute = True
+        time.sleep(0.05)  # until it has answered what was asked
+        for kind in hand.layout:
+            hand._send(kind, [7] * 5)
+        device.write(np.full(16, 200.0))
+        with pytest.raises(WrongAnswerError, match="did not answer frame 0x01"):
+            device.read()
+    finally:
+        device.close()
+        hand.close()
+
+
 def test_linker_l10_reports_temperatures_and_takes_a_torque() -> None:
     needs("linker-l10")
     from dataclasses import replace
@@ -222,12 +242,19 @@ def test_allegro_angles_that_are_old_are_no_answer(monkeypatch: pytest.MonkeyPat
     try:
         device.open()
         hand.faults.mute = True
-        time.sleep(0.1)
+        time.sleep(0.04)  # over the 30 ms, well under three times as long
         with pytest.raises(WrongAnswerError, match=r"the newest angles are \d+ ms old"):
             device.read()
     finally:
         device.close()
         hand.close()
+
+
+def test_a_runs_limit_lowers_every_actuators_own() -> None:
+    own = AllegroSink().actuators("right").limits
+    assert own.min() < 280.0 < own.max()
+    weaker = AllegroSink(limit=280.0).actuators("right").limits
+    np.testing.assert_array_equal(weaker, np.minimum(own, 280.0))
 
 
 @pytest.mark.parametrize("name", ["allegro", "allegro_v5"])

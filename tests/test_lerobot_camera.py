@@ -53,6 +53,20 @@ def test_hand_and_object_are_in_the_picture_and_move_in_it(task: str, side: Any)
     camera.close()
 
 
+def test_without_a_display_and_its_substitutes_there_is_a_sentence(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    if sys.platform != "linux":
+        pytest.skip("other systems draw without a display")
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "MUJOCO_GL"):
+        monkeypatch.delenv(name, raising=False)
+    physics = HandPhysics(load_hand("mimic_p050"))
+    for choice in ("", "glfw"):
+        monkeypatch.setenv("MUJOCO_GL", choice)
+        with pytest.raises(ConfigError, match="can't draw with OpenGL: without a display, install"):
+            SimulatedCamera(physics, 64, 64)
+
+
 def test_the_view_can_be_chosen_and_wrong_sizes_are_refused() -> None:
     hand = load_hand("mimic_p050")
     physics = ScenePhysics(hand, scene_for("cube", hand))

@@ -36,10 +36,10 @@ def test_table_and_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     assert ">share dropped<" in picture
 
 
-def test_zero_is_the_preset_that_follows() -> None:
+def test_rows_are_the_presets() -> None:
     rows = pinch_front.rows_of(pinch_front.Settings())
-    assert rows["0"] == ("smooth", method_config("smooth"))
-    assert rows["300"] == ("smooth", method_config("smooth", "grasp"))
+    assert rows["100"] == ("smooth", method_config("smooth"))
+    assert rows["1000"] == ("smooth", method_config("smooth", "grasp"))
     assert set(rows) >= {"30", "1000", "sbr", "dexpilot"}
 
 

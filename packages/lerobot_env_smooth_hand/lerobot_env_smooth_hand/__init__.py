@@ -1,6 +1,14 @@
 """Gymnasium environments ``smooth_hand/card``, ``cube``, ``screwdriver``; LeRobot's plug-in."""
 
+import contextlib
 import importlib.util
+
+from smooth_operator.errors import ConfigError
+from smooth_operator.simulation.renderer import draw_off_screen
+
+# before MuJoCo is imported, which chooses its OpenGL then; a machine without one has no pictures
+with contextlib.suppress(ConfigError):
+    draw_off_screen()
 
 from lerobot_env_smooth_hand.environment import HandTask, register
 

@@ -1,5 +1,14 @@
 """LeRobot robot ``smooth_hand``: a robot hand, simulated or real; a camera for a simulated one."""
 
+import contextlib
+
+from smooth_operator.errors import ConfigError
+from smooth_operator.simulation.renderer import draw_off_screen
+
+# before MuJoCo is imported, which chooses its OpenGL then; a machine without one has no pictures
+with contextlib.suppress(ConfigError):
+    draw_off_screen()
+
 from lerobot_robot_smooth_hand.camera import SmoothHandCamera
 from lerobot_robot_smooth_hand.config_camera import SmoothHandCameraConfig
 from lerobot_robot_smooth_hand.config_smooth_hand import SmoothHandConfig

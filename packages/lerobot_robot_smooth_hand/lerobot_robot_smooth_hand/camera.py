@@ -26,9 +26,9 @@ _PATIENCE_S: Final = 20.0
 class SmoothHandCamera(Camera):
     """Pictures of the hand that the robot ``smooth_hand`` moves in the sink ``mujoco``.
 
-    They are drawn on a thread of their own, off screen; where there is neither a display nor a
-    graphics card, set the environment variable MUJOCO_GL to egl or osmesa. Without a graphics card
-    a picture takes tens of milliseconds: keep it small.
+    They are drawn on a thread of their own, off screen. On Linux without a display they need EGL or
+    OSMesa (``draw_off_screen``). Without a graphics card a picture takes tens of milliseconds: keep
+    it small.
 
     Args:
         config: settings.

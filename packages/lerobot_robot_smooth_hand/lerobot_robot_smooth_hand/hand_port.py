@@ -202,8 +202,7 @@ class HandPort:
     def _object(self, sinks: Sequence[Sink]) -> np.ndarray:
         """(7,) pose of the task's object in the world."""
         for sink in sinks:
-            scene = sink.scene_state(self.side) if isinstance(sink, Simulation) else None
-            if isinstance(sink, Simulation) and scene is not None:
+            if isinstance(sink, Simulation) and (scene := sink.scene_state(self.side)):
                 start = sink.scene_of(self.side).start[1]
                 return object_pose(scene.position, scene.quaternion, start)
         raise DeviceNotConnectedError(f"the {self.side} hand's simulation has no object")

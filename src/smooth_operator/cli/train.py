@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Final, Literal
 from tyro.conf import Positional, arg
 
 from smooth_operator.cli.common_options import Common, HandSide, Ordered, Quiet
-from smooth_operator.errors import ConfigError, require
+from smooth_operator.errors import ConfigError
 
 if TYPE_CHECKING:
     from smooth_operator.cli.console import Progressing
@@ -96,7 +96,6 @@ def train(options: Train) -> None:
         training_data,
     )
 
-    require("training GeoRT", "train", "optax")
     if options.checkpoint_every < 1:
         raise ConfigError(f"--checkpoint-every must be 1 or more, not {options.checkpoint_every}")
     progress = Progressing(options.quiet)

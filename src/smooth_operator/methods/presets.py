@@ -57,18 +57,15 @@ SMOOTH_PRECISE: Final = replace(
         SMOOTH_TELEOP.objective, targets=CloseTargets(w_wrist=1.0, w_thumb=20.0, focus=0.5)
     ),
     motion_weight=1300.0,
+    pinch_damping=0.0,
     self_collision=SelfCollisionConfig(),
 )
 """For the paper's metrics: the human's fingertips as the palms are aligned, and of them first the
 directions from the thumb. Fingers of other lengths than the human's stay bent in an open hand."""
 
-SMOOTH_GRASP: Final = replace(
-    SMOOTH_TELEOP,
-    pinch_damping=300.0,
-    objective=replace(SMOOTH_TELEOP.objective, targets=CloseTargets(latches=True)),
-)
-"""For a live loop that handles objects: fingers that pinch hardly follow the human's motion, so
-that they do not roll out what they hold (docs/explanation/smooth.md)."""
+SMOOTH_GRASP: Final = replace(SMOOTH_TELEOP, pinch_damping=1000.0)
+"""For a live loop that handles objects: fingers that pinch hardly follow a slow motion of the
+human's, so that they do not roll out what they hold (docs/explanation/smooth.md)."""
 
 _FUTURE: Final = TrajectoryConfig(
     acceleration_weight=2e-8, motion_weight=0.07, motion_speed=0.6, speed_limit=28.0

@@ -86,7 +86,8 @@ class SmoothConfig(ObjectiveMethodConfig):
             with the square of the speed, since a correction of the same size turns a fast motion
             less. 0 leaves it constant.
         pinch_damping: added to the velocity weight of joints that move the thumb or a finger that
-            the targets have latched to it, for fingers that move roll out what they hold.
+            the targets have latched to it, for fingers that move roll out what they hold. It falls
+            as the motion weight does, so that a hand that opens is not held back.
         rest_pose: where the pull of Eq. (1) goes where fingertips are near their targets.
         fingertip_position: cost of fingertips that are nearly where the human's are.
         self_collision: cost of parts of the hand inside each other.
@@ -107,12 +108,12 @@ class SmoothConfig(ObjectiveMethodConfig):
     alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
     objective: ObjectiveConfig = field(
         default_factory=lambda: ObjectiveConfig(
-            targets=CloseTargets(), pose_weight=0.026, velocity_weight=0.27
+            targets=CloseTargets(latches=True), pose_weight=0.026, velocity_weight=0.27
         )
     )
     motion_weight: float = 1900.0
     motion_speed: float = 0.1
-    pinch_damping: float = 0.0
+    pinch_damping: float = 100.0
     rest_pose: RestPoseConfig = field(default_factory=RestPoseConfig)
     fingertip_position: FingertipPositionConfig = field(default_factory=FingertipPositionConfig)
     self_collision: SelfCollisionConfig = field(
@@ -423,15 +424,16 @@ class Smooth(Method):
         # the further apart two frames are, the less they hold each other
         holds = jnp.where(clock.restart, 0.0, REFERENCE / clock.dt)
         velocity = config.objective.velocity_weight * holds
-        latched = config.objective.targets.latched(policy_state)
-        if latched is not None and not is_off(config.pinch_damping):
-            pinching = jnp.concatenate([latched.any()[None], latched])
-            damped = (pinching[:, None] & jnp.asarray(self.rest_pose.moves)).any(axis=0)
-            velocity = velocity + config.pinch_damping * holds * damped
-        motion = jnp.full(len(moves), config.motion_weight * holds, points.dtype)
+        slow = jnp.ones(len(moves), points.dtype)
         if not is_off(config.motion_speed):
             speed = jnp.sqrt((moves * moves).sum(-1) + 1e-18) / clock.dt
-            motion = motion / (1 + (speed / config.motion_speed) ** 2)
+            slow = 1 / (1 + (speed / config.motion_speed) ** 2)
+        motion = config.motion_weight * holds * slow
+        latched = config.objective.targets.latched(policy_state)
+        if latched is not None and not is_off(config.pinch_damping):
+            pinching = slow * jnp.concatenate([latched.any()[None], latched])
+            damped = (pinching[:, None] * jnp.asarray(self.rest_pose.moves)).max(axis=0)
+            velocity = velocity + config.pinch_damping * holds * damped
         goal = FrameGoal(targets.vectors, targets.weights, state.solved, velocity)
         return goal._replace(motion_weights=motion), policy_state
 

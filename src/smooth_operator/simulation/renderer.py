@@ -27,16 +27,20 @@ def draw_off_screen() -> None:
     Raises:
         ConfigError: there is neither a display nor one of the two libraries.
     """
-    environment = os.environ
-    if sys.platform != "linux" or "mujoco" in sys.modules or environment.get("MUJOCO_GL"):
-        return
-    if environment.get("DISPLAY") or environment.get("WAYLAND_DISPLAY"):
+    if not _needs_a_display() or "mujoco" in sys.modules or os.environ.get("MUJOCO_GL"):
         return
     for name in ("EGL", "OSMesa"):
         if find_library(name):
-            environment["MUJOCO_GL"] = name.lower()
+            os.environ["MUJOCO_GL"] = name.lower()
             return
     raise ConfigError(f"this machine can't draw with OpenGL: {_ADVICE}")
+
+
+def _needs_a_display() -> bool:
+    """True where MuJoCo draws by a Linux display and there is none."""
+    choice = os.environ.get("MUJOCO_GL", "").strip().lower()
+    display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    return sys.platform == "linux" and choice not in ("egl", "osmesa") and not display
 
 
 def open_renderer(
@@ -55,6 +59,8 @@ def open_renderer(
     """
     import mujoco
 
+    if _needs_a_display():  # which MuJoCo would try to open, and may end the process
+        raise ConfigError(f"this machine can't draw with OpenGL: {_ADVICE}")
     model.vis.global_.offwidth = max(model.vis.global_.offwidth, width)
     model.vis.global_.offheight = max(model.vis.global_.offheight, height)
     try:

@@ -2,9 +2,9 @@
 
     python -m smooth_operator_research.judging.pinch_front --data RECORDINGS
 
-Each row is a value of ``pinch_damping``, with the latches of the preset ``grasp``, or another
-method. Columns are the measure *pinch and hold* and how far the hand follows the human, on each
-recording. ``grasp`` was chosen on the first two recordings.
+Each row is a value of ``pinch_damping``, 100 that of the preset ``teleop`` and 1000 that of
+``grasp``, or another method. Columns are the measure *pinch and hold* and how far the hand follows
+the human, on each recording. Both presets were chosen on these recordings.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class Settings:
     """What to measure.
 
     Attributes:
-        damping: values of ``pinch_damping``; 0 is the preset ``teleop``.
+        damping: values of ``pinch_damping``.
         methods: others, with their default presets.
         data: folder of the recordings; without it a built-in operator alone.
         hand: robot hand.
@@ -106,11 +106,10 @@ def measure(task: Task) -> Mapping[str, float | None]:
 
 def rows_of(settings: Settings) -> dict[str, tuple[str, MethodConfig]]:
     """Row -> method, configuration."""
-    grasp = method_config("smooth", "grasp")
-    rows: dict[str, tuple[str, MethodConfig]] = {}
-    for value in settings.damping:
-        config = with_settings(grasp, {"pinch_damping": value}) if value else method_config()
-        rows[f"{value:g}"] = "smooth", config
+    rows: dict[str, tuple[str, MethodConfig]] = {
+        f"{value:g}": ("smooth", with_settings(method_config(), {"pinch_damping": value}))
+        for value in settings.damping
+    }
     return rows | {name: (name, method_config(name)) for name in settings.methods}
 
 

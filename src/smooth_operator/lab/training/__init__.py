@@ -1,5 +1,9 @@
 """Training of learning-based methods, in JAX and on a CPU; so far GeoRT. Nothing here prints."""
 
+from smooth_operator.errors import require
+
+require("training GeoRT", "train", "optax")
+
 from smooth_operator.lab.training.data import TrainingData as TrainingData
 from smooth_operator.lab.training.data import synthetic_recordings as synthetic_recordings
 from smooth_operator.lab.training.data import training_data as training_data

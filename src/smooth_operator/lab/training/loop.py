@@ -21,7 +21,7 @@ from smooth_operator.baselines.geort import (
     recognition,
 )
 from smooth_operator.compilation.compiled_program import compiled
-from smooth_operator.errors import MissingExtraError, SmoothOperatorError
+from smooth_operator.errors import SmoothOperatorError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.lab.training.data import PointSet, TrainingData
 from smooth_operator.lab.training.losses import LOSSES, Batch, GeortLoss
@@ -61,17 +61,11 @@ class GeortTrainer:
         hand: the robot hand.
         data: result of ``training_data``.
         settings: how.
-
-    Raises:
-        MissingExtraError: without optax.
     """
 
     hand: Hand
     data: TrainingData
     settings: GeortTraining
-
-    def __post_init__(self) -> None:
-        _optax()  # missed now rather than after the data was prepared
 
     def init(self) -> TrainingState:
         """The state before the first epoch."""
@@ -184,7 +178,9 @@ class GeortTrainer:
 
     @cached_property
     def _optimiser(self) -> Any:
-        optax, settings = _optax(), self.settings
+        import optax
+
+        settings = self.settings
         total = self.steps * settings.epochs
         rate = optax.warmup_cosine_decay_schedule(
             0.0, settings.learning_rate, min(50, total // 4), max(total, 1)
@@ -226,14 +222,6 @@ class GeortTrainer:
             total, each = self._loss(weights, judging)
             judged = jnp.concatenate([total[None], each])
         return weights, optimiser, losses.mean(axis=0), judged
-
-
-def _optax() -> Any:
-    try:
-        import optax
-    except ImportError as error:
-        raise MissingExtraError("training GeoRT", "train") from error
-    return optax
 
 
 PINCHES: Final = 256
