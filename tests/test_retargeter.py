@@ -424,6 +424,12 @@ def test_who_names_no_method_gets_the_default_one(usual: Retargeter) -> None:
     assert (make_request().preset, make_request().config) == ("teleop", usual.config)
 
 
+def test_a_configuration_in_the_place_of_a_name_is_refused() -> None:
+    for arguments in ({"method": SmoothConfig()}, {"preset": SmoothConfig()}):
+        with pytest.raises(ConfigError, match=r"must be names.*config="):
+            Retargeter(**arguments)  # type: ignore[arg-type]
+
+
 def test_presets() -> None:
     assert "sbr" in method_names()
     assert next(iter(PRESETS["sbr"])) == "realtime"

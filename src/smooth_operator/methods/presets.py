@@ -183,6 +183,12 @@ def method_config(method: str = DEFAULT_METHOD, preset: str | None = None) -> Me
         ConfigError: the preset file is none, or for another method; the method is a plugin's and
             can't be loaded.
     """
+    for name in (method, preset):
+        if not isinstance(name, (str, type(None))):
+            raise ConfigError(
+                f"method and preset must be names, not {brief(name)}; pass a configuration as "
+                "Retargeter(..., config=...)"
+            )
     default = default_preset(method)
     presets = PRESETS[method]
     if preset is None:
