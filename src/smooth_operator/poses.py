@@ -128,7 +128,7 @@ def wrist_from_landmarks(
     Returns:
         (..., 7) poses; NaN if wrist, or index, middle or pinky MCP are missing or in line.
     """
-    from smooth_operator.human.operator import palm_axes  # here: it imports JAX
+    from smooth_operator.geometry import palm_axes  # here: it imports JAX
 
     distal, _, palmar = palm_axes(np.asarray(landmarks, np.float64), side)
     rotation = np.stack([distal, np.cross(-palmar, distal), -palmar], axis=-1)

@@ -27,6 +27,17 @@ def is_off(setting: object) -> bool:
     return isinstance(setting, int | float) and setting == 0
 
 
+def check_choice(config: object, name: str, options: Iterable[str]) -> None:
+    """Check that a field of a configuration is one of some words.
+
+    Raises:
+        ConfigError: it is another; the message names the field and the words.
+    """
+    value, words = getattr(config, name), [repr(option) for option in options]
+    if repr(value) not in words:
+        raise ConfigError(f"{name} must be {' or '.join(words)}, not {value!r}")
+
+
 def check_numbers(
     config: object,
     prefix: str = "",

@@ -30,9 +30,10 @@ from jaxtyping import Array, Bool, Float
 
 from smooth_operator.compilation.compiled_program import CompiledProgram
 from smooth_operator.human.alignment import AlignmentConfig
+from smooth_operator.landmarks import NUM_LANDMARKS
 from smooth_operator.methods.method import Method, MethodConfig
-from smooth_operator.methods.program import FrameState, RetargetState, align_frame
-from smooth_operator.types import Status
+from smooth_operator.methods.program import FrameState, RetargetState, align_frame, ticks_of
+from smooth_operator.types import HandRecording, Status
 
 LANES: Final = 8
 """Lanes on a CPU. More save little, and a step takes as long as the lane that takes longest."""
@@ -77,6 +78,20 @@ class Tracks:
     valid: np.ndarray
     ticks: np.ndarray
     lengths: Sequence[int]
+
+    @classmethod
+    def of(
+        cls, recordings: Sequence[HandRecording], landmarks: Callable[[np.ndarray], np.ndarray]
+    ) -> Tracks:
+        """Recordings one after the other; ``landmarks`` gives them in the program's form."""
+        if not recordings:
+            none = np.empty((0, NUM_LANDMARKS, 3), np.float32)
+            return cls(none, none[..., 0] > 0, np.empty(0, np.uint32), [])
+        points, valid, stamps = (
+            np.concatenate([getattr(recording, name) for recording in recordings], dtype=kind)
+            for name, kind in (("landmarks", None), ("valid", bool), ("stamps", float))
+        )
+        return cls(landmarks(points), valid, ticks_of(stamps), list(map(len, recordings)))
 
     @cached_property
     def starts(self) -> np.ndarray:

@@ -162,6 +162,15 @@ def solid_shapes(hand: Hand) -> Bool[np.ndarray, " g"]:
     return np.asarray(solid & hand.bodies[model.geom_bodyid])
 
 
+def lacking_parts(hand: Hand) -> set[int]:
+    """Parts that lost shapes; all parts of a hand without any colliding shape."""
+    model = hand.model
+    part = np.asarray(model.body_weldid)
+    if solid_shapes(hand).any():
+        return {int(part[model.body(name).id]) for name in hand.unreadable}
+    return {int(p) for p in part[hand.bodies]}
+
+
 def owners(hand: Hand) -> Int[np.ndarray, " bodies"]:
     """Index of each body's finger in ``FINGERS``, or ``PALM``.
 

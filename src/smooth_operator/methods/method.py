@@ -12,7 +12,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Final, NamedTuple, NoReturn, TypeAlias, TypeVar, cast
+from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple, NoReturn, TypeVar, cast
 
 import jax.numpy as jnp
 import numpy as np
@@ -21,10 +21,12 @@ from jaxtyping import Array, Bool, Float, UInt32
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import AlignmentConfig
-from smooth_operator.human.operator import Component, OperatorProfile
 from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.loss import Objective, ObjectiveConfig
 from smooth_operator.solvers.trajectory import TrajectoryConfig
+
+if TYPE_CHECKING:
+    from smooth_operator.human.operator import Component, OperatorProfile
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +68,7 @@ class FrameGoals:
 
 C = TypeVar("C", bound="MethodConfig")
 
-Compiling: TypeAlias = Callable[[Callable[..., Any], str], Callable[..., Any]]
+Compiling = Callable[[Callable[..., Any], str], Callable[..., Any]]
 """Compiles a traceable function under a name that is its own among the method's functions."""
 
 _FAINT = 1e-4
@@ -325,12 +327,9 @@ class TrajectoryMethodConfig(MethodConfig):
     noise: float = 0.0
 
     def __post_init__(self) -> None:
-        if not 0 <= self.jump < float("inf"):
-            raise ConfigError(f"jump must be a step of 0 m or more, not {self.jump}")
-        if not 0 <= self.noise < float("inf"):
-            raise ConfigError(f"noise must be a factor of 0 or more, not {self.noise}")
-        if not 0 <= self.bridge < float("inf"):
-            raise ConfigError(f"bridge must be a time of 0 s or more, not {self.bridge}")
+        for name, unit in (("jump", "a step [m]"), ("noise", "a factor"), ("bridge", "a time [s]")):
+            if not 0 <= getattr(self, name) < float("inf"):
+                raise ConfigError(f"{name} must be {unit} of 0 or more, not {getattr(self, name)}")
 
     @property
     def alignment(self) -> AlignmentConfig:  # type: ignore[override]

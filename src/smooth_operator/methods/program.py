@@ -5,9 +5,8 @@ takes and returns in a third of the time of twenty.
 
 Retargeters that would compile the same program share one (``shared_program``): those of one hand
 and configuration, and those of a hand and of its mirror image, which is served by the other's
-program with the landmarks reflected, so that its joint positions are equal bit for bit. Hands of
-one structure but other figures, such as left and right as published, have their own: with 1,900 to
-5,900 figures as arguments instead of constants, a frame took 2.1 to 3.5 times as long.
+program with the landmarks reflected. Figures of a hand are constants of its program: as arguments,
+a frame took 2.1 to 3.5 times as long.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -12,9 +12,11 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.human.operator import Component, OperatorProfile, pinch_nearness
 from smooth_operator.objective.keyvectors import KeyvectorLayout, VectorLayout
 from smooth_operator.settings import check_numbers
+
+if TYPE_CHECKING:
+    from smooth_operator.human.operator import Component, OperatorProfile
 
 
 class Targets(NamedTuple):
@@ -331,7 +333,9 @@ class CloseTargets(TargetPolicy[KeyvectorLayout, Any]):
         near = length[layout.thumb]
         if self.latches:
             state = jnp.where(state, near <= self.escape, near < self.project)
-        if self.pinch_gaps:
+        if self.pinch_gaps:  # of an operator
+            from smooth_operator.human.operator import pinch_nearness
+
             gaps = dict(self.pinch_gaps)
             left = jnp.asarray([gaps.get(name, 0.0) for name in layout.fingers[1:]], human.dtype)
             near = near - jnp.minimum(pinch_nearness(near, jnp) * left, near)

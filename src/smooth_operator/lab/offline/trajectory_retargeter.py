@@ -27,7 +27,7 @@ from smooth_operator.errors import ConfigError
 from smooth_operator.hands.differential import PointKinematics
 from smooth_operator.hands.hand import Hand
 from smooth_operator.lab.offline.trajectory_solver import (
-    ORDERS,
+    JOINED,
     ExtraTerms,
     FrameBlocks,
     Led,
@@ -259,7 +259,7 @@ class TrajectoryRetargeter:
         goals, reaches = problem
         joints, more = len(self.hand.limits), len(limits) - len(self.hand.limits)
         for begin, keep, end in windows(len(stamps), WINDOW, ahead):
-            previous = settled[-ORDERS:]
+            previous = settled[-JOINED:]
             before = begin - len(previous)
             part = slice(stretch.start + before, stretch.start + end)
             window_goals = jax.tree.map(lambda values, part=part: values[part], goals)
