@@ -204,11 +204,10 @@ def optimised() -> Iterator[None]:
     """XLA's optimisations, for a test whose programs run long enough to win by them."""
     import jax
 
-    config: Any = jax.config  # its attributes are made at run time
-    before = config.jax_disable_most_optimizations
-    config.update("jax_disable_most_optimizations", False)
+    before = jax.config.read("jax_disable_most_optimizations")
+    jax.config.update("jax_disable_most_optimizations", False)
     yield
-    config.update("jax_disable_most_optimizations", before)
+    jax.config.update("jax_disable_most_optimizations", before)
 
 
 @pytest.fixture

@@ -119,15 +119,9 @@ def points_to_ours(
 def wrist_from_landmarks(
     landmarks: Float[np.ndarray, "*n 21 3"], side: Side
 ) -> Float[np.ndarray, "*n 7"]:
-    """The wrist frame of a hand without tracked orientation, from its palm's landmarks.
-
-    Args:
-        landmarks: (..., 21, 3) landmarks in a z-up, right-handed world [m].
-        side: side of the hand.
-
-    Returns:
-        (..., 7) poses; NaN if wrist, or index, middle or pinky MCP are missing or in line.
-    """
+    """(..., 7) wrist frames of a hand without tracked orientation, from its palm's landmarks in a
+    z-up, right-handed world [m]; NaN if wrist, or index, middle or pinky MCP are missing or in
+    line."""
     from smooth_operator.geometry import palm_axes  # here: it imports JAX
 
     distal, _, palmar = palm_axes(np.asarray(landmarks, np.float64), side)

@@ -244,13 +244,8 @@ def _fingers(
 
 
 def _project(gaps: dict[str, np.ndarray], scale: float, corrected: int) -> float | None:
-    """Distance at which the latch closes, above the corrected gaps of nearly all pinches [m].
-
-    Args:
-        gaps: as in ``Calibration.gaps``.
-        scale: scale of the palm.
-        corrected: column of ``gaps``: 1 with the correction of tips, 0 without.
-    """
+    """Distance at which the latch closes, above the corrected gaps of nearly all pinches [m];
+    ``corrected`` is the column of gaps: 1 with the correction of tips, 0 without."""
     if not gaps:
         return None
     # the correction of pinches removes the median gap, so only the spread above it remains

@@ -124,12 +124,7 @@ class BatchArrays:
 
 
 def progressing(total: int, track: Progress | None) -> Callable[[int], None]:
-    """A function that moves a progress bar by so many frames.
-
-    Args:
-        total: number of steps.
-        track: wraps the iteration over them; None for no bar.
-    """
+    """A function that moves a progress bar of ``total`` frames by so many; None for no bar."""
     steps, left = iter(range(total) if track is None else track(range(total))), total
 
     def advance(count: int) -> None:
@@ -214,16 +209,9 @@ class LaneProgram:
         )
 
     def run(self, initial: RetargetState, tracks: Tracks, track: Progress | None = None) -> Answers:
-        """Every recording, each from the same state.
-
+        """Every recording, each from the same state; ``track`` wraps the iteration over all frames.
         While the device works on a block, a thread lays out the inputs of the next, and puts the
-        results of the last in their places.
-
-        Args:
-            initial: the state before a first frame.
-            tracks: the recordings.
-            track: wraps the iteration over all frames, for a progress bar.
-        """
+        results of the last in their places."""
         frames = _frames_of_lanes(tracks, self.lanes)
         total = len(tracks.ticks)
         advance = progressing(total, track)

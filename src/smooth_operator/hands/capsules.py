@@ -131,15 +131,10 @@ def _may_meet(
 def segment_parameters(
     first: tuple[AnyKind, AnyKind], second: tuple[AnyKind, AnyKind]
 ) -> tuple[AnyKind, AnyKind]:
-    """Nearest points of two line segments, as shares of the segments' lengths.
+    """Nearest points of two line segments of (..., 3) ends, as (...) shares of their lengths in [0,
+    1]; NumPy or JAX. Parallel segments have many nearest points; these are two.
 
     Source: Ericson, "Real-Time Collision Detection" (2005), 5.1.9, without branches.
-
-    Args:
-        first, second: (..., 3) ends of a segment; NumPy or JAX.
-
-    Returns:
-        (...) shares s, t in [0, 1]. Parallel segments have many nearest points; these are two.
     """
     xp = array_namespace(first[0])
     along, across = first[1] - first[0], second[1] - second[0]
@@ -156,15 +151,8 @@ def segment_parameters(
 def segments_apart(
     first: tuple[AnyKind, AnyKind], second: tuple[AnyKind, AnyKind]
 ) -> tuple[AnyKind, AnyKind, AnyKind]:
-    """Vector between the nearest points of two line segments.
-
-    Args:
-        first, second: (..., 3) ends of a segment; NumPy or JAX.
-
-    Returns:
-        (..., 3) vector from the second segment to the first, and the (...) shares of
-        ``segment_parameters``.
-    """
+    """(..., 3) vector between the nearest points of two line segments, from the second to the
+    first, and the (...) shares of ``segment_parameters``."""
     s, t = segment_parameters(first, second)
     apart = (
         first[0]

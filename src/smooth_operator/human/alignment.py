@@ -58,17 +58,8 @@ class AlignmentConfig:
 def palm_alignment(
     landmarks: AnyKind, hand: Hand, config: AlignmentConfig = AlignmentConfig()
 ) -> Similarity[AnyKind]:
-    """The similarity that takes a human hand onto the robot's palm.
-
-    Args:
-        landmarks: (..., 21, 3) human landmarks [m]; NumPy or JAX.
-        hand: the robot hand.
-        config: scale policy.
-
-    Returns:
-        the transform into the palm frame; its ``condition`` shows a degenerate palm
-        (below ``MIN_CONDITION``).
-    """
+    """The similarity that takes (..., 21, 3) human landmarks [m] onto the robot's palm; NumPy or
+    JAX. Its ``condition`` shows a degenerate palm (below ``MIN_CONDITION``)."""
     source = landmarks[..., list(hand.align_indices), :]
     target = hand.align_points.astype(source.dtype)
     return umeyama(source, np.broadcast_to(target, source.shape), config.fixed_scale)

@@ -97,18 +97,9 @@ def filter_landmarks(
     config: LandmarkFilterConfig,
     restart: Bool[Array, ""] | bool = False,
 ) -> tuple[FilterState, Float[Array, "n 3"]]:
-    """One frame.
-
-    Args:
-        before: state after the last frame.
-        measured: (n, 3) where the points are now [m].
-        dt: time between the two [s].
-        config: settings.
-        restart: the last frame was too long ago to count; the noise estimate is kept.
-
-    Returns:
-        The state after this frame, and (n, 3) the step of the filtered points in it [m].
-    """
+    """The state after a frame of (n, 3) measured points [m], a time ``dt`` [s] after the last, and
+    (n, 3) the step of the filtered points in it [m]. After a ``restart`` the last frame was too
+    long ago to count; the noise estimate is kept."""
     last = jnp.where(restart, measured, before.measured)
     start = jnp.where(restart, measured, before.points)
     step = measured - last
@@ -267,18 +258,15 @@ def remove_noise(
     config: NoiseConfig,
     restart: Bool[Array, ""] | bool = False,
 ) -> tuple[NoiseState, Float[Array, "n 3"]]:
-    """One frame.
+    """The state after a frame, and (n, 3) the wanted landmarks [m].
 
     Args:
         before: state after the last frame.
         aligned: (21, 3) landmarks in the palm frame [m]; NaN where one is not known.
-        needs: mask of the landmarks to clean, fingertips and wrist; they are known in every frame.
+        needs: indices of the landmarks to clean, fingertips and wrist; known in every frame.
         dt: time between the two frames [s].
         config: settings.
         restart: the last frame was too long ago to count.
-
-    Returns:
-        The state after this frame, and (n, 3) the wanted landmarks [m].
     """
     if is_off(config.acceleration):
         return before, aligned[np.array(needs)]

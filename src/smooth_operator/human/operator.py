@@ -199,18 +199,9 @@ class OperatorProfile:
     def correct(
         self, aligned: AnyKind, scale: AnyArray, hand: Hand, axes: PalmAxes[np.ndarray]
     ) -> AnyKind:
-        """Landmarks as the robot should see them.
-
-        Args:
-            aligned: (..., 21, 3) in the palm frame [m]; NumPy or JAX, traceable.
-            scale: (...) of the alignment.
-            hand: the robot hand.
-            axes: axes of the human palm in the palm frame, as
-                ``human_palm_axes`` gives them.
-
-        Returns:
-            (..., 21, 3) [m]. The palm's own landmarks move by ``palm`` only.
-        """
+        """(..., 21, 3) landmarks as the robot should see them [m], from those in the palm frame
+        [m], for (...) scales of the alignment and the axes of ``human_palm_axes``; NumPy or JAX,
+        traceable. The palm's own landmarks move by ``palm`` only."""
         xp = array_namespace(aligned)
         out: Any = aligned
         if self.has("palm"):
@@ -332,13 +323,8 @@ def tip_frames(
 
 
 def pinch_nearness(distance: Any, xp: ModuleType) -> Any:
-    """Weight of a thumb-to-tip distance as a pinch: 1 under 10 mm, 0 over 45 mm, smooth in
-    between.
-
-    Args:
-        distance: (...) [m].
-        xp: NumPy or JAX.
-    """
+    """Weight of a thumb-to-tip distance [m] as a pinch: 1 under 10 mm, 0 over 45 mm, smooth in
+    between; ``xp`` is NumPy or JAX."""
     share = xp.clip((_FAR - distance) / (_FAR - _NEAR), 0, 1)
     return share * share * (3 - 2 * share)
 

@@ -47,15 +47,8 @@ class FrameGoals:
         return self.objective.config.targets.init(self.objective.layout)
 
     def follow(self, memory: Any, aligned: Float[Array, "21 3"]) -> tuple[Any, FrameGoal]:
-        """The goal of a frame, without velocity and motion of fingertips; traceable.
-
-        Args:
-            memory: from ``begin`` or the frame before.
-            aligned: (21, 3) landmarks in the palm frame [m].
-
-        Returns:
-            what is remembered after the frame, and the goal.
-        """
+        """The state after a frame, and its goal without velocity and motion of fingertips, for
+        (21, 3) landmarks in the palm frame [m]; traceable."""
         objective, hand = self.objective, self.objective.hand
         layout = objective.layout
         targets, memory = objective.config.targets(memory, layout, layout.human(aligned))
@@ -143,21 +136,13 @@ class Method(ABC):
         return None
 
     def latched(self, state: Any) -> Bool[Array, " P"] | None:
-        """(F - 1,) which fingers are latched to the thumb; None for a method without latches.
-
-        Args:
-            state: from ``init`` or a step.
-        """
+        """(F - 1,) which fingers are latched to the thumb; None for a method without latches."""
         del state
         return None
 
     def fingertip_targets(self, state: Any) -> Float[Array, "F 3"] | None:
         """(F, 3) places of the fingertips that the last frame asks for, in the palm frame [m];
-        None for a method that does not place them, and before the first frame.
-
-        Args:
-            state: from ``init`` or a step.
-        """
+        None for a method that does not place them, and before the first frame."""
         del state
         return None
 
@@ -174,20 +159,12 @@ class HostMethod(Method):
 
     @abstractmethod
     def prepare(self, state: Any, aligned: Float[Array, "21 3"], ticks: UInt32[Array, ""]) -> Any:
-        """The problem of one frame, as a pytree; traceable, without side effects.
-
-        Args:
-            state, aligned, ticks: as for ``step``.
-        """
+        """The problem of one frame, as a pytree, for the arguments of ``step``; traceable."""
 
     @abstractmethod
     def solve(self, state: Any, problem: Any) -> tuple[Any, MethodOutput]:
-        """Solves the problem; NumPy in and out, without side effects.
-
-        Args:
-            state: the one that the problem was prepared from.
-            problem: from ``prepare``.
-        """
+        """Solves a problem of ``prepare``, with the state that it was made from; NumPy in and out,
+        without side effects."""
 
     def step(
         self, state: Any, aligned: Float[Array, "21 3"], ticks: UInt32[Array, ""]
@@ -239,10 +216,7 @@ class MethodConfig(ABC):
         return None
 
     def with_alignment(self: C, **changes: Any) -> C:
-        """These settings with another alignment.
-
-        Args:
-            changes: fields of ``AlignmentConfig``.
+        """These settings with other fields of ``AlignmentConfig``.
 
         Raises:
             ConfigError: a value is out of range.
@@ -250,11 +224,7 @@ class MethodConfig(ABC):
         return _replaced(self, alignment=dataclasses.replace(self.alignment, **changes))
 
     def with_operator(self: C, operator: OperatorProfile) -> C:
-        """These settings for a calibrated operator.
-
-        Args:
-            operator: the calibration; ``unused_components`` of it have no effect.
-        """
+        """These settings for a calibrated operator, whose ``unused_components`` have no effect."""
         return self.with_alignment(operator=operator)
 
     def unused_components(self, operator: OperatorProfile) -> tuple[Component, ...]:

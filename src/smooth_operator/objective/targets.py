@@ -54,16 +54,8 @@ class TargetPolicy(ABC, Generic[LayoutT, StateT]):
     def __call__(
         self, state: StateT, layout: LayoutT, human: Float[Array, "K 3"]
     ) -> tuple[Targets, StateT]:
-        """Targets of one frame; traceable.
-
-        Args:
-            state: from ``init`` or the last call.
-            layout: the policy's own layout of the hand.
-            human: (K, 3) the human's vectors [m].
-
-        Returns:
-            the targets, and the state after this frame.
-        """
+        """Targets of one frame for the human's (K, 3) vectors [m], and the state after it;
+        traceable."""
 
     def latched(self, state: StateT) -> Bool[Array, " P"] | None:
         """(F - 1,) which fingers are latched to the thumb; None for a policy without latches."""
@@ -73,15 +65,8 @@ class TargetPolicy(ABC, Generic[LayoutT, StateT]):
     def with_operator(
         self, operator: OperatorProfile
     ) -> tuple[TargetPolicy[LayoutT, StateT], OperatorProfile]:
-        """The policy for a calibrated operator.
-
-        Args:
-            operator: the calibration.
-
-        Returns:
-            the policy, and the calibration with those components that remain for the alignment to
-            correct.
-        """
+        """The policy for a calibrated operator, and the calibration with those components that
+        remain for the alignment to correct."""
         return self, operator
 
     def unused_components(self, operator: OperatorProfile) -> tuple[Component, ...]:

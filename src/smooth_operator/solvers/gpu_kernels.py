@@ -52,13 +52,8 @@ def _pallas() -> tuple[Any, Any]:
 
 
 def cholesky_rows(matrix: Sequence[Sequence[Array]]) -> list[list[Array]]:
-    """The lower Cholesky factor, row by row, of a matrix whose entries are arrays of one shape.
-
-    A matrix that is not positive definite has NaN in its factor.
-
-    Args:
-        matrix: n rows; those above the diagonal are not read.
-    """
+    """The lower Cholesky factor, row by row, of a matrix whose entries are arrays of one shape;
+    those above the diagonal are not read. A matrix that is not positive definite has NaN in it."""
     rows: list[list[Array]] = []
     inverse: list[Array] = []
     for i, entries in enumerate(matrix):
