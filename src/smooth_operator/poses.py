@@ -33,8 +33,6 @@ def axes(x: str, y: str, z: str) -> Float[np.ndarray, "3 3"]:
 
     Args:
         x: name of our x there: ``x``, ``y`` or ``z``, with a minus sign for the reversed axis.
-        y: name of our y.
-        z: name of our z.
 
     Returns:
         (3, 3) matrix M with ours = M @ theirs; its determinant is -1 for a left-handed tracker.

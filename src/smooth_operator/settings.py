@@ -48,7 +48,6 @@ def check_numbers(
     """Check fields of a configuration; traced values pass.
 
     Args:
-        config: the configuration.
         prefix: prefix of a field's name in the message.
         positive: names of fields that must be positive.
         not_negative: names of fields that must not be negative.

@@ -59,7 +59,6 @@ def compiled(function: Callable[..., Any], *, wide: bool = False) -> Callable[..
     """``jax.jit`` with the options that suit programs of one frame.
 
     Args:
-        function: traceable.
         wide: most of its time goes to long loops over many numbers, which a processor with vectors
             of 512 bits is to run in such vectors; XLA prefers 256.
     """

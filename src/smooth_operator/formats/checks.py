@@ -261,7 +261,6 @@ def check_side(labels: Iterable[str], requested: Side | None, where: str) -> tup
 
     Args:
         labels: the chirality labels in the file, none if it has none.
-        requested: the caller's side, if any.
         where: the file, for the message.
 
     Returns:

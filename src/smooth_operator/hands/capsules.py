@@ -69,9 +69,6 @@ def capsule_pairs(hand: Hand) -> CapsulePairs:
     in most random poses the nearest pair of their two links, at least one for any two links that
     meet. A pair whose capsules overlap in the neutral pose is left out if its shapes do not. Links
     whose shapes can't be read have estimated capsules (``smooth_operator.hands.stand_ins``).
-
-    Args:
-        hand: the robot hand.
     """
     counts, estimated, replaced = colliding_shapes(hand), list[Capsule](), list[int]()
     if lacking_parts(hand):

@@ -28,7 +28,6 @@ def penetration_depths(hand: Hand, joint_positions: ArrayLike) -> Float[np.ndarr
     the model itself excludes from collision do not count, either.
 
     Args:
-        hand: the robot hand.
         joint_positions: (T, n) positions of all joints [rad].
 
     Returns:

@@ -194,7 +194,6 @@ class Correspondence:
         """One frame; traceable.
 
         Args:
-            before: after the last frame.
             aligned: (21, 3) landmarks in the palm frame [m]; NaN where one is not known.
             tips: (F, 3) the human's fingertips in the palm frame without noise, thumb first [m].
             steps: (F, 3) their steps in this frame [m].

@@ -261,11 +261,9 @@ def remove_noise(
     """The state after a frame, and (n, 3) the wanted landmarks [m].
 
     Args:
-        before: state after the last frame.
         aligned: (21, 3) landmarks in the palm frame [m]; NaN where one is not known.
         needs: indices of the landmarks to clean, fingertips and wrist; known in every frame.
         dt: time between the two frames [s].
-        config: settings.
         restart: the last frame was too long ago to count.
     """
     if is_off(config.acceleration):

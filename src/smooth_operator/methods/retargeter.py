@@ -292,7 +292,6 @@ class Retargeter:
         """A whole recording from a fresh state, frame by frame, as a live loop would.
 
         Args:
-            recording: the human hand.
             seed: seed of the random numbers; None for the retargeter's own.
             track: wraps the iteration over frames, for a progress bar.
 

@@ -151,7 +151,6 @@ class Objective:
 
         Args:
             q: m arrays of a common shape, actuated joint positions [rad].
-            goal: targets of the frame.
             within_limits: promise that q respects the limits, for speed.
         """
         return self._point_costs([self.keyvectors], q, goal, within_limits)
@@ -161,7 +160,6 @@ class Objective:
 
         Args:
             q: m arrays of a common shape, actuated joint positions [rad].
-            goal: targets of the frame.
             within_limits: promise that q respects the limits, for speed.
 
         Returns:
@@ -197,7 +195,6 @@ class Objective:
 
         Args:
             q: (..., m) actuated joint positions [rad]; NumPy or JAX.
-            goal: with what was commanded before.
 
         Returns:
             (...) cost.

@@ -96,7 +96,6 @@ class PointTerm(Term, ABC):
         Args:
             points: (P, 3) the term's points [m].
             jacobian: (P, J, 3) their derivatives with respect to the J joints [m/rad].
-            goal: targets of the frame.
         """
 
     def cost(self, points: Sequence[Vector], goal: FrameGoal) -> Array:
@@ -104,7 +103,6 @@ class PointTerm(Term, ABC):
 
         Args:
             points: (x, y, z) of each point [m]: arrays of a common shape, the batch, or floats.
-            goal: targets of the frame.
         """
         shape = jnp.broadcast_shapes(*(jnp.shape(c) for point in points for c in point))
         rows = [[jnp.broadcast_to(jnp.asarray(c), shape).ravel() for c in p] for p in points]

@@ -152,7 +152,7 @@ class ResultLog:
             note(f"{path} holds {lines} no result: not used")
 
     def find(self, name: str, key: object, code: str) -> dict[str, Any] | None:
-        """A stored result; None if there is none of this key and this code. The name is not used."""
+        """The stored result of this key and this code, or None. The name is not used."""
         digest = key_digest(key)
         value = self._results.get((digest, code))
         self._outdated += value is None and digest in self._keys
@@ -272,8 +272,6 @@ def compute_results(
 
     Args:
         jobs: computations in the order of their starts.
-        cache: store of the results.
-        execute: computes their tasks.
         value: converts the result of a task to the value to store; None stores nothing.
 
     Raises:

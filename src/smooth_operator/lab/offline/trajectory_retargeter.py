@@ -137,7 +137,6 @@ class TrajectoryRetargeter:
         """A whole recording.
 
         Args:
-            recording: the human hand.
             seed: seed of the random numbers; None for the retargeter's own.
             track: wraps the iteration over frames, for a progress bar.
             extra: more costs and variables of each frame.

@@ -106,7 +106,6 @@ def smooth_trajectory(
         start: (T, m) poses [rad].
         stamps: (T,) strictly increasing times [s].
         limits: (m, 2) bounds [rad].
-        config: costs.
         fixed: so many frames at the beginning stay as they are: the end of what was solved before.
         led: points that are to move as others do; None for none.
     """
