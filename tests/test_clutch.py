@@ -172,7 +172,7 @@ def test_limits_hold_at_every_pair_of_stamps(config, moves):
         assert np.isfinite(stage.poses).all()
 
 
-def test_the_wrist_is_followed_without_lag():
+def test_the_wrist_is_followed_without_lag() -> None:
     for rate, frames in ((100.0, 1), (100.0, 2)):  # a tracker at the rate of the loop, and at half
         stage, config = Stage(rate=rate), WristConfig()
         apart = []

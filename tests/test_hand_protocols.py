@@ -146,7 +146,7 @@ def test_linker_frames(monkeypatch):
         right.open()
 
 
-def test_linker_l10_reports_temperatures_and_takes_a_torque():
+def test_linker_l10_reports_temperatures_and_takes_a_torque() -> None:
     needs("linker-l10")
     from dataclasses import replace
 

@@ -189,7 +189,7 @@ def test_the_watchdog_does_not_wait_for_a_sink_that_hangs(hand):
     runner.close()
 
 
-def test_every_word_of_the_catalogue_is_a_sink(tmp_path):
+def test_every_word_of_the_catalogue_is_a_sink(tmp_path: Any) -> None:
     for word in SINKS:
         sink = build_sink(f"record:{tmp_path}/a.mcap" if word == "record" else word)
         assert sink.label.startswith(word)

@@ -34,7 +34,7 @@ def test_table_and_picture(tmp_path, monkeypatch):
     assert ">share dropped<" in picture
 
 
-def test_zero_is_the_preset_that_follows():
+def test_zero_is_the_preset_that_follows() -> None:
     rows = pinch_front.rows_of(pinch_front.Settings())
     assert rows["0"] == ("smooth", method_config("smooth"))
     assert rows["300"] == ("smooth", method_config("smooth", "grasp"))
