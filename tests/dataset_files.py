@@ -58,8 +58,6 @@ def hand(side: Side, seconds: float = 1.0) -> Hand:
     """The virtual operator's hand, with a wrist that moves."""
     motion = WristMotion(0.1, 0.4, seed=3)
     sent = SyntheticOperator(seed=1, side=side, wrist=motion, rate_hz=RATE).record(seconds)
-    assert sent.metacarpals is not None
-    assert sent.T_world_wrist is not None
     nodes = np.zeros((len(sent), 25, 3))
     # The operator's x is palmar, y radial of the right hand, z distal: palm down, ahead.
     turned = (2, 1, 0)

@@ -57,7 +57,6 @@ def fetch_emulator(folder: Path) -> str:
             raise NoEmulator(f"npm can't bring {PACKAGE}: {last}")
     with tarfile.open(archive) as inside:
         script = inside.extractfile(_INSIDE)
-        assert script is not None
         return script.read().decode()
 
 

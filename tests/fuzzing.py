@@ -424,8 +424,6 @@ class ReaderProcess:
                 stderr=subprocess.DEVNULL, env=environment,
             )  # fmt: skip
         process = self._process
-        assert process.stdin is not None
-        assert process.stdout is not None
         with contextlib.suppress(BrokenPipeError):
             process.stdin.write(json.dumps([target, str(path)]).encode() + b"\n")
             process.stdin.flush()

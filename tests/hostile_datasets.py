@@ -1,10 +1,7 @@
-"""Damaged files of data sets of hands: each is read soundly or refused; run as a script.
+"""Damaged files of data sets of hands: each is read soundly or refused.
 
-``python tests/hostile_datasets.py TRIES [SEED] [LAYOUT ...]`` has so many mutants of each layout's
-files read in a process with limits, and prints what came of them. Read soundly means: numbers where
-a landmark is valid, stamps that increase, and no hand that shows the other one in most of its
-frames. ``test_dataset_readers.py`` reads a few in its own process. The layouts of
-``packages/smooth_hand_datasets`` need the folder of its tests on ``PYTHONPATH``.
+Read soundly means: numbers where a landmark is valid, stamps that increase, and no hand that shows
+the other one in most of its frames.
 """
 
 from __future__ import annotations
@@ -12,8 +9,6 @@ from __future__ import annotations
 import io
 import json
 import random
-import tempfile
-from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -21,7 +16,7 @@ from typing import Any
 import dataset_files as files
 import fuzzing
 import numpy as np
-from hostile_files import Mutate, Watch, main, mutate_hdf5, read_mutants
+from hostile_files import Mutate, mutate_hdf5
 
 FEWEST = 5
 """Whole frames without which a side is not judged."""
@@ -48,16 +43,6 @@ def read_soundly(layout: str, path: Path) -> None:
             wrong, whole = files.wrong_frames(hand.landmarks, hand.valid, side)
             assert whole < FEWEST or wrong < whole / 2, f"{wrong} of {whole} frames of {side}"
         json.dumps(clip.meta, allow_nan=False)
-
-
-def _reader(layout: str) -> Callable[[Path], None]:
-    return lambda path: read_soundly(layout, path)
-
-
-egodex, avp, hts, landmarks = map(_reader, ("egodex", "avp", "hts", "landmarks"))
-egohandkit, predictions = map(_reader, ("egohandkit", "predictions"))
-parquet = _reader("parquet")
-hawor, dynhamr = map(_reader, ("hawor", "dynhamr"))
 
 
 def mutate_values(rng: random.Random, data: bytes) -> bytes:
@@ -233,27 +218,3 @@ def reconstruction_seeds(folder: Path) -> dict[str, list[tuple[str, bytes, Mutat
         "hawor": [(path.name, path.read_bytes(), fuzzing.mutate_bytes)],
         "dynhamr": [("a.npz", stream.getvalue(), fuzzing.mutate_npz)],
     }
-
-
-def campaign(
-    tries: int, seed: int, only: tuple[str, ...], watch: Watch
-) -> tuple[dict[str, Counter[str]], list[str]]:
-    """As ``hostile_files.campaign``, of layouts of data sets."""
-    faults: list[str] = []
-    with (
-        tempfile.TemporaryDirectory() as name,
-        fuzzing.ReaderProcess([str(Path(__file__).parent)]) as process,
-    ):
-        folder = Path(name)
-        tally = {
-            layout: read_mutants(
-                process, f"hostile_datasets:{layout}", files, folder, tries, seed, faults, watch
-            )
-            for layout, files in (seeds(folder) | reconstruction_seeds(folder)).items()
-            if not only or layout in only
-        }
-    return tally, faults
-
-
-if __name__ == "__main__":
-    main(campaign)

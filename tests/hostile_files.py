@@ -11,7 +11,6 @@ import io
 import json
 import random
 import shutil
-import sys
 import tempfile
 from collections import Counter, defaultdict
 from collections.abc import Callable
@@ -20,7 +19,6 @@ from typing import Any
 
 import fuzzing
 import numpy as np
-from discovery_hands import make_hand, mjcf, urdf
 from made_hands import hand_points
 
 from smooth_operator.formats.episode import Episode
@@ -122,12 +120,6 @@ def study(path: Path) -> None:
     from smooth_operator.study.data.reading import read_study
 
     read_study([path])
-
-
-def model(path: Path) -> None:
-    from smooth_operator.hands.loading import load_model
-
-    load_model(path)
 
 
 def discovery(path: Path) -> None:
@@ -291,7 +283,6 @@ def mutate_log(rng: random.Random, data: bytes) -> bytes:
     numbers: dict[int, int] = {}
     for i, (schema, channel, message) in enumerate(found):
         if channel.id not in numbers:
-            assert schema is not None
             about = writer.register_schema(schema.name, schema.encoding, schema.data)
             topic = channel.topic if rng.random() > 0.01 else rng.choice(("/hand", "/x", ""))
             numbers[channel.id] = writer.register_channel(
@@ -384,8 +375,6 @@ def mutate_dataset(rng: random.Random, folder: Path) -> None:
 
 
 Mutate = Callable[[random.Random, bytes], bytes]
-HANDS = ("model", "discovery")
-"""Readers of robot hands, which take longer than the others; they are run where they are named."""
 
 
 def seeds(folder: Path) -> dict[str, list[tuple[str, bytes, Mutate]]]:
@@ -396,7 +385,6 @@ def seeds(folder: Path) -> dict[str, list[tuple[str, bytes, Mutate]]]:
     for name in ("e.npz", "e.mcap", "e.h5"):
         write_episode(folder / name, one)
     npz, log, h5 = ((folder / name).read_bytes() for name in ("e.npz", "e.mcap", "e.h5"))
-    assert one.recording is not None
     marks = _npz(landmarks=one.recording.landmarks, timestamps=one.recording.stamps, side="right")
     stream = io.BytesIO()
     np.save(stream, one.recording.landmarks[:1])
@@ -420,134 +408,52 @@ def seeds(folder: Path) -> dict[str, list[tuple[str, bytes, Mutate]]]:
         "study": [("trials.csv", trials, fuzzing.mutate_table),
                   ("study.json", study_json, fuzzing.mutate_json)],
         "trial": [("t.npz", _trial(folder), fuzzing.mutate_npz)],
-        **dict.fromkeys(HANDS, _hands()),
     }  # fmt: skip
 
 
-def _hands() -> list[tuple[str, bytes, Mutate]]:
-    """A hand of each kind that is made in ``discovery_hands``, as URDF and as MJCF."""
-    plain = make_hand(3).parts
-    coupled = make_hand(4, coupled=True, tip_links=True, arm=2).parts
-    return [
-        (f"{name}.{suffix}", write(parts).encode(), fuzzing.mutate_xml)
-        for name, parts in (("plain", plain), ("coupled", coupled))
-        for suffix, write in (("urdf", urdf), ("xml", mjcf))
-    ]
-
-
-Watch = Callable[[str, fuzzing.Verdict], object]
-
-
-def read_mutants(
-    process: fuzzing.ReaderProcess,
-    reader: str,
-    files: list[tuple[str, bytes, Mutate]],
-    folder: Path,
-    tries: int,
-    seed: int,
-    faults: list[str],
-    watch: Watch,
-) -> Counter[str]:
-    """Has mutants read by ``module:function``; how often each outcome came."""
-    counts: Counter[str] = Counter()
-    name = reader.partition(":")[2]
-    for i in range(-len(files), tries):
-        rng = random.Random(f"{name} {seed} {i}")
-        file, content, mutate = files[i % len(files)]
-        path = folder / "mutant" / file
-        path.parent.mkdir(exist_ok=True)
-        path.write_bytes(mutate(rng, content) if i >= 0 else content)
-        verdict = process.read(reader, path)
-        if i < 0:  # first, the good ones themselves; an import may be slow
-            assert verdict.outcome in ("read", "slow"), (reader, file, verdict)
-            continue
-        counts[verdict.outcome] += 1
-        watch(name, verdict)
-        if not verdict.sound:
-            faults.append(f"{name} {file} seed {seed} try {i}: {verdict}")
-    return counts
-
-
-def campaign(
-    tries: int, seed: int, only: tuple[str, ...] = (), watch: Watch = lambda reader, verdict: None
-) -> tuple[dict[str, Counter[str]], list[str]]:
+def campaign(tries: int, seed: int) -> tuple[dict[str, Counter[str]], list[str]]:
     """Has mutants read.
 
     Args:
         tries: mutants for each reader.
         seed: the same one gives the same mutants.
-        only: readers; all but ``HANDS`` if left out.
-        watch: called with the reader and the verdict of each mutant.
 
     Returns:
         Reader -> how often each outcome came; and a line for each fault.
     """
-    tally: dict[str, Counter[str]] = {}
+    tally: defaultdict[str, Counter[str]] = defaultdict(Counter)
     faults: list[str] = []
     with (
         tempfile.TemporaryDirectory() as name,
         fuzzing.ReaderProcess([str(Path(__file__).parent)]) as process,
     ):
         folder = Path(name)
-        good = seeds(folder)
-        for reader, files in good.items():
-            if reader in (only or good.keys() - set(HANDS)):
-                where = f"hostile_files:{reader}"
-                tally[reader] = read_mutants(
-                    process, where, files, folder, tries, seed, faults, watch
-                )
-        if not only or "lerobot" in only:
-            tally["lerobot"] = _datasets(tries, seed, folder, process, faults, watch)
+
+        def read(reader: str, function: str, path: Path, number: int) -> None:
+            verdict = process.read(f"hostile_files:{function}", path)
+            if number < 0:  # first, the good ones themselves; an import may be slow
+                assert verdict.outcome in ("read", "slow"), (reader, path, verdict)
+                return
+            tally[reader][verdict.outcome] += 1
+            if not verdict.sound:
+                faults.append(f"{reader} {path.name} seed {seed} try {number}: {verdict}")
+
+        for reader, files in seeds(folder).items():
+            for i in range(-len(files), tries):
+                file, content, mutate = files[i % len(files)]
+                path = folder / "mutant" / file
+                path.parent.mkdir(exist_ok=True)
+                rng = random.Random(f"{reader} {seed} {i}")
+                path.write_bytes(mutate(rng, content) if i >= 0 else content)
+                read(reader, reader, path, i)
+        from smooth_operator.episode_files.lerobot import write_dataset
+
+        write_dataset(folder / "set", [good_episode])
+        path = folder / "mutant-set"
+        for i in range(-1, tries):
+            shutil.rmtree(path, ignore_errors=True)
+            shutil.copytree(folder / "set", path)
+            if i >= 0:
+                mutate_dataset(random.Random(f"lerobot {seed} {i}"), path)
+            read("lerobot", "episode", path, i)
     return tally, faults
-
-
-def _datasets(
-    tries: int,
-    seed: int,
-    folder: Path,
-    process: fuzzing.ReaderProcess,
-    faults: list[str],
-    watch: Watch,
-) -> Counter[str]:
-    from smooth_operator.episode_files.lerobot import write_dataset
-
-    write_dataset(folder / "set", [good_episode])
-    counts: Counter[str] = Counter()
-    path = folder / "mutant-set"
-    for i in range(-1, tries):
-        shutil.rmtree(path, ignore_errors=True)
-        shutil.copytree(folder / "set", path)
-        if i >= 0:
-            mutate_dataset(random.Random(f"lerobot {seed} {i}"), path)
-        verdict = process.read("hostile_files:episode", path)
-        assert i >= 0 or verdict.outcome == "read", verdict
-        counts[verdict.outcome] += i >= 0
-        if i >= 0:
-            watch("lerobot", verdict)
-        if not verdict.sound:
-            faults.append(f"lerobot seed {seed} try {i}: {verdict}")
-    return counts
-
-
-def main(campaign: Callable[..., tuple[dict[str, Counter[str]], list[str]]]) -> None:
-    """``TRIES [SEED] [READER ...]``: prints what came of the mutants."""
-    seconds: defaultdict[str, float] = defaultdict(float)
-    megabytes: defaultdict[str, float] = defaultdict(float)
-
-    def most(reader: str, verdict: fuzzing.Verdict) -> None:
-        seconds[reader] = max(seconds[reader], verdict.seconds)
-        megabytes[reader] = max(megabytes[reader], verdict.megabytes)
-
-    total, wrong = campaign(
-        int(sys.argv[1]), int((sys.argv[2:] or ["0"])[0]), tuple(sys.argv[3:]), most
-    )
-    for which, counts in total.items():
-        print(
-            f"{which:10} {counts.total():6} {dict(counts)}; at most {seconds[which]:.1f} s of the "
-            f"processor and {megabytes[which]:.0f} MB"
-        )
-    print("\n".join(wrong))
-
-
-if __name__ == "__main__":
-    main(campaign)

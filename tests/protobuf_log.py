@@ -32,7 +32,6 @@ def decoded(
         reader = make_reader(stream, validate_crcs=True)
         wanted = None if topics is None else list(topics)
         for schema, channel, message in reader.iter_messages(wanted, log_time_order=in_order):
-            assert schema is not None
             assert channel.message_encoding == "protobuf"
             if schema.id not in classes:
                 classes[schema.id] = message_class(schema)
@@ -71,7 +70,6 @@ def rewritten(
         writer.start()
         numbers: dict[int, int] = {}
         for schema, channel, message in make_reader(source).iter_messages(wanted):
-            assert schema is not None
             new = change(channel.topic, message_class(schema).FromString(message.data))
             if new is None:
                 continue

@@ -11,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from smooth_operator.errors import ConfigError, UnknownNameError
-from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.teleop.hardware.actuator_map import Actuator, ActuatorMap
 from smooth_operator.teleop.hardware.device import Reading
@@ -30,9 +29,7 @@ def table_of(*actuators: Actuator, **more: object) -> ActuatorMap:
     st.sampled_from((-1, 1)),
     st.floats(-3.0, 3.0),
 )
-def test_a_map_and_its_inverse_agree(
-    steps: list[float], rises: list[float], sign: int, angle: float
-) -> None:
+def test_a_map_and_its_inverse_agree(steps, rises, sign, angle):
     angles = np.cumsum([-1.0, *steps])
     commands = sign * np.cumsum([10.0, *rises[: len(steps)]])
     points = tuple(zip(angles.tolist(), commands.tolist(), strict=True))
@@ -51,14 +48,12 @@ def test_a_map_and_its_inverse_agree(
         (((1.0, 0.0),), "two or more points"),
     ],
 )
-def test_a_map_that_is_not_monotonic_is_refused(
-    points: tuple[tuple[float, float], ...], said: str
-) -> None:
+def test_a_map_that_is_not_monotonic_is_refused(points, said):
     with pytest.raises(ConfigError, match=said):
         Actuator("thumb", {"j": 1.0}, points, (0.0, 10.0))
 
 
-def test_joints_that_share_an_actuator_and_a_differential(hand: Hand) -> None:
+def test_joints_that_share_an_actuator_and_a_differential(hand):
     a, b, c, d = hand.actuated_names[:4]
     line = ((-1.0, 0.0), (1.0, 1000.0))
     table = table_of(
@@ -78,7 +73,7 @@ def test_joints_that_share_an_actuator_and_a_differential(hand: Hand) -> None:
     assert np.isnan(back).sum() == (~bound.determined).sum() > 0  # joints without an actuator
 
 
-def test_coupled_joints_and_missing_answers_in_read_back(hand: Hand) -> None:
+def test_coupled_joints_and_missing_answers_in_read_back(hand):
     line = ((-2.0, 0.0), (2.0, 1000.0))
     names = hand.actuated_names
     table = table_of(*(Actuator(name, {name: 1.0}, line, (0, 1000)) for name in names))
@@ -100,7 +95,7 @@ def test_coupled_joints_and_missing_answers_in_read_back(hand: Hand) -> None:
     }
 
 
-def test_a_table_for_another_hand_is_refused(hand: Hand) -> None:
+def test_a_table_for_another_hand_is_refused(hand):
     table = table_of(Actuator("m", {"elbow": 1.0}, ((0, 0), (1, 1)), (0, 1)))
     with pytest.raises(UnknownNameError, match=r"elbow.*--hand"):
         table.bind(hand)
@@ -108,7 +103,7 @@ def test_a_table_for_another_hand_is_refused(hand: Hand) -> None:
         table.bind(load_hand("leap_hand"))
 
 
-def test_a_table_is_written_and_read_back(tmp_path: Path) -> None:
+def test_a_table_is_written_and_read_back(tmp_path):
     table = table_of(
         Actuator("a", {"j": 1.0}, ((0.0, 10.0), (0.5, 20.0), (1.0, 90.0)), (5.0, 95.0), 3, 200.0),
         Actuator('say "b" ö', {"x": 0.5, "a.b": 0.5}, ((-1.0, 9.0), (1.0, -9.0)), (-9, 9), None),
@@ -145,7 +140,7 @@ def test_a_table_is_written_and_read_back(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_bad_tables_are_refused_in_one_sentence(tmp_path: Path, text: str, said: str) -> None:
+def test_bad_tables_are_refused_in_one_sentence(tmp_path, text, said):
     head = "format = 1\ndriver='fake'\nhand='h'\nside='right'\nunit='deg'\n"
     path = tmp_path / "x.toml"
     path.write_text(text if text.startswith("format") else head + text)
@@ -154,9 +149,7 @@ def test_bad_tables_are_refused_in_one_sentence(tmp_path: Path, text: str, said:
     assert str(path) in str(caught.value)
 
 
-def test_a_users_table_goes_before_the_built_in_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_users_table_goes_before_the_built_in_one(tmp_path, monkeypatch):
     monkeypatch.setenv("SMOOTH_OPERATOR_HANDS", str(tmp_path))
     with pytest.raises(ConfigError, match="there is no table fake_right"):
         find_table("", "fake", "right")
@@ -196,9 +189,7 @@ class Play:
         return bool(self.guard.squeezing[0])
 
 
-def test_no_step_is_faster_than_the_speed_nor_on_the_way_there_than_the_approach(
-    tmp_path: Path,
-) -> None:
+def test_no_step_is_faster_than_the_speed_nor_on_the_way_there_than_the_approach(tmp_path):
     play, commands = Play(tmp_path, approach=1.0, speed=3.0), [180.0]
     for wanted in [200.0] * 100 + [160.0] * 100:
         commands.append(play.step(wanted, commands[-1]))
@@ -209,9 +200,7 @@ def test_no_step_is_faster_than_the_speed_nor_on_the_way_there_than_the_approach
 
 
 @pytest.mark.parametrize(("start", "back"), [(110.0, 120.0), (250.0, 240.0)])
-def test_a_way_beyond_an_end_is_closed_behind_a_hand_that_comes_in(
-    tmp_path: Path, start: float, back: float
-) -> None:
+def test_a_way_beyond_an_end_is_closed_behind_a_hand_that_comes_in(tmp_path, start, back):
     play = Play(tmp_path, start, approach=1.0)
     first = [play.step(180.0, start) for _ in range(5)]
     assert abs(first[-1] - back) < abs(first[0] - back) < abs(start - back)
@@ -224,7 +213,7 @@ def test_a_way_beyond_an_end_is_closed_behind_a_hand_that_comes_in(
     assert command == back  # and not near to where it is held
 
 
-def test_contact_is_a_high_current_for_contact_s_without_motion(tmp_path: Path) -> None:
+def test_contact_is_a_high_current_for_contact_s_without_motion(tmp_path):
     play = Play(tmp_path, contact=0.8, contact_s=0.2)
     play.step(230.0, 195.0, 450.0)
     for _ in range(19):
@@ -237,16 +226,14 @@ def test_contact_is_a_high_current_for_contact_s_without_motion(tmp_path: Path) 
 
 
 @pytest.mark.parametrize(("speed", "contact"), [(0.2, True), (0.4, False)])
-def test_an_actuator_that_moves_as_it_pulls_has_no_contact(
-    tmp_path: Path, speed: float, contact: bool
-) -> None:
+def test_an_actuator_that_moves_as_it_pulls_has_no_contact(tmp_path, speed, contact):
     play = Play(tmp_path, 180.0, contact=0.8)
     for k in range(60):
         play.step(239.0, 180.0 + np.rad2deg(speed) * PERIOD * k, 450.0)
     assert play.squeezes == contact
 
 
-def test_a_current_below_the_share_of_the_limit_is_no_contact(tmp_path: Path) -> None:
+def test_a_current_below_the_share_of_the_limit_is_no_contact(tmp_path):
     play = Play(tmp_path, contact=0.8)
     for _ in range(60):
         play.step(230.0, 195.0, 390.0)
@@ -254,9 +241,7 @@ def test_a_current_below_the_share_of_the_limit_is_no_contact(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize(("yields", "gone"), [(1.3, False), (1.7, True)])
-def test_an_object_is_gone_once_the_finger_is_well_beyond_it(
-    tmp_path: Path, yields: float, gone: bool
-) -> None:
+def test_an_object_is_gone_once_the_finger_is_well_beyond_it(tmp_path, yields, gone):
     play = Play(tmp_path)
     for _ in range(30):
         play.step(230.0, 195.0, 450.0)

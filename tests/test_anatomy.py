@@ -65,7 +65,7 @@ def saved(path: Path, landmarks: np.ndarray, **more: object) -> Path:
 # The table of layouts
 
 
-def test_a_layout_is_an_order_of_all_points() -> None:
+def test_a_layout_is_an_order_of_all_points():
     for order in LAYOUTS.values():
         assert sorted(order) == list(range(21))
     # as the programs that give these orders name their points
@@ -83,37 +83,32 @@ def test_a_layout_is_an_order_of_all_points() -> None:
 
 @pytest.mark.parametrize("noise", [0.0, 0.003])
 @pytest.mark.parametrize("name", FOREIGN)
-def test_another_order_is_recognised(operator: HandRecording, name: str, noise: float) -> None:
+def test_another_order_is_recognised(operator, name, noise):
     rng = np.random.default_rng(0)
     seen = operator.landmarks[:50] + rng.normal(0, noise, (50, 21, 3))
     found = doubt(in_layout(seen, name), "right")
-    assert found is not None
     assert (found.layout, found.order, found.side) == (name, LAYOUTS[name], None)
     assert f"--layout {name}" in found.remedy
     assert doubt(in_layout(seen, name), "right", layout=name) is None
     back = doubt(seen, "right", layout=name)  # said, but not so
-    assert back is not None
     assert back.layout == "mediapipe"
 
 
-def test_an_order_without_a_name_is_put_right(operator: HandRecording) -> None:
+def test_an_order_without_a_name_is_put_right(operator):
     order = [0, *range(5, 9), *range(1, 5), *range(9, 21)]  # index and thumb changed places
     points = operator.landmarks[:30][:, order]
     found = doubt(points, "right")
-    assert found is not None
     assert found.layout is None
-    assert found.order is not None
     np.testing.assert_array_equal(points[:, list(found.order)], operator.landmarks[:30])
     assert str(list(found.order)) in found.remedy
     assert "wrist, index, thumb, middle, ring, pinky" in found.what
 
 
-def test_a_mirror_image_is_the_other_hand(operator: HandRecording) -> None:
+def test_a_mirror_image_is_the_other_hand(operator):
     mirrored = operator.landmarks * MIRROR
     np.testing.assert_allclose(chirality(mirrored), -chirality(operator.landmarks))
     for points, side, other in ((mirrored, "right", "left"), (operator.landmarks, "left", "right")):
         found = doubt(points, side)  # type: ignore[arg-type]
-        assert found is not None
         assert (found.side, found.layout) == (other, None)
         assert f"--side {other}" in found.remedy
     assert doubt(mirrored, "left") is None
@@ -121,7 +116,7 @@ def test_a_mirror_image_is_the_other_hand(operator: HandRecording) -> None:
         check_hand(mirrored, "right", where="takes")
 
 
-def test_too_little_is_not_judged(operator: HandRecording) -> None:
+def test_too_little_is_not_judged(operator):
     assert doubt(np.zeros((50, 21, 3)), "right") is None  # no hand in view is no other order
     mirrored = operator.landmarks[: FEWEST_FRAMES + 3] * MIRROR
     assert doubt(mirrored, "right") is not None
@@ -131,7 +126,7 @@ def test_too_little_is_not_judged(operator: HandRecording) -> None:
         doubt(mirrored, "right", layout="manno")
 
 
-def test_a_landmark_far_away_changes_nothing(operator: HandRecording) -> None:
+def test_a_landmark_far_away_changes_nothing(operator):
     points = operator.landmarks.copy()
     points[7, 3] = 1e30
     points[9] *= 1e30
@@ -140,7 +135,7 @@ def test_a_landmark_far_away_changes_nothing(operator: HandRecording) -> None:
 
 
 @pytest.mark.parametrize("side", ["right", "left"])
-def test_right_ones_are_never_refused(side: str) -> None:
+def test_right_ones_are_never_refused(side):
     """Short windows of operators of either side, with the noise of a bad tracker."""
     rng = np.random.default_rng(2)
     for seed in range(3):
@@ -153,7 +148,7 @@ def test_right_ones_are_never_refused(side: str) -> None:
 
 @pytest.mark.shared
 @pytest.mark.parametrize("name", RECORDINGS)
-def test_real_recordings_pass_and_their_faults_do_not(shared: Path, name: str) -> None:
+def test_real_recordings_pass_and_their_faults_do_not(shared, name):
     """Half-second windows all over the recordings, of both sides."""
     landmarks = real(shared, name)
     mirrored, noticed, windows = landmarks * MIRROR, 0, 0
@@ -162,7 +157,6 @@ def test_real_recordings_pass_and_their_faults_do_not(shared: Path, name: str) -
         assert doubt(landmarks[cut], "right") is None
         assert doubt(mirrored[cut], "left") is None
         foreign = doubt(in_layout(landmarks[cut], "mano"), "right")
-        assert foreign is not None
         assert foreign.layout == "mano"
         noticed += doubt(mirrored[cut], "right") is not None
         windows += 1
@@ -179,20 +173,19 @@ def turned(landmarks: np.ndarray, kind: str, size: float) -> tuple[np.ndarray, S
     return landmarks * size, "right"
 
 
-def test_random_orders_are_refused_in_a_few_frames(operator: HandRecording) -> None:
+def test_random_orders_are_refused_in_a_few_frames(operator):
     rng = np.random.default_rng(3)
     for _ in range(120):
         first = int(rng.integers(0, 190))
         order = rng.permutation(21)
         found = doubt(operator.landmarks[first : first + FEWEST_FRAMES][:, order], "right")
-        assert found is not None
         assert found.side is None
         assert "no hand" in found.what or found.order is not None
 
 
 @pytest.mark.shared
 @pytest.mark.parametrize("name", RECORDINGS)
-def test_random_orders_of_real_recordings_are_refused(shared: Path, name: str) -> None:
+def test_random_orders_of_real_recordings_are_refused(shared, name):
     landmarks = real(shared, name)
     rng = np.random.default_rng(4)
     for frames in (FEWEST_FRAMES, 10, 100):
@@ -207,9 +200,7 @@ def test_random_orders_of_real_recordings_are_refused(shared: Path, name: str) -
     ("side", "size"), [("right", 0.6), ("right", 1.0), ("right", 1.25), ("left", 1.0)]
 )
 @pytest.mark.parametrize("name", RECORDINGS)
-def test_no_real_hand_of_any_size_is_refused(
-    shared: Path, name: str, side: str, size: float
-) -> None:
+def test_no_real_hand_of_any_size_is_refused(shared, name, side, size):
     points, its = turned(real(shared, name), side, size)
     for frames, step in ((len(points), len(points)), (1, 11), (10, 47), (100, 97)):
         for first in range(0, len(points) - frames + 1, step):
@@ -221,7 +212,7 @@ def test_no_real_hand_of_any_size_is_refused(
 
 
 @pytest.mark.parametrize("posture", [FLAT, FIST, SPREAD, *pinch_postures(0)])
-def test_still_poses_are_hands(posture: np.ndarray) -> None:
+def test_still_poses_are_hands(posture):
     for seed in range(3):
         pose = pose_hand(draw_anatomy(0.19, seed), couple(posture[None])).landmarks
         points = np.repeat(pose, 12, axis=0)
@@ -232,7 +223,7 @@ def test_still_poses_are_hands(posture: np.ndarray) -> None:
                 assert not implausible(window, np.ones(window.shape[:2], bool)).any()
 
 
-def test_bones_that_change_their_lengths_are_no_hand(operator: HandRecording) -> None:
+def test_bones_that_change_their_lengths_are_no_hand(operator):
     points, stretch = operator.landmarks.copy(), np.linspace(1.0, 3.0, 200)
     assert doubt(points * stretch[:, None, None], "right") is None  # a size is no proportion
     rng = np.random.default_rng(6)
@@ -243,7 +234,6 @@ def test_bones_that_change_their_lengths_are_no_hand(operator: HandRecording) ->
     assert keeps_lengths(operator.landmarks)
     assert not keeps_lengths(points)
     found = doubt(points, "right")
-    assert found is not None
     assert "no hand" in found.what
     known = np.ones((200, 21), bool)
     with pytest.raises(RecordingError, match="change their lengths") as caught:
@@ -256,13 +246,7 @@ def test_bones_that_change_their_lengths_are_no_hand(operator: HandRecording) ->
 @pytest.mark.parametrize("distance", [0.3, 0.5, 1.1, 2.0])
 @pytest.mark.parametrize("picture", [(640, 480), (1280, 720)])
 @pytest.mark.parametrize("pixels", [False, True])
-def test_image_landmarks_are_recognised(
-    tmp_path: Path,
-    operator: HandRecording,
-    distance: float,
-    picture: tuple[int, int],
-    pixels: bool,
-) -> None:
+def test_image_landmarks_are_recognised(tmp_path, operator, distance, picture, pixels):
     width, height = picture
     points = operator.landmarks - operator.landmarks[:, :1]
     points = points @ np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))[0]
@@ -289,9 +273,7 @@ def test_image_landmarks_are_recognised(
 # The layout aria
 
 
-def test_aria_has_tips_first_and_the_centre_of_the_palm_last(
-    tmp_path: Path, operator: HandRecording
-) -> None:
+def test_aria_has_tips_first_and_the_centre_of_the_palm_last(tmp_path, operator):
     names = [*(f"{f}4" for f in "TIMRP"), "W", "T2", "T3"]
     names += [*(f"{f}{k}" for f in "IMRP" for k in (1, 2, 3)), "palm"]
     ours = ["W", *(f"{f}{k}" for f in "TIMRP" for k in range(1, 5))]
@@ -319,9 +301,7 @@ def test_aria_has_tips_first_and_the_centre_of_the_palm_last(
 # Reading files
 
 
-def test_a_file_in_another_layout_is_refused_and_converted(
-    tmp_path: Path, operator: HandRecording
-) -> None:
+def test_a_file_in_another_layout_is_refused_and_converted(tmp_path, operator):
     points = in_layout(operator.landmarks[:40], "mano")
     valid = np.ones((40, 21), bool)
     valid[3, 16] = False  # in MANO's order: the thumb's tip
@@ -337,15 +317,12 @@ def test_a_file_in_another_layout_is_refused_and_converted(
     assert np.argwhere(~read.valid).tolist() == [[3, 4]]
     np.testing.assert_array_equal(read.orientations, turns)
     episode = read_episode(path, layout="mano").recording
-    assert episode is not None
     np.testing.assert_array_equal(episode.landmarks, read.landmarks)
     with pytest.raises(RecordingError, match="order 'mediapipe'"):
         read_recording(saved(tmp_path / "b.npz", operator.landmarks), layout="mano")
 
 
-def test_a_mirrored_file_is_refused_whether_it_says_its_side_or_not(
-    tmp_path: Path, operator: HandRecording
-) -> None:
+def test_a_mirrored_file_is_refused_whether_it_says_its_side_or_not(tmp_path, operator):
     mirrored = operator.landmarks * MIRROR
     with pytest.raises(RecordingError, match=r"a left hand.*say --side left"):
         read_recording(saved(tmp_path / "a.npz", mirrored))
@@ -355,7 +332,7 @@ def test_a_mirrored_file_is_refused_whether_it_says_its_side_or_not(
         read_recording(labelled)
 
 
-def test_frames_of_another_size_are_not_seen(tmp_path: Path, operator: HandRecording) -> None:
+def test_frames_of_another_size_are_not_seen(tmp_path, operator):
     points = operator.landmarks.copy()
     points[10:14] *= 1000.0  # a stretch in millimetres
     points[20] *= 1e30
@@ -375,7 +352,7 @@ def test_frames_of_another_size_are_not_seen(tmp_path: Path, operator: HandRecor
 # Live
 
 
-def test_live_frames_are_judged_from_the_first_few_on(operator: HandRecording) -> None:
+def test_live_frames_are_judged_from_the_first_few_on(operator):
     check = HandCheck("right")
     valid = np.ones(21, bool)
     for i in range(20):
@@ -389,26 +366,25 @@ def test_live_frames_are_judged_from_the_first_few_on(operator: HandRecording) -
 
 
 @pytest.mark.parametrize("layout", FOREIGN)
-def test_a_wrong_order_is_refused_as_long_as_it_comes(operator: HandRecording, layout: str) -> None:
+def test_a_wrong_order_is_refused_as_long_as_it_comes(operator, layout):
     check, valid = HandCheck("right"), np.ones(21, bool)
     points = in_layout(operator.landmarks[:130], layout)
     verdicts = [check.see(frame, valid) for frame in points][FEWEST_FRAMES - 1 :]
     assert {None if found is None else found.layout for found in verdicts} == {layout}
 
 
-def test_a_hand_that_changes_its_side_is_noticed(operator: HandRecording) -> None:
+def test_a_hand_that_changes_its_side_is_noticed(operator):
     check = HandCheck("right")
     valid = np.ones(21, bool)
     assert all(check.see(points, valid) is None for points in operator.landmarks[:90])
     verdicts = [check.see(points * MIRROR, valid) for points in operator.landmarks[90:160]]
-    assert verdicts[-1] is not None
     assert verdicts[-1].side == "left"
     lost = np.zeros(21, bool)
     assert check.see(operator.landmarks[0], lost) is verdicts[-1]  # no news of it
 
 
 @pytest.mark.parametrize("form", ["bytes", "json"])
-def test_messages_in_another_layout_are_converted(operator: HandRecording, form: str) -> None:
+def test_messages_in_another_layout_are_converted(operator, form):
     points = in_layout(operator.landmarks[5], "mano")
     data = points.astype("<f8").tobytes() if form == "bytes" else str(points.tolist()).encode()
     (reading,) = read_payload(data, side="right", received=1.0, layout="mano")
@@ -417,9 +393,8 @@ def test_messages_in_another_layout_are_converted(operator: HandRecording, form:
     assert not np.array_equal(as_it_came.frame.landmarks, operator.landmarks[5])
 
 
-def test_the_synthetic_operator_may_lose_frames(operator: HandRecording) -> None:
+def test_the_synthetic_operator_may_lose_frames(operator):
     """Frames with landmarks missing are left out of the judgement, not taken for faults."""
-    assert operator.valid is not None
     valid = operator.valid.copy()
     valid[::2, 12] = False
     holes = replace(operator, valid=valid)
@@ -435,14 +410,14 @@ def test_the_synthetic_operator_may_lose_frames(operator: HandRecording) -> None
     [("clip.mp4", b"\x00\x00\x00\x20ftypisom"), ("clip.mkv", b"\x1aE\xdf\xa3\x01\x00\x00\x00"),
      ("clip.avi", b"RIFF\x00\x00\x00\x00AVI LIST")],
 )  # fmt: skip
-def test_a_video_is_told_where_it_goes(tmp_path: Path, name: str, head: bytes) -> None:
+def test_a_video_is_told_where_it_goes(tmp_path, name, head):
     path = tmp_path / name
     path.write_bytes(head + bytes(64))
     with pytest.raises(RecordingError, match=r"a video; .*convert .*clip\.npz.*--source video:"):
         read_recording(path)
 
 
-def test_a_file_is_no_source_but_names_one() -> None:
+def test_a_file_is_no_source_but_names_one():
     for text, word in (("clip.mp4", "video"), ("a/glove.npz,speed=2", "replay")):
         with pytest.raises(ConfigError, match=f"write {word}:{text}"):
             build_source(text)
@@ -452,7 +427,7 @@ def test_a_file_is_no_source_but_names_one() -> None:
         build_source("udp:0,layout=manno")
 
 
-def test_commands_without_times_are_refused(tmp_path: Path) -> None:
+def test_commands_without_times_are_refused(tmp_path):
     stamps = np.arange(3.0)
     commands = CommandTrajectory(np.zeros((3, 2)), ("a", "b"), stamps, stamps, np.zeros(3, np.int8))
     write_commands(tmp_path / "a.npz", commands, {})

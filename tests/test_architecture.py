@@ -9,7 +9,6 @@ import subprocess
 import sys
 from collections.abc import Iterator, Mapping
 from graphlib import CycleError, TopologicalSorter
-from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -96,10 +95,10 @@ is gone and still listed."""
 START = "methods.retargeter"
 """Module of ``Retargeter``, where the closure begins."""
 
-CLOSURE_LINES = 15_480
+CLOSURE_LINES = 15_450
 """Most lines of the modules that ``Retargeter`` can import: the core grows only on purpose."""
 
-LOADED_LINES = 13_150
+LOADED_LINES = 11_950
 """Most lines of the modules that a program has loaded when it has a default ``Retargeter``."""
 
 MAX_LINES = 700
@@ -376,15 +375,15 @@ def misshapen(source: Path) -> list[str]:
     return found
 
 
-def test_source_is_where_the_tests_look() -> None:
+def test_source_is_where_the_tests_look():
     assert {"types", "landmarks", "errors"} <= {top_level(SOURCE, p) for p in modules(SOURCE)}
 
 
-def test_modules_import_only_from_their_own_level_or_below() -> None:
+def test_modules_import_only_from_their_own_level_or_below():
     assert not level_violations(SOURCE), "\n".join(level_violations(SOURCE))
 
 
-def test_the_package_imports_no_other_distribution_of_the_repository() -> None:
+def test_the_package_imports_no_other_distribution_of_the_repository():
     names = [
         f"{path.relative_to(SOURCE)}:{line}"
         for path in modules(SOURCE)
@@ -395,22 +394,22 @@ def test_the_package_imports_no_other_distribution_of_the_repository() -> None:
 
 
 @ALL
-def test_no_modules_import_each_other_in_a_circle(source: Path) -> None:
+def test_no_modules_import_each_other_in_a_circle(source):
     assert not cycle(source), " imports ".join(cycle(source))
 
 
-def test_texts_that_import_from_above_are_listed() -> None:
+def test_texts_that_import_from_above_are_listed():
     assert upward_by_text(SOURCE) == KNOWN_UPWARD
 
 
-def test_what_a_retargeter_imports_is_small() -> None:
+def test_what_a_retargeter_imports_is_small():
     lines = closure(SOURCE, START)
     total = sum(lines.values())
     listing = "\n".join(f"{count:6} {name}" for name, count in sorted(lines.items()))
     assert total <= CLOSURE_LINES, f"{total} lines in {len(lines)} modules:\n{listing}"
 
 
-def test_what_a_retargeter_loads_is_small() -> None:
+def test_what_a_retargeter_loads_is_small():
     program = (
         f"import sys, {PACKAGE}; {PACKAGE}.Retargeter('mimic_p050').init();"
         f"print([m.__file__ for n, m in sys.modules.items() if n.split('.')[0] == '{PACKAGE}'])"
@@ -427,16 +426,16 @@ def test_what_a_retargeter_loads_is_small() -> None:
 
 
 @ALL
-def test_nothing_unpickles(source: Path) -> None:
+def test_nothing_unpickles(source):
     assert not unpickling(source), "\n".join(unpickling(source))
 
 
-def test_digests_of_code_name_files_that_exist() -> None:
+def test_digests_of_code_name_files_that_exist():
     assert not missing_code(SOURCE), "\n".join(missing_code(SOURCE))
 
 
 @ALL
-def test_modules_are_small_and_named_after_what_they_hold(source: Path) -> None:
+def test_modules_are_small_and_named_after_what_they_hold(source):
     assert not misshapen(source), "\n".join(misshapen(source))
 
 
@@ -456,26 +455,14 @@ def package(root: Path, files: dict[str, str]) -> Path:
     ("importer", "statement"),
     [
         ("types.py", "from smooth_operator.hands import HandSpec"),
-        ("types.py", "import smooth_operator.hands as h"),
-        ("types.py", "from smooth_operator import hands"),
-        ("types.py", "from . import hands"),
-        ("types.py", "from .hands import spec"),
-        ("types.py", "from smooth_operator import __version__"),
-        ("types.py", "def f():\n    from smooth_operator.hands import spec"),
+        ("types.py", "def f():\n    from . import hands"),
         ("types.py", "import importlib\nimportlib.import_module('smooth_operator.hands.spec')"),
-        ("solvers/sampling.py", "from smooth_operator.cli import main"),
         ("solvers/sampling.py", "from ..cli import main"),
-        ("metrics/cosine.py", "from smooth_operator.teleop.runtime import Loop"),
-        ("teleop/live.py", "from smooth_operator.cli import main"),
-        ("__init__.py", "from smooth_operator.teleop.pages import live as live"),
         ("__init__.pyi", "from smooth_operator.teleop.pages import live as live"),
-        ("hands/__init__.pyi", "from smooth_operator import cli as cli"),
-        ("simulation/hand.py", "from smooth_operator.teleop.runtime import Loop"),
-        ("lab/bench.py", "from smooth_operator.teleop.runtime import Loop"),
         ("study/analysis.py", "from smooth_operator import lab"),
     ],
 )
-def test_an_upward_import_is_found(tmp_path: Path, importer: str, statement: str) -> None:
+def test_an_upward_import_is_found(tmp_path, importer, statement):
     files = {"hands/spec.py": "", "cli.py": "", "teleop/runtime.py": "", "lab/__init__.py": ""}
     source = package(tmp_path, files | {importer: statement})
     found = level_violations(source)
@@ -483,32 +470,19 @@ def test_an_upward_import_is_found(tmp_path: Path, importer: str, statement: str
     assert found[0].startswith(f"{PACKAGE}/{importer}:")
 
 
-@pytest.mark.parametrize(
-    "statement",
-    [
-        'E = Entry("smooth_operator.teleop.runtime:Loop")',
-        'HERE: Final = "smooth_operator.teleop"\nE = Entry(f"{HERE}.runtime:Loop")',
-        'HERE = "smooth_operator.teleop"\nE = {n: Entry(f"{HERE}.{n}") for n in names}',
-        'def f():\n    return files("smooth_operator.teleop.runtime")',
-    ],
-)
-def test_a_text_that_imports_from_above_is_found(tmp_path: Path, statement: str) -> None:
-    files = {"solvers/sampling.py": statement, "teleop/__init__.py": "", "teleop/runtime.py": ""}
+def test_a_text_that_imports_from_above_is_found(tmp_path):
+    files = {
+        "solvers/sampling.py": 'HERE = "smooth_operator.teleop"\nE = Entry(f"{HERE}.runtime:Loop")',
+        "solvers/newton.py": 'x = "smooth_operator.solvers.sampling", "see smooth_operator.teleop"',
+        "teleop/__init__.py": "",
+        "teleop/runtime.py": "",
+    }
     upward = upward_by_text(package(tmp_path, files))
     assert upward.keys() == {"solvers/sampling.py"}
     assert upward["solvers/sampling.py"] <= {"teleop", "teleop.runtime"}
 
 
-@pytest.mark.parametrize(
-    "statement",
-    ['"smooth_operator.solvers.newton"', '"smooth_operator.programs"', '"see smooth_operator.cli"'],
-)
-def test_other_texts_pass(tmp_path: Path, statement: str) -> None:
-    files = {"solvers/sampling.py": f"x = {statement}", "solvers/newton.py": "", "cli.py": ""}
-    assert upward_by_text(package(tmp_path, files)) == {}
-
-
-def test_the_closure_follows_statements_texts_and_public_names(tmp_path: Path) -> None:
+def test_the_closure_follows_statements_texts_and_public_names(tmp_path):
     files = {
         "methods/retargeter.py": "from ..hands import Spec\nA = 'smooth_operator.a:b'",
         "hands/__init__.py": "",
@@ -525,50 +499,30 @@ def test_the_closure_follows_statements_texts_and_public_names(tmp_path: Path) -
 @pytest.mark.parametrize(
     ("importer", "statement"),
     [
-        ("hands/spec.py", "from smooth_operator.types import Side\nfrom . import limits"),
-        ("human/filters.py", "import smooth_operator.hands.spec"),
         ("hands/mjcf/load.py", "from ..limits import Limits\nfrom ...types import Side"),
-        ("metrics/cosine.py", "from smooth_operator.methods import sbr"),
         ("cli.py", "from smooth_operator import __version__\nfrom smooth_operator import teleop"),
-        ("teleop/sinks/table.py", "from smooth_operator.teleop.runtime import loop"),
-        ("__init__.py", "from smooth_operator.methods import sbr as sbr"),
         ("__init__.pyi", "from smooth_operator import teleop as teleop"),
         ("types.py", "import numpy as np\nfrom hands import spec"),
     ],
 )
-def test_a_downward_import_passes(tmp_path: Path, importer: str, statement: str) -> None:
+def test_a_downward_import_passes(tmp_path, importer, statement):
     files = {"types.py": "", "human/filters.py": "", "methods/sbr.py": "", "hands/spec.py": ""}
     files |= {"hands/__init__.py": "", "hands/limits.py": "", "teleop/runtime.py": ""}
     assert level_violations(package(tmp_path, files | {importer: statement})) == []
 
 
-@pytest.mark.parametrize(
-    "statement",
-    [
-        "from smooth_operator.hands.spec import HandSpec",
-        "from smooth_operator.hands import spec",
-        "from .spec import HandSpec",
-        "import smooth_operator.hands.spec as s",
-        "def f():\n    from smooth_operator.hands.spec import HandSpec",
-        "if TYPE_CHECKING:\n    from smooth_operator.hands.spec import HandSpec",
-        "importlib.import_module('smooth_operator.hands.spec')",
-    ],
-)
-def test_a_circle_of_imports_is_found(tmp_path: Path, statement: str) -> None:
+def test_a_circle_of_imports_is_found(tmp_path):
     files = {
         "hands/spec.py": "from smooth_operator.hands import limits",
-        "hands/limits.py": "from smooth_operator.hands.load import Loaded",
-        "hands/load.py": statement,
+        "hands/limits.py": "def f():\n    from smooth_operator.hands.load import Loaded",
+        "hands/load.py": "if TYPE_CHECKING:\n    from .spec import HandSpec",
     }
-    names = [f"{PACKAGE}.hands.{name}" for name in ("spec", "limits", "load")]
     found = cycle(package(tmp_path, files))
     assert found[0] == found[-1]
-    assert sorted(found[1:]) == sorted(names)
-    edges = set(pairwise(found))
-    assert edges == set(zip(names, [*names[1:], names[0]], strict=True))
+    assert sorted(found[1:]) == [f"{PACKAGE}.hands.{name}" for name in ("limits", "load", "spec")]
 
 
-def test_a_package_that_re_exports_its_modules_is_no_circle(tmp_path: Path) -> None:
+def test_a_package_that_re_exports_its_modules_is_no_circle(tmp_path):
     files = {
         "hands/__init__.py": "from smooth_operator.hands.spec import HandSpec as HandSpec",
         "hands/spec.py": "from smooth_operator.hands import limits",
@@ -579,45 +533,22 @@ def test_a_package_that_re_exports_its_modules_is_no_circle(tmp_path: Path) -> N
     assert len(cycle(package(tmp_path / "face", files))) == 4
 
 
-def test_a_module_without_a_level_is_named(tmp_path: Path) -> None:
+def test_a_module_without_a_level_is_named(tmp_path):
     (found,) = level_violations(package(tmp_path, {"gadget.py": ""}))
     assert "'gadget'" in found
     assert "LEVELS" in found
 
 
-@pytest.mark.parametrize(
-    "statement",
-    [
-        "import pickle",
-        "def f():\n    from pickle import load",
-        "import joblib.memory",
-        "np.load(path, allow_pickle=True)",
-        "np.load(path, allow_pickle=trusted)",
-    ],
-)
-def test_unpickling_is_found(tmp_path: Path, statement: str) -> None:
-    assert len(unpickling(package(tmp_path, {"recording.py": statement}))) == 1
-
-
-def test_refusing_to_unpickle_passes(tmp_path: Path) -> None:
-    text = "np.load(path, allow_pickle=False)  # never import pickle"
-    assert unpickling(package(tmp_path, {"recording.py": text})) == []
-
-
-def test_code_that_moved_away_is_found(tmp_path: Path) -> None:
-    text = 'code_digest("types.py", "moved.py")'
-    found = missing_code(package(tmp_path, {"types.py": "", "lab/cells.py": text}))
-    assert found
-    assert all("'moved.py'" in line for line in found)
-
-
-@pytest.mark.parametrize(
-    ("name", "text"),
-    [("types.py", "x = 1\n" * 701), ("hands/utils.py", ""), ("human/_utils/a.py", "")],
-)
-def test_a_misshapen_module_is_found(tmp_path: Path, name: str, text: str) -> None:
-    assert len(misshapen(package(tmp_path, {name: text}))) == 1
-
-
-def test_a_module_of_700_lines_passes(tmp_path: Path) -> None:
-    assert misshapen(package(tmp_path, {"types.py": "x = 1\n" * 700})) == []
+def test_what_unpickles_has_moved_or_is_misshapen_is_found(tmp_path):
+    loading = "def f():\n    from pickle import load\nnp.load(path, allow_pickle=trusted)"
+    files = {
+        "recording.py": loading,
+        "types.py": "np.load(path, allow_pickle=False)  # never import pickle" + "\n" * 700,
+        "hands/utils.py": 'code_digest("types.py", "moved.py")' + "\n" * 701,
+    }
+    source = package(tmp_path, files)
+    found = [
+        [line.split(":")[0].rpartition("/")[2] for line in check(source)]
+        for check in (unpickling, missing_code, misshapen)
+    ]
+    assert found == [["recording.py"] * 2, ["utils.py"], ["utils.py"] * 2]

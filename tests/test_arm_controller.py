@@ -77,13 +77,11 @@ def _standard_ur5e(q: list[float]) -> np.ndarray:
         ("ur5e", [0, 0, 0, 0, 0, 0], (-0.8172, -0.2329, 0.0628)),
     ],
 )
-def test_the_flange_is_where_the_makers_lengths_put_it(
-    arm: str, q: list[float], place: tuple[float, ...]
-) -> None:
+def test_the_flange_is_where_the_makers_lengths_put_it(arm, q, place):
     np.testing.assert_allclose(_flange(arm, q)[0], place, atol=1e-9)
 
 
-def test_a_ur5e_turns_as_its_makers_own_table_says() -> None:
+def test_a_ur5e_turns_as_its_makers_own_table_says():
     q = [0.3, -1.1, 1.7, -0.4, 0.9, 2.0]
     place, turn = _flange("ur5e", q)
     expected = _standard_ur5e(q)
@@ -91,14 +89,14 @@ def test_a_ur5e_turns_as_its_makers_own_table_says() -> None:
     np.testing.assert_allclose(turn, expected[:3, :3], atol=1e-9)
 
 
-def test_an_unknown_arm_is_named_with_those_that_there_are() -> None:
+def test_an_unknown_arm_is_named_with_those_that_there_are():
     with pytest.raises(UnknownNameError, match="panda"):
         arm_named("pandora")
 
 
 @pytest.mark.parametrize("side", ["right", "left"])
 @pytest.mark.parametrize("hand", ["mimic_p050", "shadow_hand", "leap_hand"])
-def test_a_hand_stands_on_the_flange_with_its_fingers_outward(hand: str, side: str) -> None:
+def test_a_hand_stands_on_the_flange_with_its_fingers_outward(hand, side):
     mount = _mount(hand, "panda", side)
     middles, _ = HandCapsules(mount).at(mount.hand.full_configuration(mount.hand.neutral))
     radii = HandCapsules(mount).radii
@@ -111,7 +109,7 @@ def test_a_hand_stands_on_the_flange_with_its_fingers_outward(hand: str, side: s
 
 
 @pytest.mark.parametrize("arm", NAMES)
-def test_no_limit_is_passed_whatever_the_target_does(arm: str) -> None:
+def test_no_limit_is_passed_whatever_the_target_does(arm):
     """Random poses, teleports, flipped quaternions, NaN, uneven steps, fingers in motion."""
     controller = _controller(arm)
     spec, hand = controller.arm, controller.mount.hand
@@ -146,7 +144,7 @@ def test_no_limit_is_passed_whatever_the_target_does(arm: str) -> None:
 
 
 @pytest.mark.parametrize("arm", ["ur5e", "panda"])
-def test_the_wrist_follows_and_comes_to_rest_without_overshoot(arm: str) -> None:
+def test_the_wrist_follows_and_comes_to_rest_without_overshoot(arm):
     controller = _controller(arm)
     home = controller.wrist_at(controller.home)
     errors = []
@@ -165,7 +163,7 @@ def test_the_wrist_follows_and_comes_to_rest_without_overshoot(arm: str) -> None
 
 
 @pytest.mark.parametrize("arm", ["xarm7", "iiwa14"])
-def test_a_target_out_of_reach_is_approached_and_the_arm_stands(arm: str) -> None:
+def test_a_target_out_of_reach_is_approached_and_the_arm_stands(arm):
     controller = _controller(arm)
     target = controller.wrist_at(controller.home)
     target[:3] = 3.0, 0.3, 0.6
@@ -176,7 +174,7 @@ def test_a_target_out_of_reach_is_approached_and_the_arm_stands(arm: str) -> Non
     assert np.abs(still).max() < 0.02, "no oscillation at full reach"
 
 
-def test_without_a_target_it_brakes_and_holds_and_a_stop_is_obeyed() -> None:
+def test_without_a_target_it_brakes_and_holds_and_a_stop_is_obeyed():
     controller = _controller("panda")
     target = controller.wrist_at(controller.home)
     target[2] += 0.2
@@ -198,7 +196,7 @@ def test_without_a_target_it_brakes_and_holds_and_a_stop_is_obeyed() -> None:
     assert np.linalg.norm(first.pose[:3] - stopped.pose[:3]) < 0.002
 
 
-def test_nothing_passes_the_wall_nor_the_table() -> None:
+def test_nothing_passes_the_wall_nor_the_table():
     controller = _controller("xarm7", wall=-0.3)
     target = controller.wrist_at(controller.home)
     capsules = controller._capsules
@@ -221,14 +219,14 @@ def test_nothing_passes_the_wall_nor_the_table() -> None:
     assert -0.002 < lowest < 0.03, "the fingers may touch the table, and go no deeper"
 
 
-def test_a_home_pose_out_of_reach_is_refused() -> None:
+def test_a_home_pose_out_of_reach_is_refused():
     from smooth_operator.simulation.arms.rigid import rigid
 
     with pytest.raises(ConfigError, match="can't reach the home pose"):
         _controller("ur5e", home=rigid(np.eye(3), (2.0, 0.0, 0.5)))  # type: ignore[arg-type]
 
 
-def test_the_slope_of_each_distance_is_its_derivative() -> None:
+def test_the_slope_of_each_distance_is_its_derivative():
     controller = _controller("ur5e")
     clearance, data = controller._clearance, mujoco.MjData(controller.model)
     rng = np.random.default_rng(0)
@@ -256,7 +254,7 @@ def _carried(arm: str) -> Any:
 
 
 @pytest.mark.parametrize("arm", ARMS)
-def test_an_arm_holds_its_hand_and_goes_where_it_is_sent(arm: str) -> None:
+def test_an_arm_holds_its_hand_and_goes_where_it_is_sent(arm):
     carried = _carried(arm)
     physics = ArmPhysics(carried.mount.hand, carried)
     assert physics.advance(0.3)
@@ -271,7 +269,7 @@ def test_an_arm_holds_its_hand_and_goes_where_it_is_sent(arm: str) -> None:
 
 
 @pytest.mark.parametrize("task", ["card", "cube", "screwdriver"])
-def test_a_task_stands_in_front_of_the_arm(task: str) -> None:
+def test_a_task_stands_in_front_of_the_arm(task):
     carried = _carried("xarm7")
     hand = carried.mount.hand
     physics = ScenePhysics(hand, scene_for(task, hand), carried=carried)
@@ -283,7 +281,7 @@ def test_a_task_stands_in_front_of_the_arm(task: str) -> None:
     assert 0.2 < np.linalg.norm(away) < ARMS["xarm7"].reach, "the object is within reach"
 
 
-def test_the_sink_carries_the_hand_and_reads_the_arm_back() -> None:
+def test_the_sink_carries_the_hand_and_reads_the_arm_back():
     carried = _carried("panda")
     hand = carried.mount.hand
     sink = Simulation()
@@ -328,7 +326,7 @@ class _Kept(Sink):
         pass
 
 
-def test_one_command_moves_two_arms_with_their_hands() -> None:
+def test_one_command_moves_two_arms_with_their_hands():
     kept = _Kept()
     teleoperate(
         "synthetic:wrist=0.1", ["mujoco", kept], hand="leap_hand", side="both",
@@ -346,7 +344,7 @@ def test_one_command_moves_two_arms_with_their_hands() -> None:
         assert np.median(apart) < 0.3  # not the last: the machine may have stalled before it
 
 
-def test_settings_of_an_arm_are_read_and_checked() -> None:
+def test_settings_of_an_arm_are_read_and_checked():
     assert read_arm("panda") == ArmSettings("panda")
     assert read_arm("ur5e:roll=90,adapter=0.03") == ArmSettings("ur5e", 0.03, 90.0)
     with pytest.raises(ConfigError, match="panda or ur5e"):
@@ -361,7 +359,7 @@ def test_settings_of_an_arm_are_read_and_checked() -> None:
     ("arm", "task"),
     [("xarm7", "cube"), pytest.param("ur5e", "screwdriver", marks=pytest.mark.weekly)],
 )
-def test_a_task_of_the_study_is_done_with_an_arm(arm: str, task: str) -> None:
+def test_a_task_of_the_study_is_done_with_an_arm(arm, task):
     path = Path(__file__).parents[1] / "research" / "benchmarks" / "arm_tasks.py"
     trial = runpy.run_path(str(path))["trial"](task, "mimic_p050", arm, 0, 1)
     assert trial["score"] == 1.0

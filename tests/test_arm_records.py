@@ -28,7 +28,7 @@ def _arm(number: int, measured: bool) -> ArmCommand:
 
 
 @pytest.fixture
-def log(tmp_path: Path) -> Path:
+def log(tmp_path) -> Path:
     path = tmp_path / "take.mcap"
     with LogWriter(path) as writer:
         for number in range(4):
@@ -47,11 +47,11 @@ def _check(track: ArmTrack | None) -> None:
     assert track.poses[1][2] == 0.4
 
 
-def test_a_log_gives_back_what_the_arm_was_sent_and_where_it_was(log: Path) -> None:
+def test_a_log_gives_back_what_the_arm_was_sent_and_where_it_was(log):
     _check(read_log(log).arm)
 
 
-def test_hdf5_keeps_the_arm(log: Path, tmp_path: Path) -> None:
+def test_hdf5_keeps_the_arm(log, tmp_path):
     pytest.importorskip("h5py", reason="the extra hdf5 is not installed")
     from smooth_operator.episode_files.hdf5 import read_hdf5_episode, write_hdf5_episode
 
@@ -62,7 +62,7 @@ def test_hdf5_keeps_the_arm(log: Path, tmp_path: Path) -> None:
     _check(read_hdf5_episode(path).arm)
 
 
-def test_lerobot_keeps_the_arm(log: Path, tmp_path: Path) -> None:
+def test_lerobot_keeps_the_arm(log, tmp_path):
     pytest.importorskip("pyarrow", reason="the extra lerobot is not installed")
     from smooth_operator.episode_files.lerobot import (
         open_dataset,
@@ -78,7 +78,7 @@ def test_lerobot_keeps_the_arm(log: Path, tmp_path: Path) -> None:
     _check(read_dataset_episode(dataset, 0).arm)
 
 
-def test_a_message_of_another_number_of_joints_is_refused(tmp_path: Path) -> None:
+def test_a_message_of_another_number_of_joints_is_refused(tmp_path):
     path = tmp_path / "bad.mcap"
     with LogWriter(path) as writer:
         arm = ArmCommand("ur5e", JOINTS, np.zeros(2), np.zeros(2), np.eye(7)[3])
@@ -87,7 +87,7 @@ def test_a_message_of_another_number_of_joints_is_refused(tmp_path: Path) -> Non
         read_log(path)
 
 
-def test_zeromq_carries_the_arm_with_the_hand() -> None:
+def test_zeromq_carries_the_arm_with_the_hand():
     command = JointCommand(np.zeros(2), ("x", "y"), 1.0)
     tick = Tick("right", "hand", command, np.zeros(2), Mode.TRACKING, 2.0, 7, arm=_arm(2, True))
     message = json.loads(json.dumps(command_message(tick, 0.2)))

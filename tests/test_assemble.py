@@ -43,15 +43,13 @@ def depth(hand: Hand, **joints: float) -> float:
     for name, value in joints.items():
         q[hand.actuated_names.index(name)] = value
     depths = penetration_depths(hand, hand.full_configuration(q)[None])
-    assert depths is not None
     return float(depths[0])
 
 
 @pytest.mark.parametrize("side", SIDES)
-def test_positions_are_mujocos_in_the_palm_frame(side: Side) -> None:
+def test_positions_are_mujocos_in_the_palm_frame(side):
     recording, commands, hand = run(side)
     trace = assemble_trace(recording, commands, hand, reach_samples=0)
-    assert trace.robot_landmarks is not None
     data = mujoco.MjData(hand.model)
     for i in (0, 17):
         data.qpos[:] = commands.joint_positions[i]
@@ -68,7 +66,7 @@ def test_positions_are_mujocos_in_the_palm_frame(side: Side) -> None:
     np.testing.assert_array_equal(trace.human, align_recording(recording, hand))
 
 
-def test_the_human_is_measured_at_the_methods_own_scale() -> None:
+def test_the_human_is_measured_at_the_methods_own_scale():
     recording, commands, hand = run("right")
     small, large = (
         assemble_trace(recording, commands, hand, AlignmentConfig(scale=s), reach_samples=0)
@@ -78,7 +76,7 @@ def test_the_human_is_measured_at_the_methods_own_scale() -> None:
     np.testing.assert_allclose(2 * lengths[0], lengths[1])
 
 
-def test_everything_that_can_be_measured_is() -> None:
+def test_everything_that_can_be_measured_is():
     recording, commands, hand = run("left")
     figures = evaluate(assemble_trace(recording, commands, hand, reach_samples=2000))
     assert isinstance(figures["workspace_utilisation"], float)
@@ -89,7 +87,7 @@ def test_everything_that_can_be_measured_is() -> None:
     assert paper["human_fit"] == "robot pose"
 
 
-def test_commands_of_other_frames_or_joints_are_refused() -> None:
+def test_commands_of_other_frames_or_joints_are_refused():
     recording, commands, hand = run("right")
     with pytest.raises(RecordingError, match="29 frames are not those that the 30 commands"):
         assemble_trace(recording[1:], commands, hand)
@@ -102,7 +100,7 @@ def test_commands_of_other_frames_or_joints_are_refused() -> None:
 
 
 @pytest.mark.parametrize("side", SIDES)
-def test_reach_is_seeded_and_holds_what_poses_reach(side: Side) -> None:
+def test_reach_is_seeded_and_holds_what_poses_reach(side):
     hand = load_hand("mimic_p050", side)
     reach = sample_reach(hand, 500, seed=1)
     np.testing.assert_array_equal(reach, sample_reach(hand, 500, seed=1))
@@ -113,7 +111,7 @@ def test_reach_is_seeded_and_holds_what_poses_reach(side: Side) -> None:
 
 
 @pytest.mark.parametrize("side", SIDES)
-def test_neutral_is_clear_and_crossing_fingers_are_not(side: Side) -> None:
+def test_neutral_is_clear_and_crossing_fingers_are_not(side):
     hand = load_hand("mimic_p050", side)
     assert depth(hand) == 0.0
     # index straight under the middle finger that closes over it: both at the ends of their spread
@@ -121,7 +119,7 @@ def test_neutral_is_clear_and_crossing_fingers_are_not(side: Side) -> None:
     assert 0.002 < crossed < 0.02
 
 
-def test_what_touches_in_the_neutral_pose_counts_in_neither_order() -> None:
+def test_what_touches_in_the_neutral_pose_counts_in_neither_order():
     hand = load_hand()
     data = mujoco.MjData(hand.model)
     data.qpos[:] = hand.qpos(hand.full_configuration(hand.neutral))
@@ -134,7 +132,7 @@ def test_what_touches_in_the_neutral_pose_counts_in_neither_order() -> None:
     assert counts.any()
 
 
-def test_depth_is_that_of_the_shapes() -> None:
+def test_depth_is_that_of_the_shapes():
     """Against MuJoCo's own distance of every pair that counts: two fingers, one against another."""
     hand = load_hand()
     low, high = hand.limits.T
@@ -159,12 +157,11 @@ def test_depth_is_that_of_the_shapes() -> None:
     assert (depths == 0).any()
 
 
-def test_a_pose_that_is_not_finite_has_no_depth_and_bad_shapes_are_refused() -> None:
+def test_a_pose_that_is_not_finite_has_no_depth_and_bad_shapes_are_refused():
     hand = load_hand()
     q = np.tile(hand.full_configuration(hand.neutral), (2, 1))
     q[0, 3] = np.nan
     depths = penetration_depths(hand, q)
-    assert depths is not None
     assert np.isnan(depths[0])
     assert depths[1] == 0.0
     with pytest.raises(HandModelError, match=r"shape \(T, 20\)"):

@@ -59,7 +59,7 @@ def check(frame: HandFrame, pose: app.Pose) -> None:
     assert sign * chirality(frame.landmarks[None])[0] > 0.25
 
 
-def test_the_bytes_of_a_matrix() -> None:
+def test_the_bytes_of_a_matrix():
     matrix = app.transform(np.eye(3), np.array([0.5, 0.0, -2.0]))
     assert app.avp_matrix(matrix) == (
         b"\x0d\x00\x00\x80\x3f"
@@ -72,14 +72,14 @@ def test_the_bytes_of_a_matrix() -> None:
 
 
 @pytest.mark.parametrize("forearm", [False, True])
-def test_both_hands_of_a_message(forearm: bool) -> None:
+def test_both_hands_of_a_message(forearm):
     left, right = read_hands(app.avp_update(both(forearm=forearm)), 3.0)
     assert (left.side, right.side, left.stamp) == ("left", "right", 3.0)
     check(left, LEVEL)
     check(right, POSE)
 
 
-def test_what_the_headset_has_not_seen_is_no_hand() -> None:
+def test_what_the_headset_has_not_seen_is_no_hand():
     hands = both()
     hands["left"] = NEVER
     (right,) = read_hands(app.avp_update(hands))
@@ -98,7 +98,7 @@ def test_what_the_headset_has_not_seen_is_no_hand() -> None:
     assert read_hands(app.avp_update({})) == ()
 
 
-def test_messages_that_are_none_are_refused() -> None:
+def test_messages_that_are_none_are_refused():
     good = app.avp_update(both())
     for data, words in (
         (good[:-3], "cut off"),
@@ -120,7 +120,7 @@ def test_messages_that_are_none_are_refused() -> None:
     assert len(read_hands(good + b"\x20\x07" + b"\x29" + struct.pack("<d", 1.0))) == 2
 
 
-def test_no_message_is_a_crash() -> None:
+def test_no_message_is_a_crash():
     rng = random.Random(6)
     good = app.avp_update(both())
     refused, taken = [], 0
@@ -196,7 +196,7 @@ def started(port: int) -> Iterator[tuple[AvpSource, Kept]]:
         source.stop()
 
 
-def test_a_stream_of_both_hands_repeats_itself_ends_and_comes_back() -> None:
+def test_a_stream_of_both_hands_repeats_itself_ends_and_comes_back():
     pytest.importorskip("grpc", reason="grpcio (the extra avp) is not installed")
     headset = Headset()
     with started(headset.port) as (source, mailbox):
@@ -223,7 +223,7 @@ def test_a_stream_of_both_hands_repeats_itself_ends_and_comes_back() -> None:
         again.stop()
 
 
-def test_a_headset_that_is_not_there_is_said_and_waited_for() -> None:
+def test_a_headset_that_is_not_there_is_said_and_waited_for():
     pytest.importorskip("grpc", reason="grpcio (the extra avp) is not installed")
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
@@ -236,7 +236,7 @@ def test_a_headset_that_is_not_there_is_said_and_waited_for() -> None:
     other.stop()
 
 
-def test_what_is_missing_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_missing_is_said(monkeypatch):
     with pytest.raises(ConfigError, match="needs address: write avp:ADDRESS"):
         build_source("avp")
     with pytest.raises(ConfigError, match="which the app shows"):

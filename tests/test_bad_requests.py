@@ -109,9 +109,7 @@ def request(path: bytes, *headers: bytes, host: bytes = b"localhost") -> bytes:
 
 
 @pytest.fixture(scope="module", params=["page", "page elsewhere", "console", "webxr"])
-def server(
-    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
-) -> Iterator[Server]:
+def server(request, tmp_path_factory) -> Iterator[Server]:
     """In a process; in the end it must have printed nothing."""
     tmp_path = tmp_path_factory.mktemp("server")
     tests = str(Path(__file__).parent)
@@ -131,7 +129,6 @@ def server(
         stderr=errors,
         env={**os.environ, "SMOOTH_OPERATOR_CACHE": str(tmp_path / "cache")},
     )
-    assert process.stdout is not None
     line = process.stdout.readline().decode().split()
     try:
         assert line, (tmp_path / "errors").read_text()
@@ -166,7 +163,7 @@ WRONG = {
 UNFINISHED = [b"", b"G", b"GET / HTTP/1.1\r\nHost: local", b"\x16\x03\x01\xff\xff", b"\x80" * 3]
 
 
-def test_a_wrong_request_is_refused_and_prints_nothing(server: Server) -> None:
+def test_a_wrong_request_is_refused_and_prints_nothing(server):
     statuses = {name: server.status(data) for name, data in WRONG.items()}
     # The files of a headset's page are for everyone; its link, below, looks at the origin.
     files = {"host with a bracket", "origin with a bracket"} if server.tls else set()
@@ -185,7 +182,7 @@ def test_a_wrong_request_is_refused_and_prints_nothing(server: Server) -> None:
     assert server.status(server.upgrade(b"Origin: http://localhost")) == 101
 
 
-def test_messages_that_are_none_print_nothing(server: Server) -> None:
+def test_messages_that_are_none_print_nothing(server):
     ping = b"\x89\x80\0\0\0\0"
     messages = [
         b"\x82\x85\0\0\0\0hello", b"\x81\x85\0\0\0\0hello", b"\x82\x83\0\0\0\0\xff\xff\xff",

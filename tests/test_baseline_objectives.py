@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from smooth_operator import Retargeter, load_hand, method_config
+from smooth_operator import Retargeter, method_config
 from smooth_operator.baselines.slsqp_method import SlsqpMethodConfig
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import LANDMARKS
@@ -20,11 +20,6 @@ from smooth_operator.objective.loss import Objective
 TIPS = (4, 8, 12, 16, 20)
 Cost: TypeAlias = Callable[[np.ndarray], float]
 """(m,) joint positions to the cost."""
-
-
-@pytest.fixture(scope="module")
-def hand() -> Hand:
-    return load_hand("mimic_p050")
 
 
 def robot_points(hand: Hand, q: np.ndarray) -> np.ndarray:
@@ -116,9 +111,7 @@ def steepest(cost: Cost, q: np.ndarray, limits: np.ndarray) -> float:
     [("keyvector", keyvector_cost), ("hybrid", keyvector_cost), ("dexpilot", dexpilot_cost),
      ("ako", ako_cost)],
 )  # fmt: skip
-def test_the_answer_minimises_the_methods_own_cost(
-    hand: Hand, method: str, expected: Callable[[Hand, np.ndarray, np.ndarray], Cost]
-) -> None:
+def test_the_answer_minimises_the_methods_own_cost(hand, method, expected):
     human = human_pinch(hand)
     retargeter = Retargeter(hand, method=method, rate=30)
     state = retargeter.init()
@@ -138,7 +131,7 @@ def test_the_answer_minimises_the_methods_own_cost(
 
 
 @pytest.mark.parametrize("preset", ["vector", "position"])
-def test_vectors_or_positions_of_tips_are_held_by_the_last_command(hand: Hand, preset: str) -> None:
+def test_vectors_or_positions_of_tips_are_held_by_the_last_command(hand, preset):
     """dex-retargeting's: 4e-3 on the change of each joint, nothing towards the neutral pose."""
     config = method_config("keyvector", preset)
     assert isinstance(config, SlsqpMethodConfig)

@@ -90,14 +90,13 @@ def small() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(PRESETS["sbr"], "tiny", TINY)
         patch.setitem(METHODS.built_in, "picky", Entry(f"{__name__}:PICKY"))
-        patch.delenv("SMOOTH_OPERATOR_DEBUG", raising=False)
         # Other work in this checkout must not look like a change of a method between two runs.
         patch.setattr("smooth_operator.lab.benchmark.cells.code_digest", lambda *_: "fixed")
         yield
 
 
 @pytest.fixture(scope="module")
-def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def recordings(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("recordings")
     save(folder / "a<i>&'$x^.npz", frames=60)
     (folder / "broken.npz").write_bytes(b"garbage")
@@ -111,7 +110,7 @@ def save(path: Path, frames: int = 24, seed: int = 2, side: str = "right") -> Pa
 
 
 @pytest.fixture(scope="module")
-def done(recordings: Path, tmp_path_factory: pytest.TempPathFactory) -> Bench:
+def done(recordings, tmp_path_factory) -> Bench:
     folder = tmp_path_factory.mktemp("bench") / "new" / "out"
     arguments = (
         "bench", str(recordings), "--methods", "sbr:tiny,picky", "--output", str(folder),
@@ -132,7 +131,7 @@ def captured(arguments: Sequence[object]) -> tuple[int, str, str]:
 
 
 @pytest.fixture
-def copied(done: Bench, tmp_path: Path) -> tuple[Path, tuple[str, ...]]:
+def copied(done, tmp_path) -> tuple[Path, tuple[str, ...]]:
     """A copy of the finished folder, and the command that made it."""
     folder = tmp_path / "copy"
     shutil.copytree(done.folder, folder)
@@ -140,7 +139,7 @@ def copied(done: Bench, tmp_path: Path) -> tuple[Path, tuple[str, ...]]:
 
 
 @pytest.fixture
-def count(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+def count(monkeypatch) -> list[str]:
     """What is measured from now on."""
     begun: list[str] = []
 
@@ -160,7 +159,7 @@ def count(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 # -- what it writes -----------------------------------------------------------------------------
 
 
-def test_every_cell_has_a_row_with_figures_or_a_reason(done: Bench) -> None:
+def test_every_cell_has_a_row_with_figures_or_a_reason(done):
     assert done.status == 1, done.err  # some failed, and the rest was done
     rows = {(row["recording"], row["method"]): row for row in done.rows}
     assert set(rows) == {(name, m) for name in (done.odd, "broken") for m in ("sbr", "picky")}
@@ -188,7 +187,7 @@ def test_every_cell_has_a_row_with_figures_or_a_reason(done: Bench) -> None:
         assert row["metrics"] is row["latency"] is None
 
 
-def test_the_commands_of_a_cell_are_the_librarys(done: Bench, recordings: Path) -> None:
+def test_the_commands_of_a_cell_are_the_librarys(done, recordings):
     (row,) = [row for row in done.rows if row["status"] == "ok"]
     commands = read_commands(done.folder / row["cell"])
     recording = SyntheticOperator(seed=2).record(0.6)
@@ -197,7 +196,7 @@ def test_the_commands_of_a_cell_are_the_librarys(done: Bench, recordings: Path) 
     np.testing.assert_array_equal(commands.stamps, recording.stamps)
 
 
-def test_the_terminal_shows_the_table_and_the_failures_once(done: Bench) -> None:
+def test_the_terminal_shows_the_table_and_the_failures_once(done):
     assert done.odd in done.out
     assert "sbr:tiny" in done.out
     assert done.out.count("not a recording") == 1
@@ -207,7 +206,7 @@ def test_the_terminal_shows_the_table_and_the_failures_once(done: Bench) -> None
     assert "3 of 4 cells failed" in done.err
 
 
-def test_plots_are_there_as_png_and_svg(done: Bench) -> None:
+def test_plots_are_there_as_png_and_svg(done):
     plots = {path.name for path in (done.folder / "plots").iterdir()}
     kinds = ("accuracy-smoothness-", "latency-", "fingertips-", "joints-")
     for kind in kinds:
@@ -244,7 +243,7 @@ class Page(HTMLParser):
         self.text.append(data)
 
 
-def test_the_report_needs_nothing_from_outside(done: Bench) -> None:
+def test_the_report_needs_nothing_from_outside(done):
     page = Page(done.page)
     assert all(link.startswith(("#", "data:")) for link in page.links)
     assert not {"link", "iframe", "object", "embed", "base"} & set(page.tags)
@@ -256,7 +255,7 @@ def test_the_report_needs_nothing_from_outside(done: Bench) -> None:
     assert used <= set(page.ids)
 
 
-def test_names_from_files_are_escaped(done: Bench) -> None:
+def test_names_from_files_are_escaped(done):
     page = Page(done.page)
     assert not {"i>&'$x^", "b"} & set(page.tags)
     assert "<i>&" not in done.page
@@ -264,7 +263,7 @@ def test_names_from_files_are_escaped(done: Bench) -> None:
     assert any("six fingers" in text and "<b>" in text for text in page.text)
 
 
-def test_the_report_holds_all_that_was_asked_for(done: Bench) -> None:
+def test_the_report_holds_all_that_was_asked_for(done):
     text = " ".join(Page(done.page).text)
     expected = ("Failures", "DexPilot, paper", "other data", "Finger by finger", "All metrics",
                 "cpu_cores", "Measured alone", "thumb-to-tip")  # fmt: skip
@@ -283,7 +282,7 @@ def test_the_report_holds_all_that_was_asked_for(done: Bench) -> None:
     assert 0 < np.abs(points[points > -32768]).max() <= 1.8 * clip["reach"]
 
 
-def test_no_report_and_quiet(recordings: Path, tmp_path: Path) -> None:
+def test_no_report_and_quiet(recordings, tmp_path):
     out = tmp_path / "out"
     status, stdout, stderr = captured(
         ("bench", recordings / "a<i>&'$x^.npz", "--methods", "picky", "--output", out, "--quiet",
@@ -295,7 +294,7 @@ def test_no_report_and_quiet(recordings: Path, tmp_path: Path) -> None:
     assert {path.name for path in out.iterdir()} == {"config.json", "results.json", "cells"}
 
 
-def test_the_sheet_alone(recordings: Path, tmp_path: Path) -> None:
+def test_the_sheet_alone(recordings, tmp_path):
     out = tmp_path / "out"
     good = recordings / "a<i>&'$x^.npz"
     arguments = ("bench", good, "--methods", "sbr:tiny", "--output", out, "--workers", 0, "--sheet")
@@ -314,9 +313,7 @@ def test_the_sheet_alone(recordings: Path, tmp_path: Path) -> None:
 # -- going on -------------------------------------------------------------------------------------
 
 
-def test_a_second_run_measures_nothing(
-    copied: tuple[Path, tuple[str, ...]], count: list[str], done: Bench
-) -> None:
+def test_a_second_run_measures_nothing(copied, count, done):
     folder, arguments = copied
     status, _, err = captured((*arguments, "--no-report"))
     assert status == 1
@@ -325,9 +322,7 @@ def test_a_second_run_measures_nothing(
     assert read_results(folder) == done.rows
 
 
-def test_a_missing_or_damaged_cell_is_done_again(
-    copied: tuple[Path, tuple[str, ...]], count: list[str], done: Bench
-) -> None:
+def test_a_missing_or_damaged_cell_is_done_again(copied, count, done):
     folder, arguments = copied
     (row,) = [row for row in done.rows if row["status"] == "ok"]
     commands = folder / row["cell"]
@@ -360,7 +355,7 @@ def test_a_missing_or_damaged_cell_is_done_again(
     assert again() == []
 
 
-def test_what_is_asked_for_in_another_way_is_done_again(recordings: Path) -> None:
+def test_what_is_asked_for_in_another_way_is_done_again(recordings):
     path = str(recordings / "a<i>&'$x^.npz")
 
     def of(text: str, method: str = "sbr:tiny", **changes: Any) -> str:
@@ -377,9 +372,7 @@ def test_what_is_asked_for_in_another_way_is_done_again(recordings: Path) -> Non
     assert len({same, *changed}) == 6
 
 
-def test_ctrl_c_keeps_what_is_finished(
-    recordings: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_ctrl_c_keeps_what_is_finished(recordings, tmp_path, monkeypatch):
     good, out = recordings / "a<i>&'$x^.npz", tmp_path / "out"
     arguments = ("bench", f"{good}@:12", f"{good}@12:24", "--methods", "sbr:tiny", "--output", out,
                  "--workers", 0, "--latency-frames", 0, "--no-report")  # fmt: skip
@@ -405,7 +398,7 @@ def test_ctrl_c_keeps_what_is_finished(
     assert all(row["latency"] is None for row in read_results(out))
 
 
-def test_a_pool_gives_the_same_commands(recordings: Path, done: Bench) -> None:
+def test_a_pool_gives_the_same_commands(recordings, done):
     recording = load_sources([parse_request(str(recordings / "a<i>&'$x^.npz"))])[0].recording
     assert recording is not None
     task = Task(recording, "mimic_p050", "sbr", "tiny", TINY, 0, "sound")
@@ -423,9 +416,7 @@ def test_a_pool_gives_the_same_commands(recordings: Path, done: Bench) -> None:
 # -- what it refuses ------------------------------------------------------------------------------
 
 
-def test_user_errors_come_before_the_long_work(
-    done: Bench, recordings: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_user_errors_come_before_the_long_work(done, recordings, tmp_path, monkeypatch):
     monkeypatch.setattr(suite, "measure_cell", lambda _: pytest.fail("the long work began"))
     foreign, empty = tmp_path / "foreign", tmp_path / "empty"
     foreign.mkdir()
@@ -476,9 +467,7 @@ def test_user_errors_come_before_the_long_work(
 # -- comparing ------------------------------------------------------------------------------------
 
 
-def test_comparison_on_terminal_and_page(
-    copied: tuple[Path, tuple[str, ...]], done: Bench, tmp_path: Path
-) -> None:
+def test_comparison_on_terminal_and_page(copied, done, tmp_path):
     folder, arguments = copied
     rows = done.rows
     (good,) = [row for row in rows if row["status"] == "ok"]
@@ -502,7 +491,7 @@ def test_comparison_on_terminal_and_page(
     assert "gone:tiny" in page
 
 
-def test_the_path_of_a_hand_in_a_plots_name_is_no_folder(tmp_path: Path) -> None:
+def test_the_path_of_a_hand_in_a_plots_name_is_no_folder(tmp_path):
     from matplotlib.figure import Figure
 
     for stem in ("latency-/hands/my hand.toml", "latency-../../other.toml", "latency-leap_hand"):
@@ -513,7 +502,7 @@ def test_the_path_of_a_hand_in_a_plots_name_is_no_folder(tmp_path: Path) -> None
     ]  # fmt: skip
 
 
-def test_a_benchmark_is_the_same_as_itself(done: Bench) -> None:
+def test_a_benchmark_is_the_same_as_itself(done):
     same = compare(done.rows, done.rows, "itself")
     assert len(same.cells) == 1
     assert same.count("better") == same.count("worse") == 0
@@ -536,14 +525,14 @@ def test_a_benchmark_is_the_same_as_itself(done: Bench) -> None:
         ("frames", 10, 20, "same"),
     ],
 )
-def test_verdicts_follow_the_goal(name: str, now: float, before: float, expected: str) -> None:
+def test_verdicts_follow_the_goal(name, now, before, expected):
     assert verdict(NAMED[name], now, before) == expected
 
 
 # -- the parts ------------------------------------------------------------------------------------
 
 
-def test_best_knows_goals_ties_and_who_is_incomplete() -> None:
+def test_best_knows_goals_ties_and_who_is_incomplete():
     def top(name: str, *values: float | None, short: int | None = None) -> set[int]:
         lines = [
             Line(str(i), {name: v}, count=1 if i == short else 2, of=2)
@@ -562,7 +551,7 @@ def test_best_knows_goals_ties_and_who_is_incomplete() -> None:
     assert top("frames", 3, 4) == set()
 
 
-def test_overall_is_a_mean_over_the_recordings_that_can_be_read() -> None:
+def test_overall_is_a_mean_over_the_recordings_that_can_be_read():
     def row(recording: str, method: str, value: float | None) -> Row:
         names = {"recording": recording, "hand": "h", "side": "right", "method": method}
         if value is None:
@@ -582,7 +571,7 @@ def test_overall_is_a_mean_over_the_recordings_that_can_be_read() -> None:
     ]
 
 
-def test_a_perfect_copy_has_perfect_fingers() -> None:
+def test_a_perfect_copy_has_perfect_fingers():
     trace = make_trace(human_motion(50))
     table = finger_metrics(trace, evaluate(trace))
     assert list(table) == list(trace.fingers)
@@ -598,7 +587,7 @@ def test_a_perfect_copy_has_perfect_fingers() -> None:
     assert errors == pytest.approx(dict.fromkeys(errors, 0.0) | {"middle": 5.0}, abs=1e-9)
 
 
-def test_requests_and_their_settings(tmp_path: Path) -> None:
+def test_requests_and_their_settings(tmp_path):
     request = parse_request("x.npz@30hz,left,1:9", frames=":5", rate=60, side="right")
     assert (request.path, request.rate, request.side, request.frames) == (
         Path("x.npz"), 30.0, "left", "1:9",
@@ -614,7 +603,7 @@ def test_requests_and_their_settings(tmp_path: Path) -> None:
     assert trackers == ["camera", "other", "synthetic"]  # the same frames are one source
 
 
-def test_a_format_tells_its_tracker() -> None:
+def test_a_format_tells_its_tracker():
     (source,) = load_sources([parse_request("synthetic")])
     glove = replace(source.recording, meta={"format": "manus"})  # type: ignore[type-var]
     assert replace(source, request=parse_request("x.npz"), recording=glove).tracker == "glove"
@@ -622,7 +611,7 @@ def test_a_format_tells_its_tracker() -> None:
     assert replace(source, request=named, recording=glove).tracker == "headset"
 
 
-def test_sources_have_names_that_tell_them_apart(tmp_path: Path) -> None:
+def test_sources_have_names_that_tell_them_apart(tmp_path):
     for i, folder in enumerate(("a", "b")):
         (tmp_path / folder).mkdir()
         save(tmp_path / folder / "run.npz", frames=12, seed=i)
@@ -642,7 +631,7 @@ def test_sources_have_names_that_tell_them_apart(tmp_path: Path) -> None:
     assert unique_names([("x", Path("x.npz")), ("x", Path("x.npy"))]) == ["x.npz", "x.npy"]
 
 
-def test_methods_by_name(tmp_path: Path) -> None:
+def test_methods_by_name(tmp_path):
     assert [c.method for c in select_methods(("all",))] == list(PRESETS)
     chosen = select_methods(("sbr:tiny", "sbr:all", "sbr"))
     assert [c.preset for c in chosen] == ["tiny", "realtime", "paper", "offline"]
@@ -653,7 +642,7 @@ def test_methods_by_name(tmp_path: Path) -> None:
         select_methods(())
 
 
-def test_names_of_files_are_harmless_and_unique() -> None:
+def test_names_of_files_are_harmless_and_unique():
     name = file_name("../a b/ü<>:" + 200 * "x", ("one",))
     assert re.fullmatch(r"[A-Za-z0-9.-]{1,110}", name)
     assert not name.startswith((".", "-"))
@@ -661,7 +650,7 @@ def test_names_of_files_are_harmless_and_unique() -> None:
 
 
 @pytest.mark.parametrize("side", ["right", "left"])
-def test_the_view_has_fingers_up_and_the_thumb_on_its_side(side: str) -> None:
+def test_the_view_has_fingers_up_and_the_thumb_on_its_side(side):
     hand = load_hand("mimic_p050", side)
     basis = view_basis(hand)
     np.testing.assert_allclose(basis @ basis.T, np.eye(3), atol=1e-12)
@@ -673,7 +662,7 @@ def test_the_view_has_fingers_up_and_the_thumb_on_its_side(side: str) -> None:
     assert basis[2] @ human_palm_axes(hand)[2] > 0.5  # the palm is in sight
 
 
-def test_a_clip_holds_the_landmarks_to_a_tenth_of_a_millimetre() -> None:
+def test_a_clip_holds_the_landmarks_to_a_tenth_of_a_millimetre():
     hand = load_hand()
     rng = np.random.default_rng(4)
     stamps = np.arange(400) / 100
@@ -697,7 +686,7 @@ def test_a_clip_holds_the_landmarks_to_a_tenth_of_a_millimetre() -> None:
     assert len(tight["times"]) == 40  # many clips share the page
 
 
-def test_a_clip_holds_the_points_of_objects() -> None:
+def test_a_clip_holds_the_points_of_objects():
     hand = load_hand()
     stamps = np.arange(100) / 100
     points = np.random.default_rng(4).uniform(-0.1, 0.1, (100, 21, 3))
@@ -713,7 +702,7 @@ def test_a_clip_holds_the_points_of_objects() -> None:
     assert clip["objectEdges"] == [[0, 3]]
 
 
-def test_the_window_is_where_the_human_moves_most() -> None:
+def test_the_window_is_where_the_human_moves_most():
     hand = load_hand()
     human = np.zeros((500, 21, 3))
     human[300:400, TIPS[1], 0] = 0.05 * np.sin(np.arange(100))
@@ -726,9 +715,7 @@ def test_the_window_is_where_the_human_moves_most() -> None:
     assert BASES[0] == 1
 
 
-def test_latency_goes_on_without_a_method_that_fails(
-    recordings: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_latency_goes_on_without_a_method_that_fails(recordings, monkeypatch):
     settings = Settings(output=Path("out"))
     sources = load_sources([parse_request(str(recordings / "a<i>&'$x^.npz"))])
     cells = cells_of(sources, settings, select_methods(("sbr:tiny", "picky")))
@@ -742,7 +729,7 @@ def test_latency_goes_on_without_a_method_that_fails(
     assert bad.facts["p50"] is None
 
 
-def test_methods_take_turns(recordings: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_methods_take_turns(recordings, monkeypatch):
     order: list[str] = []
 
     class Stub:
@@ -768,7 +755,7 @@ def test_methods_take_turns(recordings: Path, monkeypatch: pytest.MonkeyPatch) -
         np.testing.assert_array_equal(one.samples_ms, np.arange(16, 60))
 
 
-def test_the_watch_tells_shares() -> None:
+def test_the_watch_tells_shares():
     watch = Watch()
     assert watch.others() is None or 0 <= watch.others() <= 1  # type: ignore[operator]
     watch._started -= 10.0
@@ -781,7 +768,7 @@ def test_the_watch_tells_shares() -> None:
 
 @pytest.mark.browser
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_the_page_plays_without_complaints(done: Bench, scheme: str) -> None:
+def test_the_page_plays_without_complaints(done, scheme):
     sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     names = ("chromium", "chromium-browser", "google-chrome")
     path = next((found for name in names if (found := shutil.which(name))), None)
@@ -814,7 +801,7 @@ def test_the_page_plays_without_complaints(done: Bench, scheme: str) -> None:
     assert problems == []
 
 
-def test_methods_with_the_same_settings_share_no_retargeter(recordings: Path) -> None:
+def test_methods_with_the_same_settings_share_no_retargeter(recordings):
     (source,) = load_sources([parse_request(str(recordings / "a<i>&'$x^.npz"))])
     assert source.recording is not None
     first = make_request(hand="mimic_p050", method="joint_angle")

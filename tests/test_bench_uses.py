@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -48,7 +47,7 @@ STILL = line("still", 0.90, 1.3, 0.40, 1e-7, 20.0, 0.00, 0.02, 0.1)
 LINES = [SAFE, CLOSE, STILL]
 
 
-def test_posture_and_collision_stand_among_the_papers_columns() -> None:
+def test_posture_and_collision_stand_among_the_papers_columns():
     assert set(HEADLINES) < set(COLUMNS)
     assert {"finger_extension_error", "pinch_gap_excess_mm", "jumps_per_1000"} < {
         m.name for m in set(COLUMNS) - set(HEADLINES)
@@ -62,19 +61,19 @@ def test_posture_and_collision_stand_among_the_papers_columns() -> None:
     assert heads == ["alllooksmotionsafetyspeedthe paper&#39;s"]
 
 
-def test_a_method_that_collides_is_not_named_for_grasping() -> None:
+def test_a_method_that_collides_is_not_named_for_grasping():
     chosen = {use.name: use.methods for use in ranking.find_uses(LINES)}
     assert chosen["pinching and grasping"] == ("safe",)  # close has the smaller gap, and collides
     assert chosen["pointing as the human does"] == ("close",)
     assert chosen["speed"] == ("still",)
 
 
-def test_a_method_that_stands_still_is_not_named_for_calm_motion() -> None:
+def test_a_method_that_stands_still_is_not_named_for_calm_motion():
     chosen = {use.name: use.methods for use in ranking.find_uses(LINES)}
     assert chosen["calm motion that keeps up"] == ("close",)
 
 
-def test_where_no_method_serves_a_use_the_reason_is_said() -> None:
+def test_where_no_method_serves_a_use_the_reason_is_said():
     colliding = [
         line(name, 0.9, 1.0, 0.5, 1e-6, gap, 0.4, 0.1, 1.0) for name, gap in (("a", 1.0), ("b", 2))
     ]
@@ -83,14 +82,14 @@ def test_where_no_method_serves_a_use_the_reason_is_said() -> None:
     assert "no method reaches a motion preservation of 0.9" in sentence
 
 
-def test_without_a_pinch_no_method_is_named_for_it() -> None:
+def test_without_a_pinch_no_method_is_named_for_it():
     lines = [line(n, c, 1.0, 0.95, 1e-6, None, 0.0, 0.1, 1.0) for n, c in (("a", 0.9), ("b", 0.8))]
     grasping = ranking.find_uses(lines)[1]
     assert grasping.methods == ()
     assert grasping.figures == "no pinch gap over the human's was measured"
 
 
-def test_the_sentence_names_what_the_table_marks() -> None:
+def test_the_sentence_names_what_the_table_marks():
     """On random figures: who serves a use is the best of its column, or the better one is named."""
     for seed in range(200):
         rng = np.random.default_rng(seed)
@@ -113,7 +112,7 @@ def test_the_sentence_names_what_the_table_marks() -> None:
             assert bool(excused) == (bool(use.methods) and not set(use.methods) & marked), seed
 
 
-def test_figures_that_look_the_same_share_a_rank() -> None:
+def test_figures_that_look_the_same_share_a_rank():
     one = line("one", 0.99991, 1.0, 0.95, 1e-6, 2.0, 0.0, 0.1, 0.5)
     two = line("two", 0.99992, 1.0, 0.95, 1e-6, 2.0, 0.0, 0.1, 0.5)
     assert ranking.mean_ranks([one, two]) == {"one": 1.5, "two": 1.5}
@@ -129,7 +128,7 @@ def row(method: str, tracker: str, file: str, part: str, error: float) -> Row:
     }  # fmt: skip
 
 
-def test_the_mean_is_over_parts_then_recordings_then_trackers() -> None:
+def test_the_mean_is_over_parts_then_recordings_then_trackers():
     """Three parts of one glove file, another glove, a headset: the means disagree on who is best,
     and sentence, table and Markdown go by the same one."""
     measured = {
@@ -158,7 +157,7 @@ def test_the_mean_is_over_parts_then_recordings_then_trackers() -> None:
     assert "smooth-operator bench g1.npz@:5 --methods all --hands mimic_p050" in text
 
 
-def test_mean_ranks_and_who_competes() -> None:
+def test_mean_ranks_and_who_competes():
     better = line("better", 1.0, 1.0, 1.0, 1e-7, 1.0, 0.0, 0.5, 0.1)
     worse = line("worse", 0.9, 0.8, 0.9, 1e-6, 2.0, 0.1, 0.4, 0.2)
     partly = line("partly", 1.0, 1.0, 1.0, 1e-8, 0.5, 0.0, 0.9, 0.01, of=2)
@@ -169,17 +168,16 @@ def test_mean_ranks_and_who_competes() -> None:
     assert ranking.mean_ranks([gap, better])["gap"] > ranking.mean_ranks([gap, better])["better"]
 
 
-def test_the_latency_in_the_plot_is_that_of_the_table() -> None:
+def test_the_latency_in_the_plot_is_that_of_the_table():
     short, long = np.full(10, 1.0), np.full(1000, 3.0)
     with styled():
         figure = latency_figure({"m": [short, long]}, {"m": "#000000"})
-    assert figure is not None
     words = [text.get_text() for text in figure.axes[0].texts]
     assert words == ["2"]  # the mean of the recordings' medians, not the pooled 3
 
 
 @pytest.mark.browser
-def test_tables_sort_and_plots_answer_to_the_pointer(chromium: Any, tmp_path: Path) -> None:
+def test_tables_sort_and_plots_answer_to_the_pointer(chromium, tmp_path):
     from matplotlib.figure import Figure
 
     from smooth_operator.reporting.drawing import series

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,7 +24,7 @@ def whole() -> Hand:
 
 
 @pytest.fixture(scope="module")
-def in_pieces(whole: Hand, tmp_path_factory: pytest.TempPathFactory) -> Hand:
+def in_pieces(whole, tmp_path_factory) -> Hand:
     """The same solid hand, each capsule of it made of five."""
 
     def cut(match: re.Match[str]) -> str:
@@ -57,7 +56,7 @@ def links(pairs: CapsulePairs, hand: Hand) -> set[frozenset[int]]:
     return {frozenset(hand.model.geom_bodyid[[int(a), int(b)]].tolist()) for a, b in pairs.shapes}
 
 
-def test_no_pair_is_left_out_that_meets_while_there_is_room(whole: Hand) -> None:
+def test_no_pair_is_left_out_that_meets_while_there_is_room(whole):
     """The deepest in any of other poses is among them, to the slack."""
     pairs = capsule_pairs(whole)
     assert len(pairs.pairs) < MOST
@@ -69,7 +68,7 @@ def test_no_pair_is_left_out_that_meets_while_there_is_room(whole: Hand) -> None
     assert (deepest(pairs, whole, q)[deep] > 0).mean() > 0.99
 
 
-def test_of_too_many_pairs_those_are_kept_that_meet_most(whole: Hand, in_pieces: Hand) -> None:
+def test_of_too_many_pairs_those_are_kept_that_meet_most(whole, in_pieces):
     pairs = capsule_pairs(in_pieces)
     assert len(pairs.pairs) == MOST
     apart, all_of_them = links(pairs, in_pieces), links(capsule_pairs(whole), whole)
@@ -83,18 +82,14 @@ def test_of_too_many_pairs_those_are_kept_that_meet_most(whole: Hand, in_pieces:
     assert (deepest(pairs, in_pieces, q)[deep] > 0).mean() > 0.9
 
 
-def test_hands_that_move_alike_but_are_of_other_shapes_share_no_program(
-    whole: Hand, in_pieces: Hand
-) -> None:
+def test_hands_that_move_alike_but_are_of_other_shapes_share_no_program(whole, in_pieces):
     """Or one would be kept clear by the shapes of the other."""
     assert whole.joint_names == in_pieces.joint_names
     assert fingerprint(in_pieces) != fingerprint(whole)
     assert fingerprint(load_hand_spec(whole.spec)) == fingerprint(whole)
 
 
-def test_a_forearm_without_a_wrist_counts_though_it_does_not_hang_from_the_palm(
-    whole: Hand, tmp_path: Path
-) -> None:
+def test_a_forearm_without_a_wrist_counts_though_it_does_not_hang_from_the_palm(whole, tmp_path):
     """A shape on the body that the palm is fixed to is as good as one on the palm itself, and those
     of an arm above it are nothing to the hand."""
     text = whole.spec.model.read_text(encoding="utf-8")
@@ -129,11 +124,10 @@ def test_a_forearm_without_a_wrist_counts_though_it_does_not_hang_from_the_palm(
     np.testing.assert_allclose(found["forearm"], found["palm"], atol=1e-9)
 
 
-def test_a_mesh_that_its_capsule_overstates_keeps_nothing_away(whole: Hand, tmp_path: Path) -> None:
+def test_a_mesh_that_its_capsule_overstates_keeps_nothing_away(whole, tmp_path):
     """The palm's box as a mesh: its one capsule is rounder, and reaches into fingers at rest."""
     text = whole.spec.model.read_text(encoding="utf-8")
     box = re.search(r'<geom name="palm" type="box" size="([^"]+)" (pos="[^"]+")/>', text)
-    assert box is not None
     half = np.array(box[1].split(), float)
     corners = half * np.stack(np.meshgrid(*[(-1, 1)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     asset = (
@@ -146,7 +140,6 @@ def test_a_mesh_that_its_capsule_overstates_keeps_nothing_away(whole: Hand, tmp_
     pairs = capsule_pairs(hand)
     neutral = hand.full_configuration(hand.neutral)[None]
     deep = penetration_depths(hand, neutral)
-    assert deep is not None
     assert deep.max() == 0.0  # of pairs that count, the shapes themselves touch nowhere
     assert deepest(pairs, hand, hand.neutral[None]).max() < 1e-4
     assert len(links(capsule_pairs(whole), whole) - links(pairs, hand)) >= 1  # that was left out

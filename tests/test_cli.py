@@ -37,20 +37,12 @@ Run = Callable[..., tuple[int, str, str]]
 
 
 @pytest.fixture
-def run(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Run:
-    """Runs a command in this process: exit status, standard output, standard error."""
+def run(run, monkeypatch) -> Run:
     # The smallest SBR there is: it compiles in a second. No cache, which would be global state.
     tiny = SbrConfig(sampling=SamplingConfig(samples=32, elites=8, cycles=2))
     monkeypatch.setitem(PRESETS["sbr"], "tiny", tiny)
     monkeypatch.setenv("SMOOTH_OPERATOR_CACHE", "off")
-    monkeypatch.delenv("SMOOTH_OPERATOR_DEBUG", raising=False)
-
-    def call(*arguments: object) -> tuple[int, str, str]:
-        capfd.readouterr()
-        status = main([str(argument) for argument in arguments])
-        return status, *capfd.readouterr()
-
-    return call
+    return run
 
 
 def recording(side: Side = "right", frames: int = 30) -> HandRecording:
@@ -58,7 +50,7 @@ def recording(side: Side = "right", frames: int = 30) -> HandRecording:
 
 
 @pytest.fixture
-def glove(tmp_path: Path) -> Path:
+def glove(tmp_path) -> Path:
     """A recording that says everything about itself."""
     return save(tmp_path / "glove.npz", recording())
 
@@ -68,7 +60,7 @@ def save(path: Path, hand: HandRecording) -> Path:
     return path
 
 
-def test_demo_writes_a_consistent_folder(run: Run, tmp_path: Path) -> None:
+def test_demo_writes_a_consistent_folder(run, tmp_path):
     folder = tmp_path / "new" / "demo"
     options = ("--no-view", *TINY, "--landmark-loss", 0.05, "--duration", 0.5)
     status, out, err = run("demo", "--output", folder, *options)
@@ -86,8 +78,6 @@ def test_demo_writes_a_consistent_folder(run: Run, tmp_path: Path) -> None:
     assert found == files | plots
 
     commands, log = read_commands(folder / "commands.npz"), read_log(folder / "log.mcap")
-    assert log.commands is not None
-    assert log.recording is not None
     np.testing.assert_array_equal(commands.joint_positions, log.commands.joint_positions)
     np.testing.assert_array_equal(commands.stamps, log.recording.stamps)
     metrics = json.loads((folder / "metrics.json").read_text(encoding="utf-8"))
@@ -115,7 +105,7 @@ def test_demo_writes_a_consistent_folder(run: Run, tmp_path: Path) -> None:
     assert (folder / "notes.txt").read_text(encoding="utf-8") == "mine"
 
 
-def test_retarget_is_the_library_and_repeats_itself(run: Run, glove: Path, tmp_path: Path) -> None:
+def test_retarget_is_the_library_and_repeats_itself(run, glove, tmp_path):
     once, again = tmp_path / "once.npz", tmp_path / "deep" / "er" / "again.npz"
     arguments = ("retarget", glove, *TINY, "--frames", "5:20", "--seed", 4)
     status, out, err = run(*arguments, "--output", once, "--json")
@@ -143,9 +133,7 @@ def test_retarget_is_the_library_and_repeats_itself(run: Run, glove: Path, tmp_p
     assert tuple(config[k] for k in ("hand", "side", "method", "preset", "seed")) == expected
 
 
-def test_retarget_follows_the_recordings_side_and_the_scale_asked_for(
-    run: Run, tmp_path: Path
-) -> None:
+def test_retarget_follows_the_recordings_side_and_the_scale_asked_for(run, tmp_path):
     left = save(tmp_path / "left.npz", recording("left", 8))
     out = tmp_path / "out.npz"
     status, _, err = run("retarget", left, *TINY, "--output", out, "--scale", "calibrate")
@@ -155,9 +143,7 @@ def test_retarget_follows_the_recordings_side_and_the_scale_asked_for(
     assert 0.5 < config["config"]["alignment"]["scale"] < 1.5
 
 
-def test_an_array_without_a_side_is_taken_for_a_right_hand_and_a_note_says_so(
-    run: Run, tmp_path: Path
-) -> None:
+def test_an_array_without_a_side_is_taken_for_a_right_hand_and_a_note_says_so(run, tmp_path):
     np.save(tmp_path / "plain.npy", recording(frames=5).landmarks)
     arguments = ("--rate", 100, *TINY, "--output", tmp_path / "out.npz", "--quiet")
     status, out, err = run("retarget", tmp_path / "plain.npy", *arguments, "--json")
@@ -208,9 +194,7 @@ def user_errors(folder: Path) -> dict[str, tuple[tuple[object, ...], str]]:
     }
 
 
-def test_user_errors_say_what_to_do_and_leave_nothing(
-    run: Run, glove: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_user_errors_say_what_to_do_and_leave_nothing(run, glove, tmp_path, monkeypatch):
     monkeypatch.setattr(Retargeter, "run", lambda *_, **__: pytest.fail("the long work began"))
     cases = user_errors(tmp_path)
     before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
@@ -225,9 +209,7 @@ def test_user_errors_say_what_to_do_and_leave_nothing(
     assert [path.name for path in tmp_path.iterdir() if path.is_dir()] == []
 
 
-def test_debug_shows_where_an_error_came_from(
-    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_debug_shows_where_an_error_came_from(run, tmp_path, monkeypatch):
     arguments = ("retarget", tmp_path / "gone.npz", "--output", tmp_path / "out.npz")
     with pytest.raises(RecordingError, match="no such file"):
         run(*arguments, "--debug")
@@ -236,7 +218,7 @@ def test_debug_shows_where_an_error_came_from(
         run(*arguments)
 
 
-def test_arguments_that_do_not_parse_exit_2_and_help_exits_0(run: Run) -> None:
+def test_arguments_that_do_not_parse_exit_2_and_help_exits_0(run):
     for arguments in (("retarget",), ("bogus",), ("demo", "--side", "up"), ("view", "a")):
         status, out, err = run(*arguments)
         assert (status, out) == (2, ""), arguments
@@ -250,9 +232,7 @@ def test_arguments_that_do_not_parse_exit_2_and_help_exits_0(run: Run) -> None:
     assert out.split()[0] == "smooth-operator"
 
 
-def test_stopping_while_writing_leaves_the_former_result(
-    run: Run, glove: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_stopping_while_writing_leaves_the_former_result(run, glove, tmp_path, monkeypatch):
     out = tmp_path / "out.npz"
     arguments = ("retarget", glove, *TINY, "--frames", ":5", "--overwrite", "--output", out)
     assert run(*arguments)[0] == 0
@@ -274,7 +254,7 @@ def test_stopping_while_writing_leaves_the_former_result(
     assert not (tmp_path / "demo").exists()
 
 
-def test_metrics_are_printed_group_by_group(capsys: pytest.CaptureFixture[str]) -> None:
+def test_metrics_are_printed_group_by_group(capsys):
     from smooth_operator.cli.console import print_metrics
     from smooth_operator.metrics import METRICS
     from smooth_operator.metrics.metric import GROUPS
@@ -296,7 +276,7 @@ def test_metrics_are_printed_group_by_group(capsys: pytest.CaptureFixture[str]) 
     assert ["index", "0.5"] in lines  # a figure of each finger has a row of its own
 
 
-def test_a_summary_says_what_is_good_and_what_to_do(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_summary_says_what_is_good_and_what_to_do(capsys):
     from smooth_operator.cli.console import print_summary
 
     metrics: dict[str, object] = {
@@ -319,9 +299,7 @@ def test_a_summary_says_what_is_good_and_what_to_do(capsys: pytest.CaptureFixtur
     assert lines[-1] == ["Next:", "something"]
 
 
-def test_retarget_replaces_a_result_only_with_overwrite(
-    run: Run, glove: Path, tmp_path: Path
-) -> None:
+def test_retarget_replaces_a_result_only_with_overwrite(run, glove, tmp_path):
     arguments = ("retarget", glove, *TINY, "--frames", ":5", "--output", tmp_path / "out.npz")
     status, out, _ = run(*arguments)
     assert status == 0
@@ -337,7 +315,7 @@ def test_retarget_replaces_a_result_only_with_overwrite(
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGINT to send to one process")
-def test_ctrl_c_exits_130_and_leaves_nothing(tmp_path: Path) -> None:
+def test_ctrl_c_exits_130_and_leaves_nothing(tmp_path):
     save(tmp_path / "long.npz", SyntheticOperator().record(200.0))
     # pytest may itself run with SIGINT ignored, which a child would inherit
     code = (
@@ -351,7 +329,6 @@ def test_ctrl_c_exits_130_and_leaves_nothing(tmp_path: Path) -> None:
         stderr=subprocess.PIPE,
         text=True,
     )
-    assert process.stderr is not None
     assert "compiling" in process.stderr.readline()
     until((tmp_path / "results").is_dir, 60.0)
     process.send_signal(signal.SIGINT)
@@ -362,7 +339,7 @@ def test_ctrl_c_exits_130_and_leaves_nothing(tmp_path: Path) -> None:
     assert {path.name for path in tmp_path.iterdir()} <= {"long.npz", "cache"}
 
 
-def test_nobody_reading_is_no_error() -> None:
+def test_nobody_reading_is_no_error():
     code = "import sys; from smooth_operator.cli import main; sys.exit(main(['demo', '--help']))"
     reader, writer = os.pipe()
     os.close(reader)
@@ -388,7 +365,7 @@ sys.exit(process.program())
 """
 
 
-def test_a_thread_that_does_not_answer_spoils_no_ending() -> None:
+def test_a_thread_that_does_not_answer_spoils_no_ending():
     """What is to be written is, though the interpreter is not torn down around such a thread."""
     ended = subprocess.run(
         [sys.executable, "-c", LEFT], capture_output=True, text=True, timeout=60, check=False
@@ -397,9 +374,7 @@ def test_a_thread_that_does_not_answer_spoils_no_ending() -> None:
     assert ended.stdout.split("\n") == ["done", "written", "tidied up", ""]
 
 
-def test_view_finds_the_frames_and_refuses_another_recording(
-    run: Run, glove: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_view_finds_the_frames_and_refuses_another_recording(run, glove, tmp_path, monkeypatch):
     out = tmp_path / "out.npz"
     arguments = (*TINY, "--frames", "7:19", "--output", out)
     assert run("retarget", glove, *arguments)[0] == 0
@@ -425,7 +400,7 @@ def test_view_finds_the_frames_and_refuses_another_recording(
 
 
 @pytest.mark.shared
-def test_a_real_recording(run: Run, shared: Path, tmp_path: Path) -> None:
+def test_a_real_recording(run, shared, tmp_path):
     glove = shared / "recordings" / "manus_right_subject-000_run-010.npz"
     arguments = (*TINY, "--frames", "2600:2630", "--definition", "paper", "--json")
     status, out, err = run("retarget", glove, "--output", tmp_path / "out.npz", *arguments)
@@ -436,9 +411,7 @@ def test_a_real_recording(run: Run, shared: Path, tmp_path: Path) -> None:
     assert metrics["latency_ms"]["p50"] > 0
 
 
-def test_a_ctrl_c_that_the_garbage_collector_swallows_comes_again(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_ctrl_c_that_the_garbage_collector_swallows_comes_again(monkeypatch, capsys):
     class Swallowing:
         def __del__(self) -> None:
             raise KeyboardInterrupt  # where Python only writes a note of it
@@ -457,18 +430,14 @@ def test_a_ctrl_c_that_the_garbage_collector_swallows_comes_again(
     assert "stopped" in capsys.readouterr().err
 
 
-def test_a_command_of_research_says_what_to_install(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_command_of_research_says_what_to_install(monkeypatch, capsys):
     monkeypatch.setattr("smooth_operator.plugins._installed", lambda group: {})
     for words in (["paper", "--output", "x"], ["bench", "--physics"], ["study", "simulate", "x"]):
         assert main(words) == 2
         assert "python -m pip install ./research" in capsys.readouterr().err
 
 
-def test_a_plugin_adds_a_command_to_a_group(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_plugin_adds_a_command_to_a_group(monkeypatch, capsys):
     entry = Entry("smooth_operator.cli.sample:Sample", "from elsewhere", "elsewhere")
     monkeypatch.setattr("smooth_operator.plugins._installed", lambda group: {"study.draw": entry})
     assert main(["study", "draw", "--help"]) == 0

@@ -8,7 +8,6 @@ import re
 import sys
 from collections.abc import Iterator
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -59,7 +58,7 @@ def ragged(text: str, width: int) -> Iterator[str]:
             yield f"{line} | {words[0]}"
 
 
-def test_every_command_names_the_function_that_takes_its_options() -> None:
+def test_every_command_names_the_function_that_takes_its_options():
     for words, kind in commands():
         if issubclass(kind, Group):
             continue
@@ -68,7 +67,7 @@ def test_every_command_names_the_function_that_takes_its_options() -> None:
         assert issubclass(kind, inspect.get_annotations(work, eval_str=True)[options.name]), words
 
 
-def test_a_command_runs_the_function_with_its_options(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_command_runs_the_function_with_its_options(monkeypatch):
     seen: list[Any] = []
     monkeypatch.setattr("smooth_operator.cli.hands.list_hands", seen.append)
     assert main(["hands", "list", "--json"]) == 0
@@ -76,7 +75,7 @@ def test_a_command_runs_the_function_with_its_options(monkeypatch: pytest.Monkey
 
 
 @pytest.mark.parametrize("width", [80, 120])
-def test_help_is_wrapped_once_and_fits(width: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_help_is_wrapped_once_and_fits(width, monkeypatch):
     monkeypatch.setenv("COLUMNS", str(width))
     for words, _ in [((), None), *commands(), (("teleop", "--help-all"), None)]:
         text = printed(monkeypatch, *words, "--help")
@@ -85,7 +84,7 @@ def test_help_is_wrapped_once_and_fits(width: int, monkeypatch: pytest.MonkeyPat
         assert len(longest) <= width, longest
 
 
-def test_rare_options_are_in_the_long_help_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rare_options_are_in_the_long_help_alone(monkeypatch):
     short, whole = (printed(monkeypatch, "teleop", word) for word in ("--help", "--help-all"))
     assert len(short.split()) <= 700
     assert "--help-all" in short
@@ -96,11 +95,11 @@ def test_rare_options_are_in_the_long_help_alone(monkeypatch: pytest.MonkeyPatch
 
 
 @pytest.mark.parametrize("command", ["dataset", "retarget", "demo", "bench", "study"])
-def test_common_options_fit_on_a_page_or_two(command: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_common_options_fit_on_a_page_or_two(command, monkeypatch):
     assert len(printed(monkeypatch, command, "--help").split()) <= 700
 
 
-def test_what_is_indented_keeps_its_lines(capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_indented_keeps_its_lines(capsys):
     text = "One\ntwo.\n\nFormats:\n  .a  first\n  b   second\nAfter\nthem."
     assert unwrapped(text) == "One two.\n\nFormats:\n  .a  first\n  b   second\n\nAfter them."
     assert main(["convert", "--help"]) == 0
@@ -109,7 +108,7 @@ def test_what_is_indented_keeps_its_lines(capsys: pytest.CaptureFixture[str]) ->
     assert any(line.startswith("A video (.mp4") for line in lines)
 
 
-def test_a_completion_is_for_the_shell(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_completion_is_for_the_shell(capsys):
     assert main(["convert", "--tyro-print-completion", "bash"]) == 0
     assert "\n  complete -F _tyro_smooth_operator_convert" in capsys.readouterr().out
 
@@ -127,9 +126,7 @@ def test_a_completion_is_for_the_shell(capsys: pytest.CaptureFixture[str]) -> No
         ("--hand leap_hand retarget x.npz", "'--hand' stands before the command"),
     ],
 )
-def test_an_unknown_word_is_named_with_the_closest_one(
-    arguments: str, says: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_unknown_word_is_named_with_the_closest_one(arguments, says, capsys):
     assert main(arguments.split()) == 2
     printed = capsys.readouterr()
     assert printed.out == ""
@@ -140,9 +137,7 @@ def test_an_unknown_word_is_named_with_the_closest_one(
 @pytest.mark.parametrize(
     "arguments", ["retarget {} --frames -3:", "retarget {} --frames=-3:", "convert {} --output x"]
 )
-def test_values_that_look_like_options_are_none(
-    arguments: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_values_that_look_like_options_are_none(arguments, tmp_path, capsys):
     missing = str(tmp_path / "none.npz")
     assert main([word.format(missing) for word in arguments.split()]) == 2
     assert "nrecognized" not in capsys.readouterr().err

@@ -20,7 +20,7 @@ METHOD = ("--method", "joint_angle", "--quiet")
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def made(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("clip")
     recording = str(folder / "hand.npz")
     assert main(["sample", recording, "--duration", "1.2", "--quiet"]) == 0
@@ -51,7 +51,7 @@ def view(folder: Path, *options: str) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.parametrize("suffix", ["gif", pytest.param("webp", marks=pytest.mark.weekly)])
-def test_a_clip_shows_every_hand_in_real_time(made: Path, suffix: str) -> None:
+def test_a_clip_shows_every_hand_in_real_time(made, suffix):
     done = view(made, "--frames", "20:70", "--save", f"new/clip.{suffix}")
     if done.returncode == 2 and "can't draw with OpenGL" in done.stderr:
         pytest.skip("this machine has nothing to draw with")
@@ -70,7 +70,7 @@ def test_a_clip_shows_every_hand_in_real_time(made: Path, suffix: str) -> None:
         assert (np.abs(frames[-1][part] - frames[0][part]).max(axis=-1) > 40).mean() > 0.002
 
 
-def test_what_can_be_mended_is_said(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_can_be_mended_is_said(made, capsys):
     names = [str(made / name) for name in ("out.npz", "hand.npz")]
     assert main(["view", *names, "--save", str(made / "clip.mp4")]) == 2
     assert "a clip is a .gif or a .webp, not 'clip.mp4'" in capsys.readouterr().err
@@ -78,7 +78,7 @@ def test_what_can_be_mended_is_said(made: Path, capsys: pytest.CaptureFixture[st
     assert not (made / "clip.gif").exists()
 
 
-def test_a_machine_that_cannot_draw_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_machine_that_cannot_draw_says_what_to_install(monkeypatch):
     environment: dict[str, str] = {}
     monkeypatch.setattr(os, "environ", environment)
     monkeypatch.setattr(sys, "platform", "linux")

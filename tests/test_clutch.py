@@ -106,23 +106,9 @@ def engaged(config: WristConfig | None = None) -> Stage:
 
 
 KINDS = [
-    "go",
-    "go",
-    "go",
-    "go",
-    "still",
-    "flip",
-    "lost",
-    "none",
-    "teleport",
-    "pause",
-    "stop",
-    "released",
-    "restart",
-    "world",
-    "far",
-    "reversed",
-]
+    "go", "go", "go", "go", "still", "flip", "lost", "none", "teleport", "pause", "stop",
+    "released", "restart", "world", "far", "reversed",
+]  # fmt: skip
 MOVES = st.lists(
     st.tuples(
         st.one_of(
@@ -154,9 +140,7 @@ MOVES = st.lists(
     ),
     moves=MOVES,
 )
-def test_limits_hold_at_every_pair_of_stamps(
-    config: WristConfig, moves: list[tuple[float, str, tuple, tuple, int]]
-) -> None:
+def test_limits_hold_at_every_pair_of_stamps(config, moves):
     stage, place, session, arm = Stage(config), wrist(), 0, HOME
     stage.clutch.measured = lambda: arm
     stage.tick(place)
@@ -225,7 +209,7 @@ def test_the_wrist_is_followed_without_lag() -> None:
         assert config.velocity == 1.0  # 0.5 m/s and 2 rad/s are within the limits
 
 
-def test_pumping_moves_the_robot_farther_than_the_arm_reaches() -> None:
+def test_pumping_moves_the_robot_farther_than_the_arm_reaches():
     stage = engaged()
     for _ in range(3):
         for k in range(31):
@@ -240,7 +224,7 @@ def test_pumping_moves_the_robot_farther_than_the_arm_reaches() -> None:
     assert (stage.first_steps() == 0).all()
 
 
-def test_translation_is_scaled_and_turned_to_the_robot() -> None:
+def test_translation_is_scaled_and_turned_to_the_robot():
     stage = engaged(WristConfig(scale=2.0, yaw=math.pi / 2))
     for k in range(60):
         stage.tick(wrist(0.001 * k, turn=(0.005 * k, 0, 0)))
@@ -252,7 +236,7 @@ def test_translation_is_scaled_and_turned_to_the_robot() -> None:
 
 
 @pytest.mark.parametrize("mode", [Mode.PAUSED, Mode.STOPPED, Mode.HOLDING, Mode.EASING])
-def test_what_is_no_tracking_holds(mode: Mode) -> None:
+def test_what_is_no_tracking_holds(mode):
     stage = engaged()
     for k in range(40):
         stage.tick(wrist(0.005 * k))
@@ -269,7 +253,7 @@ def test_what_is_no_tracking_holds(mode: Mode) -> None:
     assert np.array_equal(stage.commands[-1].pose, braked)
 
 
-def test_it_engages_only_when_the_robot_stands() -> None:
+def test_it_engages_only_when_the_robot_stands():
     stage = engaged()
     for k in range(40):
         stage.tick(wrist(0.008 * k))
@@ -281,7 +265,7 @@ def test_it_engages_only_when_the_robot_stands() -> None:
     assert stage.first_steps().max() == 0.0
 
 
-def test_a_lost_wrist_is_held_and_latched_again() -> None:
+def test_a_lost_wrist_is_held_and_latched_again():
     stage = engaged()
     for k in range(40):
         stage.tick(wrist(0.002 * k))
@@ -300,7 +284,7 @@ def test_a_lost_wrist_is_held_and_latched_again() -> None:
 
 
 @pytest.mark.parametrize(("age", "valid"), [(1.0, True), (1.1, False)])
-def test_a_wrist_counts_for_stale_s_and_no_longer(age: float, valid: bool) -> None:
+def test_a_wrist_counts_for_stale_s_and_no_longer(age, valid):
     stage, stale_s = engaged(), 0.125
     stage.clutch.config = LoopConfig(safety=SafetyConfig(stale_s=stale_s))
     stage.tick(wrist(), dt=0.25 - stage.time)
@@ -308,7 +292,7 @@ def test_a_wrist_counts_for_stale_s_and_no_longer(age: float, valid: bool) -> No
     assert (command.valid, command.engaged) == (valid, valid)
 
 
-def test_the_robot_does_not_go_on_without_frames() -> None:
+def test_the_robot_does_not_go_on_without_frames():
     stage, speed, frame_s = engaged(), 0.3, 0.03
     for k in range(1, 61):  # a tracker that delivers every third tick, and then falls silent
         stage.tick(wrist(speed * k / HZ) if k % 3 == 0 else None)
@@ -327,7 +311,7 @@ def test_the_robot_does_not_go_on_without_frames() -> None:
         ({"pose": wrist(turn=(0, 0, 0.9))}, "the wrist jumped"),
     ],
 )
-def test_a_jump_of_the_tracker_does_not_move_the_robot(change: dict, why: str) -> None:
+def test_a_jump_of_the_tracker_does_not_move_the_robot(change, why):
     stage = engaged()
     change = {"pose": wrist(), **change}
     for _ in range(30):
@@ -337,7 +321,7 @@ def test_a_jump_of_the_tracker_does_not_move_the_robot(change: dict, why: str) -
     assert np.array_equal(stage.poses, np.tile(HOME, (31, 1)))
 
 
-def test_a_flipped_quaternion_is_the_same_wrist() -> None:
+def test_a_flipped_quaternion_is_the_same_wrist():
     stage = engaged()
     for k in range(20):
         stage.tick(wrist(turn=(0.01, 0, 0)) * ([1, 1, 1, -1, -1, -1, -1] if k % 2 else 1))
@@ -346,7 +330,7 @@ def test_a_flipped_quaternion_is_the_same_wrist() -> None:
     assert poses.separation(stage.commands[-1].pose, HOME)[1] < 0.02
 
 
-def test_home_is_where_the_arm_is() -> None:
+def test_home_is_where_the_arm_is():
     stage, arm = Stage(), wrist(0.2, 0.3, 0.6, turn=(0, 1, 0))
     stage.clutch.measured = lambda: arm
     assert stage.tick() is not None  # an arm is commanded before there is a wrist
@@ -355,7 +339,7 @@ def test_home_is_where_the_arm_is() -> None:
     assert np.array_equal(stage.poses, [arm, arm])
 
 
-def test_an_arm_that_was_pushed_is_met_slowly_before_it_engages() -> None:
+def test_an_arm_that_was_pushed_is_met_slowly_before_it_engages():
     stage, arm = engaged(), wrist(0.5, 0.1, 0.4, turn=(0, 0, 0.5))
     stage.clutch.released = True
     stage.tick(wrist())
@@ -378,7 +362,7 @@ def test_an_arm_that_was_pushed_is_met_slowly_before_it_engages() -> None:
         (wrist(turn=(0, 0, 0.12)), False),
     ],
 )
-def test_it_engages_where_the_arm_is_near(arm: np.ndarray, near: bool) -> None:
+def test_it_engages_where_the_arm_is_near(arm, near):
     stage = engaged()
     stage.clutch.released = True
     stage.tick(wrist())
@@ -389,7 +373,7 @@ def test_it_engages_where_the_arm_is_near(arm: np.ndarray, near: bool) -> None:
     assert stage.commands[-1].engaged == near
 
 
-def test_an_arm_that_was_turned_is_met_slowly() -> None:
+def test_an_arm_that_was_turned_is_met_slowly():
     stage, arm = engaged(), wrist(*HOME[:3], turn=(0, 0, 1.0))
     stage.clutch.released = True
     stage.tick(wrist())
@@ -401,7 +385,7 @@ def test_an_arm_that_was_turned_is_met_slowly() -> None:
     assert stage.time - begun > 0.9 / (0.2 * WristConfig().turn_velocity)
 
 
-def test_without_a_wrist_there_is_no_command() -> None:
+def test_without_a_wrist_there_is_no_command():
     stage = Stage()
     assert stage.tick() is None
     assert stage.tick(np.full(7, np.nan)) is None
@@ -417,12 +401,12 @@ def test_without_a_wrist_there_is_no_command() -> None:
         ({"home": (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)}, "unit quaternion"),
     ],
 )
-def test_settings_are_checked(setting: dict, message: str) -> None:
+def test_settings_are_checked(setting, message):
     with pytest.raises(ConfigError, match=message):
         WristConfig(**setting)
 
 
-def test_a_loop_gives_fingers_and_wrist_one_stamp() -> None:
+def test_a_loop_gives_fingers_and_wrist_one_stamp():
     hand, now = load_hand("mimic_p050"), 0.0
     config = LoopConfig(safety=SafetyConfig(blend_s=0.0))
     method = make_request(method="joint_angle").config

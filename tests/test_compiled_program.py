@@ -28,7 +28,7 @@ TINY = SbrConfig(sampling=SamplingConfig(samples=64, elites=8, cycles=2, draws="
 
 
 @pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+def folder(tmp_path, monkeypatch) -> Iterator[Path]:
     """The programs of this test alone; JAX's own cache, which all tests share, is not used."""
     before = jax.config.jax_enable_compilation_cache
     jax.config.update("jax_enable_compilation_cache", False)
@@ -62,7 +62,7 @@ def call(run: CompiledProgram, size: int = 3) -> tuple[float, list[float], float
     return float(state["sum"]), np.asarray(twice).tolist(), float(before)
 
 
-def test_it_is_traced_once_and_read_by_the_next(folder: Path) -> None:
+def test_it_is_traced_once_and_read_by_the_next(folder):
     traced: list[int] = []
     first = program(traced)
     assert call(first) == call(first) == (4.5, [0.0, 2.0, 4.0], 1.5)
@@ -77,9 +77,7 @@ def test_it_is_traced_once_and_read_by_the_next(folder: Path) -> None:
     assert len(list(folder.iterdir())) == 3
 
 
-def test_a_damaged_file_is_said_once_and_made_again(
-    folder: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_damaged_file_is_said_once_and_made_again(folder, caplog):
     traced: list[int] = []
     call(program(traced))
     (file,) = folder.iterdir()
@@ -97,9 +95,7 @@ def test_a_damaged_file_is_said_once_and_made_again(
     assert len(traced) == 5
 
 
-def test_what_can_not_be_kept_costs_time_only(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_what_can_not_be_kept_costs_time_only(folder, monkeypatch, tmp_path):
     (tmp_path / "file").touch()
     traced: list[int] = []
     for value in ("off", str(tmp_path / "file" / "cache")):
@@ -117,7 +113,7 @@ def test_what_can_not_be_kept_costs_time_only(
     ("setting", "other"),
     [("jax_numpy_rank_promotion", "warn"), ("jax_default_matmul_precision", "float32")],
 )
-def test_other_settings_of_jax_are_other_programs(folder: Path, setting: str, other: Any) -> None:
+def test_other_settings_of_jax_are_other_programs(folder, setting, other):
     traced: list[int] = []
     call(program(traced))
     before = jax.config.values[setting]
@@ -132,7 +128,7 @@ def test_other_settings_of_jax_are_other_programs(folder: Path, setting: str, ot
     assert len(traced) == 2
 
 
-def test_only_the_newest_are_kept(tmp_path: Path) -> None:
+def test_only_the_newest_are_kept(tmp_path):
     programs = ProgramCache(tmp_path, most_bytes=200)
     for number, name in enumerate("abcd"):
         programs.write(name, bytes(50))  # with its digest 82
@@ -142,7 +138,7 @@ def test_only_the_newest_are_kept(tmp_path: Path) -> None:
     assert programs.size() == (2, 164)
 
 
-def test_what_a_program_depends_on_is_in_its_key() -> None:
+def test_what_a_program_depends_on_is_in_its_key():
     hand = load_hand("mimic_p050")
     key = program_key(hand, TINY, "frame")
     assert key == program_key(load_hand("mimic_p050"), replace(TINY), "frame")
@@ -176,9 +172,7 @@ def test_what_a_program_depends_on_is_in_its_key() -> None:
         pytest.param(TINY, id="sbr", marks=pytest.mark.weekly),
     ],
 )
-def test_results_are_those_of_the_traced_program_to_the_last_bit(
-    config: Any, folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_results_are_those_of_the_traced_program_to_the_last_bit(config, folder, monkeypatch):
     recording = SyntheticOperator(rate_hz=20).record(1.5)
 
     def results() -> list[bytes]:
@@ -196,7 +190,7 @@ def test_results_are_those_of_the_traced_program_to_the_last_bit(
 
 
 @pytest.mark.parametrize("method", [pytest.param("dexpilot", marks=pytest.mark.weekly), "geort"])
-def test_other_methods_too(folder: Path, method: str) -> None:
+def test_other_methods_too(folder, method):
     recording = SyntheticOperator(rate_hz=20).record(0.5)
 
     def result(cache: bool) -> bytes:
@@ -215,7 +209,7 @@ def test_other_methods_too(folder: Path, method: str) -> None:
 
 
 @pytest.fixture
-def no_folder(folder: Path) -> Iterator[Path]:
+def no_folder(folder) -> Iterator[Path]:
     """JAX has no folder of its own."""
     before = jax.config.jax_compilation_cache_dir
     jax.config.update("jax_enable_compilation_cache", True)
@@ -224,9 +218,7 @@ def no_folder(folder: Path) -> Iterator[Path]:
     jax.config.update("jax_compilation_cache_dir", before)
 
 
-def test_jax_keeps_nothing_where_it_can_not_be(
-    no_folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_jax_keeps_nothing_where_it_can_not_be(no_folder, monkeypatch):
     (no_folder / "file").touch()
     for value in ("off", "0", str(no_folder / "file" / "cache")):
         monkeypatch.setenv("SMOOTH_OPERATOR_CACHE", value)
@@ -234,7 +226,7 @@ def test_jax_keeps_nothing_where_it_can_not_be(
             assert jax.config.jax_compilation_cache_dir is None
 
 
-def test_a_damaged_cache_is_emptied_and_other_warnings_pass(no_folder: Path) -> None:
+def test_a_damaged_cache_is_emptied_and_other_warnings_pass(no_folder):
     with cache.jax_cache():
         used = Path(jax.config.jax_compilation_cache_dir)
     (used / "jit-cache").touch()
@@ -248,7 +240,7 @@ def test_a_damaged_cache_is_emptied_and_other_warnings_pass(no_folder: Path) -> 
     assert not (used / "jit-cache").exists()
 
 
-def test_machine_code_is_kept_by_jax_in_a_folder_of_its_own(no_folder: Path) -> None:
+def test_machine_code_is_kept_by_jax_in_a_folder_of_its_own(no_folder):
     call(program([]))
     assert jax.config.jax_compilation_cache_dir is None
     written = {file: file.stat().st_mtime_ns for file in no_folder.rglob("*-cache")}
@@ -257,9 +249,7 @@ def test_machine_code_is_kept_by_jax_in_a_folder_of_its_own(no_folder: Path) -> 
     assert written == {f: f.stat().st_mtime_ns for f in no_folder.rglob("*-cache")}
 
 
-def test_a_state_that_comes_back_compiles_nothing(
-    folder: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_state_that_comes_back_compiles_nothing(folder, caplog):
     """The first frame's state is of NumPy, the next one's of JAX."""
     retargeter = Retargeter("mimic_p050", method="joint_angle")
     retargeter.warm_up()

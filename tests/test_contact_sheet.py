@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -40,7 +38,7 @@ def panel(human: np.ndarray, name: str = "a", side: str = "right", methods: str 
     return Panel((name, hand.name, side), hand, np.arange(len(human)) / 100.0, runs)
 
 
-def test_poses_are_found_where_they_are() -> None:
+def test_poses_are_found_where_they_are():
     human = human_hand([FLAT, FIST, *pinch_postures(0)])
     found = {pose.name: pose.frame // STILL for pose in find_poses([panel(human)])}
     assert found["flat"] == 0
@@ -50,7 +48,7 @@ def test_poses_are_found_where_they_are() -> None:
     assert all(found[name] >= 2 for name in pinches)
 
 
-def test_a_single_wrong_frame_is_no_pose_and_nan_is_none() -> None:
+def test_a_single_wrong_frame_is_no_pose_and_nan_is_none():
     human = human_hand([FLAT, FLAT])
     human[5] = human_hand([FIST])[0]
     human[0] = np.nan
@@ -59,14 +57,14 @@ def test_a_single_wrong_frame_is_no_pose_and_nan_is_none() -> None:
     assert find_poses([panel(np.full((STILL, 21, 3), np.nan))]) == []
 
 
-def test_the_best_recording_shows_a_pose() -> None:
+def test_the_best_recording_shows_a_pose():
     flat, fist = panel(human_hand([FLAT]), "flat"), panel(human_hand([FIST]), "fist")
     shown = {pose.name: pose.panel.key[0] for pose in find_poses([fist, flat])}
     assert shown["flat"] == "flat"
     assert shown["fist"] == "fist"
 
 
-def test_the_nearer_surface_hides_the_other() -> None:
+def test_the_nearer_surface_hides_the_other():
     square = np.array([[[-1, -1, 0], [1, -1, 0], [1, 1, 0]], [[-1, -1, 0], [1, 1, 0], [-1, 1, 0]]])
     near, far = square * 0.5 + [0, 0, 1], square * 1.0
     colors = np.repeat(np.array([[200, 0, 0], [0, 0, 200]], np.uint8), 2, axis=0)
@@ -83,7 +81,7 @@ def test_the_nearer_surface_hides_the_other() -> None:
     assert behind[25, 25, 2] > 100  # from the other side the large one is in front
 
 
-def test_a_rod_is_closed_and_as_thick_as_asked() -> None:
+def test_a_rod_is_closed_and_as_thick_as_asked():
     start, end = np.array([0.0, 0, 0]), np.array([0.0, 0.03, 0.04])
     corners = rod(start, end, 0.005).reshape(-1, 3)
     axis = (end - start) / 0.05
@@ -94,7 +92,7 @@ def test_a_rod_is_closed_and_as_thick_as_asked() -> None:
 
 
 @pytest.mark.parametrize("side", ["right", "left"])
-def test_the_second_view_is_from_the_thumbs_side(side: str) -> None:
+def test_the_second_view_is_from_the_thumbs_side(side):
     hand = load_hand("shadow_hand", side)
     view = view_basis(hand)
     turned = from_thumb(view, hand.spec.side)
@@ -103,7 +101,7 @@ def test_the_second_view_is_from_the_thumbs_side(side: str) -> None:
     assert turned[2] @ (at["index_mcp"] - at["pinky_mcp"]) > 0.02
 
 
-def test_a_human_hand_stands_upright_with_its_palm_in_sight() -> None:
+def test_a_human_hand_stands_upright_with_its_palm_in_sight():
     points = human_hand([FLAT])[0]
     for side, hand in (("right", points), ("left", points * [-1, 1, 1])):
         palm = HandPicture.of_human(hand, side).views[0]  # type: ignore[arg-type]
@@ -113,7 +111,7 @@ def test_a_human_hand_stands_upright_with_its_palm_in_sight() -> None:
     assert len(landmark_surface(np.full((21, 3), np.nan)).triangles) == 0
 
 
-def test_a_sheet_has_a_row_a_pose_and_a_column_a_method(tmp_path: Path) -> None:
+def test_a_sheet_has_a_row_a_pose_and_a_column_a_method(tmp_path):
     human = human_hand([FLAT, FIST])
     first, second = panel(human[:STILL], "one", methods="mn"), panel(human[STILL:], "two")
     shapes: list[str] = []
@@ -123,7 +121,6 @@ def test_a_sheet_has_a_row_a_pose_and_a_column_a_method(tmp_path: Path) -> None:
         return ModelShape(hand)
 
     sheet = contact_sheet([first, second], shape, ("fist", "flat"))
-    assert sheet is not None
     assert shapes == ["shadow_hand"]
     pixels = np.asarray(sheet)
     ink = (pixels < 250).any(axis=-1)

@@ -17,7 +17,6 @@ import pytest
 from made_hands import hand_points
 from mcap.writer import Writer
 
-from smooth_operator.cli import main
 from smooth_operator.episode_files.lerobot import write_dataset
 from smooth_operator.episode_files.lerobot.tables import column_statistics, joint_statistics
 from smooth_operator.errors import (
@@ -142,14 +141,11 @@ def write(folder: Path, value: Episode, to: Format) -> Path:
 
 
 @pytest.fixture
-def run(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Run:
+def run(run) -> Run:
     """``smooth-operator convert`` in this process: exit status and standard error."""
-    monkeypatch.delenv("SMOOTH_OPERATOR_DEBUG", raising=False)
 
     def call(*arguments: object) -> tuple[int, str]:
-        capfd.readouterr()
-        status = main(["convert", *(str(argument) for argument in arguments)])
-        out, err = capfd.readouterr()
+        status, out, err = run("convert", *arguments)
         assert out == ""
         return status, err
 
@@ -162,9 +158,7 @@ def run(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> R
 @pytest.mark.parametrize("to", NAMES)
 @pytest.mark.parametrize("origin", NAMES)
 @pytest.mark.parametrize(("side", "rich"), [("right", False), ("left", True)])
-def test_every_pair_of_formats(
-    tmp_path: Path, origin: Format, to: Format, side: Side, rich: bool
-) -> None:
+def test_every_pair_of_formats(tmp_path, origin, to, side, rich):
     value = episode(side=side, rich=rich)
     (tmp_path / "1").mkdir()
     (tmp_path / "2").mkdir()
@@ -176,13 +170,13 @@ def test_every_pair_of_formats(
 
 @pytest.mark.parametrize("to", NAMES)
 @pytest.mark.parametrize("parts", ["hand", "commands"])
-def test_either_part_alone(tmp_path: Path, to: Format, parts: str) -> None:
+def test_either_part_alone(tmp_path, to, parts):
     value = episode(parts=parts)
     assert_same(value, read_episode(write(tmp_path, value, to)))
 
 
 @pytest.mark.parametrize("to", NAMES)
-def test_one_frame_one_joint_one_stage(tmp_path: Path, to: Format) -> None:
+def test_one_frame_one_joint_one_stage(tmp_path, to):
     value = episode().sliced(slice(0, 1))
     commands = replace(
         value.commands,
@@ -201,7 +195,7 @@ def test_one_frame_one_joint_one_stage(tmp_path: Path, to: Format) -> None:
 
 
 @pytest.mark.parametrize("to", NAMES)
-def test_commands_for_some_frames(tmp_path: Path, to: Format) -> None:
+def test_commands_for_some_frames(tmp_path, to):
     value = episode()
     assert value.commands is not None
     kept = np.array([2, 3, 9, 30])
@@ -218,7 +212,7 @@ def test_commands_for_some_frames(tmp_path: Path, to: Format) -> None:
 
 
 @pytest.mark.parametrize("to", ["mcap", "npz", "hdf5"])
-def test_commands_on_a_clock_of_their_own(tmp_path: Path, to: Format) -> None:
+def test_commands_on_a_clock_of_their_own(tmp_path, to):
     value = episode()
     stamps = value.commands.stamps.copy()
     stamps[10:12] = stamps[9]  # a loop faster than the tracker answers a frame more than once
@@ -233,7 +227,7 @@ def test_commands_on_a_clock_of_their_own(tmp_path: Path, to: Format) -> None:
     assert not (tmp_path / "d").exists()
 
 
-def test_held_commands_of_a_live_loop_are_no_rows_of_a_dataset(tmp_path: Path) -> None:
+def test_held_commands_of_a_live_loop_are_no_rows_of_a_dataset(tmp_path):
     value = episode()
     stamps = value.commands.stamps.copy()
     stamps[20:23] += 0.001  # the tracker was silent
@@ -249,7 +243,7 @@ def test_held_commands_of_a_live_loop_are_no_rows_of_a_dataset(tmp_path: Path) -
     assert back.answered().tolist() == kept.tolist()
 
 
-def test_infinities_in_a_log_are_said(tmp_path: Path, run: Run) -> None:
+def test_infinities_in_a_log_are_said(tmp_path, run):
     value = episode()
     value.commands.joint_positions[4, 1] = np.inf
     write_episode(tmp_path / "a.h5", value)
@@ -262,7 +256,7 @@ def test_infinities_in_a_log_are_said(tmp_path: Path, run: Run) -> None:
 # --- the formats as others see them ----------------------------------------------------------
 
 
-def test_npz_is_what_the_other_commands_read(tmp_path: Path) -> None:
+def test_npz_is_what_the_other_commands_read(tmp_path):
     value = episode(side="left")
     path = write(tmp_path, value, "npz")
     back = read_recording(path)
@@ -276,7 +270,7 @@ def test_npz_is_what_the_other_commands_read(tmp_path: Path) -> None:
         assert "landmark_timestamps" not in arrays
 
 
-def test_arrays_of_other_forms_beside_landmarks_are_left_alone(tmp_path: Path) -> None:
+def test_arrays_of_other_forms_beside_landmarks_are_left_alone(tmp_path):
     points = hand(side="left").landmarks
     path = tmp_path / "a.npz"
     odd = {"valid": np.ones(FRAMES), "orientations": np.ones((FRAMES, 21, 3, 3))}
@@ -288,9 +282,7 @@ def test_arrays_of_other_forms_beside_landmarks_are_left_alone(tmp_path: Path) -
 
 
 @pytest.mark.parametrize("stamps", [(0.0, 0.1, 0.1), (0.2, 0.3, 0.1)])
-def test_a_log_whose_stamps_do_not_increase_is_refused(
-    tmp_path: Path, stamps: tuple[float, ...]
-) -> None:
+def test_a_log_whose_stamps_do_not_increase_is_refused(tmp_path, stamps):
     landmarks = SyntheticOperator(seed=1).record(1.0).landmarks
     with LogWriter(tmp_path / "a.mcap") as log:
         for stamp, points in zip(stamps, landmarks, strict=False):
@@ -300,7 +292,7 @@ def test_a_log_whose_stamps_do_not_increase_is_refused(
         read_episode(tmp_path / "a.mcap")
 
 
-def test_hdf5_as_it_is_documented(tmp_path: Path) -> None:
+def test_hdf5_as_it_is_documented(tmp_path):
     value = episode()
     assert value.commands is not None
     with h5py.File(write(tmp_path, value, "hdf5")) as file:
@@ -331,7 +323,7 @@ def test_hdf5_as_it_is_documented(tmp_path: Path) -> None:
     }
 
 
-def test_hdf5_of_others_needs_the_documented_arrays_only(tmp_path: Path) -> None:
+def test_hdf5_of_others_needs_the_documented_arrays_only(tmp_path):
     path = tmp_path / "other.h5"
     with h5py.File(path, "w") as file:
         file["hand/landmarks"] = hand().landmarks.astype(np.float32)
@@ -347,7 +339,7 @@ def test_hdf5_of_others_needs_the_documented_arrays_only(tmp_path: Path) -> None
         read_episode(path, rate=50.0)
 
 
-def test_dataset_read_with_pyarrow_alone(tmp_path: Path) -> None:
+def test_dataset_read_with_pyarrow_alone(tmp_path):
     """Against the layout of LeRobot v3.0, which its loader reads by these names and types."""
     values = [episode(name="a"), episode(name="b", seed=1, rich=False)]
     root = tmp_path / "set"
@@ -427,7 +419,7 @@ def test_dataset_read_with_pyarrow_alone(tmp_path: Path) -> None:
     )
 
 
-def test_dataset_in_several_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_dataset_in_several_files(tmp_path, monkeypatch):
     monkeypatch.setattr("smooth_operator.episode_files.lerobot.writer.FILE_MB", 0)
     monkeypatch.setattr("smooth_operator.episode_files.lerobot.writer.FILES_A_CHUNK", 2)
     monkeypatch.setattr("smooth_operator.episode_files.lerobot.writer._KEPT_BYTES", 0)
@@ -444,7 +436,7 @@ def test_dataset_in_several_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         assert_same(value, read_episode(tmp_path / "d", episode=i))
 
 
-def test_dataset_whose_extra_metadata_another_tool_dropped(tmp_path: Path) -> None:
+def test_dataset_whose_extra_metadata_another_tool_dropped(tmp_path):
     value = episode(side="left")
     root = write(tmp_path, value, "lerobot")
     file = root / "meta/episodes/chunk-000/file-000.parquet"
@@ -473,7 +465,7 @@ def test_dataset_whose_extra_metadata_another_tool_dropped(tmp_path: Path) -> No
     assert "does not say of episode 0 which hand" in read_episode(root).notes[0]
 
 
-def test_a_dataset_of_another_tool_is_checked_as_other_files_are(tmp_path: Path) -> None:
+def test_a_dataset_of_another_tool_is_checked_as_other_files_are(tmp_path):
     landmarks = SyntheticOperator(seed=3).record(0.5).landmarks
 
     def read(points: np.ndarray, side: Side, name: str, **asked: Any) -> HandRecording:
@@ -501,7 +493,7 @@ def test_a_dataset_of_another_tool_is_checked_as_other_files_are(tmp_path: Path)
     np.testing.assert_array_equal(back.landmarks, landmarks)
 
 
-def test_statistics_leave_out_what_is_missing() -> None:
+def test_statistics_leave_out_what_is_missing():
     rng = np.random.default_rng(0)
     values = rng.normal(size=(50, 3))
     values[:20, 1] = np.nan
@@ -537,7 +529,7 @@ def results(path: Path, value: Episode) -> Path:
 
 
 @pytest.mark.parametrize("to", NAMES)
-def test_commands_beside_a_recording(tmp_path: Path, run: Run, to: Format) -> None:
+def test_commands_beside_a_recording(tmp_path, run, to):
     value = episode(side="left")
     glove = save(tmp_path / "glove.npz", value)
     out = results(tmp_path / "out.npz", value)
@@ -550,7 +542,7 @@ def test_commands_beside_a_recording(tmp_path: Path, run: Run, to: Format) -> No
     np.testing.assert_array_equal(back.commands.status, value.commands.status)  # type: ignore[union-attr]
 
 
-def test_frames_take_their_commands_along(tmp_path: Path, run: Run) -> None:
+def test_frames_take_their_commands_along(tmp_path, run):
     value = episode()
     write_episode(tmp_path / "a.h5", value)
     assert run(tmp_path / "a.h5", "--frames", "10:25", "--output", tmp_path / "b.mcap")[0] == 0
@@ -566,7 +558,7 @@ def test_frames_take_their_commands_along(tmp_path: Path, run: Run) -> None:
     assert read_episode(tmp_path / "c.h5").answered().tolist() == list(range(10, 25))
 
 
-def test_commands_of_another_recording_are_refused(tmp_path: Path, run: Run) -> None:
+def test_commands_of_another_recording_are_refused(tmp_path, run):
     glove = save(tmp_path / "glove.npz", episode())
     out = results(tmp_path / "out.npz", episode(seed=5))
     status, err = run(glove, "--commands", out, "--output", tmp_path / "a.mcap")
@@ -579,7 +571,7 @@ def test_commands_of_another_recording_are_refused(tmp_path: Path, run: Run) -> 
     assert not (tmp_path / "a.mcap").exists()
 
 
-def test_folder_to_dataset_and_back(tmp_path: Path, run: Run) -> None:
+def test_folder_to_dataset_and_back(tmp_path, run):
     source, outcome = tmp_path / "in", tmp_path / "in" / "results"
     (source / "day 2").mkdir(parents=True)
     values = {"one": episode(seed=1), "day 2/two": episode(seed=2, side="left")}
@@ -616,7 +608,7 @@ def test_folder_to_dataset_and_back(tmp_path: Path, run: Run) -> None:
     assert made == {"one.mcap", "day 2/two.mcap", "results/one.mcap", "results/day 2/two.mcap"}
 
 
-def test_datasets_and_damaged_files_in_a_folder(tmp_path: Path, run: Run) -> None:
+def test_datasets_and_damaged_files_in_a_folder(tmp_path, run):
     source = tmp_path / "in"
     source.mkdir()
     write(source, episode(name="x y"), "lerobot")
@@ -632,7 +624,7 @@ def test_datasets_and_damaged_files_in_a_folder(tmp_path: Path, run: Run) -> Non
     assert {p.name for p in tmp_path.iterdir()} == {"in", "out"}
 
 
-def test_a_log_of_another_program_is_not_replaced(tmp_path: Path, run: Run) -> None:
+def test_a_log_of_another_program_is_not_replaced(tmp_path, run):
     path = write(tmp_path, episode(), "hdf5")
     with (tmp_path / "ros.mcap").open("wb") as stream:
         writer = Writer(stream)
@@ -655,9 +647,7 @@ def test_a_log_of_another_program_is_not_replaced(tmp_path: Path, run: Run) -> N
         ),
     ],
 )
-def test_episodes_of_a_dataset_must_be_alike(
-    tmp_path: Path, run: Run, change: Callable[[Episode], Episode], match: str
-) -> None:
+def test_episodes_of_a_dataset_must_be_alike(tmp_path, run, change, match):
     write_episode(tmp_path / "1.h5", episode(name="a"))
     write_episode(tmp_path / "2.h5", change(episode(name="b", seed=1)))
     status, err = run(tmp_path / "1.h5", tmp_path / "2.h5", "--output", tmp_path / "set")
@@ -666,7 +656,7 @@ def test_episodes_of_a_dataset_must_be_alike(
     assert {p.name for p in tmp_path.iterdir()} == {"1.h5", "2.h5"}
 
 
-def test_what_stands_there(tmp_path: Path, run: Run) -> None:
+def test_what_stands_there(tmp_path, run):
     value = episode()
     for to in NAMES:
         source = write(tmp_path, value, "hdf5" if to != "hdf5" else "mcap")
@@ -689,7 +679,7 @@ def test_what_stands_there(tmp_path: Path, run: Run) -> None:
     assert not list(tmp_path.glob(".*")), "no debris"
 
 
-def test_the_rate_is_of_those_without_stamps(tmp_path: Path, run: Run) -> None:
+def test_the_rate_is_of_those_without_stamps(tmp_path, run):
     """As for ``retarget FOLDER``: files with stamps keep theirs, the others are counted."""
     folder = tmp_path / "in"
     folder.mkdir()
@@ -707,7 +697,7 @@ def test_the_rate_is_of_those_without_stamps(tmp_path: Path, run: Run) -> None:
     assert (status, "contradict --rate 30" in err) == (2, True)
 
 
-def test_a_dataset_never_becomes_another_unasked(tmp_path: Path, run: Run) -> None:
+def test_a_dataset_never_becomes_another_unasked(tmp_path, run):
     root = write(tmp_path, episode(), "lerobot")
     status, err = run(root, "--output", tmp_path / "back")
     assert (status, "say --to npz, mcap or hdf5" in err) == (2, True)
@@ -717,7 +707,7 @@ def test_a_dataset_never_becomes_another_unasked(tmp_path: Path, run: Run) -> No
     assert (tmp_path / "again" / "meta" / "info.json").is_file()
 
 
-def test_another_order_is_converted_by_its_name(tmp_path: Path, run: Run) -> None:
+def test_another_order_is_converted_by_its_name(tmp_path, run):
     landmarks = SyntheticOperator(seed=3).record(0.5).landmarks
     points = np.empty_like(landmarks)
     points[:, LAYOUTS["mano"]] = landmarks
@@ -729,7 +719,7 @@ def test_another_order_is_converted_by_its_name(tmp_path: Path, run: Run) -> Non
     np.testing.assert_array_equal(read_recording(tmp_path / "b.npz").landmarks, landmarks)
 
 
-def test_an_input_is_never_the_output(tmp_path: Path, run: Run) -> None:
+def test_an_input_is_never_the_output(tmp_path, run):
     path = write(tmp_path, episode(), "npz")
     content = path.read_bytes()
     status, err = run(path, "--output", path, "--overwrite")
@@ -739,7 +729,7 @@ def test_an_input_is_never_the_output(tmp_path: Path, run: Run) -> None:
     assert path.read_bytes() == content
 
 
-def test_foreign_configuration_beside_an_npz(tmp_path: Path, run: Run) -> None:
+def test_foreign_configuration_beside_an_npz(tmp_path, run):
     path = write(tmp_path, episode(), "hdf5")
     (tmp_path / "out.json").write_text("{}")
     status, err = run(path, "--output", tmp_path / "out.npz", "--overwrite")
@@ -748,9 +738,7 @@ def test_foreign_configuration_beside_an_npz(tmp_path: Path, run: Run) -> None:
 
 
 @pytest.mark.parametrize("to", NAMES)
-def test_a_failure_on_the_way_leaves_what_was_there(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, to: Format
-) -> None:
+def test_a_failure_on_the_way_leaves_what_was_there(tmp_path, monkeypatch, to):
     former = episode(seed=3)
     path = write(tmp_path, former, to)
     names = {p.name for p in tmp_path.iterdir()}
@@ -774,7 +762,7 @@ def test_a_failure_on_the_way_leaves_what_was_there(
     assert_same(former, read_episode(path))
 
 
-def test_outputs_that_make_no_sense(tmp_path: Path, run: Run) -> None:
+def test_outputs_that_make_no_sense(tmp_path, run):
     a, b = tmp_path / "a.h5", tmp_path / "b.mcap"
     write_episode(a, episode(name="a"))
     write_episode(b, episode(name="b"))
@@ -809,9 +797,7 @@ def test_outputs_that_make_no_sense(tmp_path: Path, run: Run) -> None:
 @pytest.mark.parametrize(
     ("module", "name", "extra"), [("h5py", "e.h5", "hdf5"), ("pyarrow", "e", "lerobot")]
 )
-def test_missing_extras(
-    tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch, module: str, name: str, extra: str
-) -> None:
+def test_missing_extras(tmp_path, run, monkeypatch, module, name, extra):
     path = write(tmp_path, episode(), "hdf5" if extra == "hdf5" else "lerobot")
     log = write(tmp_path, episode(), "mcap")
     for loaded in [m for m in sys.modules if m.split(".")[0] == module]:
@@ -826,7 +812,7 @@ def test_missing_extras(
     assert not (tmp_path / f"new{path.suffix}").exists()
 
 
-def test_damaged_hdf5(tmp_path: Path) -> None:
+def test_damaged_hdf5(tmp_path):
     content = write(tmp_path, episode(), "hdf5").read_bytes()
     path = tmp_path / "cut.h5"
     rng = np.random.default_rng(2)
@@ -863,7 +849,7 @@ def test_damaged_hdf5(tmp_path: Path) -> None:
         ("configuration", "[]", "must be a JSON object"),
     ],
 )
-def test_wrong_hdf5(tmp_path: Path, key: str, value: Any, match: str) -> None:
+def test_wrong_hdf5(tmp_path, key, value, match):
     path = write(tmp_path, episode(), "hdf5")
     with h5py.File(path, "r+") as file:
         labels = file["commands/status"].attrs["status_names"]
@@ -876,7 +862,7 @@ def test_wrong_hdf5(tmp_path: Path, key: str, value: Any, match: str) -> None:
         read_episode(path)
 
 
-def test_hdf5_of_another_program_or_time(tmp_path: Path) -> None:
+def test_hdf5_of_another_program_or_time(tmp_path):
     path = tmp_path / "a.h5"
     with h5py.File(path, "w") as file:
         file["observations/qpos"] = np.zeros((3, 7))
@@ -947,16 +933,14 @@ ROWS = "meta/episodes/chunk-000/file-000.parquet"
         ),
     ],
 )
-def test_wrong_datasets(
-    tmp_path: Path, name: str, change: Callable[[Path], object], match: str
-) -> None:
+def test_wrong_datasets(tmp_path, name, change, match):
     root = write(tmp_path, episode(), "lerobot")
     change(root / name)
     with pytest.raises(RecordingError, match=match):
         read_episode(root)
 
 
-def test_read_recording_names_the_way_out_of_a_dataset(tmp_path: Path) -> None:
+def test_read_recording_names_the_way_out_of_a_dataset(tmp_path):
     root = write(tmp_path, episode(), "lerobot")
     with pytest.raises(RecordingError, match="LeRobot dataset; convert an episode of it first"):
         read_recording(root)
@@ -964,7 +948,7 @@ def test_read_recording_names_the_way_out_of_a_dataset(tmp_path: Path) -> None:
         read_recording(root / DATA)
 
 
-def test_cut_off_log_is_converted_and_said(tmp_path: Path, run: Run) -> None:
+def test_cut_off_log_is_converted_and_said(tmp_path, run):
     path = write(tmp_path, episode(), "mcap")
     path.write_bytes(path.read_bytes()[:-200])
     status, err = run(path, "--output", tmp_path / "a.h5", "--quiet")
@@ -984,9 +968,7 @@ def test_cut_off_log_is_converted_and_said(tmp_path: Path, run: Run) -> None:
         (lambda c: replace(c, status=np.full(40, 9)), "status .9. is not one of"),
     ],
 )
-def test_commands_that_do_not_fit(
-    change: Callable[[CommandTrajectory], CommandTrajectory], match: str
-) -> None:
+def test_commands_that_do_not_fit(change, match):
     value = episode()
     assert value.commands is not None
     with pytest.raises(RecordingError, match=match):
@@ -998,7 +980,7 @@ def test_commands_that_do_not_fit(
 
 
 @pytest.mark.shared
-def test_real_recording_round_the_house(shared: Path, tmp_path: Path, run: Run) -> None:
+def test_real_recording_round_the_house(shared, tmp_path, run):
     glove = shared / "recordings" / "manus_right_subject-000_run-010.npz"
     first = read_episode(glove).sliced(slice(2600, 2900))
     steps = ["a.mcap", "b.h5", "c", "d.npz"]

@@ -29,13 +29,13 @@ OPTIONS = ReadingOptions()
 
 
 @pytest.fixture(autouse=True)
-def no_pages(monkeypatch: pytest.MonkeyPatch) -> None:
+def no_pages(monkeypatch) -> None:
     """No page of a report is drawn: ``test_dataset_pipeline.py`` looks at them."""
     monkeypatch.setattr(writing, "write_report", lambda *_: None)
 
 
 @pytest.fixture
-def source(tmp_path: Path) -> Path:
+def source(tmp_path) -> Path:
     return made_clips.write(tmp_path / "hands.made.json", 10, (0.3, 1.0), lost=0.5)
 
 
@@ -71,12 +71,8 @@ def digests(output: Path) -> dict[str, str]:
      pytest.param("webdataset", (0, 2), marks=pytest.mark.weekly)],
 )  # fmt: skip
 def test_workers_write_the_parts_of_a_large_data_set(
-    tmp_path: Path,
-    source: Path,
-    format: str,
-    workers: tuple[int, ...],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    tmp_path, source, format, workers, monkeypatch
+):
     pytest.importorskip("pyarrow", reason=NEEDS_ARROW)
     options: dict[str, Any] = {"format": format, "pack": format == "parquet"}
     whole = make_dataset(request(source, tmp_path / "whole", **options))
@@ -95,9 +91,7 @@ def test_workers_write_the_parts_of_a_large_data_set(
     assert lines[0] == lines[1]
 
 
-def test_a_run_that_is_killed_while_it_writes_goes_on(
-    tmp_path: Path, source: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_that_is_killed_while_it_writes_goes_on(tmp_path, source, monkeypatch):
     pytest.importorskip("pyarrow", reason=NEEDS_ARROW)
 
     class Stop(Progress):
@@ -116,7 +110,7 @@ def test_a_run_that_is_killed_while_it_writes_goes_on(
     assert first.stat().st_mtime_ns == before  # what is whole is not written again
 
 
-def test_a_file_that_hangs_its_reader_ends_its_worker_and_is_reported(tmp_path: Path) -> None:
+def test_a_file_that_hangs_its_reader_ends_its_worker_and_is_reported(tmp_path):
     pytest.importorskip("pyarrow", reason=NEEDS_ARROW)
     source = made_clips.write(tmp_path / "hands.made.json", 4, (0.3, 0.5))
     options = {"pack": True, "layout": "hanging_clips:CLIPS", "workers": 1}
@@ -128,7 +122,7 @@ def test_a_file_that_hangs_its_reader_ends_its_worker_and_is_reported(tmp_path: 
     assert "exit status 1" in reason
 
 
-def test_packed_clips_are_read_as_they_were(tmp_path: Path, source: Path) -> None:
+def test_packed_clips_are_read_as_they_were(tmp_path, source):
     pytest.importorskip("pyarrow", reason=NEEDS_ARROW)
     make_dataset(request(source, tmp_path, pack=True))
     packed = items(tmp_path / "dataset" / "data", None)
@@ -143,14 +137,13 @@ def test_packed_clips_are_read_as_they_were(tmp_path: Path, source: Path) -> Non
         for side, hand in want.hands.items():
             own = found.hands[side]
             np.testing.assert_array_equal(own.landmarks, hand.landmarks.astype(np.float32))
-            assert own.T_world_wrist is not None
             assert hand.T_world_wrist is not None
             np.testing.assert_allclose(own.T_world_wrist, hand.T_world_wrist, atol=1e-6)
             np.testing.assert_array_equal(found.confidence[side], want.confidence[side])
         assert found.meta == want.meta
 
 
-def test_episodes_of_the_pipeline_are_those_of_the_class_for_map_batches(tmp_path: Path) -> None:
+def test_episodes_of_the_pipeline_are_those_of_the_class_for_map_batches(tmp_path):
     pa = pytest.importorskip("pyarrow", reason=NEEDS_ARROW)
     pq = pytest.importorskip("pyarrow.parquet")
     from smooth_operator.lab.datasets.map_batches import RetargetClips
@@ -217,9 +210,7 @@ FATAL = Fatal()
 
 
 @pytest.mark.weekly
-def test_on_ray_a_killed_worker_loses_nothing(
-    tmp_path: Path, source: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_on_ray_a_killed_worker_loses_nothing(tmp_path, source, monkeypatch):
     pytest.importorskip("ray.data", reason="needs ray: in the clone, pip install '.[cluster]'")
     monkeypatch.setattr(writing, "PART_FRAMES", 60)
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(sys.path))

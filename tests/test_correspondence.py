@@ -23,19 +23,14 @@ from smooth_operator.human.alignment import (
 )
 from smooth_operator.human.correspondence import Correspondence, CorrespondenceConfig
 from smooth_operator.landmarks import BASES, TIPS
-from smooth_operator.methods.presets import SBR_REALTIME
 from smooth_operator.methods.retargeter import Retargeter
+from smooth_operator.methods.sbr import SBR_REALTIME
 from smooth_operator.metrics import evaluate
 from smooth_operator.metrics.assemble import assemble_trace
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.synthetic.robot_landmarks import human_landmarks
 
 DT = jnp.float32(1 / 60)
-
-
-@pytest.fixture(scope="module")
-def hand() -> Hand:
-    return load_hand()
 
 
 def operator_of(hand: Hand, size: float = 0.6) -> np.ndarray:
@@ -70,7 +65,7 @@ def follow(
     return lengths, np.stack(places)
 
 
-def test_the_robots_own_hand_of_another_size_stays_where_it_is(hand: Hand) -> None:
+def test_the_robots_own_hand_of_another_size_stays_where_it_is(hand):
     frames = np.tile(operator_of(hand), (5, 1, 1))
     far_apart = CorrespondenceConfig(near=0.0, far=1e-4, thumb_follows=0.0)
     correspondence = Correspondence(hand, far_apart)
@@ -82,7 +77,7 @@ def test_the_robots_own_hand_of_another_size_stays_where_it_is(hand: Hand) -> No
     np.testing.assert_allclose(places[-1], expected[list(BASES)] + gains[:, None] * rays, atol=2e-4)
 
 
-def test_the_robots_own_landmarks_stay_where_they_are(hand: Hand) -> None:
+def test_the_robots_own_landmarks_stay_where_they_are(hand):
     """An operator with the robot's own bones is followed: the thumb's length is that of its bones,
     not that of the straight thumb, which is 7 % more."""
     rng = np.random.default_rng(0)
@@ -97,7 +92,7 @@ def test_the_robots_own_landmarks_stay_where_they_are(hand: Hand) -> None:
         assert off.mean() < 2.5e-3
 
 
-def test_lengths_settle_and_hold(hand: Hand) -> None:
+def test_lengths_settle_and_hold(hand):
     rng = np.random.default_rng(0)
     base = operator_of(hand)
     noisy = base + 1e-3 * rng.standard_normal((240, 21, 3)).astype(np.float32)
@@ -107,7 +102,7 @@ def test_lengths_settle_and_hold(hand: Hand) -> None:
     np.testing.assert_allclose(lengths[-1], bones, rtol=0.03)
 
 
-def test_another_operator_after_a_gap_is_measured_again(hand: Hand) -> None:
+def test_another_operator_after_a_gap_is_measured_again(hand):
     frames = np.concatenate([np.tile(operator_of(hand, size), (90, 1, 1)) for size in (0.6, 0.8)])
     correspondence = Correspondence(hand, CorrespondenceConfig())
     new, _ = follow(correspondence, np.tile(operator_of(hand, 0.8), (3, 1, 1)))
@@ -115,7 +110,7 @@ def test_another_operator_after_a_gap_is_measured_again(hand: Hand) -> None:
     np.testing.assert_allclose(after_gap[90], new[-1], rtol=1e-5)
 
 
-def test_unknown_landmarks_leave_the_lengths(hand: Hand) -> None:
+def test_unknown_landmarks_leave_the_lengths(hand):
     frames = np.tile(operator_of(hand), (20, 1, 1))
     frames[10:, 6] = np.nan  # a joint of the index finger, not its tip
     lengths, places = follow(Correspondence(hand, CorrespondenceConfig()), frames)
@@ -133,7 +128,7 @@ def pinch(hand: Hand, count: int = 400) -> np.ndarray:
     return frames
 
 
-def test_a_pinch_closes_and_has_no_jump(hand: Hand) -> None:
+def test_a_pinch_closes_and_has_no_jump(hand):
     calm = CorrespondenceConfig(faster=100.0)
     _, places = follow(Correspondence(hand, calm), pinch(hand))
     moving = places[210:]
@@ -145,7 +140,7 @@ def test_a_pinch_closes_and_has_no_jump(hand: Hand) -> None:
     assert closed < 5e-4
 
 
-def test_places_are_not_much_faster_than_the_human(hand: Hand) -> None:
+def test_places_are_not_much_faster_than_the_human(hand):
     config = CorrespondenceConfig(faster=0.1)
     frames = pinch(hand, 40)
     _, places = follow(Correspondence(hand, config), frames)
@@ -154,7 +149,7 @@ def test_places_are_not_much_faster_than_the_human(hand: Hand) -> None:
     assert (robot - human).max() < 0.1 * float(DT) + 1e-5
 
 
-def test_no_share_is_the_palms_alignment(hand: Hand) -> None:
+def test_no_share_is_the_palms_alignment(hand):
     config = replace(CorrespondenceConfig(), share=0.0)
     frames = pinch(hand, 40)
     _, places = follow(Correspondence(hand, config), frames)
@@ -162,12 +157,12 @@ def test_no_share_is_the_palms_alignment(hand: Hand) -> None:
 
 
 @pytest.mark.parametrize("setting", [{"near": 0.09}, {"share": 1.5}, {"far": -1.0}])
-def test_impossible_settings_are_refused(setting: dict[str, float]) -> None:
+def test_impossible_settings_are_refused(setting):
     with pytest.raises(ConfigError):
         CorrespondenceConfig(**setting)
 
 
-def test_sbr_takes_the_places_of_fingertips(hand: Hand) -> None:
+def test_sbr_takes_the_places_of_fingertips(hand):
     """Fingers as straight as the human's, with the objective of ``sbr`` as it is."""
     recording = SyntheticOperator(rate_hz=60.0).record(3.0)
     errors = []
@@ -179,7 +174,7 @@ def test_sbr_takes_the_places_of_fingertips(hand: Hand) -> None:
     assert errors[1] < 0.7 * errors[0]
 
 
-def test_without_tilt_a_flat_hand_is_flat(hand: Hand) -> None:
+def test_without_tilt_a_flat_hand_is_flat(hand):
     flat = np.asarray(palm_alignment(FLAT_HAND, hand).apply(FLAT_HAND), np.float32)
     directions = {}
     for tilt in (0.0, 1.0):
@@ -198,6 +193,6 @@ def test_without_tilt_a_flat_hand_is_flat(hand: Hand) -> None:
 
 
 @pytest.mark.parametrize("side", ["right", "left"])
-def test_the_tilt_of_palms(side: str) -> None:
+def test_the_tilt_of_palms(side):
     tilts = {name: palm_tilt_deg(load_hand(name, side)) for name in ("mimic_p050", "shadow_hand")}
     assert tilts == pytest.approx({"mimic_p050": 37.0, "shadow_hand": 1.1}, abs=1.0)

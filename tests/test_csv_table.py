@@ -29,7 +29,7 @@ def cells(text: str) -> list[list[str]]:
 
 
 @given(st.lists(st.one_of(st.text(), st.sampled_from(FORMULAS)), min_size=1, max_size=3))
-def test_any_text_reads_back_and_none_is_a_formula(values: list[str]) -> None:
+def test_any_text_reads_back_and_none_is_a_formula(values):
     columns = [f"c{k}" for k in range(len(values))] + ["last"]
     text = csv_text(columns, [dict(zip(columns, [*values, "end"], strict=True))])
     header, row = cells(text)
@@ -38,16 +38,16 @@ def test_any_text_reads_back_and_none_is_a_formula(values: list[str]) -> None:
     assert all(SAFE.match(cell) for cell in row)
 
 
-def test_numbers_stay_numbers() -> None:
+def test_numbers_stay_numbers():
     values = {"a": -1.5, "b": 3, "c": "-2.5e-07", "d": None, "e": float("-inf")}
     assert cells(csv_text(list(values), [values]))[1] == ["-1.5", "3", "-2.5e-07", "", "-inf"]
 
 
-def test_headers_are_cells_too() -> None:
+def test_headers_are_cells_too():
     assert cells(csv_text(["=1+1"], []))[0] == ["'=1+1"]
 
 
-def test_no_table_of_an_analysis_holds_a_formula(tmp_path: Path) -> None:
+def test_no_table_of_an_analysis_holds_a_formula(tmp_path):
     case = simulate(3, operators=range(6))
     codes = {f"P{k:02d}": name for k, name in enumerate(FORMULAS)}
     for rows, name in ((case.trials, "trials.csv"), (case.tlx, "tlx.csv")):
@@ -66,7 +66,7 @@ def test_no_table_of_an_analysis_holds_a_formula(tmp_path: Path) -> None:
     assert {plain_cell(row[header.index("operator")]) for row in rows} == set(FORMULAS)
 
 
-def test_there_is_one_writer() -> None:
+def test_there_is_one_writer():
     root = Path(smooth_operator.__file__).parent
     writing = re.compile(r"csv\.(writer|DictWriter)|from csv import|to_csv|savetxt")
     files = [file.name for file in root.rglob("*.py") if writing.search(file.read_text("utf-8"))]
@@ -74,5 +74,5 @@ def test_there_is_one_writer() -> None:
 
 
 @pytest.mark.parametrize("text", ["'quoted'", "it's", "", "'", "plain"])
-def test_other_apostrophes_stay(text: str) -> None:
+def test_other_apostrophes_stay(text):
     assert plain_cell(text) == text

@@ -52,13 +52,13 @@ pytestmark = pytest.mark.usefixtures("compiled_once")
 
 
 @pytest.fixture(autouse=True)
-def _without_plots(whole: tuple[Path, Summary], monkeypatch: pytest.MonkeyPatch) -> None:
+def _without_plots(whole, monkeypatch) -> None:
     """Drawing takes longer than all else; the first run has drawn."""
     monkeypatch.setattr("smooth_operator.lab.datasets.report._histograms", lambda *_: None)
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory) -> Path:
     """Four clips of two hands: b with a gap of the right hand and one of both, c with a task."""
     at = tmp_path_factory.mktemp("data") / "clips"
     for seed, (name, frames) in enumerate(FRAMES.items()):
@@ -111,7 +111,7 @@ def lines(output: Path) -> dict[str, dict[str, Any]]:
 
 
 @pytest.fixture(scope="module")
-def whole(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Summary]:
+def whole(folder, tmp_path_factory) -> tuple[Path, Summary]:
     """One process, undisturbed."""
     output = tmp_path_factory.mktemp("whole") / "out"
     return output, make_dataset(request(folder, output))
@@ -129,7 +129,7 @@ def finished(output: Path) -> dict[str, RobotClip]:
 # What is in an episode.
 
 
-def test_both_hands_are_those_of_the_library(folder: Path, whole: tuple[Path, Summary]) -> None:
+def test_both_hands_are_those_of_the_library(folder, whole):
     clips = finished(whole[0])
     assert clips.keys() == FRAMES.keys()
     for side in SIDES:
@@ -154,7 +154,7 @@ def test_both_hands_are_those_of_the_library(folder: Path, whole: tuple[Path, Su
     assert clips["deep/c"].clip.task == "pour tea"
 
 
-def test_episodes_are_cut_where_no_hand_is_seen(whole: tuple[Path, Summary]) -> None:
+def test_episodes_are_cut_where_no_hand_is_seen(whole):
     output, summary = whole
     found = lines(output)
     kept = {name: line["frames"] for name, line in found.items() if line["kept"]}
@@ -197,16 +197,13 @@ if __name__ == "__main__":
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGKILL")
-def test_a_killed_run_is_resumed(
-    folder: Path, whole: tuple[Path, Summary], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_killed_run_is_resumed(folder, whole, tmp_path, monkeypatch):
     monkeypatch.setattr("smooth_operator.lab.datasets.pipeline._FEW_ITEMS", 1)
     output, script = tmp_path / "out", tmp_path / "run.py"
     text = "import smooth_operator.lab.datasets.pipeline as pipeline\npipeline._FEW_ITEMS = 1\n"
     script.write_text(text + RUN, encoding="utf-8")
     words = [sys.executable, str(script), str(Path(__file__).parent), str(folder), str(output)]
     with subprocess.Popen(words, stdout=subprocess.PIPE) as process:
-        assert process.stdout is not None
         assert process.stdout.readline()  # one pack is there, and then
         process.kill()
     packs = list((output / "work").rglob("pack-*.zip"))
@@ -219,9 +216,7 @@ def test_a_killed_run_is_resumed(
     assert not list(output.rglob("*.tmp"))
 
 
-def test_shares_together_are_the_whole(
-    folder: Path, whole: tuple[Path, Summary], tmp_path: Path
-) -> None:
+def test_shares_together_are_the_whole(folder, whole, tmp_path):
     output = tmp_path / "out"
     done = [make_dataset(request(folder, output, shard=(i, 3))) for i in (1, 2)]
     assert not (output / "dataset").exists()
@@ -235,7 +230,7 @@ def test_shares_together_are_the_whole(
 
 
 @pytest.fixture
-def copy(folder: Path, whole: tuple[Path, Summary], tmp_path: Path) -> tuple[Path, Path]:
+def copy(folder, whole, tmp_path) -> tuple[Path, Path]:
     """Clips and finished results, to be changed."""
     shutil.copytree(folder, tmp_path / "clips")
     for pack in (whole[0] / "work").rglob("pack-*.zip"):
@@ -248,7 +243,7 @@ def copy(folder: Path, whole: tuple[Path, Summary], tmp_path: Path) -> tuple[Pat
     return tmp_path / "clips", tmp_path / "out"
 
 
-def test_lerobot_has_no_columns_of_what_no_clip_has(copy: tuple[Path, Path]) -> None:
+def test_lerobot_has_no_columns_of_what_no_clip_has(copy):
     sources, out = copy
     make_dataset(replace(request(sources, out), format="lerobot"))
     info = json.loads((out / "dataset" / "meta" / "info.json").read_text(encoding="utf-8"))
@@ -256,7 +251,7 @@ def test_lerobot_has_no_columns_of_what_no_clip_has(copy: tuple[Path, Path]) -> 
     assert not [name for name in info["features"] if "camera" in name or "object" in name]
 
 
-def test_other_limits_retarget_nothing(copy: tuple[Path, Path]) -> None:
+def test_other_limits_retarget_nothing(copy):
     folder, output = copy
     before, count = contents(output), Counting()
     summary = make_dataset(request(folder, output, limits=NO_LIMITS), count)
@@ -267,7 +262,7 @@ def test_other_limits_retarget_nothing(copy: tuple[Path, Path]) -> None:
     assert contents(output) == before
 
 
-def test_only_what_changed_is_done_again(copy: tuple[Path, Path]) -> None:
+def test_only_what_changed_is_done_again(copy):
     folder, output = copy
     os.utime(folder / "a.pair.npz")  # another date, the same content
     count = Counting()
@@ -284,7 +279,7 @@ def test_only_what_changed_is_done_again(copy: tuple[Path, Path]) -> None:
     assert contents(output) == contents(fresh)
 
 
-def test_a_damaged_pack_is_made_again(copy: tuple[Path, Path]) -> None:
+def test_a_damaged_pack_is_made_again(copy):
     folder, output = copy
     before = contents(output)
     packs = sorted((output / "work").rglob("pack-*.zip"))
@@ -302,7 +297,7 @@ def test_a_damaged_pack_is_made_again(copy: tuple[Path, Path]) -> None:
     assert contents(output) == before
 
 
-def test_a_bad_file_does_not_end_the_run(folder: Path, tmp_path: Path) -> None:
+def test_a_bad_file_does_not_end_the_run(folder, tmp_path):
     for name in ("a", "deep/c"):
         place = tmp_path / "in" / f"{name}.pair.npz"
         place.parent.mkdir(parents=True, exist_ok=True)
@@ -322,7 +317,7 @@ def test_a_bad_file_does_not_end_the_run(folder: Path, tmp_path: Path) -> None:
 # Sources.
 
 
-def test_sources_of_every_kind(folder: Path, tmp_path: Path) -> None:
+def test_sources_of_every_kind(folder, tmp_path):
     def names(*sources: object) -> list[str]:
         found = find_items([str(source) for source in sources], layout=LAYOUT)
         assert found.refused == ()
@@ -366,14 +361,14 @@ def test_sources_of_every_kind(folder: Path, tmp_path: Path) -> None:
         ("path,rate\na,fast\n", "could not convert"),
     ],
 )
-def test_a_list_that_is_none(text: str, says: str, tmp_path: Path) -> None:
+def test_a_list_that_is_none(text, says, tmp_path):
     (tmp_path / "list.csv").write_text(text, encoding="utf-8")
     with pytest.raises(RecordingError, match=says):
         find_items([str(tmp_path / "list.csv")])
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".jsonl"])
-def test_damaged_lists_are_read_or_refused(suffix: str, tmp_path: Path) -> None:
+def test_damaged_lists_are_read_or_refused(suffix, tmp_path):
     good = {
         ".csv": b'path,task,side,rate\n"a,b.npz",stir,right,30\nc.npz,,left,\n' * 3,
         ".jsonl": b'{"path": "a.npz", "task": "stir", "side": "right", "rate": 30}\n' * 6,
@@ -393,7 +388,7 @@ def test_damaged_lists_are_read_or_refused(suffix: str, tmp_path: Path) -> None:
     assert 0 < refused < 150
 
 
-def test_a_list_says_task_and_side(folder: Path, tmp_path: Path) -> None:
+def test_a_list_says_task_and_side(folder, tmp_path):
     row = {"path": str(folder / "a.pair.npz"), "task": "stir", "side": "left"}
     (tmp_path / "list.jsonl").write_text(json.dumps(row), encoding="utf-8")
     make_dataset(request(tmp_path / "list.jsonl", tmp_path / "out"))
@@ -402,7 +397,7 @@ def test_a_list_says_task_and_side(folder: Path, tmp_path: Path) -> None:
     assert set(clip.commands) == {"left"}
 
 
-def test_object_storage(folder: Path, tmp_path: Path) -> None:
+def test_object_storage(folder, tmp_path):
     fsspec = pytest.importorskip("fsspec", reason="needs the extra datasets")
     memory = fsspec.filesystem("memory")
     for name in ("a", "deep/c"):
@@ -429,14 +424,14 @@ def test_object_storage(folder: Path, tmp_path: Path) -> None:
         find_items(["nowhere://x"])
 
 
-def test_shares_of_the_work() -> None:
+def test_shares_of_the_work():
     assert parse_shard("3/16") == (3, 16)
     for text in ("0/3", "4/3", "1", "a/b", "1/0", "-1/3"):
         with pytest.raises(ConfigError, match="i from 1 to n"):
             parse_shard(text)
 
 
-def test_every_item_is_in_one_share(folder: Path) -> None:
+def test_every_item_is_in_one_share(folder):
     for item in find_items([str(folder)], layout=LAYOUT).items:
         assert sum(in_shard(item, (i, 5)) for i in range(1, 6)) == 1
 
@@ -449,7 +444,7 @@ def one_clip(folder: Path, name: str = "a", **more: Any) -> Clip:
     return replace(clip, **more)
 
 
-def test_wrists_in_the_frame_of_the_camera(folder: Path) -> None:
+def test_wrists_in_the_frame_of_the_camera(folder):
     clip = one_clip(folder)
     with pytest.raises(RecordingError, match="poses of its camera are not known"):
         in_frame(clip, "camera")
@@ -468,7 +463,7 @@ def test_wrists_in_the_frame_of_the_camera(folder: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def answered(folder: Path) -> RobotClip:
+def answered(folder) -> RobotClip:
     return retarget_clip(one_clip(folder, "deep/c"), RECIPE)
 
 
@@ -479,9 +474,8 @@ def episodes(clip: RobotClip, **limits: Any) -> list[tuple[str, tuple[str, ...]]
     ]
 
 
-def test_a_jump_of_the_tracker_cuts(answered: RobotClip) -> None:
+def test_a_jump_of_the_tracker_cuts(answered):
     hand = answered.clip.hands["left"]
-    assert hand.T_world_wrist is not None
     moved = hand.T_world_wrist.copy()
     moved[30:, 0] += 0.3  # 0.3 m in 20 ms
     jumping = replace(
@@ -505,15 +499,13 @@ def test_a_jump_of_the_tracker_cuts(answered: RobotClip) -> None:
         ({"min_reach": 1.0, "max_tip_error": 1e3}, "min_reach"),
     ],
 )
-def test_what_breaks_a_limit_is_dropped(
-    answered: RobotClip, limits: dict[str, Any], reason: str
-) -> None:
+def test_what_breaks_a_limit_is_dropped(answered, limits, reason):
     far = {**answered.tracks, "right.reached": np.zeros(len(answered.clip))}
     assert episodes(replace(answered, tracks=far)) == [("deep/c", ())]
     assert episodes(replace(answered, tracks=far), **limits) == [("deep/c", (reason,))]
 
 
-def test_collisions_drop_an_episode(answered: RobotClip) -> None:
+def test_collisions_drop_an_episode(answered):
     depth = np.full(len(answered.clip), np.nan)
     depth[::10] = 0.0
     depth[::20] = 0.004
@@ -523,7 +515,7 @@ def test_collisions_drop_an_episode(answered: RobotClip) -> None:
     assert episodes(clip, max_collision=0.5) == [("deep/c", ("max_collision",))]
 
 
-def test_all_hands_may_be_needed(answered: RobotClip) -> None:
+def test_all_hands_may_be_needed(answered):
     seen = np.arange(len(answered.clip)) < 32
     clip = replace(answered, valid={**answered.valid, "right": seen})
     assert episodes(clip) == [("deep/c", ())]
@@ -533,7 +525,7 @@ def test_all_hands_may_be_needed(answered: RobotClip) -> None:
     ]
 
 
-def test_limits_that_can_not_be() -> None:
+def test_limits_that_can_not_be():
     with pytest.raises(ConfigError, match="min_valid must be between 0 and 1, not 2"):
         Limits(min_valid=2.0)
     with pytest.raises(ConfigError, match="max_gap must be 0 or more"):
@@ -543,12 +535,7 @@ def test_limits_that_can_not_be() -> None:
 # The command.
 
 
-def test_the_command(
-    folder: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_command(folder, tmp_path, capsys, monkeypatch):
     source = tmp_path / "in"
     source.mkdir()
     shutil.copy(folder / "a.pair.npz", source)
@@ -574,7 +561,7 @@ def test_the_command(
         assert says in capsys.readouterr().err
 
 
-def test_results_do_not_stand_among_the_sources(folder: Path, tmp_path: Path) -> None:
+def test_results_do_not_stand_among_the_sources(folder, tmp_path):
     with pytest.raises(OutputError, match="it is a source"):
         make_dataset(request(folder, folder))
     (tmp_path / "dataset").mkdir()
@@ -589,8 +576,8 @@ def test_results_do_not_stand_among_the_sources(folder: Path, tmp_path: Path) ->
 
 
 def test_clips_for_a_gpu_are_read_by_workers_and_retargeted_here(
-    folder: Path, whole: tuple[Path, Summary], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    folder, whole, tmp_path, monkeypatch
+):
     monkeypatch.setattr(gpu.GpuUse, "of_this_machine", lambda: gpu.GpuUse("a processor"))
     monkeypatch.setattr(gpu, "BATCH", 3)  # several batches
     bad = folder.parent / "with-bad"
@@ -615,7 +602,7 @@ def test_clips_for_a_gpu_are_read_by_workers_and_retargeted_here(
     assert again.notes == []
 
 
-def test_a_gpu_that_is_not_there_and_work_that_is_not_for_it(tmp_path: Path, folder: Path) -> None:
+def test_a_gpu_that_is_not_there_and_work_that_is_not_for_it(tmp_path, folder):
     asked = replace(request(folder, tmp_path / "out"), recipe=replace(RECIPE, device="gpu"))
     with pytest.raises(ConfigError, match=r"it sees only .*--device cpu"):
         make_dataset(asked)
@@ -628,7 +615,7 @@ def test_a_gpu_that_is_not_there_and_work_that_is_not_for_it(tmp_path: Path, fol
     assert main([*line, "--cluster", "auto"]) == 2
 
 
-def test_workers_leave_the_gpu_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_workers_leave_the_gpu_alone(monkeypatch):
     for before in (None, "cuda"):
         monkeypatch.delenv("JAX_PLATFORMS", raising=False)
         if before is not None:
@@ -639,9 +626,7 @@ def test_workers_leave_the_gpu_alone(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.skipif(os.name == "nt", reason="a script in place of a program")
-def test_the_busy_share_is_what_nvidia_smi_says(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_busy_share_is_what_nvidia_smi_says(tmp_path, monkeypatch):
     program = tmp_path / "nvidia-smi"
     program.write_text("#!/bin/sh\necho 40; echo 60; exec sleep 60\n", encoding="utf-8")
     program.chmod(0o755)

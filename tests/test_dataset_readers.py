@@ -53,7 +53,6 @@ def check_world(found: Clip, points: float, world: str | None = None) -> None:
     assert list(found.hands) == ["right", "left"]
     for side, recording in found.hands.items():
         sent = files.hand(side)
-        assert recording.T_world_wrist is not None
         seen = is_valid(recording.T_world_wrist)
         apart = separation(recording.T_world_wrist[seen], sent.wrist[seen])
         assert (apart < [2 * points, 50 * points]).all()
@@ -64,7 +63,7 @@ def check_world(found: Clip, points: float, world: str | None = None) -> None:
 # --- EgoDex ------------------------------------------------------------------------------------
 
 
-def test_egodex_has_both_hands_the_camera_and_the_task(tmp_path: Path) -> None:
+def test_egodex_has_both_hands_the_camera_and_the_task(tmp_path):
     pytest.importorskip("h5py", reason="needs the extra hdf5")
     path = tmp_path / "7.hdf5"
     about: dict[str, Any] = {"llm_type": "reversible", "llm_description": "put it in"}
@@ -82,13 +81,11 @@ def test_egodex_has_both_hands_the_camera_and_the_task(tmp_path: Path) -> None:
         np.testing.assert_allclose(
             np.delete(recording.landmarks, 3, axis=0), np.delete(sent.points, 3, axis=0), atol=1e-6
         )
-        assert recording.valid is not None
         assert np.flatnonzero(~recording.valid.any(axis=1)).tolist() == [3]
         assert np.flatnonzero(~is_valid(recording.T_world_wrist)).tolist() == [3]
         assert found.confidence[side].tolist() == [1.0] * 3 + [0.0] + [1.0] * 26
         # the camera sees the wrist where the file's matrices put it
         seen = found.T_camera_wrist(side)
-        assert seen is not None
         expected = files.in_camera(side)[:, 0]
         np.testing.assert_allclose(seen[4:, :3], expected[4:], atol=1e-6)
         assert (seen[4:, 2] > 0).all()  # the camera looks at the hands
@@ -104,13 +101,13 @@ def test_egodex_has_both_hands_the_camera_and_the_task(tmp_path: Path) -> None:
         ({"llm_description": 5}, None),
     ],
 )
-def test_the_task_of_egodex(tmp_path: Path, about: dict[str, Any], task: str | None) -> None:
+def test_the_task_of_egodex(tmp_path, about, task):
     pytest.importorskip("h5py", reason="needs the extra hdf5")
     files.egodex_file(tmp_path / "0.hdf5", about=about)
     assert clip_of(tmp_path / "0.hdf5").task == task
 
 
-def test_a_hand_that_never_appears_is_left_out(tmp_path: Path) -> None:
+def test_a_hand_that_never_appears_is_left_out(tmp_path):
     pytest.importorskip("h5py", reason="needs the extra hdf5")
     files.egodex_file(tmp_path / "0.hdf5", confidence={"right": 0.0, "left": 0.8})
     found = clip_of(tmp_path / "0.hdf5")
@@ -123,7 +120,7 @@ def test_a_hand_that_never_appears_is_left_out(tmp_path: Path) -> None:
     assert list(clip_of(tmp_path / "a.jsonl").hands) == ["left"]
 
 
-def test_a_file_of_egodex_that_differs_is_refused_by_name(tmp_path: Path) -> None:
+def test_a_file_of_egodex_that_differs_is_refused_by_name(tmp_path):
     h5py = pytest.importorskip("h5py", reason="needs the extra hdf5")
     path = tmp_path / "0.hdf5"
     files.egodex_file(path, left_out=["leftRingFingerTip"])
@@ -138,7 +135,7 @@ def test_a_file_of_egodex_that_differs_is_refused_by_name(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("version", ["earliest", "latest"])
-def test_egodex_is_distinguished_from_other_hdf5(tmp_path: Path, version: str) -> None:
+def test_egodex_is_distinguished_from_other_hdf5(tmp_path, version):
     h5py = pytest.importorskip("h5py", reason="needs the extra hdf5")
     reader = DATASETS.load("egodex")
     for name, found in (("transforms/rightHand", True), ("hand/landmarks", False)):
@@ -153,23 +150,21 @@ def test_egodex_is_distinguished_from_other_hdf5(tmp_path: Path, version: str) -
 # --- headset apps ------------------------------------------------------------------------------
 
 
-def test_tracking_streamer_gives_both_hands_on_common_stamps(tmp_path: Path) -> None:
+def test_tracking_streamer_gives_both_hands_on_common_stamps(tmp_path):
     path = tmp_path / "tracking.jsonl"
     files.avp_file(path, lost={"left": range(10, 15)})
     found = clip_of(path, ReadingOptions())
     check_world(found, 1e-4, "avp")
     np.testing.assert_allclose(found.stamps, np.arange(COUNT) / 30.0)
     left = found.hands["left"]
-    assert left.valid is not None
     assert np.flatnonzero(~left.valid.any(axis=1)).tolist() == list(range(10, 15))
     assert np.isnan(left.landmarks[10:15]).all()
     right = found.hands["right"]
-    assert right.valid is not None
     assert right.valid.all()
 
 
 @pytest.mark.parametrize(("stamped", "apart"), [(True, 0), (True, 3_000_000), (False, 0)])
-def test_hts_gives_both_hands_on_common_stamps(tmp_path: Path, stamped: bool, apart: int) -> None:
+def test_hts_gives_both_hands_on_common_stamps(tmp_path, stamped, apart):
     path = tmp_path / "hands.hts"
     files.hts_file(path, stamped=stamped, apart_ns=apart)
     found = clip_of(path, ReadingOptions() if stamped else RATED)
@@ -183,7 +178,7 @@ def test_hts_gives_both_hands_on_common_stamps(tmp_path: Path, stamped: bool, ap
             clip_of(path, ReadingOptions())
 
 
-def test_hands_of_different_rates_are_on_one_clock(tmp_path: Path) -> None:
+def test_hands_of_different_rates_are_on_one_clock(tmp_path):
     """Every second frame of the left hand is missing, and it is 5 ms late."""
     path = tmp_path / "hands.hts"
     files.hts_file(path, apart_ns=5_000_000)
@@ -193,14 +188,13 @@ def test_hands_of_different_rates_are_on_one_clock(tmp_path: Path) -> None:
     found = clip_of(path)
     assert len(found) == COUNT
     left = found.hands["left"].valid
-    assert left is not None
     assert np.flatnonzero(left.all(axis=1)).tolist() == list(range(0, COUNT, 2))
 
 
 # --- anybody's data ----------------------------------------------------------------------------
 
 
-def test_landmarks_of_both_hands_with_all_that_may_be_there(tmp_path: Path) -> None:
+def test_landmarks_of_both_hands_with_all_that_may_be_there(tmp_path):
     path, sure = tmp_path / "take_3.npz", np.linspace(0, 1, COUNT)
     (tmp_path / "take.mp4").write_bytes(b"a video")
     cup = np.tile([0.4, 0, 1, 1, 0, 0, 0], (COUNT, 1))
@@ -218,14 +212,12 @@ def test_landmarks_of_both_hands_with_all_that_may_be_there(tmp_path: Path) -> N
     assert list(found.confidence) == ["left"]
     np.testing.assert_array_equal(found.objects[0].T_world_object, cup)
     assert found.objects[0].name == "cup"
-    assert found.T_world_camera is not None
     assert found.T_world_camera[0].tolist() == [0, 0, 2, 1, 0, 0, 0]
     right = found.hands["right"].valid
-    assert right is not None
     assert np.flatnonzero(~right.any(axis=1)).tolist() == [5]
 
 
-def test_landmarks_may_be_nodes_of_a_headset_without_stamps(tmp_path: Path) -> None:
+def test_landmarks_may_be_nodes_of_a_headset_without_stamps(tmp_path):
     path = tmp_path / "a.npz"
     nothing = {"T_world_wrist_right": None, "T_world_wrist_left": None, "timestamps": None}
     nodes = files.hand("left").nodes.copy()
@@ -236,7 +228,6 @@ def test_landmarks_may_be_nodes_of_a_headset_without_stamps(tmp_path: Path) -> N
     left = found.hands["left"]
     np.testing.assert_array_equal(left.landmarks[:7], files.hand("left").points[:7])
     assert left.metacarpals is not None
-    assert left.valid is not None
     assert np.flatnonzero(~left.valid.any(axis=1)).tolist() == [7]
     with pytest.raises(RecordingError, match="--rate"):
         clip_of(path, ReadingOptions())
@@ -254,9 +245,7 @@ def test_landmarks_may_be_nodes_of_a_headset_without_stamps(tmp_path: Path) -> N
         ({"right": files.hand("right").points * 1000, "left": None}, "right hand: .*millimetres"),
     ],
 )
-def test_landmarks_that_differ_are_refused_by_name(
-    tmp_path: Path, more: dict[str, Any], said: str
-) -> None:
+def test_landmarks_that_differ_are_refused_by_name(tmp_path, more, said):
     files.landmarks_file(tmp_path / "a.npz", **more)
     with pytest.raises(RecordingError, match=said):
         clip_of(tmp_path / "a.npz")
@@ -271,14 +260,12 @@ def check_camera(found: Clip, gone: dict[str, list[int]], tolerance: float) -> N
     assert found.world == CAMERA
     for side, recording in found.hands.items():
         expected = files.in_camera(side)
-        assert recording.valid is not None
         assert np.flatnonzero(~recording.valid.all(axis=1)).tolist() == gone.get(side, [])
         there = recording.valid.all(axis=1)
         np.testing.assert_allclose(
             recording.landmarks[there], expected[there], atol=tolerance, rtol=0
         )
         wrist = found.T_camera_wrist(side)
-        assert wrist is not None
         assert is_valid(wrist).tolist() == there.tolist()
         np.testing.assert_allclose(wrist[there, :3], expected[there, 0], atol=tolerance)
         # the axes of the palm, as the wrist's matrix turns them into the camera's
@@ -292,7 +279,7 @@ def check_camera(found: Clip, gone: dict[str, list[int]], tolerance: float) -> N
 
 
 @pytest.mark.parametrize("empty_rows", [False, True])
-def test_egohandkit(tmp_path: Path, empty_rows: bool) -> None:
+def test_egohandkit(tmp_path, empty_rows):
     pytest.importorskip("pyarrow", reason="needs the extra lerobot")
     path = tmp_path / "kitchen_left" / "final" / "hand_tracking.parquet"
     path.parent.mkdir(parents=True)
@@ -306,7 +293,7 @@ def test_egohandkit(tmp_path: Path, empty_rows: bool) -> None:
     assert np.isnan(found.confidence["left"][[6, last]]).all()
 
 
-def test_egohandkit_without_times_needs_a_rate_and_says_its_frame(tmp_path: Path) -> None:
+def test_egohandkit_without_times_needs_a_rate_and_says_its_frame(tmp_path):
     pytest.importorskip("pyarrow", reason="needs the extra lerobot")
     path = tmp_path / "hand_tracking.parquet"
     files.egohandkit_file(path, stamped=False)
@@ -332,7 +319,7 @@ SWAPPED: dict[str, tuple[str, Write]] = {
 
 
 @pytest.mark.parametrize("layout", SWAPPED)
-def test_exchanged_hands_are_refused(tmp_path: Path, layout: str) -> None:
+def test_exchanged_hands_are_refused(tmp_path, layout):
     for library, needs in (("h5py", "egodex"), ("pyarrow", "egohandkit")):
         if layout == needs:
             pytest.importorskip(library, reason="needs an extra")
@@ -349,13 +336,13 @@ def test_exchanged_hands_are_refused(tmp_path: Path, layout: str) -> None:
         clip_of(tmp_path / name)
 
 
-def test_plain_recordings_are_still_read(tmp_path: Path) -> None:
+def test_plain_recordings_are_still_read(tmp_path):
     np.save(tmp_path / "a.npy", files.hand("right").points)
     found = clip_of(tmp_path / "a.npy")
     assert (found.layout, list(found.hands)) == ("files", ["right"])
 
 
-def test_json_of_other_programs_is_no_data_set(tmp_path: Path) -> None:
+def test_json_of_other_programs_is_no_data_set(tmp_path):
     (tmp_path / "a.jsonl").write_text(json.dumps({"x": 1}) + "\n")
     names = [name for name in DATASETS if DATASETS.load(name).matches(tmp_path / "a.jsonl")]
     assert names == ["files"]  # by its suffix; it says then what it reads
@@ -364,9 +351,7 @@ def test_json_of_other_programs_is_no_data_set(tmp_path: Path) -> None:
 # --- readers of another distribution ------------------------------------------------------------
 
 
-def test_without_the_research_data_sets_messages_say_how_to_install_them(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_the_research_data_sets_messages_say_how_to_install_them(tmp_path, monkeypatch):
     monkeypatch.setattr(plugins, "_installed", lambda group: {})
     monkeypatch.setattr(retargeting, "find_spec", lambda name: None)
     request = RetargetRequest(
@@ -386,7 +371,7 @@ def test_without_the_research_data_sets_messages_say_how_to_install_them(
     assert re.search(install, refused.reason)
 
 
-def test_all_layouts_of_the_research_data_sets_are_named() -> None:
+def test_all_layouts_of_the_research_data_sets_are_named():
     offered = {name for name, entry in DATASETS.plugins.items() if "smooth_hand" in entry.target}
     assert offered == set(RESEARCH_LAYOUTS)
 
@@ -395,8 +380,7 @@ def test_all_layouts_of_the_research_data_sets_are_named() -> None:
 
 
 @pytest.mark.parametrize("layout", SWAPPED)
-def test_damaged_files_are_read_soundly_or_refused(tmp_path: Path, layout: str) -> None:
-    """A short form of ``python tests/hostile_datasets.py 300``."""
+def test_damaged_files_are_read_soundly_or_refused(tmp_path, layout):
     for library in ("h5py", "pyarrow"):
         pytest.importorskip(library, reason="needs extras")
     import hostile_datasets

@@ -77,14 +77,14 @@ def samples(folder: Path) -> dict[str, tuple[dict[str, Any], dict[str, np.ndarra
 
 
 @pytest.mark.parametrize("name", sorted(WRITERS.built_in))
-def test_every_format_says_what_it_writes_and_loses(name: str) -> None:
+def test_every_format_says_what_it_writes_and_loses(name):
     found = WRITERS.load(name)
     WRITERS.check(name, found)
     assert len(found.what) > 5
     assert found.loses.endswith(".")
 
 
-def test_webdataset_gives_the_clip_back(tmp_path: Path) -> None:
+def test_webdataset_gives_the_clip_back(tmp_path):
     clips = [robot_clip(i, frames=20 + i, objects=i % 3) for i in range(5)]
     write("webdataset", tmp_path / "out", clips)
     found = samples(tmp_path / "out")
@@ -113,7 +113,7 @@ def test_webdataset_gives_the_clip_back(tmp_path: Path) -> None:
             np.testing.assert_allclose(arrays["objects"][:, i], item.T_world_object, atol=1e-6)
 
 
-def test_webdatasets_own_reader_decodes_the_shards(tmp_path: Path) -> None:
+def test_webdatasets_own_reader_decodes_the_shards(tmp_path):
     webdataset = pytest.importorskip("webdataset")
     clips = [robot_clip(i) for i in range(4)]
     write("webdataset", tmp_path / "out", clips)
@@ -124,7 +124,7 @@ def test_webdatasets_own_reader_decodes_the_shards(tmp_path: Path) -> None:
     np.testing.assert_allclose(joints, clips[2].commands["left"].joint_positions, atol=1e-6)
 
 
-def test_parquet_holds_a_row_a_clip(tmp_path: Path) -> None:
+def test_parquet_holds_a_row_a_clip(tmp_path):
     clips = [
         robot_clip(0, objects=2),
         robot_clip(1, sides=("left",), objects=0, task=None),
@@ -160,7 +160,7 @@ def test_parquet_holds_a_row_a_clip(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ALL)
-def test_the_same_clips_give_the_same_bytes(name: str, tmp_path: Path) -> None:
+def test_the_same_clips_give_the_same_bytes(name, tmp_path):
     clips = [robot_clip(i) for i in range(8)]
     for folder in ("a", "b"):
         write(name, tmp_path / folder, clips)
@@ -170,9 +170,7 @@ def test_the_same_clips_give_the_same_bytes(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ALL)
-def test_a_killed_run_leaves_whole_shards_and_the_next_ends_as_if_nothing_happened(
-    name: str, tmp_path: Path
-) -> None:
+def test_a_killed_run_leaves_whole_shards_and_the_next_ends_as_if_nothing_happened(name, tmp_path):
     clips = [robot_clip(i, frames=60) for i in range(14)]
     options = WritingOptions(shard_mb=0.03)
     if name in ("parquet", "lerobot"):
@@ -201,7 +199,7 @@ def test_a_killed_run_leaves_whole_shards_and_the_next_ends_as_if_nothing_happen
 
 
 @pytest.mark.parametrize("name", ALL)
-def test_a_shard_without_its_index_is_written_again(name: str, tmp_path: Path) -> None:
+def test_a_shard_without_its_index_is_written_again(name, tmp_path):
     clips = [robot_clip(i, frames=60) for i in range(6)]
     write(name, tmp_path / "out", clips, WritingOptions(shard_mb=0.01))
     whole = contents(tmp_path / "out")
@@ -217,7 +215,7 @@ def test_a_shard_without_its_index_is_written_again(name: str, tmp_path: Path) -
 
 @pytest.mark.skipif(sys.platform == "win32", reason="it has no limit on the size of files")
 @pytest.mark.parametrize("name", ALL)
-def test_a_full_disk_ends_the_run_and_keeps_the_whole_shards(name: str, tmp_path: Path) -> None:
+def test_a_full_disk_ends_the_run_and_keeps_the_whole_shards(name, tmp_path):
     import resource
 
     if name in ("parquet", "lerobot"):
@@ -244,7 +242,7 @@ def test_a_full_disk_ends_the_run_and_keeps_the_whole_shards(name: str, tmp_path
 
 
 @pytest.mark.parametrize("name", ALL)
-def test_equal_names_and_empty_clips(name: str, tmp_path: Path) -> None:
+def test_equal_names_and_empty_clips(name, tmp_path):
     first, second = robot_clip(1), robot_clip(2, name="part1/pick/1")
     if name in ("parquet", "lerobot"):
         pytest.importorskip("pyarrow")
@@ -259,7 +257,7 @@ def test_equal_names_and_empty_clips(name: str, tmp_path: Path) -> None:
     assert len({entry.get("sample", entry["key"]) for entry in entries}) == 2
 
 
-def test_parts_share_a_folder(tmp_path: Path) -> None:
+def test_parts_share_a_folder(tmp_path):
     clips = [robot_clip(i) for i in range(6)]
     for part in (1, 0):
         options = WritingOptions(part=part, parts=2)
@@ -271,7 +269,7 @@ def test_parts_share_a_folder(tmp_path: Path) -> None:
     assert len(writer.written) == 6  # of both
 
 
-def test_a_folder_of_another_format_or_options_is_refused(tmp_path: Path) -> None:
+def test_a_folder_of_another_format_or_options_is_refused(tmp_path):
     write("webdataset", tmp_path / "out", [robot_clip()])
     with pytest.raises(ConfigError, match="begun with format"):
         WRITERS.load("parquet").open(tmp_path / "out", OPTIONS)
@@ -301,12 +299,12 @@ def test_a_folder_of_another_format_or_options_is_refused(tmp_path: Path) -> Non
         ({"objects": -1}, "0 or more"),
     ],
 )
-def test_options_are_checked(wrong: dict[str, Any], said: str) -> None:
+def test_options_are_checked(wrong, said):
     with pytest.raises(ConfigError, match=said):
         WritingOptions(**wrong)
 
 
-def test_resampling_follows_the_motion() -> None:
+def test_resampling_follows_the_motion():
     clip = robot_clip(3, frames=91, rate=30.0)
     found = resampled(clip, 50.0)
     assert len(found.clip) == 151
@@ -320,7 +318,7 @@ def test_resampling_follows_the_motion() -> None:
         np.testing.assert_allclose(np.linalg.norm(q, axis=1), 1.0, atol=1e-12)
 
 
-def test_resampling_to_the_same_rate_changes_nothing_and_keeps_gaps_small() -> None:
+def test_resampling_to_the_same_rate_changes_nothing_and_keeps_gaps_small():
     clip = robot_clip(0, frames=30)
     wrist = clip.T_world_wrist["right"].copy()
     wrist[10] = np.nan
@@ -334,7 +332,7 @@ def test_resampling_to_the_same_rate_changes_nothing_and_keeps_gaps_small() -> N
     assert np.flatnonzero(lost).tolist() == [19, 20, 21]
 
 
-def test_a_pause_of_the_tracker_is_not_valid() -> None:
+def test_a_pause_of_the_tracker_is_not_valid():
     clip = robot_clip(0, frames=40)
     kept = np.r_[0:20, 32:40]  # 0.4 s are missing
     stamps = clip.clip.stamps[kept]

@@ -29,7 +29,7 @@ FINGERS = ("thumb", "index", "middle", "ring", "pinky")
 
 
 @pytest.fixture(autouse=True)
-def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def _elsewhere(tmp_path, monkeypatch) -> None:
     """MuJoCo writes its warnings to a log in the working folder."""
     monkeypatch.chdir(tmp_path)
 
@@ -225,7 +225,7 @@ REAL: dict[str, Real] = {
 
 @pytest.mark.shared
 @pytest.mark.parametrize("model", REAL)
-def test_a_real_hand_is_read_right(shared: Path, model: str) -> None:
+def test_a_real_hand_is_read_right(shared, model):
     side, fingers, coupled = REAL[model]
     name, _, option = model.partition(" --side ")
     found = discover(shared / name, side=side if option else None)
@@ -247,9 +247,7 @@ def test_a_real_hand_is_read_right(shared: Path, model: str) -> None:
 
 @pytest.mark.shared
 @pytest.mark.parametrize("model", REAL)
-def test_a_real_hand_is_read_right_by_one_who_can_not_read(
-    shared: Path, model: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_real_hand_is_read_right_by_one_who_can_not_read(shared, model, monkeypatch):
     """Nothing hangs on a name: without any, thumb, order, side and tips are the same."""
     from smooth_operator.lab.discovery import landmarks, tips
 
@@ -268,7 +266,7 @@ def test_a_real_hand_is_read_right_by_one_who_can_not_read(
 
 
 @pytest.mark.shared
-def test_a_hand_without_a_side_of_its_own_says_so(shared: Path) -> None:
+def test_a_hand_without_a_side_of_its_own_says_so(shared):
     path = shared / "hands/shadow_dexee_hand/shadow_dexee.xml"
     found = discover(path)
     assert sure(found, "side") < 0.5
@@ -279,7 +277,7 @@ def test_a_hand_without_a_side_of_its_own_says_so(shared: Path) -> None:
 
 
 @pytest.mark.shared
-def test_a_published_coupling_that_the_limits_contradict_is_turned_round(shared: Path) -> None:
+def test_a_published_coupling_that_the_limits_contradict_is_turned_round(shared):
     found = discover(shared / "hands_urdf/schunk_hand/schunk_svh_hand_left.urdf")
     doubted = [f.coupling.joint for f in found.coupled if f.confidence < 0.5]
     assert doubted == ["left_hand_j5"]
@@ -305,9 +303,7 @@ def check(found: Discovery, hand: Model) -> None:
 @pytest.mark.parametrize("fingers", [2, 3, 4, 5])
 @pytest.mark.parametrize("side", ["right", "left"])
 @pytest.mark.parametrize("seed", [0, 1])
-def test_an_unseen_hand_in_any_frame_by_any_name(
-    tmp_path: Path, seed: int, side: str, fingers: int
-) -> None:
+def test_an_unseen_hand_in_any_frame_by_any_name(tmp_path, seed, side, fingers):
     hand = make_hand(10 * fingers + seed, fingers=fingers, side=side, joints=2 + seed)
     found = discover(write(tmp_path, urdf(hand.parts)))
     check(found, hand)
@@ -325,7 +321,7 @@ def test_an_unseen_hand_in_any_frame_by_any_name(
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_neither_arm_nor_format_nor_missing_shapes_matter(tmp_path: Path, seed: int) -> None:
+def test_neither_arm_nor_format_nor_missing_shapes_matter(tmp_path, seed):
     hand = make_hand(
         seed, side="left" if seed % 2 else "right", arm=6, shapes=seed < 2, coupled=True
     )
@@ -348,7 +344,7 @@ def test_neither_arm_nor_format_nor_missing_shapes_matter(tmp_path: Path, seed: 
         assert found.unsure[0].subject.startswith("tip of")
 
 
-def test_tip_links_and_sites_are_taken_to_the_micrometre(tmp_path: Path) -> None:
+def test_tip_links_and_sites_are_taken_to_the_micrometre(tmp_path):
     linked = make_hand(5, tip_links=True, shapes=False)
     found = discover(write(tmp_path, urdf(linked.parts)))
     check(found, linked)
@@ -359,7 +355,7 @@ def test_tip_links_and_sites_are_taken_to_the_micrometre(tmp_path: Path) -> None
     assert tip_errors(found, list(bare.truth.tips)).max() < 1e-6
 
 
-def test_a_frame_half_way_or_at_the_joint_is_no_tip(tmp_path: Path) -> None:
+def test_a_frame_half_way_or_at_the_joint_is_no_tip(tmp_path):
     hand = make_hand(6)
     last, tip = hand.truth.tips[1]
     parts = (*hand.parts, Part("imu", last, tip * 0.4), Part("origin_tip", last, tip * 0.0))
@@ -368,7 +364,7 @@ def test_a_frame_half_way_or_at_the_joint_is_no_tip(tmp_path: Path) -> None:
     assert found.fingers[1].tip_body == last
 
 
-def test_a_mirrored_hand_is_the_other_one_in_the_same_order(tmp_path: Path) -> None:
+def test_a_mirrored_hand_is_the_other_one_in_the_same_order(tmp_path):
     hands = [make_hand(7, side=side, turned=False) for side in ("right", "left")]
     found = [discover(write(tmp_path, urdf(hand.parts))) for hand in hands]
     assert [f.spec.side for f in found] == ["right", "left"]
@@ -376,7 +372,7 @@ def test_a_mirrored_hand_is_the_other_one_in_the_same_order(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize(("arm", "fingers"), [(0, 3), (5, 2)])
-def test_of_two_hands_the_side_chooses(tmp_path: Path, arm: int, fingers: int) -> None:
+def test_of_two_hands_the_side_chooses(tmp_path, arm, fingers):
     hands = {
         side: make_hand(k, side=side, arm=arm, fingers=fingers, prefix=side[0], at=(0.4 * k, 0, 0))
         for k, side in enumerate(("right", "left"))
@@ -390,7 +386,7 @@ def test_of_two_hands_the_side_chooses(tmp_path: Path, arm: int, fingers: int) -
         check(discover(path, side="left" if side == "left" else "right"), hand)
 
 
-def test_three_like_fingers_and_a_gripper_are_not_guessed_at(tmp_path: Path) -> None:
+def test_three_like_fingers_and_a_gripper_are_not_guessed_at(tmp_path):
     parts = [Part("base", None, np.zeros(3))]
     for k in range(3):
         out = np.array([np.cos(2.1 * k), np.sin(2.1 * k), 0.0])
@@ -414,7 +410,7 @@ def test_three_like_fingers_and_a_gripper_are_not_guessed_at(tmp_path: Path) -> 
     load_hand_spec(found.spec)
 
 
-def test_overruled_findings_are_as_given(tmp_path: Path) -> None:
+def test_overruled_findings_are_as_given(tmp_path):
     hand = make_hand(8, fingers=4)
     path = write(tmp_path, urdf(hand.parts))
     last = [body for body, _ in hand.truth.tips]
@@ -443,7 +439,7 @@ def test_overruled_findings_are_as_given(tmp_path: Path) -> None:
     assert sure(given, "tip of index") == 1.0
 
 
-def test_what_is_given_is_checked(tmp_path: Path) -> None:
+def test_what_is_given_is_checked(tmp_path):
     hand = make_hand(8)
     path = write(tmp_path, urdf(hand.parts))
     last = [body for body, _ in hand.truth.tips]
@@ -468,7 +464,7 @@ def test_what_is_given_is_checked(tmp_path: Path) -> None:
 # Meshes.
 
 
-def test_meshes_are_found_by_package_paths_and_missed_aloud(tmp_path: Path) -> None:
+def test_meshes_are_found_by_package_paths_and_missed_aloud(tmp_path):
     import trimesh
 
     hand = make_hand(9, shapes=False, turned=False)
@@ -492,7 +488,7 @@ def test_meshes_are_found_by_package_paths_and_missed_aloud(tmp_path: Path) -> N
     assert sure(found, "tip of index") > 0.5
 
 
-def test_inertias_of_no_real_body_do_not_stop_it(tmp_path: Path) -> None:
+def test_inertias_of_no_real_body_do_not_stop_it(tmp_path):
     hand = make_hand(4)
     bad = (
         '<inertial><mass value="0"/><inertia ixx="1" ixy="0" ixz="0" iyy="1e-9" iyz="0" '
@@ -547,14 +543,12 @@ XACRO = '<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:arg name="a"/
         (XACRO, r"xacro .* > hand.urdf"),
     ],
 )
-def test_what_is_no_hand_is_refused_with_what_to_do(
-    tmp_path: Path, text: str, message: str
-) -> None:
+def test_what_is_no_hand_is_refused_with_what_to_do(tmp_path, text, message):
     with pytest.raises(HandModelError, match=message):
         discover(write(tmp_path, text, "model.xml"))
 
 
-def test_a_broken_hand_is_refused_with_what_to_do(tmp_path: Path) -> None:
+def test_a_broken_hand_is_refused_with_what_to_do(tmp_path):
     hand = make_hand(3)
     text = urdf(hand.parts)
     joint = hand.parts[2]
@@ -587,7 +581,7 @@ def test_a_broken_hand_is_refused_with_what_to_do(tmp_path: Path) -> None:
 # Words: weak evidence.
 
 
-def test_words_are_told_apart() -> None:
+def test_words_are_told_apart():
     assert words("rightIndexTip_2") == ("right", "index", "tip")
     assert fingers_said([["ffproximal"], ["thbase"], ["rf_medial"], ["lfj3"]]) == [
         "index", "thumb", "ring", "pinky",
@@ -600,7 +594,7 @@ def test_words_are_told_apart() -> None:
     assert side_said(["l_thumb"]) == "left"
 
 
-def test_names_that_lie_lower_the_confidence_and_change_nothing(tmp_path: Path) -> None:
+def test_names_that_lie_lower_the_confidence_and_change_nothing(tmp_path):
     hand = make_hand(2, fingers=4, side="left")
     honest = discover(write(tmp_path, urdf(hand.parts)))
     first = {f.joints[0] for f in honest.fingers[1:2]}
@@ -618,7 +612,7 @@ def test_names_that_lie_lower_the_confidence_and_change_nothing(tmp_path: Path) 
 
 
 @pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def folder(tmp_path, monkeypatch) -> Path:
     folder = tmp_path / "hands"
     monkeypatch.setenv("SMOOTH_OPERATOR_HANDS", str(folder))
     return folder
@@ -628,9 +622,7 @@ def add(*arguments: str | Path) -> None:
     tyro.cli(Add, args=[str(a) for a in arguments], config=(tyro.conf.FlagCreatePairsOff,)).run()
 
 
-def test_the_command_writes_a_spec_and_prints_a_checklist(
-    tmp_path: Path, folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_writes_a_spec_and_prints_a_checklist(tmp_path, folder, capsys):
     hand = make_hand(1, side="left")
     path = write(tmp_path, urdf(hand.parts), "gadget_left.urdf")
     add(path, "--all")
@@ -647,9 +639,7 @@ def test_the_command_writes_a_spec_and_prints_a_checklist(
     load_hand_spec(spec)
 
 
-def test_json_is_one_object_and_opens_no_page(
-    tmp_path: Path, folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_json_is_one_object_and_opens_no_page(tmp_path, folder, capsys):
     hand = make_hand(1, fingers=3, coupled=True)
     add(write(tmp_path, urdf(hand.parts)), "--json", "--name", "three")
     told = json.loads(capsys.readouterr().out)
@@ -665,9 +655,7 @@ def test_json_is_one_object_and_opens_no_page(
     assert told["file"] == str(folder / "three.right.toml")
 
 
-def test_a_hand_of_that_name_is_not_replaced_unasked(
-    tmp_path: Path, folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_hand_of_that_name_is_not_replaced_unasked(tmp_path, folder, capsys):
     path = write(tmp_path, urdf(make_hand(1).parts), "gadget.urdf")
     add(path, "--json")
     add(path, "--json")  # the same again
@@ -685,7 +673,7 @@ def test_a_hand_of_that_name_is_not_replaced_unasked(
     capsys.readouterr()
 
 
-def test_options_that_make_no_sense_are_said_to(tmp_path: Path, folder: Path) -> None:
+def test_options_that_make_no_sense_are_said_to(tmp_path, folder):
     hand = make_hand(1)
     path = write(tmp_path, urdf(hand.parts))
     last = hand.truth.tips[1][0]
@@ -704,12 +692,7 @@ def test_options_that_make_no_sense_are_said_to(tmp_path: Path, folder: Path) ->
     assert not folder.exists()
 
 
-def test_the_page_is_opened_on_request(
-    tmp_path: Path,
-    folder: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_the_page_is_opened_on_request(tmp_path, folder, monkeypatch, capsys):
     from smooth_operator.cli import hands_show
 
     shown: list[Any] = []

@@ -20,7 +20,7 @@ from smooth_operator.lab.validation.samples import Samples
 
 
 @pytest.fixture(autouse=True)
-def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def _elsewhere(tmp_path, monkeypatch) -> None:
     """MuJoCo writes its warnings to a log in the working folder."""
     monkeypatch.chdir(tmp_path)
 
@@ -60,9 +60,7 @@ def with_moving_knuckle(shift: float) -> tuple[tuple[Part, ...], str]:
     return parts, knuckle
 
 
-def test_a_knuckle_that_a_joint_moves_stays_where_it_rests(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_knuckle_that_a_joint_moves_stays_where_it_rests(tmp_path, monkeypatch):
     parts, knuckle = with_moving_knuckle(0.02)
     found = found_in(tmp_path, parts)
     assert found.spec.fingers[-1].base.body == "palm"
@@ -83,14 +81,14 @@ def test_a_knuckle_that_a_joint_moves_stays_where_it_rests(
     np.testing.assert_allclose(ours, theirs, atol=2e-6)
 
 
-def test_a_knuckle_that_no_joint_moves_stays_on_its_link(tmp_path: Path) -> None:
+def test_a_knuckle_that_no_joint_moves_stays_on_its_link(tmp_path):
     found = found_in(tmp_path, make_hand(3, turned=False).parts)
     assert all(finger.base.body != "palm" for finger in found.spec.fingers)
     assert "no joint moves them" in because(found, "bases")
     assert base_travel(load_hand_spec(found.spec)).max() < 1e-4
 
 
-def test_a_base_on_a_slide_stays_too(tmp_path: Path) -> None:
+def test_a_base_on_a_slide_stays_too(tmp_path):
     claw = [Part("hand", None, np.zeros(3), end=np.array([0.0, 0.0, 0.05]))]
     for name, sign in (("a", 1.0), ("b", -1.0)):
         claw.append(Part(name, "hand", np.array([0, 0.01 * sign, 0.06]), slide=True, joint=name,
@@ -110,7 +108,7 @@ MOVING = {
 
 @pytest.mark.shared
 @pytest.mark.parametrize("model", MOVING)
-def test_bases_of_real_hands_stay_as_in_the_catalogue(shared: Path, model: str) -> None:
+def test_bases_of_real_hands_stay_as_in_the_catalogue(shared, model):
     file, moving, name, side = MOVING[model]
     found = discover(shared / file)
     hand, ours = load_hand_spec(found.spec), load_hand(name, side)
@@ -131,7 +129,7 @@ def test_bases_of_real_hands_stay_as_in_the_catalogue(shared: Path, model: str) 
 # The wrist.
 
 
-def test_a_palm_frame_at_the_thumb_is_no_wrist(tmp_path: Path) -> None:
+def test_a_palm_frame_at_the_thumb_is_no_wrist(tmp_path):
     """What the palm is mounted on is, where nothing better is known."""
     hand = make_hand(2, shapes=False, turned=False)
     thumb = next(p for p in hand.parts if p.parent == "palm" and p.position[0] > 0)
@@ -154,7 +152,7 @@ def test_a_palm_frame_at_the_thumb_is_no_wrist(tmp_path: Path) -> None:
 
 @pytest.mark.shared
 @pytest.mark.parametrize("side", ["right", "left"])
-def test_the_wrist_of_a_palm_that_is_the_thumbs_base(shared: Path, side: str) -> None:
+def test_the_wrist_of_a_palm_that_is_the_thumbs_base(shared, side):
     found = discover(shared / f"hands_urdf/ability_hand/ability_hand_{side}.urdf")
     hand, ours = load_hand_spec(found.spec), load_hand("ability_hand", side)
     reach = [np.linalg.norm(Samples(h).tips - h.wrist, axis=-1).max() for h in (hand, ours)]
@@ -178,7 +176,7 @@ def ring_of_fingers(radius: float) -> tuple[Part, ...]:
     return tuple(parts)
 
 
-def test_fingers_that_would_rest_in_each_other_are_opened(tmp_path: Path) -> None:
+def test_fingers_that_would_rest_in_each_other_are_opened(tmp_path):
     wide = found_in(tmp_path, ring_of_fingers(0.06))
     assert "inside" not in because(wide, "neutral")
     found = found_in(tmp_path, ring_of_fingers(0.025))
@@ -195,7 +193,7 @@ def test_fingers_that_would_rest_in_each_other_are_opened(tmp_path: Path) -> Non
 
 
 @pytest.mark.shared
-def test_three_fingers_round_a_base_rest_apart(shared: Path) -> None:
+def test_three_fingers_round_a_base_rest_apart(shared):
     hand = load_hand_spec(discover(shared / "hands/shadow_dexee_hand/shadow_dexee.xml").spec)
     assert max(neutral_overlaps(hand).values(), default=0.0) < 3e-3
     low, high = hand.limits.T

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +10,6 @@ import numpy as np
 import odd_hands
 import pytest
 from discovery_hands import Model, Part, mjcf, urdf
-from odd_hands import Drawing
 
 from smooth_operator.hands.hand import load_hand_spec
 from smooth_operator.hands.loading import load_model
@@ -20,7 +18,7 @@ from smooth_operator.lab.discovery.findings import SURE, UNSURE
 
 
 @pytest.fixture(autouse=True)
-def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def _elsewhere(tmp_path, monkeypatch) -> None:
     """MuJoCo writes its warnings to a log in the working folder."""
     monkeypatch.chdir(tmp_path)
 
@@ -77,9 +75,7 @@ def check(found: Discovery, model: Model) -> None:
         odd_hands.pincer_with_a_wide_thumb,
     ],
 )
-def test_a_design_of_its_own(
-    tmp_path: Path, draw: Callable[[], Drawing], seed: int, side: str
-) -> None:
+def test_a_design_of_its_own(tmp_path, draw, seed, side):
     model = draw().model(side, seed)
     found = found_in(tmp_path, urdf(model.parts))
     check(found, model)
@@ -88,7 +84,7 @@ def test_a_design_of_its_own(
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-def test_fingers_spread_around_a_palm_have_no_clear_side(tmp_path: Path, seed: int) -> None:
+def test_fingers_spread_around_a_palm_have_no_clear_side(tmp_path, seed):
     model = odd_hands.spread_around().model("right", seed)
     found = found_in(tmp_path, urdf(model.parts))
     assert found.fingers[0].tip_body == model.truth.tips[0][0]
@@ -103,7 +99,7 @@ def test_fingers_spread_around_a_palm_have_no_clear_side(tmp_path: Path, seed: i
 
 
 @pytest.mark.parametrize("side", ["right", "left"])
-def test_a_hand_of_tendons_on_an_arm(tmp_path: Path, side: str) -> None:
+def test_a_hand_of_tendons_on_an_arm(tmp_path, side):
     model = odd_hands.curled_at_zero().model(side, 5)
     parts = []
     for part in model.parts:

@@ -5,15 +5,12 @@ from __future__ import annotations
 import os
 
 import jax
-import pytest
 
 from smooth_operator.compilation.start import dispatch_here
 from smooth_operator.methods.presets import method_config
 
 
-def test_the_pool_starts_with_one_thread_and_the_environment_is_left_as_it_was(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_pool_starts_with_one_thread_and_the_environment_is_left_as_it_was(monkeypatch):
     monkeypatch.delenv("PJRT_NPROC", raising=False)
     monkeypatch.delenv("NPROC", raising=False)
     seen: list[str | None] = []
@@ -27,7 +24,7 @@ def test_the_pool_starts_with_one_thread_and_the_environment_is_left_as_it_was(
     assert seen == ["1"]
 
 
-def test_only_a_wide_sampler_wants_more_threads() -> None:
+def test_only_a_wide_sampler_wants_more_threads():
     assert method_config("smooth", None).one_thread
     assert method_config("sbr", None).one_thread
     assert method_config("dexpilot", None).one_thread

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
 import pytest
 
@@ -15,7 +14,7 @@ WORDS = ("doctor", "--method", "joint_angle", "--frames", "12", "--quiet")
 
 
 @pytest.fixture
-def quick(monkeypatch: pytest.MonkeyPatch) -> list[tuple[object, ...]]:
+def quick(monkeypatch) -> list[tuple[object, ...]]:
     """No processes: starts as if measured, of 5 s; what was asked for."""
     asked: list[tuple[object, ...]] = []
 
@@ -27,12 +26,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> list[tuple[object, ...]]:
     return asked
 
 
-def test_what_was_found_and_measured(
-    quick: list[tuple[object, ...]],
-    capsys: pytest.CaptureFixture[str],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_what_was_found_and_measured(quick, capsys, tmp_path, monkeypatch):
     monkeypatch.setenv("SMOOTH_OPERATOR_CACHE", str(tmp_path))
     assert main([*WORDS, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
@@ -50,11 +44,7 @@ def test_what_was_found_and_measured(
     assert "SMOOTH_OPERATOR_CACHE is off, so each start compiles" in said
 
 
-def test_two_opencvs_in_one_folder_are_named(
-    quick: list[tuple[object, ...]],
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_two_opencvs_in_one_folder_are_named(quick, capsys, monkeypatch):
     versions = {"opencv-contrib-python": "5.1.0.95", "opencv-python-headless": "4.13.0.92"}
     monkeypatch.setattr(diagnosis, "_version", versions.get)
     assert main([*WORDS, "--json"]) == 0
@@ -74,18 +64,13 @@ def test_two_opencvs_in_one_folder_are_named(
         (("--method", "smooth", "--preset", "offline"), "looks at the whole recording"),
     ],
 )
-def test_a_mistake_is_one_sentence(
-    quick: list[tuple[object, ...]],
-    capsys: pytest.CaptureFixture[str],
-    words: tuple[str, ...],
-    expected: str,
-) -> None:
+def test_a_mistake_is_one_sentence(quick, capsys, words, expected):
     assert main(["doctor", *words]) == 2
     assert expected in " ".join(capsys.readouterr().err.split())
     assert not quick
 
 
-def test_a_fresh_process_is_timed() -> None:
+def test_a_fresh_process_is_timed():
     times = start_times("mimic_p050", "left", "joint_angle", None)
     parts = [times.interpreter, times.import_jax, times.import_package, times.build]
     assert min(parts) > 0

@@ -70,13 +70,13 @@ def packages() -> list[str]:
     return [f"smooth_operator.{name}" for name, home in stub.items() if home == "smooth_operator"]
 
 
-def test_the_examples_are_numbered() -> None:
+def test_the_examples_are_numbered():
     numbers = [int(path.name.split("_")[0]) for path in EXAMPLES]
     assert numbers == list(range(1, 11))
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
-def test_an_example_is_short_and_uses_public_names(path: Path) -> None:
+def test_an_example_is_short_and_uses_public_names(path):
     source = path.read_text(encoding="utf-8")
     assert len(source.splitlines()) <= MAX_LINES
     assert list(not_public(source)) == []
@@ -84,7 +84,7 @@ def test_an_example_is_short_and_uses_public_names(path: Path) -> None:
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
-def test_an_example_runs(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_example_runs(path, tmp_path, monkeypatch):
     """In an empty folder; what it claims, it asserts. Compiled programs serve the next ones."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("MPLBACKEND", "Agg")
@@ -92,7 +92,7 @@ def test_an_example_runs(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyP
     runpy.run_path(str(path), run_name="__main__")
 
 
-def test_the_documentation_imports_public_names() -> None:
+def test_the_documentation_imports_public_names():
     found: dict[str, set[str]] = {}
     for page in PAGES:
         for _, code in python_blocks(page.read_text(encoding="utf-8")):
@@ -101,12 +101,12 @@ def test_the_documentation_imports_public_names() -> None:
     assert found == {}
 
 
-def test_the_example_plugin_imports_public_names() -> None:
+def test_the_example_plugin_imports_public_names():
     used = {path.name: set(not_public(path.read_text(encoding="utf-8"))) for path in PLUGIN}
     assert {name: names for name, names in used.items() if names} == INTERNAL
 
 
-def test_names_that_are_not_public_are_found() -> None:
+def test_names_that_are_not_public_are_found():
     source = """
 import smooth_operator.teleop as teleop
 import smooth_operator.methods.sbr

@@ -86,7 +86,7 @@ def works(mailbox: Kept, where: tuple[str, int], data: bytes) -> None:
 
 
 @pytest.mark.parametrize("apart", [False, True], ids=["together", "apart"])
-def test_another_protocol_is_closed_for_good(text: str, apart: bool) -> None:
+def test_another_protocol_is_closed_for_good(text, apart):
     frame = SOURCES[text]
     with listening(text) as (source, mailbox, where):
         for header in HEADERS:
@@ -112,7 +112,7 @@ def test_another_protocol_is_closed_for_good(text: str, apart: bool) -> None:
         assert "connections closed" in source.health().detail
 
 
-def test_another_protocol_whose_bytes_come_one_by_one(text: str) -> None:
+def test_another_protocol_whose_bytes_come_one_by_one(text):
     frame = SOURCES[text]
     with listening(text) as (source, mailbox, where):
         for header in HEADERS:
@@ -127,7 +127,7 @@ def test_another_protocol_whose_bytes_come_one_by_one(text: str) -> None:
         works(mailbox, where, frame(1))
 
 
-def test_a_refusal_ends_no_silence(text: str) -> None:
+def test_a_refusal_ends_no_silence(text):
     """A page that keeps on connecting does not make a silent headset look alive."""
 
     class Running:
@@ -151,7 +151,7 @@ def test_a_refusal_ends_no_silence(text: str) -> None:
 
 
 @pytest.mark.browser
-def test_a_web_page_moves_no_hand(text: str, chromium: Any) -> None:
+def test_a_web_page_moves_no_hand(text, chromium):
     """A page of another origin needs no permission for a plain POST with a body of its choice."""
     frame = SOURCES[text]
     posts = 8

@@ -19,7 +19,7 @@ from smooth_operator.landmarks import BONES, LANDMARKS
 from smooth_operator.teleop.recording import LogWriter, read_log
 from smooth_operator.teleop.recording.foxglove import landmark_keypoints
 from smooth_operator.teleop.sinks.record import RecordSink
-from smooth_operator.types import JointCommand, Side, Status
+from smooth_operator.types import JointCommand, Status
 
 # What Foxglove's published messages have, field by field.
 REQUIRED = {
@@ -71,7 +71,7 @@ def types(message: Any, found: dict[str, Any]) -> dict[str, Any]:
 
 
 @pytest.fixture(scope="module")
-def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def session(tmp_path_factory) -> Path:
     """Two seconds at 100 Hz."""
     path = tmp_path_factory.mktemp("log") / "a.mcap"
     hand = load_hand("mimic_p050")
@@ -89,7 +89,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_schemas_are_foxgloves(session: Path) -> None:
+def test_schemas_are_foxgloves(session):
     with session.open("rb") as stream:
         summary = make_reader(stream).get_summary()
     found: dict[str, Any] = {}
@@ -109,7 +109,7 @@ def test_schemas_are_foxgloves(session: Path) -> None:
     )
 
 
-def test_a_session_is_drawn_at_a_bounded_rate(session: Path) -> None:
+def test_a_session_is_drawn_at_a_bounded_rate(session):
     found = messages(session)
     assert set(found) == set(TOPICS)
     for topic, content in found.items():
@@ -118,7 +118,7 @@ def test_a_session_is_drawn_at_a_bounded_rate(session: Path) -> None:
     assert len(log.commands) == len(log.recording) == 200  # and its readers read what they did
 
 
-def test_the_scene_shows_hand_and_robot_side_by_side(session: Path) -> None:
+def test_the_scene_shows_hand_and_robot_side_by_side(session):
     found, log, hand = messages(session), read_log(session), load_hand("mimic_p050")
     place = found["/foxglove/frames"][0][1]["transforms"][0]
     assert (place["parent_frame_id"], place["child_frame_id"]) == ("robot", "tracker")
@@ -151,7 +151,7 @@ def test_the_scene_shows_hand_and_robot_side_by_side(session: Path) -> None:
 
 
 @pytest.mark.parametrize(("name", "side"), [("mimic_p050", "left"), ("allegro_hand", "right")])
-def test_the_drawn_landmarks_are_those_of_the_kinematics(name: str, side: Side) -> None:
+def test_the_drawn_landmarks_are_those_of_the_kinematics(name, side):
     hand = load_hand(name, side)
     low, high = hand.joint_limits.T
     q = np.random.default_rng(3).uniform(low, high, (5, len(low)))
@@ -162,7 +162,7 @@ def test_the_drawn_landmarks_are_those_of_the_kinematics(name: str, side: Side) 
     assert np.isnan(np.delete(found, named, axis=1)).all()
 
 
-def test_a_robot_that_can_not_be_drawn_costs_no_command(tmp_path: Path) -> None:
+def test_a_robot_that_can_not_be_drawn_costs_no_command(tmp_path):
     def broken(positions: np.ndarray) -> np.ndarray:
         raise ValueError("another hand")
 
@@ -176,7 +176,7 @@ def test_a_robot_that_can_not_be_drawn_costs_no_command(tmp_path: Path) -> None:
     assert len(commands) == 1
 
 
-def test_stamps_that_go_back_and_unknown_joints_are_no_obstacle(tmp_path: Path) -> None:
+def test_stamps_that_go_back_and_unknown_joints_are_no_obstacle(tmp_path):
     path = tmp_path / "b.mcap"
     with LogWriter(path) as log:
         for stamp in (-3.0, 100.0, 100.001, 1.0, 1.001, 1.05):

@@ -47,7 +47,7 @@ def assert_proper(rotation: np.ndarray, atol: float = 1e-12) -> None:
 
 
 @pytest.mark.parametrize("count", COUNTS)
-def test_a_known_similarity_is_recovered(count: int) -> None:
+def test_a_known_similarity_is_recovered(count):
     rng = np.random.default_rng(count)
     source = rng.normal(0, 0.05, (200, count, 3))
     rotation, scale = random_rotations(rng, 200), rng.uniform(0.3, 3, 200)
@@ -63,7 +63,7 @@ def test_a_known_similarity_is_recovered(count: int) -> None:
 
 @pytest.mark.parametrize("turn", [0.0, np.pi / 2, np.pi, -np.pi / 2, 1e-7, np.pi - 1e-7])
 @pytest.mark.parametrize("axis", [0, 1, 2])
-def test_turns_about_an_axis_of_an_aligned_set(turn: float, axis: int) -> None:
+def test_turns_about_an_axis_of_an_aligned_set(turn, axis):
     """Half turns and aligned axes make zero entries and equal values in the covariance."""
     c, s = np.cos(turn), np.sin(turn)
     rotation = np.roll(np.array([[1, 0, 0], [0, c, -s], [0, s, c]]), (axis, axis), (0, 1))
@@ -74,7 +74,7 @@ def test_turns_about_an_axis_of_an_aligned_set(turn: float, axis: int) -> None:
 
 
 @pytest.mark.parametrize("count", COUNTS)
-def test_noisy_sets_equal_the_reference(count: int) -> None:
+def test_noisy_sets_equal_the_reference(count):
     rng = np.random.default_rng([count, 1])
     source, target = rng.normal(0, 0.05, (2, 300, count, 3))
     fit = umeyama(source, target)
@@ -88,7 +88,7 @@ def test_noisy_sets_equal_the_reference(count: int) -> None:
 
 
 @pytest.mark.parametrize("count", COUNTS)
-def test_a_mirrored_set_gives_the_best_rotation_not_a_reflection(count: int) -> None:
+def test_a_mirrored_set_gives_the_best_rotation_not_a_reflection(count):
     rng = np.random.default_rng([count, 2])
     source = rng.normal(0, 0.05, (100, count, 3))
     target = source * (-1, 1, 1) + rng.normal(0, 1e-3, source.shape)
@@ -119,16 +119,14 @@ CLOUD = np.random.default_rng(3).normal(0, 0.05, (4, 3))
     [(LINE, CLOUD), (CLOUD, LINE), (LINE, LINE), (POINT, CLOUD), (CLOUD, POINT), (POINT, POINT),
      (np.zeros((4, 3)), np.zeros((4, 3))), (LINE[[0, 0, 3, 3]], CLOUD)],
 )  # fmt: skip
-def test_degenerate_sets_are_finite_and_say_so(
-    source: np.ndarray, target: np.ndarray, dtype: type
-) -> None:
+def test_degenerate_sets_are_finite_and_say_so(source, target, dtype):
     fit = umeyama(source.astype(dtype), target.astype(dtype))
     assert all(np.isfinite(part).all() for part in fit)
     assert np.isfinite(fit.apply(source.astype(dtype))).all()
     assert fit.condition < 1e-5
 
 
-def test_coincident_points_are_degenerate_whatever_the_rounding() -> None:
+def test_coincident_points_are_degenerate_whatever_the_rounding():
     """The mean of n equal numbers may differ from them in the last digit."""
     rng = np.random.default_rng(10)
     for count in (3, 4, 5, 6, 14):
@@ -138,7 +136,7 @@ def test_coincident_points_are_degenerate_whatever_the_rounding() -> None:
         assert umeyama(target, source).condition.max() < 1e-5
 
 
-def test_a_collinear_palm_is_told_from_a_flat_one() -> None:
+def test_a_collinear_palm_is_told_from_a_flat_one():
     triangle = np.array([[0.0, 0, 0], [0.08, 0, 0], [0.04, 0.0, 0]])
     heights = np.array([0.0, 0.0005, 0.002, 0.02, 0.06])
     sets = np.repeat(triangle[None], len(heights), axis=0)
@@ -148,7 +146,7 @@ def test_a_collinear_palm_is_told_from_a_flat_one() -> None:
     assert (np.diff(condition) > 0).all()
 
 
-def test_duplicate_points_are_fine_where_the_rest_determine_the_rotation() -> None:
+def test_duplicate_points_are_fine_where_the_rest_determine_the_rotation():
     rng = np.random.default_rng(4)
     source = CLOUD[[0, 0, 1, 2, 2, 2]]
     rotation = random_rotations(rng)
@@ -156,7 +154,7 @@ def test_duplicate_points_are_fine_where_the_rest_determine_the_rotation() -> No
     np.testing.assert_allclose(fit.rotation, rotation, atol=1e-10)
 
 
-def test_a_fixed_scale_is_held_and_the_rest_is_optimal() -> None:
+def test_a_fixed_scale_is_held_and_the_rest_is_optimal():
     rng = np.random.default_rng(5)
     source, target = rng.normal(0, 0.05, (2, 50, 14, 3))
     fit, free = umeyama(source, target, 1.3), umeyama(source, target)
@@ -169,7 +167,7 @@ def test_a_fixed_scale_is_held_and_the_rest_is_optimal() -> None:
     np.testing.assert_array_equal(umeyama(source, target, each).scale, each)
 
 
-def test_similarities_form_a_group() -> None:
+def test_similarities_form_a_group():
     rng = np.random.default_rng(6)
     a, b, c = rng.normal(0, 0.05, (3, 40, 5, 3))
     b, c = (moved(a, random_rotations(rng, 40), rng.uniform(0.5, 2, 40), rng.normal(0, 1, (40, 3)))
@@ -186,7 +184,7 @@ def test_similarities_form_a_group() -> None:
     np.testing.assert_allclose(on.apply(there.apply(a)), whole.apply(a), atol=1e-10)
 
 
-def test_units_do_not_matter() -> None:
+def test_units_do_not_matter():
     """Millimetres, kilometres, or a source a thousand times its target."""
     rng = np.random.default_rng(7)
     source, target = rng.normal(0, 0.05, (2, 14, 3))
@@ -198,7 +196,7 @@ def test_units_do_not_matter() -> None:
 
 
 @pytest.mark.parametrize("count", [3, 14])
-def test_float32_is_accurate_and_numpy_equals_jax(count: int) -> None:
+def test_float32_is_accurate_and_numpy_equals_jax(count):
     rng = np.random.default_rng([count, 3])
     palm = np.array([[0.03, 0.01, 0.15], [0.025, 0.02, 0.2], [-0.04, 0.013, 0.18]])
     source = palm if count == 3 else rng.normal(0, 0.05, (count, 3))
@@ -220,7 +218,7 @@ def test_float32_is_accurate_and_numpy_equals_jax(count: int) -> None:
             np.testing.assert_allclose(ours, theirs, atol=1e-11)
 
 
-def test_it_compiles_and_maps() -> None:
+def test_it_compiles_and_maps():
     rng = np.random.default_rng(8)
     source, target = jnp.asarray(rng.normal(0, 0.05, (2, 20, 4, 3)), jnp.float32)
     batch = umeyama(np.asarray(source), np.asarray(target))
@@ -232,7 +230,7 @@ def test_it_compiles_and_maps() -> None:
     np.testing.assert_allclose(shaped.rotation.reshape(20, 3, 3), batch.rotation, atol=1e-6)
 
 
-def test_gradients_are_finite_and_right() -> None:
+def test_gradients_are_finite_and_right():
     """Three points: the third singular value, and entries of the covariance, are zero."""
     rng = np.random.default_rng(9)
     source = rng.normal(0, 0.5, (3, 3))
@@ -253,6 +251,6 @@ def test_gradients_are_finite_and_right() -> None:
         assert np.isfinite(gradient(source, source)).all()
 
 
-def test_namespace_follows_the_arrays() -> None:
+def test_namespace_follows_the_arrays():
     assert array_namespace(np.zeros(1), 2.0) is np
     assert array_namespace(np.zeros(1), jnp.zeros(1)) is jnp

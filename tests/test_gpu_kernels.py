@@ -76,7 +76,7 @@ def costs_of(kind: str, count: int) -> np.ndarray:
 @pytest.mark.parametrize(
     "kind", ["plain", "ties", "equal", "signs", "infinite", "nan", "few finite", "tiny"]
 )
-def test_the_elites_are_those_of_a_sort(kind: str) -> None:
+def test_the_elites_are_those_of_a_sort(kind):
     count, size, elites = 500, 5, 24
     costs = costs_of(kind, count)
     base = np.random.default_rng(1).normal(size=(size, count)).astype(np.float32)
@@ -93,7 +93,7 @@ def test_the_elites_are_those_of_a_sort(kind: str) -> None:
     [(8192, 3, 128), (33, 1, 1), pytest.param(8192, 16, 128, marks=LARGE),
      pytest.param(40, 17, 40, marks=LARGE)],
 )  # fmt: skip
-def test_sizes_that_are_no_powers_of_two(count: int, size: int, elites: int) -> None:
+def test_sizes_that_are_no_powers_of_two(count, size, elites):
     rng = np.random.default_rng(2)
     costs = rng.random(count).astype(np.float32)
     base = rng.normal(size=(size, count)).astype(np.float32)
@@ -104,7 +104,7 @@ def test_sizes_that_are_no_powers_of_two(count: int, size: int, elites: int) -> 
 
 
 @pytest.mark.parametrize("size", [4, 5, pytest.param(16, marks=LARGE)])
-def test_fresh_normals_and_the_next_key(size: int) -> None:
+def test_fresh_normals_and_the_next_key(size):
     costs = np.random.default_rng(4).random(300).astype(np.float32)
     index = np.argsort(costs, kind="stable")[:24]
     words = random_words(jnp.asarray(KEY), 4)
@@ -121,7 +121,7 @@ def test_fresh_normals_and_the_next_key(size: int) -> None:
 
 
 @pytest.mark.parametrize("size", [1, 4, 5, pytest.param(16, marks=LARGE)])
-def test_small_systems_against_numpy(size: int) -> None:
+def test_small_systems_against_numpy(size):
     rng = np.random.default_rng(size)
     roots = rng.normal(size=(5, size, size))
     matrices = roots @ np.swapaxes(roots, 1, 2) + 0.1 * np.eye(size)
@@ -136,11 +136,11 @@ def test_small_systems_against_numpy(size: int) -> None:
     np.testing.assert_allclose(np.asarray(x)[good], solution, atol=5e-4, rtol=5e-4)
 
 
-def test_a_cpu_takes_none_of_them() -> None:
+def test_a_cpu_takes_none_of_them():
     assert not kernels_available()
 
 
-def test_arrays_are_the_objects() -> None:
+def test_arrays_are_the_objects():
     retargeter = Retargeter(method="joint_angle")
     recordings = [SyntheticOperator(seed=seed).record(0.705)[:70] for seed in range(3)]
     landmarks = np.stack([r.landmarks for r in recordings])
@@ -163,7 +163,7 @@ def test_arrays_are_the_objects() -> None:
     assert (arrays.q <= limits[:, 1]).all()
 
 
-def test_arrays_of_other_shapes_are_refused() -> None:
+def test_arrays_of_other_shapes_are_refused():
     retargeter = Retargeter(method="joint_angle")
     landmarks = np.zeros((2, 3, 21, 3))
     with pytest.raises(RecordingError, match=r"landmarks must be \(R, T, 21, 3\)"):

@@ -6,7 +6,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -30,9 +29,7 @@ TABLES = sorted(path.stem for path in built_in_tables().glob("*.toml"))
 
 
 @pytest.fixture(params=list(RIGS))
-def rig(
-    request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> Iterator[Rig]:
+def rig(request, tmp_path, monkeypatch) -> Iterator[Rig]:
     if why := missing(request.param):
         pytest.skip(why)
     monkeypatch.setattr("smooth_operator.teleop.hardware.worker._RETRY_S", 0.02)
@@ -141,7 +138,7 @@ class Driven:
 
 
 @pytest.mark.parametrize("hand", ["linker_l10", "linker_l20"])
-def test_a_driver_of_several_models_takes_the_table_of_the_runs_hand(hand: str) -> None:
+def test_a_driver_of_several_models_takes_the_table_of_the_runs_hand(hand):
     assert LinkerSink().actuators("right", hand).hand == hand
     assert LinkerSink(model="l20").actuators("right", hand).hand == "linker_l20"
     with pytest.raises(ConfigError, match=r"is the table of the hand 'linker_l20'"):
@@ -149,7 +146,7 @@ def test_a_driver_of_several_models_takes_the_table_of_the_runs_hand(hand: str) 
 
 
 @pytest.mark.parametrize("name", TABLES)
-def test_a_table_fits_its_hand(name: str) -> None:
+def test_a_table_fits_its_hand(name):
     table = read_table(built_in_tables() / f"{name}.toml")
     hand = load_hand(table.hand, side=table.side)
     bound = BoundMap(table, hand)
@@ -166,7 +163,7 @@ def test_a_table_fits_its_hand(name: str) -> None:
         assert back == pytest.approx(commands, abs=1e-6)
 
 
-def test_opening_moves_nothing_and_reads_where_the_hand_is(rig: Rig) -> None:
+def test_opening_moves_nothing_and_reads_where_the_hand_is(rig):
     before = rig.positions()
     with Opened(rig) as opened:
         reading = opened.device.read()
@@ -177,7 +174,7 @@ def test_opening_moves_nothing_and_reads_where_the_hand_is(rig: Rig) -> None:
     assert rig.positions() == pytest.approx(before, abs=rig.unit)
 
 
-def test_it_goes_where_it_is_told_and_reads_it_back(rig: Rig) -> None:
+def test_it_goes_where_it_is_told_and_reads_it_back(rig):
     with Driven(rig) as driven:
         wanted = driven.ask(0.4)
         until(
@@ -205,7 +202,7 @@ def test_it_goes_where_it_is_told_and_reads_it_back(rig: Rig) -> None:
     assert rig.outside() == 0
 
 
-def test_a_stop_holds_the_hand_on_its_way(rig: Rig) -> None:
+def test_a_stop_holds_the_hand_on_its_way(rig):
     with Driven(rig) as driven:
         start = rig.positions()
         rig.slow()
@@ -227,14 +224,14 @@ def test_a_stop_holds_the_hand_on_its_way(rig: Rig) -> None:
     assert rig.outside() == 0
 
 
-def test_relaxing_is_taken_by_every_hand(rig: Rig) -> None:
+def test_relaxing_is_taken_by_every_hand(rig):
     with Opened(rig) as opened:
         opened.device.write(opened.device.read().positions)
         opened.device.relax()
         opened.device.read()
 
 
-def test_a_hand_lost_in_motion_comes_back(rig: Rig) -> None:
+def test_a_hand_lost_in_motion_comes_back(rig):
     rig.patience(0.05)
     with Driven(rig, lost_s=0.3) as driven:
         driven.ask(0.2)
@@ -262,9 +259,7 @@ def test_a_hand_lost_in_motion_comes_back(rig: Rig) -> None:
     ["inspire", "inspire-rtu", "linker-l20", "linker-l10", "ability", "wuji", "revo2", "revo2-sdk"],
     indirect=True,
 )
-def test_after_an_outage_the_first_command_is_where_the_hand_is(
-    rig: Rig, monkeypatch: pytest.MonkeyPatch, seconds: float
-) -> None:
+def test_after_an_outage_the_first_command_is_where_the_hand_is(rig, monkeypatch, seconds):
     """The operator goes on meanwhile, over half of the range."""
     rig.patience(0.05)
     sent: list[np.ndarray] = []
@@ -294,9 +289,7 @@ def test_after_an_outage_the_first_command_is_where_the_hand_is(
 
 @pytest.mark.parametrize("rig", ["inspire", "inspire-rtu"], indirect=True)
 @pytest.mark.parametrize("words", [[0xFFFF] * 6, [1000, 0xFFFF, 1000, 1000, 1000, 1000]])
-def test_a_stop_while_an_inspire_hand_has_no_angles(
-    rig: Rig, monkeypatch: pytest.MonkeyPatch, words: list[int]
-) -> None:
+def test_a_stop_while_an_inspire_hand_has_no_angles(rig, monkeypatch, words):
     """0xFFFF, -1, is no angle: taken for one, the stop would close an open hand."""
     with Driven(rig, lost_s=60.0) as driven:
         wanted = driven.ask(0.8)
@@ -320,9 +313,7 @@ WITH_LIMITS = ("inspire", "inspire-rtu", "linker-l20", "linker-l10", "wuji", "re
 
 
 @pytest.mark.parametrize("rig", [*WITH_LIMITS, "allegro-v5", "allegro-v4"], indirect=True)
-def test_a_hand_that_restarts_in_motion_is_lost_and_limited_again(
-    rig: Rig, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_hand_that_restarts_in_motion_is_lost_and_limited_again(rig, monkeypatch):
     readings: list[float] = []
     look = SettingsWatch.look
 
@@ -353,9 +344,7 @@ LIMITED: dict[str, dict[str, object]] = {"linker": {"limit": 60.0}, "wuji": {"li
 
 
 @pytest.mark.parametrize("rig", WITH_LIMITS, indirect=True)
-def test_limits_are_back_before_a_hand_moves_again(
-    rig: Rig, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_limits_are_back_before_a_hand_moves_again(rig, monkeypatch):
     at_targets: list[list[float]] = []
     aim = rig.hand.servos.aim
 
@@ -380,13 +369,13 @@ def test_limits_are_back_before_a_hand_moves_again(
         assert all(there == limits for there in at_targets[count:])
 
 
-def test_a_hand_in_which_the_driver_sets_nothing_has_nothing_to_lose(rig: Rig) -> None:
+def test_a_hand_in_which_the_driver_sets_nothing_has_nothing_to_lose(rig):
     with Opened(rig) as opened:
         names = [setting.name for setting in opened.device.settings()]
     assert bool(names) == bool(rig.limits())
 
 
-def test_wrong_answers_move_nothing_and_pass(rig: Rig) -> None:
+def test_wrong_answers_move_nothing_and_pass(rig):
     rig.patience(0.2)
     with Opened(rig) as opened:
         rig.faults.garble = True
@@ -409,7 +398,7 @@ def test_wrong_answers_move_nothing_and_pass(rig: Rig) -> None:
     assert rig.targets() == 0
 
 
-def test_a_slow_bus_costs_the_loop_nothing(rig: Rig) -> None:
+def test_a_slow_bus_costs_the_loop_nothing(rig):
     with Driven(rig, lost_s=2.0) as driven:
         rig.faults.delay_s = rig.delay_s
         driven.ask(0.3)
@@ -420,7 +409,7 @@ def test_a_slow_bus_costs_the_loop_nothing(rig: Rig) -> None:
     assert rig.outside() == 0
 
 
-def test_nothing_on_the_wire_is_one_sentence(rig: Rig) -> None:
+def test_nothing_on_the_wire_is_one_sentence(rig):
     rig.patience(0.1)
     rig.lose()
     with pytest.raises(SinkError) as caught, Opened(rig, patient=False):
@@ -432,7 +421,7 @@ def test_nothing_on_the_wire_is_one_sentence(rig: Rig) -> None:
 
 
 @pytest.mark.parametrize("rig", ["inspire", "allegro-v5", "ability"], indirect=True)
-def test_a_blocked_motor_squeezes_no_further(rig: Rig) -> None:
+def test_a_blocked_motor_squeezes_no_further(rig):
     with Driven(rig) as driven:
         before = driven.ask(0.5)
         until(lambda: np.abs(rig.positions() - before).max() <= 2 * rig.unit, "the start")

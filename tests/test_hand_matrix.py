@@ -184,7 +184,7 @@ Matrix = dict[tuple[str, str], dict[str, Run]]
 
 
 @pytest.fixture(scope="module")
-def matrix(request: pytest.FixtureRequest) -> Matrix:
+def matrix(request) -> Matrix:
     """All that the chosen tests will look at; in the weekly run, hands in parallel.
 
     The sides of a mirrored hand share their programs, so one process has both.
@@ -214,13 +214,13 @@ def matrix(request: pytest.FixtureRequest) -> Matrix:
     return runs_of
 
 
-def test_all_methods_are_in_the_matrix() -> None:
+def test_all_methods_are_in_the_matrix():
     assert sorted(METHODS) == sorted(method_names())
     assert sorted(METHODS) == sorted(m for methods in EVERY_RUN.values() for m in methods)
 
 
 @pytest.mark.parametrize(("name", "side"), SIDED)
-def test_every_method_moves_the_hand_as_a_hand_can(matrix: Matrix, name: str, side: str) -> None:
+def test_every_method_moves_the_hand_as_a_hand_can(matrix, name, side):
     hand, runs = load_hand(name, side), matrix[name, side]
     expected = [methods_of(name, side, True), EVERY_RUN.get(name, ())]
     assert {*runs} in [{*methods} for methods in expected]
@@ -242,7 +242,7 @@ def test_every_method_moves_the_hand_as_a_hand_can(matrix: Matrix, name: str, si
 
 
 @pytest.mark.parametrize(("name", "side"), SIDED)
-def test_no_method_freezes_the_hand(matrix: Matrix, name: str, side: str) -> None:
+def test_no_method_freezes_the_hand(matrix, name, side):
     hand = load_hand(name, side)
     for method, run in matrix[name, side].items():
         assert run.figure("frozen_share") == 0, (method, run.figure("frozen_share"))
@@ -251,7 +251,7 @@ def test_no_method_freezes_the_hand(matrix: Matrix, name: str, side: str) -> Non
 
 
 @pytest.mark.parametrize(("name", "side"), SIDED)
-def test_fingertips_follow(matrix: Matrix, name: str, side: str) -> None:
+def test_fingertips_follow(matrix, name, side):
     for method, run in matrix[name, side].items():
         floor = LOWER.get((name, method), FLOORS[method])
         if method == "geort" and built_in_model(name) is not None:
@@ -261,7 +261,7 @@ def test_fingertips_follow(matrix: Matrix, name: str, side: str) -> None:
 
 
 @pytest.mark.parametrize("name", [*BOTH_SIDES, *WEEKLY])
-def test_the_two_sides_are_alike(matrix: Matrix, name: str) -> None:
+def test_the_two_sides_are_alike(matrix, name):
     """A mirrored hand gives the same joints; one with a left model of its own follows as well."""
     right, left = matrix[name, "right"], matrix[name, "left"]
     for method in left:
@@ -274,7 +274,7 @@ def test_the_two_sides_are_alike(matrix: Matrix, name: str) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_geort_without_a_model_says_how_to_train_one(name: str) -> None:
+def test_geort_without_a_model_says_how_to_train_one(name):
     if built_in_model(name) is None:
         with pytest.raises(ConfigError, match=rf"no built-in GeoRT model for hand '{name}'.*train"):
             Retargeter(name, method="geort")

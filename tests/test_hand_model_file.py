@@ -60,7 +60,7 @@ def server() -> Iterator[Server]:
 
 
 @pytest.fixture(autouse=True)
-def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def cache(tmp_path, monkeypatch) -> Path:
     """The place of the file in a cache folder of the test's own."""
     for name in ("XDG_CACHE_HOME", "LOCALAPPDATA", "HOME"):
         monkeypatch.setenv(name, str(tmp_path))
@@ -71,7 +71,7 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return model_cache()
 
 
-def test_it_is_kept_where_the_caches_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_it_is_kept_where_the_caches_are(tmp_path, monkeypatch):
     usual = model_cache()
     monkeypatch.setenv("SMOOTH_OPERATOR_CACHE", str(tmp_path / "elsewhere"))
     assert model_cache() == tmp_path / "elsewhere" / "models" / "hand_landmarker.task"
@@ -83,7 +83,7 @@ def left_behind(cache: Path) -> list[Path]:
     return list(cache.parent.iterdir()) if cache.parent.is_dir() else []
 
 
-def test_it_is_fetched_once_and_kept(server: Server, cache: Path) -> None:
+def test_it_is_fetched_once_and_kept(server, cache):
     told: list[tuple[int, int | None]] = []
     for _ in range(2):
         path = hand_model(url=server.url, sha256=HASH, progress=lambda *at: told.append(at))
@@ -95,7 +95,7 @@ def test_it_is_fetched_once_and_kept(server: Server, cache: Path) -> None:
     assert left_behind(cache) == [cache]
 
 
-def test_another_file_is_refused_and_thrown_away(server: Server, cache: Path) -> None:
+def test_another_file_is_refused_and_thrown_away(server, cache):
     server.body = b"<html>please log in</html>"
     server.length = len(server.body)
     with pytest.raises(SourceError, match="not the published hand landmarker") as caught:
@@ -105,7 +105,7 @@ def test_another_file_is_refused_and_thrown_away(server: Server, cache: Path) ->
     assert left_behind(cache) == []
 
 
-def test_half_a_file_is_never_taken_for_the_whole(server: Server, cache: Path) -> None:
+def test_half_a_file_is_never_taken_for_the_whole(server, cache):
     server.body = MODEL[: len(MODEL) // 2]
     with pytest.raises(SourceError, match="can't be fetched"):
         hand_model(url=server.url, sha256=HASH)
@@ -114,14 +114,14 @@ def test_half_a_file_is_never_taken_for_the_whole(server: Server, cache: Path) -
     assert hand_model(url=server.url, sha256=HASH).read_bytes() == MODEL
 
 
-def test_a_damaged_file_in_the_cache_is_fetched_again(server: Server, cache: Path) -> None:
+def test_a_damaged_file_in_the_cache_is_fetched_again(server, cache):
     cache.parent.mkdir(parents=True)
     cache.write_bytes(MODEL[:-1])
     assert hand_model(url=server.url, sha256=HASH).read_bytes() == MODEL
     assert server.asked == 1
 
 
-def test_a_damaged_file_is_kept_where_nothing_better_comes(server: Server, cache: Path) -> None:
+def test_a_damaged_file_is_kept_where_nothing_better_comes(server, cache):
     cache.parent.mkdir(parents=True)
     cache.write_bytes(b"old")
     server.status = 503
@@ -131,7 +131,7 @@ def test_a_damaged_file_is_kept_where_nothing_better_comes(server: Server, cache
     assert left_behind(cache) == [cache]
 
 
-def test_without_a_network_one_sentence_says_what_to_do(cache: Path) -> None:
+def test_without_a_network_one_sentence_says_what_to_do(cache):
     nobody = "http://127.0.0.1:9/hand_landmarker.task"
     with pytest.raises(SourceError) as caught:
         hand_model(url=nobody, sha256=HASH)
@@ -139,9 +139,7 @@ def test_without_a_network_one_sentence_says_what_to_do(cache: Path) -> None:
         assert part in str(caught.value)
 
 
-def test_a_body_that_never_ends_is_cut_off(
-    server: Server, monkeypatch: pytest.MonkeyPatch, cache: Path
-) -> None:
+def test_a_body_that_never_ends_is_cut_off(server, monkeypatch, cache):
     monkeypatch.setattr(model_file, "_LARGEST", 1000)
     monkeypatch.setattr(model_file, "_CHUNK", 100)
     counts: list[int] = []
@@ -151,14 +149,14 @@ def test_a_body_that_never_ends_is_cut_off(
     assert left_behind(cache) == []
 
 
-def test_a_cache_that_can_not_be_made(server: Server, cache: Path) -> None:
+def test_a_cache_that_can_not_be_made(server, cache):
     cache.parent.parent.mkdir(parents=True)
     cache.parent.write_text("a file where the folder should be")
     with pytest.raises(OutputError):
         hand_model(url=server.url, sha256=HASH)
 
 
-def test_a_given_file_is_taken_as_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_given_file_is_taken_as_it_is(tmp_path, monkeypatch):
     """It needs no hash: the user may have another version."""
     mine = tmp_path / "mine.task"
     mine.write_bytes(MODEL)
@@ -167,9 +165,7 @@ def test_a_given_file_is_taken_as_it_is(tmp_path: Path, monkeypatch: pytest.Monk
     assert hand_model() == mine
 
 
-def test_a_given_file_must_be_a_hand_landmarker(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_given_file_must_be_a_hand_landmarker(tmp_path, monkeypatch):
     with pytest.raises(SourceError, match=r"^model: there is no file"):
         hand_model(tmp_path / "nowhere.task")
     other = tmp_path / "other.task"

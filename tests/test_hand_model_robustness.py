@@ -35,7 +35,7 @@ def declared(text: str, encoding: str) -> str:
 
 
 @pytest.mark.parametrize("encoding", ["gb2312", "GBK", "shift_jis", "utf-16", "iso-8859-1"])
-def test_a_urdf_in_a_vendors_encoding_loads(encoding: str, tmp_path: Path) -> None:
+def test_a_urdf_in_a_vendors_encoding_loads(encoding, tmp_path):
     plain, other = tmp_path / "plain.urdf", tmp_path / "other.urdf"
     plain.write_text(URDF, encoding="utf-8")
     comment = "<!-- é -->" if encoding == "iso-8859-1" else "<!-- 手 -->"
@@ -48,7 +48,7 @@ def test_a_urdf_in_a_vendors_encoding_loads(encoding: str, tmp_path: Path) -> No
     )
 
 
-def test_names_in_another_encoding_are_read(tmp_path: Path) -> None:
+def test_names_in_another_encoding_are_read(tmp_path):
     joint = HAND.parts[2].name
     path = tmp_path / "hand.urdf"
     path.write_bytes(declared(URDF.replace(f'"{joint}"', '"拇指"'), "gb2312").encode("gb2312"))
@@ -56,7 +56,7 @@ def test_names_in_another_encoding_are_read(tmp_path: Path) -> None:
     assert "拇指" in [model.body(b).name for b in range(model.nbody)]
 
 
-def test_utf_8_that_declares_another_encoding_loads(tmp_path: Path) -> None:
+def test_utf_8_that_declares_another_encoding_loads(tmp_path):
     path = tmp_path / "hand.xml"
     path.write_text(declared(MJCF, "gb2312") + "<!-- \u0141 -->", encoding="utf-8")
     assert load_model(path).model.njnt
@@ -93,7 +93,7 @@ REFUSED: dict[str, tuple[str, str, str]] = {
 
 
 @pytest.mark.parametrize("case", REFUSED)
-def test_a_model_that_cannot_be_used_is_refused_in_a_sentence(case: str, tmp_path: Path) -> None:
+def test_a_model_that_cannot_be_used_is_refused_in_a_sentence(case, tmp_path):
     name, text, said = REFUSED[case]
     path = tmp_path / name
     path.write_text(text, encoding="utf-8")
@@ -102,7 +102,7 @@ def test_a_model_that_cannot_be_used_is_refused_in_a_sentence(case: str, tmp_pat
             reader(path)
 
 
-def test_a_mesh_name_that_no_file_can_have_is_a_missing_mesh(tmp_path: Path) -> None:
+def test_a_mesh_name_that_no_file_can_have_is_a_missing_mesh(tmp_path):
     mesh = f'<visual><geometry><mesh filename="{"y" * 400}.stl"/></geometry></visual></link>'
     path = tmp_path / "hand.urdf"
     path.write_text(re.sub("</link>", mesh, URDF, count=2), encoding="utf-8")
@@ -122,7 +122,7 @@ def test_a_mesh_name_that_no_file_can_have_is_a_missing_mesh(tmp_path: Path) -> 
     ],
     ids=["digits", "dots", "brackets", "deep", "name"],
 )
-def test_a_hostile_spec_file_is_refused_in_a_sentence(text: str, said: str, tmp_path: Path) -> None:
+def test_a_hostile_spec_file_is_refused_in_a_sentence(text, said, tmp_path):
     path = tmp_path / "hand.toml"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(HandModelError, match=said) as refused:
@@ -142,7 +142,7 @@ SEEDS: dict[str, tuple[str, str, str, int]] = {
 
 
 @pytest.mark.parametrize("kind", SEEDS)
-def test_mutants_are_read_or_refused(kind: str, tmp_path: Path) -> None:
+def test_mutants_are_read_or_refused(kind, tmp_path):
     name, text, target, count = SEEDS[kind]
     path, outcomes = tmp_path / name, set()
     with ReaderProcess([str(Path(__file__).parent)]) as reader:
@@ -157,7 +157,7 @@ def test_mutants_are_read_or_refused(kind: str, tmp_path: Path) -> None:
 
 @pytest.mark.shared
 @pytest.mark.skipif(sys.platform == "win32", reason="no named pipes")
-def test_what_once_hung_is_refused(shared: Path, tmp_path: Path) -> None:
+def test_what_once_hung_is_refused(shared, tmp_path):
     files = sorted((shared / "findings" / "crashers").glob("hands_add_HANG_*"))
     assert files
     os.mkfifo(tmp_path / "fifo.stl")

@@ -11,7 +11,6 @@ import sys
 import time
 import types
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -45,7 +44,7 @@ _channels = itertools.count()
 
 
 @pytest.fixture(autouse=True)
-def patience(monkeypatch: pytest.MonkeyPatch) -> None:
+def patience(monkeypatch) -> None:
     """The machine may be busy."""
     drivers = "smooth_operator.teleop.hardware.drivers"
     for name in ("ability._TIMEOUT", "linker._TIMEOUT", "inspire._TIMEOUT", "allegro._STALE_S"):
@@ -69,7 +68,7 @@ def needs(rig: str) -> None:
         pytest.skip(why)
 
 
-def test_inspire_sets_its_limits_and_says_what_the_motors_report() -> None:
+def test_inspire_sets_its_limits_and_says_what_the_motors_report():
     needs("inspire")
     hand = InspireHand()
     hand.errors = [0, 4, 0, 0, 0, 0]
@@ -95,7 +94,7 @@ def test_inspire_sets_its_limits_and_says_what_the_motors_report() -> None:
         server.close()
 
 
-def test_inspire_follows_a_run_of_teleop(capsys: pytest.CaptureFixture[str]) -> None:
+def test_inspire_follows_a_run_of_teleop(capsys):
     needs("inspire")
     hand = InspireHand()
     server = TcpServer(hand)
@@ -113,7 +112,7 @@ def test_inspire_follows_a_run_of_teleop(capsys: pytest.CaptureFixture[str]) -> 
     assert "inspire" in capsys.readouterr().err
 
 
-def test_linker_frames(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_linker_frames(monkeypatch):
     needs("linker-l20")
     import can
 
@@ -197,7 +196,7 @@ def answer(device: AllegroDevice) -> Reading:
 
 
 @pytest.mark.parametrize("version", ["v4", "v5"])
-def test_allegro_torques_have_the_sign_and_the_limit(version: str) -> None:
+def test_allegro_torques_have_the_sign_and_the_limit(version):
     needs("allegro-v5")
     wire = channel()
     hand = AllegroHand(wire, version)
@@ -233,7 +232,7 @@ def test_allegro_torques_have_the_sign_and_the_limit(version: str) -> None:
         hand.close()
 
 
-def test_allegro_angles_that_are_old_are_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_allegro_angles_that_are_old_are_no_answer(monkeypatch):
     needs("allegro-v5")
     monkeypatch.setattr("smooth_operator.teleop.hardware.drivers.allegro._STALE_S", 60.0)
     wire = channel()
@@ -258,7 +257,7 @@ def test_a_runs_limit_lowers_every_actuators_own() -> None:
 
 
 @pytest.mark.parametrize("name", ["allegro", "allegro_v5"])
-def test_allegro_of_the_other_side_is_refused(name: str) -> None:
+def test_allegro_of_the_other_side_is_refused(name):
     needs("allegro-v5")
     wire = channel()
     hand = AllegroHand(wire, "v5" if name == "allegro_v5" else "v4", left=True)
@@ -269,7 +268,7 @@ def test_allegro_of_the_other_side_is_refused(name: str) -> None:
         hand.close()
 
 
-def test_ability_frames() -> None:
+def test_ability_frames():
     # address, command, six positions of 0, and what makes the sum 0: 0x50 + 0x10 + 0xA0 = 0x100
     assert framed(bytes.fromhex("5010" + "00" * 12 + "a0")).hex() == "7e5010" + "00" * 12 + "a07e"
     assert framed(b"\x7e\x7d\x01") == b"\x7e\x7d\x5e\x7d\x5d\x01\x7e"
@@ -277,7 +276,7 @@ def test_ability_frames() -> None:
         assert unstuffed(framed(body)[1:-1]) == body
 
 
-def test_ability_reads_touch_and_heat_and_keeps_the_hand_awake() -> None:
+def test_ability_reads_touch_and_heat_and_keeps_the_hand_awake():
     needs("ability")
     hand = AbilityHand()
     device = AbilityDevice(table("ability_right"), hand.port, 115200, 0x50)
@@ -301,9 +300,7 @@ def test_ability_reads_touch_and_heat_and_keeps_the_hand_awake() -> None:
 
 
 @pytest.mark.skipif(not importlib.util.find_spec("ah_wrapper"), reason="needs ability-hand")
-def test_ability_speaks_as_the_makers_package(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_ability_speaks_as_the_makers_package(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # the package writes files into the current folder
     from ah_wrapper.ah_api import create_misc_msg, create_pos_msg
     from ah_wrapper.ah_parser import parse_packet
@@ -328,7 +325,7 @@ def test_ability_speaks_as_the_makers_package(
         hand.close()
 
 
-def test_wuji_limits_efforts_and_knows_its_side(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_wuji_limits_efforts_and_knows_its_side(monkeypatch):
     world = WujiWorld()
     monkeypatch.setitem(sys.modules, "wujihandpy", world.module)
     device = WujiDevice(table("wuji_right"), "", 10.0)
@@ -351,7 +348,7 @@ def test_wuji_limits_efforts_and_knows_its_side(monkeypatch: pytest.MonkeyPatch)
         device.open()
 
 
-def test_revo2_says_who_stalls_and_knows_its_side(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_revo2_says_who_stalls_and_knows_its_side(monkeypatch):
     world = StarkWorld()
     monkeypatch.setitem(sys.modules, "bc_stark_sdk", world.package)
     monkeypatch.setitem(sys.modules, "bc_stark_sdk.main_mod", world.main_mod)
@@ -372,7 +369,7 @@ def test_revo2_says_who_stalls_and_knows_its_side(monkeypatch: pytest.MonkeyPatc
 
 
 @pytest.mark.parametrize("rig", list(RIGS))
-def test_a_table_of_another_hand_is_refused(rig: str) -> None:
+def test_a_table_of_another_hand_is_refused(rig):
     kinds = {
         "inspire": lambda t: InspireDevice(t, "x"),
         "linker": lambda t: LinkerDevice(t, "x", "l20"),
@@ -397,7 +394,7 @@ def calls(kind: type) -> dict[str, list[str]]:
 
 
 @pytest.mark.skipif(not importlib.util.find_spec("wujihandpy"), reason="needs wujihandpy")
-def test_the_stand_in_of_wujihandpy_is_like_the_real_one() -> None:
+def test_the_stand_in_of_wujihandpy_is_like_the_real_one():
     import wujihandpy
 
     for mine, real in ((WujiHand, wujihandpy.Hand), (WujiController, wujihandpy.IController)):
@@ -413,7 +410,7 @@ def test_the_stand_in_of_wujihandpy_is_like_the_real_one() -> None:
 
 
 @pytest.mark.skipif(not importlib.util.find_spec("bc_stark_sdk"), reason="needs bc-stark-sdk")
-def test_the_stand_in_of_bc_stark_sdk_is_like_the_real_one() -> None:
+def test_the_stand_in_of_bc_stark_sdk_is_like_the_real_one():
     from bc_stark_sdk import main_mod
 
     for name, parameters in calls(StarkContext).items():
@@ -432,7 +429,7 @@ def hand() -> Hand:
 
 
 @pytest.mark.parametrize("side", ["right", "left"])
-def test_the_table_fits_our_model(side: str) -> None:
+def test_the_table_fits_our_model(side):
     table = read_table(built_in_tables() / f"orca_{side}.toml")
     hand = load_hand("orca_v2", side)  # type: ignore[arg-type]
     bound = table.bind(hand)
@@ -443,7 +440,7 @@ def test_the_table_fits_our_model(side: str) -> None:
         assert commands == pytest.approx(bound.clip(commands), abs=0.1)
 
 
-def test_without_orca_core_the_extra_is_named(hand: Hand) -> None:
+def test_without_orca_core_the_extra_is_named(hand):
     try:
         import orca_core  # noqa: F401
     except ImportError:
@@ -453,9 +450,7 @@ def test_without_orca_core_the_extra_is_named(hand: Hand) -> None:
         pytest.skip("orca-core is installed")
 
 
-def test_the_makers_mock_boots_approaches_and_is_read_back(
-    hand: Hand, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_makers_mock_boots_approaches_and_is_read_back(hand, capsys):
     pytest.importorskip("orca_core", reason="the extra orca (orca-core) is not installed")
     sink = build_sink("orca:mock=true,approach=5")
     sink.open({"right": hand}, {})
@@ -478,9 +473,7 @@ def test_the_makers_mock_boots_approaches_and_is_read_back(
     assert capsys.readouterr().out == ""  # what the makers' library says is no result
 
 
-def test_a_hand_that_is_not_calibrated_is_refused(
-    hand: Hand, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_hand_that_is_not_calibrated_is_refused(hand, monkeypatch):
     core = pytest.importorskip("orca_core", reason="the extra orca (orca-core) is not installed")
     real = core.load_hand
 
@@ -534,9 +527,7 @@ class _Hand:
 
 
 @pytest.mark.parametrize(("limit", "current"), [(150.0, 150.0), (None, 400.0)])
-def test_the_limit_is_back_before_torque_that_was_off(
-    monkeypatch: pytest.MonkeyPatch, limit: float | None, current: float
-) -> None:
+def test_the_limit_is_back_before_torque_that_was_off(monkeypatch, limit, current):
     table = read_table(built_in_tables() / "orca_right.toml")
     first = replace(table.actuators[0], limit=limit)
     table = replace(table, limit=None, actuators=(first, *table.actuators[1:]))

@@ -54,7 +54,7 @@ LATER = tuple(name for name in NAMES if name in ALIKE or name == "linker_l10")
 
 
 @pytest.fixture(autouse=True)
-def no_hands_of_the_user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def no_hands_of_the_user(tmp_path, monkeypatch) -> None:
     monkeypatch.setenv("SMOOTH_OPERATOR_HANDS", str(tmp_path / "none"))
 
 
@@ -64,14 +64,14 @@ def human(side: str) -> np.ndarray:
     return (poses if side == "right" else mirror(poses)).landmarks[0]
 
 
-def test_the_names() -> None:
+def test_the_names():
     assert hand_names() == NAMES
     assert all(entry.builtin for entry in known_hands().values())
     assert tuple(n for n, entry in known_hands().items() if entry.mirrored == ("left",)) == MIRRORED
 
 
 @pytest.mark.parametrize(("name", "side"), HANDS)
-def test_every_hand(name: str, side: str) -> None:
+def test_every_hand(name, side):
     hand = load_hand(name, side)
     assert (hand.name, hand.spec.side) == (name, side)
     assert hand.spec.mirror == (name in MIRRORED and side == "left")
@@ -92,7 +92,7 @@ def test_every_hand(name: str, side: str) -> None:
 
 
 @pytest.mark.parametrize(("name", "side"), HANDS)
-def test_every_hand_is_shaped_as_a_hand(name: str, side: str) -> None:
+def test_every_hand_is_shaped_as_a_hand(name, side):
     hand = load_hand(name, side)
     fit = palm_alignment(human(side)[None], hand)
     assert fit.condition[0] > 5 * MIN_CONDITION
@@ -122,7 +122,7 @@ def test_every_hand_is_shaped_as_a_hand(name: str, side: str) -> None:
 
 
 @pytest.mark.parametrize(("name", "side"), HANDS)
-def test_every_joint_has_a_row_in_the_joint_map(name: str, side: str) -> None:
+def test_every_joint_has_a_row_in_the_joint_map(name, side):
     hand = load_hand(name, side)
     rows = joint_map(hand)
     assert tuple(row.joint for row in rows) == hand.actuated_names
@@ -131,7 +131,7 @@ def test_every_joint_has_a_row_in_the_joint_map(name: str, side: str) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_tips_are_at_the_end_of_their_fingers(name: str) -> None:
+def test_tips_are_at_the_end_of_their_fingers(name):
     """Within 3 mm of the surface of the last link."""
     hand = load_hand(name)
     data = mujoco.MjData(hand.model)
@@ -149,19 +149,17 @@ def test_tips_are_at_the_end_of_their_fingers(name: str) -> None:
 
 
 @pytest.mark.parametrize(("name", "side"), HANDS)
-def test_a_hand_at_rest_is_not_inside_itself(name: str, side: str) -> None:
+def test_a_hand_at_rest_is_not_inside_itself(name, side):
     hand = load_hand(name, side)
     depths = penetration_depths(hand, hand.full_configuration(hand.neutral)[None])
-    assert depths is not None
     assert depths[0] == 0
     poses = hand.full_configuration(limited_poses(np.random.default_rng(5), hand.limits, 20))
     deep = penetration_depths(hand, poses)
-    assert deep is not None
     assert np.isfinite(deep).all()
 
 
 @pytest.mark.parametrize("name", MIRRORED)
-def test_mirrored_hands_are_mirror_images(name: str) -> None:
+def test_mirrored_hands_are_mirror_images(name):
     right, left = load_hand(name, "right"), load_hand(name, "left")
     assert right.joint_names == left.joint_names
     np.testing.assert_array_equal(right.limits, left.limits)
@@ -172,7 +170,7 @@ def test_mirrored_hands_are_mirror_images(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ALIKE)
-def test_separately_published_sides_are_nearly_mirror_images(name: str) -> None:
+def test_separately_published_sides_are_nearly_mirror_images(name):
     """The two sides were written down from two files, so a slip in one of them shows."""
     right, left = load_hand(name, "right"), load_hand(name, "left")
     mirror = np.array((1, 1, -1) if name == "unitree_dex5" else (1, -1, 1))
@@ -207,7 +205,7 @@ def published(file: Path) -> tuple[mujoco.MjModel, tuple[Coupling, ...]]:
 
 @pytest.mark.shared
 @pytest.mark.parametrize(("name", "side"), REAL)
-def test_landmarks_and_limits_are_the_published_ones(shared: Path, name: str, side: str) -> None:
+def test_landmarks_and_limits_are_the_published_ones(shared, name, side):
     real, hand = REAL[name, side], load_hand(name, side)
     model, _ = published(shared / real.file)
     joints = [model.joint(joint).id for joint in hand.joint_names]
@@ -242,7 +240,7 @@ def test_landmarks_and_limits_are_the_published_ones(shared: Path, name: str, si
 
 @pytest.mark.shared
 @pytest.mark.parametrize(("name", "side"), REAL)
-def test_couplings_are_the_published_ones(shared: Path, name: str, side: str) -> None:
+def test_couplings_are_the_published_ones(shared, name, side):
     """Equalities, URDF mimic, and Shadow's tendons."""
     real, hand = REAL[name, side], load_hand(name, side)
     _, declared = published(shared / real.file)
@@ -262,9 +260,7 @@ def test_couplings_are_the_published_ones(shared: Path, name: str, side: str) ->
     [("shadow_hand", "right"), ("allegro_hand", "left"), ("inspire_hand", "left"),
      ("schunk_svh", "right"), ("wuji_hand", "right"), ("leap_hand", "right")],
 )  # fmt: skip
-def test_a_description_is_carried_over_to_the_vendors_model(
-    shared: Path, name: str, side: str
-) -> None:
+def test_a_description_is_carried_over_to_the_vendors_model(shared, name, side):
     hand = load_hand(name, side)
     there = on_model(hand, shared / REAL[name, side].file)
     assert there.spec.palm == REAL[name, side].palm
@@ -276,7 +272,7 @@ def test_a_description_is_carried_over_to_the_vendors_model(
 
 
 @pytest.mark.shared
-def test_models_of_other_hands_are_refused(shared: Path) -> None:
+def test_models_of_other_hands_are_refused(shared):
     right = load_hand("shadow_hand")
     with pytest.raises(HandModelError, match=r"lacks the joints rh_FFJ4.*that hand and side"):
         on_model(right, shared / REAL["shadow_hand", "left"].file)
@@ -284,7 +280,7 @@ def test_models_of_other_hands_are_refused(shared: Path) -> None:
         on_model(load_hand("wuji_hand", "left"), shared / REAL["wuji_hand", "right"].file)
 
 
-def test_a_model_whose_landmarks_lie_elsewhere_is_refused(tmp_path: Path) -> None:
+def test_a_model_whose_landmarks_lie_elsewhere_is_refused(tmp_path):
     text = (MODELS / "ability_hand_right.xml").read_text()
     longer = tmp_path / "longer.xml"
     longer.write_text(text.replace('name="index_2" pos="0.0384', 'name="index_2" pos="0.0484'))
@@ -321,9 +317,7 @@ TENDON = """
         ("", []),
     ],
 )
-def test_joints_on_one_tendon(
-    tmp_path: Path, actuators: str, expected: list[tuple[str, str, float]]
-) -> None:
+def test_joints_on_one_tendon(tmp_path, actuators, expected):
     path = tmp_path / "tendon.xml"
     path.write_text(TENDON.format(actuators=actuators))
     couplings = load_model(path).couplings
@@ -331,7 +325,7 @@ def test_joints_on_one_tendon(
     assert all(c.offset == 0 for c in couplings)
 
 
-def test_shadows_joints_share_their_tendon() -> None:
+def test_shadows_joints_share_their_tendon():
     hand = load_hand("shadow_hand")
     q = limited_poses(np.random.default_rng(3), hand.limits, 10)
     every = dict(zip(hand.joint_names, hand.full_configuration(q).T, strict=True))
@@ -342,7 +336,7 @@ def test_shadows_joints_share_their_tendon() -> None:
 # Fewer fingers, and others
 
 
-def test_fewer_fingers() -> None:
+def test_fewer_fingers():
     hand = load_hand("shadow_hand", fingers=("thumb", "index", "pinky"))
     assert hand.fingers == ("thumb", "index", "pinky")
     assert hand.spec.align == ("thumb", "index", "pinky")
@@ -353,7 +347,7 @@ def test_fewer_fingers() -> None:
     assert load_hand("shadow_hand") is load_hand("shadow_hand")  # the whole one is kept
 
 
-def test_another_finger_drives() -> None:
+def test_another_finger_drives():
     spec = find_hand("allegro_hand").spec("right")
     row = JointMap("rfj1", 0.1, {"ring_mcp": 1.0})
     lost = JointMap("mfj1", 0.1, {"middle_mcp": 1.0})
@@ -370,7 +364,7 @@ def test_another_finger_drives() -> None:
     np.testing.assert_array_equal(at, there)
 
 
-def test_choices_as_text() -> None:
+def test_choices_as_text():
     assert parse_fingers("thumb, index,pinky=ring") == {
         "thumb": "thumb", "index": "index", "pinky": "ring",
     }  # fmt: skip
@@ -392,7 +386,7 @@ def test_choices_as_text() -> None:
         ({"thumb": "thumb", "index": "ring", "ring": "ring"}, HandModelError, "names a finger tw"),
     ],
 )
-def test_impossible_choices(fingers: object, error: type[Exception], message: str) -> None:
+def test_impossible_choices(fingers, error, message):
     with pytest.raises(error, match=message):
         load_hand("shadow_hand", fingers=fingers)  # type: ignore[arg-type]
 
@@ -407,7 +401,7 @@ def test_impossible_choices(fingers: object, error: type[Exception], message: st
                     marks=pytest.mark.weekly if at > 1 else ())
        for at, name in enumerate(LATER))],
 )  # fmt: skip
-def test_a_frame_is_retargeted(name: str, side: str, method: str) -> None:
+def test_a_frame_is_retargeted(name, side, method):
     """Three fingers; two joints a finger, on the left; and the hands that the matrix leaves out."""
     hand = load_hand(name, side)
     retargeter = Retargeter(hand, method=method)
@@ -424,7 +418,7 @@ def test_a_frame_is_retargeted(name: str, side: str, method: str) -> None:
 # The page about hands
 
 
-def test_the_documented_table_is_the_catalogue() -> None:
+def test_the_documented_table_is_the_catalogue():
     docs = Path(__file__).resolve().parents[1] / "docs"
     rows = re.findall(
         r"^\| `(\w+)` \| (\d+) \| (\d+) \| (\d+) \| (−?\d+)° \| (\w+) \|",

@@ -57,7 +57,7 @@ def ticks(hand: Hand, count: int) -> list[Tick]:
 
 
 @pytest.fixture
-def log(tmp_path: Path, hand: Hand) -> Path:
+def log(tmp_path, hand) -> Path:
     sink = RecordSink(tmp_path / "take.mcap")
     sink.open({"right": hand}, {"hand": hand.name})
     for tick in ticks(hand, 10):
@@ -66,7 +66,7 @@ def log(tmp_path: Path, hand: Hand) -> Path:
     return tmp_path / "take.mcap"
 
 
-def test_a_log_has_each_measurement_once(log: Path, hand: Hand) -> None:
+def test_a_log_has_each_measurement_once(log, hand):
     states = read_log(log).states
     assert states.positions.shape == (5, len(hand.joint_names))
     assert states.names == hand.joint_names
@@ -79,7 +79,7 @@ def test_a_log_has_each_measurement_once(log: Path, hand: Hand) -> None:
 
 
 @pytest.mark.parametrize("suffix", [".h5", ".mcap"])
-def test_measured_joints_survive_a_conversion(log: Path, tmp_path: Path, suffix: str) -> None:
+def test_measured_joints_survive_a_conversion(log, tmp_path, suffix):
     if suffix == ".h5":
         pytest.importorskip("h5py", reason="the extra hdf5 is not installed")
     episode = read_episode(log)
@@ -91,7 +91,7 @@ def test_measured_joints_survive_a_conversion(log: Path, tmp_path: Path, suffix:
     assert (again.names, again.actuators) == (episode.states.names, ("a", "b"))
 
 
-def test_a_dataset_observes_the_measured_joints(log: Path, tmp_path: Path, hand: Hand) -> None:
+def test_a_dataset_observes_the_measured_joints(log, tmp_path, hand):
     pytest.importorskip("pyarrow", reason="the extra lerobot is not installed")
     from smooth_operator.episode_files.lerobot.writer import write_dataset
 
@@ -115,7 +115,7 @@ def test_a_dataset_observes_the_measured_joints(log: Path, tmp_path: Path, hand:
         write_dataset(tmp_path / "mixed", [lambda: episode, lambda: bare], fps=100)
 
 
-def test_states_of_an_episode_must_fit() -> None:
+def test_states_of_an_episode_must_fit():
     with pytest.raises(RecordingError, match="positions must have shape"):
         StateTrajectory(np.zeros(2), np.zeros((2, 3)), ("a",))
     with pytest.raises(RecordingError, match="never go back"):
@@ -127,7 +127,7 @@ def test_states_of_an_episode_must_fit() -> None:
     assert Episode.__dataclass_fields__["states"].default is None
 
 
-def test_a_message_of_a_state_is_no_command(hand: Hand, tmp_path: Path) -> None:
+def test_a_message_of_a_state_is_no_command(hand, tmp_path):
     state = measured(hand, 1, time.perf_counter())
     message = zmq_message(state)
     text = json.dumps(message, separators=(",", ":"), allow_nan=False)
@@ -146,7 +146,7 @@ def test_a_message_of_a_state_is_no_command(hand: Hand, tmp_path: Path) -> None:
     assert plain(logged)["temperatures"] == [31.0, 32.0]
 
 
-def test_the_simulation_measures_and_a_real_hand_goes_before_it(hand: Hand) -> None:
+def test_the_simulation_measures_and_a_real_hand_goes_before_it(hand):
     sink = build_sink("mujoco")
     runner = SinkRunner([sink])
     runner.open({"right": hand}, {})

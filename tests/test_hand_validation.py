@@ -59,7 +59,7 @@ EVERY_RUN = (
 
 
 @pytest.fixture(autouse=True)
-def no_hands_of_the_user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def no_hands_of_the_user(tmp_path, monkeypatch) -> None:
     monkeypatch.setenv("SMOOTH_OPERATOR_HANDS", str(tmp_path / "none"))
 
 
@@ -74,7 +74,7 @@ def basics(hand: str | Hand | HandSpec, side: str | None = None) -> HandValidati
     ("name", "side"),
     [pytest.param(*pair, marks=[] if pair in EVERY_RUN else pytest.mark.weekly) for pair in SIDES],
 )
-def test_a_built_in_hand_passes(name: str, side: str) -> None:
+def test_a_built_in_hand_passes(name, side):
     found = basics(name, side)
     assert {check.name for check in found.checks} == BASICS
     # Inspire's thumb does not reach beyond the index finger, Revo 2's not the little finger
@@ -86,7 +86,7 @@ def test_a_built_in_hand_passes(name: str, side: str) -> None:
 @pytest.mark.parametrize("file", ["ability_hand/ability_hand_left.urdf",
                                   "leap_hand/leap_hand_right.urdf",
                                   "schunk_hand/schunk_svh_hand_right.urdf"])  # fmt: skip
-def test_a_discovered_hand_passes(shared: Path, file: str) -> None:
+def test_a_discovered_hand_passes(shared, file):
     """URDFs without their meshes: some shapes are left, and are no reason for an alarm."""
     found = basics(discover(shared / "hands_urdf" / file, name="mine").spec)
     assert found.ok, found.failed
@@ -209,7 +209,7 @@ WRONG: dict[str, tuple[str, Callable[[Path], HandSpec], str]] = {
 
 
 @pytest.mark.parametrize("fault", WRONG)
-def test_a_fault_fails_its_check_and_no_other(fault: str, tmp_path: Path) -> None:
+def test_a_fault_fails_its_check_and_no_other(fault, tmp_path):
     name, make, advice = WRONG[fault]
     found = basics(make(tmp_path))
     assert [check.name for check in found.failed] == [name], found
@@ -217,7 +217,7 @@ def test_a_fault_fails_its_check_and_no_other(fault: str, tmp_path: Path) -> Non
     assert not found.ok
 
 
-def test_a_palm_that_is_a_line() -> None:
+def test_a_palm_that_is_a_line():
     fingers = tuple(
         FingerSpec(f.name, (Point(ALLEGRO.palm, (0.0, 0.03 * i, 0.0)), *f.points[1:]))
         for i, f in enumerate(ALLEGRO.fingers)
@@ -227,7 +227,7 @@ def test_a_palm_that_is_a_line() -> None:
     assert "line" in found["palm frame"].advice
 
 
-def test_knuckles_that_move_are_told() -> None:
+def test_knuckles_that_move_are_told():
     fingers = tuple(
         FingerSpec(f.name, (f.points[1], *f.points[1:])) if f.name == "ring" else f
         for f in ALLEGRO.fingers
@@ -237,7 +237,7 @@ def test_knuckles_that_move_are_told() -> None:
     assert found["palm frame"].figures["travel_mm"] > 20
 
 
-def test_nothing_that_rests_on_a_fault_is_measured(tmp_path: Path) -> None:
+def test_nothing_that_rests_on_a_fault_is_measured(tmp_path):
     found = check_hand(WRONG["degrees"][1](tmp_path), methods=("sbr",))
     assert found["round trip: sbr"].verdict == "skipped"
     assert "joint ranges" in found["round trip: sbr"].measured
@@ -247,7 +247,7 @@ def test_nothing_that_rests_on_a_fault_is_measured(tmp_path: Path) -> None:
 # Measures
 
 
-def test_the_closest_pinch_is_closer_than_any_random_pose() -> None:
+def test_the_closest_pinch_is_closer_than_any_random_pose():
     samples = Samples(load_hand("inspire_hand"))
     for k, finger in enumerate(samples.hand.fingers[1:], start=1):
         random = np.linalg.norm(samples.tips[:, k] - samples.tips[:, 0], axis=1).min()
@@ -267,7 +267,7 @@ def test_the_closest_pinch_is_closer_than_any_random_pose() -> None:
     assert closest_pinch(samples, "pinky") <= best + 1e-9
 
 
-def test_distances_to_shapes() -> None:
+def test_distances_to_shapes():
     """A mesh of a cube and the same cube as a box; a sphere, a capsule and a cylinder."""
     corners = " ".join(
         f"{x} {y} {z}" for x in (-0.01, 0.01) for y in (-0.02, 0.02) for z in (-0.03, 0.03)
@@ -307,7 +307,7 @@ def test_distances_to_shapes() -> None:
 # The round trip
 
 
-def test_reachable_poses_are_free_and_mean_no_pinch() -> None:
+def test_reachable_poses_are_free_and_mean_no_pinch():
     hand = load_hand("leap_hand")
     q = reachable_poses(hand, 30, seed=3)
     np.testing.assert_array_equal(q, reachable_poses(hand, 30, seed=3))
@@ -315,14 +315,13 @@ def test_reachable_poses_are_free_and_mean_no_pinch() -> None:
     assert (q >= hand.limits[:, 0]).all()
     assert (q <= hand.limits[:, 1]).all()
     depths = penetration_depths(hand, hand.full_configuration(q))
-    assert depths is not None
     assert depths.max() <= 1e-3
     tips = hand.tips(hand.full_configuration(q))
     assert np.linalg.norm(tips[:, 1:] - tips[:, :1], axis=-1).min() >= 0.02
     assert (np.ptp(q, axis=0) > 0.5 * np.ptp(hand.limits, axis=1)).mean() > 0.9
 
 
-def test_landmarks_that_a_robot_lacks_are_plausible() -> None:
+def test_landmarks_that_a_robot_lacks_are_plausible():
     spec = load_hand("allegro_hand").spec
     fingers = [FingerSpec(f.name, (f.points[0], None, None, f.points[3])) for f in spec.fingers]
     hand = load_hand_spec(replace(spec, fingers=tuple(fingers)))
@@ -337,7 +336,7 @@ def test_landmarks_that_a_robot_lacks_are_plausible() -> None:
     assert (at["pinky_mcp"] - at["ring_mcp"]) @ across > 0
 
 
-def test_a_round_trip_tells_a_hand_that_never_moves() -> None:
+def test_a_round_trip_tells_a_hand_that_never_moves():
     hand = load_hand("allegro_hand")
     positions = hand.full_configuration(hand.neutral)
     positions[0] = hand.joint_limits[0, 1] + 0.1
@@ -360,7 +359,7 @@ def test_a_round_trip_tells_a_hand_that_never_moves() -> None:
 
 
 @pytest.mark.parametrize("method", ["smooth", "sbr", "keyvector", "hybrid", "dexpilot"])
-def test_without_pull_changes_the_pull_only(method: str) -> None:
+def test_without_pull_changes_the_pull_only(method):
     config: Any = method_config(method)
     free = config.without_pull()
     assert free.objective.pose_weight == pytest.approx(1e-4)  # type: ignore[attr-defined]
@@ -371,13 +370,13 @@ def test_without_pull_changes_the_pull_only(method: str) -> None:
     assert method_config("joint_angle").without_pull() == method_config("joint_angle")
 
 
-def test_without_pull_reaches_the_causal_method_of_a_trajectory() -> None:
+def test_without_pull_reaches_the_causal_method_of_a_trajectory():
     config: Any = method_config("smooth", "offline")
     assert config.without_pull() == replace(config, causal=config.causal.without_pull())
     assert config.without_pull() != config
 
 
-def test_the_default_method_is_judged_without_its_pull(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_default_method_is_judged_without_its_pull(monkeypatch):
     """The pull to the neutral pose is the method's taste, and no fault of the hand."""
     given: list[Any] = []
 
@@ -398,7 +397,7 @@ def test_the_default_method_is_judged_without_its_pull(monkeypatch: pytest.Monke
 # The command
 
 
-def test_the_command_prints_one_object(capfd: pytest.CaptureFixture[str]) -> None:
+def test_the_command_prints_one_object(capfd):
     assert main(["hands", "check", "inspire_hand", "--quick", "--poses", "4", "--json"]) == 0
     found = json.loads(capfd.readouterr().out)
     assert (found["hand"], found["side"], found["ok"]) == ("inspire_hand", "right", True)
@@ -412,7 +411,7 @@ def test_the_command_prints_one_object(capfd: pytest.CaptureFixture[str]) -> Non
     assert (trip["ok"], trip["limit_violations"], trip["frozen"]) == (1.0, 0, 0.0)
 
 
-def test_a_method_that_has_no_model_is_no_failure() -> None:
+def test_a_method_that_has_no_model_is_no_failure():
     found = check_hand("inspire_hand", "left", methods=("joint_angle", "geort"), poses=2)
     assert found.side == "left"
     assert found["round trip: joint_angle"].verdict == "unjudged"
@@ -422,9 +421,7 @@ def test_a_method_that_has_no_model_is_no_failure() -> None:
     assert found.ok
 
 
-def test_the_exit_status_says_how_it_went(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_the_exit_status_says_how_it_went(tmp_path, capfd):
     file = tmp_path / "mine.toml"
     write_hand_spec(replace(ALLEGRO, side="left", model=ALLEGRO.model.absolute()), file)
     wrong = tmp_path / "wrong.toml"

@@ -31,7 +31,7 @@ def mujoco_landmarks(hand: Hand, q: np.ndarray) -> np.ndarray:
 
 
 @pytest.fixture(autouse=True)
-def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def _elsewhere(tmp_path, monkeypatch) -> None:
     """MuJoCo writes its warnings to a log in the working folder."""
     monkeypatch.chdir(tmp_path)
 
@@ -40,14 +40,14 @@ def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def published(shared: Path) -> Hand:
+def published(shared) -> Hand:
     """The same description on the published model."""
     spec = load_hand("mimic_p050").spec
     return load_hand_spec(replace(spec, model=shared / "hands/mimic_p050_hand/right_hand.xml"))
 
 
 @pytest.mark.shared
-def test_the_mimic_hand_is_the_published_one(published: Hand) -> None:
+def test_the_mimic_hand_is_the_published_one(published):
     ours = load_hand("mimic_p050", "right")
     assert ours.joint_names == published.joint_names
     assert len(ours.joint_names) == 20
@@ -59,7 +59,7 @@ def test_the_mimic_hand_is_the_published_one(published: Hand) -> None:
 
 
 @pytest.mark.shared
-def test_every_landmark_is_where_the_published_model_has_it(published: Hand) -> None:
+def test_every_landmark_is_where_the_published_model_has_it(published):
     ours = load_hand("mimic_p050", "right")
     q = limited_poses(np.random.default_rng(0), ours.limits, 1000)
     theirs = mujoco_landmarks(published, published.full_configuration(q))
@@ -68,12 +68,12 @@ def test_every_landmark_is_where_the_published_model_has_it(published: Hand) -> 
     assert np.linalg.norm(positions - theirs, axis=-1).max() < 1e-6
 
 
-def test_landmarks_are_named_as_the_humans_and_in_their_order() -> None:
+def test_landmarks_are_named_as_the_humans_and_in_their_order():
     assert load_hand("mimic_p050").tree.names == LANDMARKS
     assert "mimic_p050" in hand_names()
 
 
-def test_the_left_hand_mirrors_the_right() -> None:
+def test_the_left_hand_mirrors_the_right():
     right, left = load_hand("mimic_p050", "right"), load_hand("mimic_p050", "left")
     assert (right.spec.side, left.spec.side) == ("right", "left")
     assert left.joint_names == right.joint_names
@@ -86,7 +86,7 @@ def test_the_left_hand_mirrors_the_right() -> None:
     )
 
 
-def test_mirroring_slides_and_anchors(tmp_path: Path) -> None:
+def test_mirroring_slides_and_anchors(tmp_path):
     spec = pincer(tmp_path, t1='type="slide" range="0 0.02"', i2='pos="0.01 0.01 0.01" range="0 1"')
     right = load_hand(spec)
     left = load_hand(replace(spec, mirror=True, side="left"))
@@ -96,7 +96,7 @@ def test_mirroring_slides_and_anchors(tmp_path: Path) -> None:
     )
 
 
-def test_coupled_joints_of_the_mimic_hand() -> None:
+def test_coupled_joints_of_the_mimic_hand():
     hand = load_hand()
     assert {c.joint for c in hand.couplings} == {
         f"{finger}_mp2dp" for finger in ("index", "middle", "ring", "pinky")
@@ -109,7 +109,7 @@ def test_coupled_joints_of_the_mimic_hand() -> None:
         np.testing.assert_array_equal(every[name], row)
 
 
-def test_rows_and_vectors_expand_alike(tmp_path: Path) -> None:
+def test_rows_and_vectors_expand_alike(tmp_path):
     hand = load_hand(pincer(tmp_path, equality=LINE))
     q = limited_poses(np.random.default_rng(4), hand.limits, 7)
     rows = hand.full_configuration_rows([np.asarray(row) for row in q.T])
@@ -117,7 +117,7 @@ def test_rows_and_vectors_expand_alike(tmp_path: Path) -> None:
     np.testing.assert_array_equal(hand.full_configuration(q[0]), hand.full_configuration(q)[0])
 
 
-def test_tips_are_the_tip_landmarks() -> None:
+def test_tips_are_the_tip_landmarks():
     hand = load_hand()
     q = limited_poses(np.random.default_rng(5), hand.limits, 4)
     tips = hand.tips(hand.full_configuration(q))
@@ -130,14 +130,14 @@ def test_tips_are_the_tip_landmarks() -> None:
 LINE = '<joint joint1="i3" joint2="i2" polycoef="0.1 0.5 0 0 0"/>'
 
 
-def test_the_follower_may_be_the_first_joint_of_an_equality(tmp_path: Path) -> None:
+def test_the_follower_may_be_the_first_joint_of_an_equality(tmp_path):
     hand = load_hand(pincer(tmp_path, equality=LINE))
     assert hand.couplings == (Coupling("i3", "i2", 0.5, 0.1),)
     assert hand.actuated_names == ("t1", "t2", "i1", "i2")
     np.testing.assert_allclose(hand.full_configuration([0, 0, 0, 1.0])[-1], 0.6)
 
 
-def test_the_follower_may_be_the_second_joint_of_an_equality(tmp_path: Path) -> None:
+def test_the_follower_may_be_the_second_joint_of_an_equality(tmp_path):
     turned = '<joint joint1="i2" joint2="i3" polycoef="0.1 0.5 0 0 0"/>'  # i2 = 0.1 + i3 / 2
     hand = load_hand(pincer(tmp_path, equality=turned, i3='range="-3 5"'))
     assert hand.actuated_names == ("t1", "t2", "i1", "i2")
@@ -145,7 +145,7 @@ def test_the_follower_may_be_the_second_joint_of_an_equality(tmp_path: Path) -> 
     np.testing.assert_allclose(hand.full_configuration([0, 0, 0, 0.1])[-1], 0.0, atol=1e-12)
 
 
-def test_an_equality_counts_from_the_references(tmp_path: Path) -> None:
+def test_an_equality_counts_from_the_references(tmp_path):
     """MuJoCo: q1 - q1_0 = c0 + c1 (q2 - q2_0); held against its own constraint residual."""
     import mujoco
 
@@ -161,7 +161,7 @@ def test_an_equality_counts_from_the_references(tmp_path: Path) -> None:
             np.testing.assert_allclose(residual, [0.0], atol=1e-12)
 
 
-def test_followers_of_followers(tmp_path: Path) -> None:
+def test_followers_of_followers(tmp_path):
     chain = (
         '<joint joint1="i3" joint2="i2" polycoef="0.1 2 0 0 0"/>'
         '<joint joint1="i2" joint2="i1" polycoef="-0.2 0.5 0 0 0"/>'
@@ -171,7 +171,7 @@ def test_followers_of_followers(tmp_path: Path) -> None:
     np.testing.assert_allclose(hand.full_configuration([0, 0, 1.0]), [0, 0, 1.0, 0.3, 0.7])
 
 
-def test_limits_are_narrowed_by_followers(tmp_path: Path) -> None:
+def test_limits_are_narrowed_by_followers(tmp_path):
     hand = load_hand(pincer(tmp_path, equality=LINE, i3='range="0 0.6"'))  # i3 = 0.1 + i2 / 2
     np.testing.assert_allclose(hand.limits[-1], [-0.2, 1.0])
     np.testing.assert_array_equal(hand.joint_limits[3], [-1, 2])
@@ -183,7 +183,7 @@ def test_limits_are_narrowed_by_followers(tmp_path: Path) -> None:
     np.testing.assert_allclose(hand.limits[-1], [-1.0, 0.2])
 
 
-def test_a_neutral_pose_is_brought_within_the_limits(tmp_path: Path) -> None:
+def test_a_neutral_pose_is_brought_within_the_limits(tmp_path):
     spec = pincer(tmp_path, t1='range="0.5 1"')
     hand = load_hand(replace(spec, neutral={"i1": 0.7, "i2": 9.0}))
     np.testing.assert_allclose(hand.neutral, [0.5, 0.0, 0.7, 2.0])
@@ -197,21 +197,19 @@ def test_a_neutral_pose_is_brought_within_the_limits(tmp_path: Path) -> None:
         ('<joint joint1="i3" joint2="i2" polycoef="0.4 0 0 0 0"/>', "not a line"),
     ],
 )
-def test_couplings_that_are_not_lines_are_refused(
-    tmp_path: Path, equality: str, message: str
-) -> None:
+def test_couplings_that_are_not_lines_are_refused(tmp_path, equality, message):
     with pytest.raises(HandModelError, match=message):
         load_hand(pincer(tmp_path, equality=equality))
 
 
-def test_an_inactive_equality_is_none(tmp_path: Path) -> None:
+def test_an_inactive_equality_is_none(tmp_path):
     inactive = LINE.replace("/>", ' active="false"/>')
     hand = load_hand(pincer(tmp_path, equality=inactive))
     assert hand.couplings == ()
     assert hand.full_configuration([0, 0, 0, 1.0])[-1] == 0  # nothing drives it: it stays
 
 
-def test_followers_in_a_ring_are_refused(tmp_path: Path) -> None:
+def test_followers_in_a_ring_are_refused(tmp_path):
     ring = (
         '<joint joint1="i3" joint2="i2" polycoef="0 1 0 0 0"/>'
         '<joint joint1="i2" joint2="i3" polycoef="0 1 0 0 0"/>'
@@ -263,7 +261,7 @@ def urdf(folder: Path, *, mimic: str = "", mimic2: str = "", visual: str = "") -
     )
 
 
-def test_a_urdf_with_a_mimic(tmp_path: Path) -> None:
+def test_a_urdf_with_a_mimic(tmp_path):
     hand = load_hand(urdf(tmp_path, mimic='<mimic joint="i2" multiplier="0.5" offset="-0.1"/>'))
     assert hand.couplings == (Coupling("i3", "i2", 0.5, -0.1),)
     assert hand.joint_names == ("t1", "t2", "i1", "i2", "i3")
@@ -280,21 +278,21 @@ def test_a_urdf_with_a_mimic(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.linalg.norm(at_rest[tip] - at_rest[dip]), np.hypot(0.01, 0.02))
 
 
-def test_mimic_defaults_and_chains(tmp_path: Path) -> None:
+def test_mimic_defaults_and_chains(tmp_path):
     hand = load_hand(urdf(tmp_path, mimic='<mimic joint="i2"/>',
                           mimic2='<mimic joint="i1" multiplier="-1" offset="0.3"/>'))  # fmt: skip
     np.testing.assert_allclose(hand.full_configuration([0, 0, 0.2]), [0, 0, 0.2, 0.1, 0.1])
     np.testing.assert_allclose(hand.limits[-1], [-0.9, 0.8])  # 0.3 - q within [-0.5, 1.2]
 
 
-def test_missing_meshes_do_not_matter(tmp_path: Path) -> None:
+def test_missing_meshes_do_not_matter(tmp_path):
     bare = load_hand(urdf(tmp_path, mimic='<mimic joint="i2"/>'))
     hand = load_hand(urdf(tmp_path, mimic='<mimic joint="i2"/>', visual=MISSING))
     q = limited_poses(np.random.default_rng(8), hand.limits, 5)
     np.testing.assert_array_equal(hand.landmark_positions(q), bare.landmark_positions(q))
 
 
-def test_missing_meshes_of_an_mjcf_do_not_matter(tmp_path: Path) -> None:
+def test_missing_meshes_of_an_mjcf_do_not_matter(tmp_path):
     spec = pincer(tmp_path)
     bare = load_hand(spec)
     text = spec.model.read_text()
@@ -308,7 +306,7 @@ def test_missing_meshes_of_an_mjcf_do_not_matter(tmp_path: Path) -> None:
         load_hand(replace(spec, mirror=True, side="left"))
 
 
-def test_a_mimic_of_an_unknown_joint_or_without_numbers(tmp_path: Path) -> None:
+def test_a_mimic_of_an_unknown_joint_or_without_numbers(tmp_path):
     with pytest.raises(UnknownNameError, match=r"unknown joint 'i9'.*Available"):
         load_hand(urdf(tmp_path, mimic='<mimic joint="i9"/>'))
     with pytest.raises(HandModelError, match="multiplier"):
@@ -329,15 +327,7 @@ def test_a_mimic_of_an_unknown_joint_or_without_numbers(tmp_path: Path) -> None:
          ("right_hand_a", "thtip"), ("right_hand_virtual_l", "fftip"), 11, 9),
     ],
 )  # fmt: skip
-def test_published_urdfs(
-    shared: Path,
-    model: str,
-    palm: str,
-    thumb: tuple[str, str],
-    index: tuple[str, str],
-    couplings: int,
-    actuated: int,
-) -> None:
+def test_published_urdfs(shared, model, palm, thumb, index, couplings, actuated):
     """Their meshes are not at hand; half of their joints follow others."""
     fingers = tuple(
         FingerSpec(name, (Point(base), None, None, Point(tip)))
@@ -378,14 +368,12 @@ def broken(text: str) -> Callable[[HandSpec], HandSpec]:
          "body 't1'|MuJoCo can't compile|unknown body"),
     ],
 )  # fmt: skip
-def test_files_that_are_no_hand(
-    tmp_path: Path, change: Callable[[HandSpec], HandSpec], message: str
-) -> None:
+def test_files_that_are_no_hand(tmp_path, change, message):
     with pytest.raises((HandModelError, UnknownNameError), match=message):
         load_hand(change(pincer(tmp_path)))
 
 
-def test_unknown_names(tmp_path: Path) -> None:
+def test_unknown_names(tmp_path):
     spec = pincer(tmp_path)
     with pytest.raises(UnknownNameError, match=r"unknown body 'plam'. Did you mean 'palm'\?"):
         load_hand(replace(spec, palm="plam"))
@@ -397,7 +385,7 @@ def test_unknown_names(tmp_path: Path) -> None:
         load_hand("mimic")
 
 
-def test_a_wrist_that_moves_is_refused(tmp_path: Path) -> None:
+def test_a_wrist_that_moves_is_refused(tmp_path):
     hand = load_hand(replace(pincer(tmp_path), wrist=Point("i2")))
     with pytest.raises(HandModelError, match=r"'wrist'.* must be fixed to the palm"):
         _ = hand.wrist
@@ -412,19 +400,17 @@ def test_a_wrist_that_moves_is_refused(tmp_path: Path) -> None:
         ({"i1": 'type="ball" range="0 1"'}, "'i1' is a ball or free joint"),
     ],
 )
-def test_joints_that_can_not_be_commanded(
-    tmp_path: Path, joints: dict[str, str], message: str
-) -> None:
+def test_joints_that_can_not_be_commanded(tmp_path, joints, message):
     with pytest.raises(HandModelError, match=message):
         load_hand(pincer(tmp_path, **joints))
 
 
-def test_followers_that_leave_no_room_are_refused(tmp_path: Path) -> None:
+def test_followers_that_leave_no_room_are_refused(tmp_path):
     with pytest.raises(HandModelError, match=r"joint 'i2' has the limits .*coupled joints"):
         load_hand(pincer(tmp_path, equality=LINE, i3='range="5 6"'))
 
 
-def test_a_hand_without_joints_to_command_is_refused(tmp_path: Path) -> None:
+def test_a_hand_without_joints_to_command_is_refused(tmp_path):
     """Every joint follows another: nothing is left to command."""
     ring = (
         '<joint joint1="i3" joint2="i2" polycoef="0 1 0 0 0"/>'
@@ -454,15 +440,13 @@ def finger(name: str) -> FingerSpec:
         (("thumb", "index"), ("thumb", "index", "index"), "three different landmarks"),
     ],
 )
-def test_descriptions_are_checked(
-    names: tuple[str, ...], align: tuple[str, ...], message: str
-) -> None:
+def test_descriptions_are_checked(names, align, message):
     with pytest.raises(HandModelError, match=message):
         HandSpec("h", "right", Path("h.xml"), "palm", Point("palm"),
                  tuple(finger(name) for name in names), align)  # fmt: skip
 
 
-def test_fingers_are_checked() -> None:
+def test_fingers_are_checked():
     with pytest.raises(HandModelError, match="named after a human one"):
         finger("toe")
     with pytest.raises(HandModelError, match="needs a base point and a tip point"):
@@ -472,7 +456,7 @@ def test_fingers_are_checked() -> None:
 
 
 @pytest.mark.parametrize("count", [2, 3, 4, 5])
-def test_two_to_five_fingers(count: int) -> None:
+def test_two_to_five_fingers(count):
     spec = load_hand().spec
     fewer = replace(spec, fingers=spec.fingers[:count], align=("wrist", "thumb", "index"))
     hand = load_hand(fewer)
@@ -482,16 +466,14 @@ def test_two_to_five_fingers(count: int) -> None:
     assert len(hand.joint_names) == 20  # the joints of the fingers left out are still commanded
 
 
-def test_a_model_file_can_be_read_on_its_own(tmp_path: Path) -> None:
+def test_a_model_file_can_be_read_on_its_own(tmp_path):
     loaded = load_model(pincer(tmp_path, equality=LINE).model)
     model, couplings = loaded.model, loaded.couplings
     assert model.njnt == 5
     assert [c.joint for c in couplings] == ["i3"]
 
 
-def test_mujoco_writes_no_file_into_the_working_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_mujoco_writes_no_file_into_the_working_folder(tmp_path, monkeypatch, caplog):
     monkeypatch.chdir(tmp_path)
     data = mujoco.MjData(model := load_hand("allegro_hand").model)
     data.qpos[0] = np.nan

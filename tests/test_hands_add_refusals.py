@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import re
 from collections.abc import Callable
-from pathlib import Path
 
 import pytest
 from discovery_hands import Model, make_hand, mjcf, urdf
 
-from smooth_operator.cli import main
 from smooth_operator.hands.registry import load_hand
 
 HAND = make_hand(3)
@@ -175,23 +174,16 @@ Run = Callable[..., tuple[int, str, str]]
 
 
 @pytest.fixture
-def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Run:
-    """Runs the command in a folder of its own: status, standard output, standard error."""
+def run(run, tmp_path, monkeypatch) -> Run:
+    """Runs the command in a folder of its own."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("SMOOTH_OPERATOR_HANDS", str(tmp_path / "hands"))
     monkeypatch.setenv("SMOOTH_OPERATOR_CACHE", "off")
-    monkeypatch.delenv("SMOOTH_OPERATOR_DEBUG", raising=False)
-
-    def call(*arguments: str) -> tuple[int, str, str]:
-        capfd.readouterr()
-        status = main(["hands", "add", *arguments])
-        return status, *capfd.readouterr()
-
-    return call
+    return functools.partial(run, "hands", "add")
 
 
 @pytest.mark.parametrize("what", REFUSED)
-def test_what_can_not_be_used_is_refused_in_a_line(run: Run, tmp_path: Path, what: str) -> None:
+def test_what_can_not_be_used_is_refused_in_a_line(run, tmp_path, what):
     name, content, message, options = REFUSED[what]
     (tmp_path / name).write_text(content, encoding="utf-8")
     status, out, err = run(name, *options)
@@ -202,7 +194,7 @@ def test_what_can_not_be_used_is_refused_in_a_line(run: Run, tmp_path: Path, wha
     assert not (tmp_path / "hands").exists()
 
 
-def test_a_file_that_is_not_there_and_a_folder(run: Run, tmp_path: Path) -> None:
+def test_a_file_that_is_not_there_and_a_folder(run, tmp_path):
     status, _, err = run("none.urdf")
     assert (status, "no hand model at none.urdf" in err) == (2, True), err
     (tmp_path / "package").mkdir()
@@ -218,7 +210,7 @@ def bare() -> Model:
 
 
 @pytest.mark.parametrize("form", ["urdf", "xml"])
-def test_missing_meshes_are_a_note_and_no_obstacle(run: Run, tmp_path: Path, form: str) -> None:
+def test_missing_meshes_are_a_note_and_no_obstacle(run, tmp_path, form):
     if form == "urdf":
         text = urdf(bare().parts, mesh="package://vendor/meshes/none.stl")
     else:
@@ -233,7 +225,7 @@ def test_missing_meshes_are_a_note_and_no_obstacle(run: Run, tmp_path: Path, for
     assert load_hand("gadget").fingers[0] == "thumb"
 
 
-def test_a_model_without_names_is_read_all_the_same(run: Run, tmp_path: Path) -> None:
+def test_a_model_without_names_is_read_all_the_same(run, tmp_path):
     text = re.sub(r'<body name="b\d+"', "<body", XML)
     text = re.sub(r'<joint name="j\d+" type', "<joint type", text)
     (tmp_path / "h.xml").write_text(text)
@@ -249,10 +241,9 @@ def test_a_model_without_names_is_read_all_the_same(run: Run, tmp_path: Path) ->
     assert hand.landmark_positions(q) == pytest.approx(named.landmark_positions(q), abs=1e-9)
 
 
-def test_a_sign_that_can_not_be_is_turned_with_a_warning(run: Run, tmp_path: Path) -> None:
+def test_a_sign_that_can_not_be_is_turned_with_a_warning(run, tmp_path):
     coupled = make_hand(5, coupled=True)
     part = next(p for p in coupled.parts if p.mimic)
-    assert part.mimic is not None
     gain = part.mimic[1]
     # of the same joint, counted the other way round, but the coupling left as it was
     low, high = part.limits

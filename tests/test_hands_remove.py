@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import shutil
 from collections.abc import Callable
@@ -12,7 +13,6 @@ import pytest
 import trimesh
 from discovery_hands import make_hand, urdf
 
-from smooth_operator.cli import main
 from smooth_operator.hand_files.user_hands import copy_model, model_files
 from smooth_operator.hands.loading import load_model
 from smooth_operator.hands.registry import hand_names, load_hand
@@ -22,19 +22,14 @@ Run = Callable[..., tuple[int, str, str]]
 
 
 @pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def folder(tmp_path, monkeypatch) -> Path:
     monkeypatch.setenv("SMOOTH_OPERATOR_HANDS", str(tmp_path / "hands"))
     return tmp_path / "hands"
 
 
 @pytest.fixture
-def run(folder: Path, capfd: pytest.CaptureFixture[str]) -> Run:
-    def call(*arguments: object) -> tuple[int, str, str]:
-        capfd.readouterr()
-        status = main(["hands", *map(str, arguments)])
-        return status, *capfd.readouterr()
-
-    return call
+def run(run, folder) -> Run:
+    return functools.partial(run, "hands")
 
 
 def package(tmp_path: Path) -> Path:
@@ -49,7 +44,7 @@ def package(tmp_path: Path) -> Path:
     return file
 
 
-def test_a_hand_survives_that_its_model_is_moved(run: Run, folder: Path, tmp_path: Path) -> None:
+def test_a_hand_survives_that_its_model_is_moved(run, folder, tmp_path):
     file = package(tmp_path)
     assert load_model(file).model.nmesh == 1
     status, out, _ = run("add", file, "--name", "claw")
@@ -79,9 +74,7 @@ def json_model(folder: Path, name: str) -> str:
     return str(json.loads(line.removeprefix("model = ")))
 
 
-def test_in_place_copies_nothing_and_a_lost_model_is_said_with_its_cure(
-    run: Run, folder: Path, tmp_path: Path
-) -> None:
+def test_in_place_copies_nothing_and_a_lost_model_is_said_with_its_cure(run, folder, tmp_path):
     file = package(tmp_path)
     assert run("add", file, "--name", "claw", "--in-place")[0] == 0
     assert not (folder / "models").exists()
@@ -92,7 +85,7 @@ def test_in_place_copies_nothing_and_a_lost_model_is_said_with_its_cure(
     assert "--overwrite" in err
 
 
-def test_model_files_are_those_of_mjcf_with_includes(tmp_path: Path) -> None:
+def test_model_files_are_those_of_mjcf_with_includes(tmp_path):
     (tmp_path / "parts" / "meshes").mkdir(parents=True)
     trimesh.creation.box((0.01, 0.01, 0.01)).export(tmp_path / "parts" / "meshes" / "box.stl")
     (tmp_path / "parts" / "assets.xml").write_text(
@@ -112,9 +105,7 @@ def test_model_files_are_those_of_mjcf_with_includes(tmp_path: Path) -> None:
     assert sorted(p.name for p in (tmp_path / "to").iterdir()) == ["there"]  # no leftovers
 
 
-def test_remove_takes_the_hand_and_leaves_the_users_model(
-    run: Run, folder: Path, tmp_path: Path
-) -> None:
+def test_remove_takes_the_hand_and_leaves_the_users_model(run, folder, tmp_path):
     file = package(tmp_path)
     assert run("add", file, "--name", "claw")[0] == 0
     assert "claw" in hand_names()
@@ -131,7 +122,7 @@ def test_remove_takes_the_hand_and_leaves_the_users_model(
     assert (file.parent.parent / "meshes" / "box.stl").is_file()
 
 
-def test_remove_of_what_is_not_ones_own(run: Run, folder: Path, tmp_path: Path) -> None:
+def test_remove_of_what_is_not_ones_own(run, folder, tmp_path):
     assert run("add", package(tmp_path), "--name", "claw")[0] == 0
     status, _, err = run("remove", "clow", "--yes")
     assert (status, "Did you mean 'claw'" in err) == (2, True)
@@ -145,7 +136,7 @@ def test_remove_of_what_is_not_ones_own(run: Run, folder: Path, tmp_path: Path) 
     assert "claw" not in hand_names()
 
 
-def test_a_broken_description_can_be_removed(run: Run, folder: Path) -> None:
+def test_a_broken_description_can_be_removed(run, folder):
     folder.mkdir()
     (folder / "torn.right.toml").write_text("format =", encoding="utf-8")
     assert run("remove", "torn", "--yes")[0] == 0

@@ -8,7 +8,6 @@ import signal
 import threading
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,7 +17,6 @@ from live_time import until
 
 from smooth_operator.cli import main
 from smooth_operator.errors import SinkError
-from smooth_operator.hands.hand import Hand
 from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
 from smooth_operator.teleop.hardware.device import Reading
 from smooth_operator.teleop.hardware.table_check import ActuatorMover, TableCheck, blank_table
@@ -26,12 +24,12 @@ from smooth_operator.teleop.hardware.table_file import read_table
 
 
 @pytest.fixture(autouse=True)
-def quick_contact(monkeypatch: pytest.MonkeyPatch) -> None:
+def quick_contact(monkeypatch) -> None:
     monkeypatch.setattr("smooth_operator.teleop.hardware.table_check._BLOCKED_S", 0.01)
 
 
 @pytest.fixture
-def table(tmp_path: Path, hand: Hand) -> ActuatorMap:
+def table(tmp_path, hand) -> ActuatorMap:
     path = write_fake_table(tmp_path / "fake_right.toml", hand.actuated_names[:2], "rate = 500\n")
     return read_table(path)
 
@@ -47,7 +45,7 @@ def answers(*given: str) -> tuple[Callable[[str], str], list[str]]:
     return ask, asked
 
 
-def test_the_dialogue_finds_joint_ends_and_sense(table: ActuatorMap, hand: Hand) -> None:
+def test_the_dialogue_finds_joint_ends_and_sense(table, hand):
     fake = FakeHand(table)
     fake.blocked[0] = 215.0
     other = hand.actuated_names[5]
@@ -78,7 +76,7 @@ def test_the_dialogue_finds_joint_ends_and_sense(table: ActuatorMap, hand: Hand)
     assert not any("Ctrl" in question for question in asked)
 
 
-def test_the_last_command_ends_the_question(table: ActuatorMap, hand: Hand) -> None:
+def test_the_last_command_ends_the_question(table, hand):
     ask, _ = answers("", "40", "40", "", "", "s")
     said: list[str] = []
     with ActuatorMover(FakeHand(table), table, seconds=0.02) as mover:
@@ -88,17 +86,13 @@ def test_the_last_command_ends_the_question(table: ActuatorMap, hand: Hand) -> N
 
 
 @pytest.mark.parametrize("given", [("q",), ("s", "s"), ("", "q"), ("", "k", "q")])
-def test_nothing_confirmed_is_no_table(
-    table: ActuatorMap, hand: Hand, given: tuple[str, ...]
-) -> None:
+def test_nothing_confirmed_is_no_table(table, hand, given):
     ask, _ = answers(*given)
     with ActuatorMover(FakeHand(table), table, seconds=0.05) as mover:
         assert TableCheck(mover, hand, ask, lambda _: None).run(table) is None
 
 
-def test_one_wrong_reading_moves_no_actuator(
-    table: ActuatorMap, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_one_wrong_reading_moves_no_actuator(table, monkeypatch):
     fake = FakeHand(table)
     read, wild = fake.read, [240.0]
 
@@ -112,9 +106,7 @@ def test_one_wrong_reading_moves_no_actuator(
     assert (fake.commands() == 180.0).all()
 
 
-def test_an_actuator_goes_on_from_where_it_is_after_answers_that_are_missing(
-    table: ActuatorMap,
-) -> None:
+def test_an_actuator_goes_on_from_where_it_is_after_answers_that_are_missing(table):
     fake = FakeHand(table)
     with ActuatorMover(fake, table, seconds=0.5) as mover:
         move = threading.Thread(target=mover.move, args=(0, 230.0))
@@ -132,9 +124,7 @@ def test_an_actuator_goes_on_from_where_it_is_after_answers_that_are_missing(
     assert (steps < -15.0).sum() == 1  # to where it fell, and on from there
 
 
-def test_ctrl_c_and_a_lost_hand_relax_and_close(
-    table: ActuatorMap, hand: Hand, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_ctrl_c_and_a_lost_hand_relax_and_close(table, hand, monkeypatch):
     fake = FakeHand(table)
 
     def interrupted(_: str) -> str:
@@ -162,7 +152,7 @@ def test_ctrl_c_and_a_lost_hand_relax_and_close(
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGINT to send to one process")
-def test_a_second_ctrl_c_does_not_leave_the_hand_powered(table: ActuatorMap) -> None:
+def test_a_second_ctrl_c_does_not_leave_the_hand_powered(table):
     fake = FakeHand(table)
     mover = ActuatorMover(fake, table, seconds=0.05).__enter__()
     fake.slow_s = 0.3  # so that the hand is not relaxed yet when the second one comes
@@ -172,25 +162,21 @@ def test_a_second_ctrl_c_does_not_leave_the_hand_powered(table: ActuatorMap) -> 
 
 
 @pytest.mark.parametrize(("current", "free"), [(380.0, True), (420.0, False)])
-def test_a_check_stops_at_four_fifths_of_the_limit(
-    table: ActuatorMap, current: float, free: bool
-) -> None:
+def test_a_check_stops_at_four_fifths_of_the_limit(table, current, free):
     fake = FakeHand(table)
     fake.blocked[0], fake.stall = 200.0, current  # of 500 mA
     with ActuatorMover(fake, table, seconds=0.05) as mover:
         assert mover.move(0, 230.0) == free
 
 
-def test_a_blank_table_has_the_ids(hand: Hand) -> None:
+def test_a_blank_table_has_the_ids(hand):
     made = blank_table("dynamixel", hand, [3, 5], "step", (1000.0, 3000.0), 200.0)
     assert [a.id for a in made.actuators] == [3, 5]
     assert made.limits.tolist() == [200.0, 200.0]
 
 
 @pytest.fixture
-def device(
-    tmp_path: Path, hand: Hand, monkeypatch: pytest.MonkeyPatch
-) -> tuple[str, list[FakeHand]]:
+def device(tmp_path, hand, monkeypatch) -> tuple[str, list[FakeHand]]:
     """A sink as a user names it, and the hands that it made."""
     monkeypatch.setenv("SMOOTH_OPERATOR_HANDS", str(tmp_path / "hands"))
     path = write_fake_table(tmp_path / "t.toml", hand.actuated_names, "rate = 500\n")
@@ -205,9 +191,7 @@ def device(
     return f"fake_hand:FakeHandSink,table={path},port={tmp_path}/p", made
 
 
-def test_the_list_names_drivers_tables_and_folder(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_list_names_drivers_tables_and_folder(capsys, tmp_path, monkeypatch):
     monkeypatch.setenv("SMOOTH_OPERATOR_HANDS", str(tmp_path))
     (tmp_path / "hardware").mkdir()
     (tmp_path / "hardware" / "odd_right.toml").write_text("format = 1\n")
@@ -220,9 +204,7 @@ def test_the_list_names_drivers_tables_and_folder(
     assert "orca_left" in capsys.readouterr().out
 
 
-def test_the_monitor_shows_the_hand_and_moves_nothing(
-    capsys: pytest.CaptureFixture[str], device: tuple[str, list[FakeHand]], hand: Hand
-) -> None:
+def test_the_monitor_shows_the_hand_and_moves_nothing(capsys, device, hand):
     name, made = device
     common = ["hardware", "monitor", name, "--hand", "mimic_p050", "--seconds"]
     assert main([*common, "0.1", "--json"]) == 0
@@ -237,12 +219,7 @@ def test_the_monitor_shows_the_hand_and_moves_nothing(
     assert "is no real hand" in capsys.readouterr().err
 
 
-def test_the_check_writes_the_users_table(
-    capsys: pytest.CaptureFixture[str],
-    device: tuple[str, list[FakeHand]],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_check_writes_the_users_table(capsys, device, tmp_path, monkeypatch):
     name, _ = device
     replies = iter(["", "k", "k", "", "", "q"])
 

@@ -11,7 +11,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -88,7 +87,7 @@ def cycles(driven: Driven, count: int) -> None:
 
 
 @pytest.fixture
-def make(tmp_path: Path, hand: Hand) -> Iterator[Callable[..., FakeHandSink]]:
+def make(tmp_path, hand) -> Iterator[Callable[..., FakeHandSink]]:
     table = write_fake_table(tmp_path / "fake_right.toml", hand.actuated_names)
     made: list[FakeHandSink] = []
 
@@ -104,9 +103,7 @@ def make(tmp_path: Path, hand: Hand) -> Iterator[Callable[..., FakeHandSink]]:
         sink.close()
 
 
-def test_it_starts_where_the_hand_is_and_approaches_slowly(
-    make: Callable[..., FakeHandSink], hand: Hand
-) -> None:
+def test_it_starts_where_the_hand_is_and_approaches_slowly(make, hand):
     start = 200.0
     sink = make(approach=2.0, prepare=lambda fake: fake.positions.fill(start))
     with Driven(sink, hand) as driven:
@@ -128,9 +125,7 @@ def test_it_starts_where_the_hand_is_and_approaches_slowly(
     assert driven.fake.calls[-1][0] == "close"
 
 
-def test_ends_are_never_passed_and_a_start_beyond_them_comes_in(
-    make: Callable[..., FakeHandSink], hand: Hand
-) -> None:
+def test_ends_are_never_passed_and_a_start_beyond_them_comes_in(make, hand):
     sink = make(approach=10.0, prepare=lambda fake: fake.positions.fill(260.0))
     with Driven(sink, hand) as driven:
         driven.tick = tick_at(hand, 80.0)  # beyond the table's 60
@@ -149,9 +144,7 @@ def test_ends_are_never_passed_and_a_start_beyond_them_comes_in(
 
 
 @pytest.mark.parametrize("rest", ["hold", "relax"])
-def test_silence_rests_as_the_table_says_and_the_return_is_slow(
-    tmp_path: Path, make: Callable[..., FakeHandSink], hand: Hand, rest: str
-) -> None:
+def test_silence_rests_as_the_table_says_and_the_return_is_slow(tmp_path, make, hand, rest):
     table = tmp_path / "resting.toml"
     write_fake_table(table, hand.actuated_names, f'on_silence = "{rest}"\n')
     sink = make(table=str(table), approach=5.0, silence_s=0.05)
@@ -183,9 +176,7 @@ def test_silence_rests_as_the_table_says_and_the_return_is_slow(
     assert sink.made[0].count("open") == 1
 
 
-def test_a_device_lost_in_motion_is_opened_again_and_approached_slowly(
-    make: Callable[..., FakeHandSink], hand: Hand, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_device_lost_in_motion_is_opened_again_and_approached_slowly(make, hand, monkeypatch):
     monkeypatch.setattr("smooth_operator.teleop.hardware.worker._RETRY_S", 0.05)
     sink = make(approach=5.0)
     with Driven(sink, hand) as driven:
@@ -206,9 +197,7 @@ def test_a_device_lost_in_motion_is_opened_again_and_approached_slowly(
         assert sink.figures["device_lost"] >= 1
 
 
-def test_after_a_stall_of_the_thread_it_begins_where_the_hand_is_by_then(
-    make: Callable[..., FakeHandSink], hand: Hand, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_after_a_stall_of_the_thread_it_begins_where_the_hand_is_by_then(make, hand, monkeypatch):
     """A machine that stands still for a moment: the hand has gone on, or has fallen back."""
     stall, pace = threading.Event(), HandWorker._pace
 
@@ -231,9 +220,7 @@ def test_after_a_stall_of_the_thread_it_begins_where_the_hand_is_by_then(
         assert np.abs(first - 180.0).max() <= np.rad2deg(5.0) * 2 * PERIOD + 1e-6
 
 
-def test_wrong_answers_are_counted_and_many_are_a_lost_device(
-    make: Callable[..., FakeHandSink], hand: Hand, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_wrong_answers_are_counted_and_many_are_a_lost_device(make, hand, monkeypatch):
     monkeypatch.setattr("smooth_operator.teleop.hardware.worker._RETRY_S", 0.02)
     sink = make(lost_s=0.5, approach=10.0)
     with Driven(sink, hand) as driven:
@@ -250,9 +237,7 @@ def test_wrong_answers_are_counted_and_many_are_a_lost_device(
         until(lambda: "tried again" not in sink.note)
 
 
-def test_a_wrong_answer_while_it_opens_is_asked_for_again(
-    make: Callable[..., FakeHandSink], hand: Hand
-) -> None:
+def test_a_wrong_answer_while_it_opens_is_asked_for_again(make, hand):
     def damage(openings: int) -> Callable[[FakeHand], None]:
         return lambda fake: setattr(fake, "wrong_openings", openings)
 
@@ -266,8 +251,8 @@ def test_a_wrong_answer_while_it_opens_is_asked_for_again(
 
 
 def test_a_limit_that_is_gone_is_a_lost_device_and_one_wrong_reading_is_not(
-    make: Callable[..., FakeHandSink], hand: Hand, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    make, hand, monkeypatch
+):
     monkeypatch.setattr("smooth_operator.teleop.hardware.table_file._EVERY_S", 0.02)
     monkeypatch.setattr("smooth_operator.teleop.hardware.worker._RETRY_S", 0.02)
     sink = make(approach=10.0)
@@ -288,11 +273,8 @@ def test_a_limit_that_is_gone_is_a_lost_device_and_one_wrong_reading_is_not(
 
 @pytest.mark.parametrize("answer", [900.0, None], ids=["another value", "a wrong answer"])
 def test_a_limit_that_the_hand_never_read_back_is_a_warning_and_no_loss(
-    make: Callable[..., FakeHandSink],
-    hand: Hand,
-    monkeypatch: pytest.MonkeyPatch,
-    answer: float | None,
-) -> None:
+    make, hand, monkeypatch, answer
+):
     monkeypatch.setattr("smooth_operator.teleop.hardware.table_file._EVERY_S", 0.02)
     sink = make(approach=10.0, prepare=lambda fake: setattr(fake, "limits_once", [answer] * 3))
     with Driven(sink, hand) as driven:
@@ -310,9 +292,7 @@ def test_a_limit_that_the_hand_never_read_back_is_a_warning_and_no_loss(
         assert sink.figures["device_lost"] == 0
 
 
-def test_a_lost_limit_ends_hardware_check(
-    make: Callable[..., FakeHandSink], hand: Hand, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_lost_limit_ends_hardware_check(make, hand, monkeypatch):
     monkeypatch.setattr("smooth_operator.teleop.hardware.table_file._EVERY_S", 0.02)
     sink = make()
     table = sink.actuators("right")
@@ -325,9 +305,7 @@ def test_a_lost_limit_ends_hardware_check(
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_a_command_that_is_not_finite_holds_the_last_one(
-    make: Callable[..., FakeHandSink], hand: Hand, value: float
-) -> None:
+def test_a_command_that_is_not_finite_holds_the_last_one(make, hand, value):
     sink = make(approach=20.0)
     with Driven(sink, hand) as driven:
         broken = tick_at(hand, 10.0)
@@ -355,9 +333,7 @@ def test_a_command_that_is_not_finite_holds_the_last_one(
         assert sink.figures["device_lost"] == sink.figures["wrong_answers"] == 0
 
 
-def test_a_slow_bus_is_counted_and_a_hanging_one_delays_nobody(
-    make: Callable[..., FakeHandSink], tmp_path: Path, hand: Hand
-) -> None:
+def test_a_slow_bus_is_counted_and_a_hanging_one_delays_nobody(make, tmp_path, hand):
     hanging, fine = make(), make(port=str(tmp_path / "other"))
     runner = SinkRunner([hanging, fine])
     runner.open({"right": hand}, {})
@@ -382,9 +358,7 @@ def test_a_slow_bus_is_counted_and_a_hanging_one_delays_nobody(
     runner.close()
 
 
-def test_a_joint_that_squeezes_goes_no_further_and_opens_again(
-    make: Callable[..., FakeHandSink], hand: Hand
-) -> None:
+def test_a_joint_that_squeezes_goes_no_further_and_opens_again(make, hand):
     sink = make(approach=20.0)
     with Driven(sink, hand) as driven:
         driven.tick = tick_at(hand, 0.0)
@@ -411,7 +385,7 @@ def test_a_joint_that_squeezes_goes_no_further_and_opens_again(
         until(lambda: driven.fake.commands().size and driven.fake.commands()[-1, 0] > 234.0)
 
 
-def test_errors_and_temperatures_are_shown(make: Callable[..., FakeHandSink], hand: Hand) -> None:
+def test_errors_and_temperatures_are_shown(make, hand):
     sink = make()
     with Driven(sink, hand) as driven:
         driven.fake.temperatures[2] = 71.0
@@ -420,9 +394,7 @@ def test_errors_and_temperatures_are_shown(make: Callable[..., FakeHandSink], ha
         assert "hot: m2 71 °C" in sink.note
 
 
-def test_a_hand_without_a_position_is_not_moved(
-    make: Callable[..., FakeHandSink], hand: Hand
-) -> None:
+def test_a_hand_without_a_position_is_not_moved(make, hand):
     sink = make(prepare=lambda fake: fake.positions.__setitem__(1, np.nan))
     with Driven(sink, hand) as driven:
         driven.tick = tick_at(hand, 5.0)
@@ -430,9 +402,7 @@ def test_a_hand_without_a_position_is_not_moved(
         assert driven.fake.count("write") == 0
 
 
-def test_two_programs_on_one_bus(
-    make: Callable[..., FakeHandSink], tmp_path: Path, hand: Hand
-) -> None:
+def test_two_programs_on_one_bus(make, tmp_path, hand):
     first = make()
     first.open({"right": hand}, {})
     with pytest.raises(SinkError, match="is in use by another run of smooth-operator"):
@@ -458,9 +428,7 @@ def test_two_programs_on_one_bus(
     again.close()
 
 
-def test_a_bus_is_free_while_its_device_is_lost(
-    make: Callable[..., FakeHandSink], tmp_path: Path, hand: Hand
-) -> None:
+def test_a_bus_is_free_while_its_device_is_lost(make, tmp_path, hand):
     """The port of a hand that is unplugged may be the next one that is plugged in."""
     with Driven(make(), hand) as driven:
         driven.tick = tick_at(hand, 10.0)
@@ -498,9 +466,7 @@ SAME_HANDS = [
 
 
 @pytest.mark.parametrize(("one", "other"), SAME_HANDS)
-def test_one_hand_has_one_lock_whatever_it_is_called(
-    one: str, other: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_one_hand_has_one_lock_whatever_it_is_called(one, other, tmp_path, monkeypatch):
     if sys.platform != "linux" and "can0" in one:
         pytest.skip("another interface is the default there")
     if sys.platform == "win32" and "{" in one:
@@ -524,7 +490,7 @@ def test_one_hand_has_one_lock_whatever_it_is_called(
     BusLock(second.bus).release()
 
 
-def test_other_hands_have_other_locks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_other_hands_have_other_locks(tmp_path, monkeypatch):
     monkeypatch.setattr(bus_lock, "lock_folder", lambda: tmp_path)
     buses = (
         "wuji:1", "wuji:2", "tcp:127.0.0.1:6000", "tcp:127.0.0.1:6001", "tcp:127.0.0.2:6000",
@@ -536,9 +502,7 @@ def test_other_hands_have_other_locks(tmp_path: Path, monkeypatch: pytest.Monkey
         lock.release()
 
 
-def test_the_lock_is_the_same_with_another_folder_of_temporary_files(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_lock_is_the_same_with_another_folder_of_temporary_files(tmp_path, monkeypatch):
     bus = f"any:{tmp_path.name}-{os.getpid()}"
     lock = BusLock(bus)
     (tmp_path / "other").mkdir()
@@ -557,9 +521,7 @@ def test_the_lock_is_the_same_with_another_folder_of_temporary_files(
 
 @pytest.mark.skipif(sys.platform == "win32", reason="links need a privilege there")
 @pytest.mark.parametrize("kind", ["link", "hard link", "pipe"])
-def test_what_stands_in_place_of_a_lock_is_not_touched(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
-) -> None:
+def test_what_stands_in_place_of_a_lock_is_not_touched(tmp_path, monkeypatch, kind):
     monkeypatch.setattr(bus_lock, "lock_folder", lambda: tmp_path)
     BusLock("some bus").release()
     (lock,) = tmp_path.iterdir()
@@ -576,7 +538,7 @@ def test_what_stands_in_place_of_a_lock_is_not_touched(
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="of POSIX permissions")
-def test_the_lock_of_another_user_holds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_lock_of_another_user_holds(tmp_path, monkeypatch):
     """The file may be one that can only be read."""
     monkeypatch.setattr(bus_lock, "lock_folder", lambda: tmp_path)
     lock, real = BusLock("some bus"), os.open
@@ -594,9 +556,7 @@ def test_the_lock_of_another_user_holds(tmp_path: Path, monkeypatch: pytest.Monk
     BusLock("some bus").release()
 
 
-def test_what_can_not_be_opened_is_said_when_it_is_opened(
-    make: Callable[..., FakeHandSink], tmp_path: Path, hand: Hand, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_can_not_be_opened_is_said_when_it_is_opened(make, tmp_path, hand, monkeypatch):
     with pytest.raises(SinkError, match="the cable was pulled"):
         make(prepare=lambda fake: fake.gone.set()).open({"right": hand}, {})
     dead = make(prepare=lambda fake: fake.hang.set())
@@ -631,7 +591,7 @@ def test_what_can_not_be_opened_is_said_when_it_is_opened(
         {"limit": -1},
     ],
 )
-def test_settings_out_of_range(settings: dict[str, float]) -> None:
+def test_settings_out_of_range(settings):
     with pytest.raises(ConfigError, match="fake:"):
         FakeHandSink(**settings)  # type: ignore[arg-type]
     with pytest.raises(ConfigError, match="contact_s"):

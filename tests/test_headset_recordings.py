@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import json
 import random
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Iterator
 from typing import Any
 
 import fuzzing
@@ -59,7 +58,7 @@ def check(found: HandRecording, tolerance: float, world: str) -> None:
     assert not found.meta.get("side_assumed")
 
 
-def test_a_recording_of_tracking_streamer(tmp_path: Path) -> None:
+def test_a_recording_of_tracking_streamer(tmp_path):
     path = tmp_path / "tracking.jsonl"
     path.write_text("\n".join(avp_lines()) + "\n")
     for side in ("right", "left"):
@@ -76,7 +75,7 @@ def test_a_recording_of_tracking_streamer(tmp_path: Path) -> None:
         read_recording(path, side="right")
 
 
-def test_what_was_not_new_or_is_damaged_is_left_out(tmp_path: Path) -> None:
+def test_what_was_not_new_or_is_damaged_is_left_out(tmp_path):
     lines = list(avp_lines(("right",)))
     stale = json.loads(lines[-1])
     lines += [json.dumps({**stale, "timestamp": 5.0 + k}) for k in range(3)]  # the hand is lost
@@ -90,7 +89,7 @@ def test_what_was_not_new_or_is_damaged_is_left_out(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("joined", [False, True])
-def test_a_recording_of_hts_lines(tmp_path: Path, joined: bool) -> None:
+def test_a_recording_of_hts_lines(tmp_path, joined):
     path = tmp_path / "hand.hts"
     path.write_bytes((b"" if joined else b"\n").join(hts_lines(True)))
     found = read_recording(path)
@@ -106,7 +105,7 @@ def test_a_recording_of_hts_lines(tmp_path: Path, joined: bool) -> None:
     assert found.rate_hz == pytest.approx(70)
 
 
-def test_a_wrist_goes_through_convert(tmp_path: Path) -> None:
+def test_a_wrist_goes_through_convert(tmp_path):
     path, out = tmp_path / "tracking.jsonl", tmp_path / "hand.npz"
     path.write_text("\n".join(avp_lines(("right",))))
     assert main(["convert", str(path), "--output", str(out)]) == 0
@@ -115,9 +114,7 @@ def test_a_wrist_goes_through_convert(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.stamps, np.arange(FRAMES) / 60)
 
 
-def test_a_small_file_of_many_frames_does_not_fill_the_memory(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_small_file_of_many_frames_does_not_fill_the_memory(tmp_path, monkeypatch):
     monkeypatch.setattr("smooth_operator.formats.bounds.FREE_BYTES", 1 << 16)
     path = tmp_path / "tracking.jsonl"
     tip = app.transform(np.eye(3), np.array([0.1, 0.0, 0.0])).T.ravel().tolist()
@@ -139,12 +136,7 @@ def test_a_small_file_of_many_frames_does_not_fill_the_memory(
     ],
     ids=["avp, its JSON", "avp, its bytes", "hts"],
 )
-def test_damaged_files_are_read_or_refused(
-    tmp_path: Path,
-    name: str,
-    write: Callable[[], bytes],
-    mutate: Callable[[random.Random, bytes], bytes],
-) -> None:
+def test_damaged_files_are_read_or_refused(tmp_path, name, write, mutate):
     rng, good, path = random.Random(8), write(), tmp_path / name
     read, refused = 0, 0
     with np.errstate(all="ignore"):

@@ -44,7 +44,7 @@ def check(frame: HandFrame, pose: app.Pose, points: np.ndarray) -> None:
     assert sign * chirality(frame.landmarks[None])[0] > 0.25
 
 
-def test_the_bytes_of_a_level_hand() -> None:
+def test_the_bytes_of_a_level_hand():
     points = np.zeros((21, 3))
     points[1], points[9] = (0.05, 0.03, -0.01), (0.09, 0.0, 0.0)
     data = app.hts_packet("right", LEVEL, points)
@@ -60,14 +60,14 @@ def test_the_bytes_of_a_level_hand() -> None:
 
 
 @pytest.mark.parametrize("side", ["right", "left"])
-def test_a_left_handed_frame_keeps_the_side_and_the_wrist(side: Side) -> None:
+def test_a_left_handed_frame_keeps_the_side_and_the_wrist(side):
     data = app.hts_packet(side, POSE, HANDS[side])
     (frame,) = fed(data)
     assert frame.side == side
     check(frame, POSE, HANDS[side])
 
 
-def test_an_independent_reader_finds_the_same_numbers() -> None:
+def test_an_independent_reader_finds_the_same_numbers():
     sdk = pytest.importorskip("hand_tracking_sdk", reason="hand-tracking-sdk is not installed")
     meta = " | f = 12 | t = 5312345678"
     for line in app.hts_packet("left", POSE, LEFT, meta).split(b"\n"):
@@ -81,7 +81,7 @@ def test_an_independent_reader_finds_the_same_numbers() -> None:
         assert ours.stamp == 5.312345678
 
 
-def test_the_wrist_belongs_to_its_own_landmarks() -> None:
+def test_the_wrist_belongs_to_its_own_landmarks():
     first, second = (" | f = 7 | t = 1000000000", " | f = 8 | t = 1014000000")
     hands = HtsHands()
     (frame,) = fed(app.hts_packet("right", POSE, RIGHT, first), hands)
@@ -101,13 +101,13 @@ def test_the_wrist_belongs_to_its_own_landmarks() -> None:
     assert np.isnan(of_the_other.T_world_wrist).all()
 
 
-def test_a_headset_in_another_language_writes_decimal_commas() -> None:
+def test_a_headset_in_another_language_writes_decimal_commas():
     data = app.hts_packet("right", POSE, RIGHT).replace(b".", b",")
     (frame,) = fed(data)
     check(frame, POSE, RIGHT)
 
 
-def test_what_is_not_known_is_not_valid() -> None:
+def test_what_is_not_known_is_not_valid():
     wrist, points = app.hts_packet("right", POSE, RIGHT).split(b"\n")
     (frame,) = fed(b"Right wrist:, NaN, 0, 0, 0, 0, 0, 1\n" + points)
     assert np.isnan(frame.T_world_wrist).all()
@@ -136,12 +136,12 @@ def test_what_is_not_known_is_not_valid() -> None:
         (b"Right landmarks:" + b", 100" * 62 + b", 7", "metres"),
     ],
 )
-def test_a_damaged_line_says_what_is_wrong(line: bytes, words: str) -> None:
+def test_a_damaged_line_says_what_is_wrong(line, words):
     with pytest.raises(RecordingError, match=words):
         HtsHands().add(parse_line(line), 0.0)
 
 
-def test_no_line_is_a_crash() -> None:
+def test_no_line_is_a_crash():
     rng = random.Random(18)
     good = app.hts_packet("left", POSE, LEFT, " | f = 3 | t = 99").split(b"\n")
     hands, refused, taken = HtsHands(), [], 0
@@ -179,7 +179,7 @@ def last(mailbox: Kept, side: Side) -> HandFrame:
     return [each.frame for each in mailbox.all if each.frame.side == side][-1]
 
 
-def test_both_hands_over_udp() -> None:
+def test_both_hands_over_udp():
     source, mailbox = started("hts:port=0,transport=udp")
     try:
         (where,) = ports(source)
@@ -200,7 +200,7 @@ def test_both_hands_over_udp() -> None:
         source.stop()
 
 
-def test_over_tcp_each_hand_has_a_connection_and_may_come_back() -> None:
+def test_over_tcp_each_hand_has_a_connection_and_may_come_back():
     source, mailbox = started("hts:port=0,transport=tcp")
     try:
         (where,) = ports(source)
@@ -229,7 +229,7 @@ def test_over_tcp_each_hand_has_a_connection_and_may_come_back() -> None:
         source.stop()
 
 
-def test_connections_that_never_end_make_room() -> None:
+def test_connections_that_never_end_make_room():
     source, mailbox = started("hts:port=0,transport=tcp")
     try:
         (where,) = ports(source)
@@ -245,7 +245,7 @@ def test_connections_that_never_end_make_room() -> None:
         source.stop()
 
 
-def test_a_second_headset_is_not_used_while_the_first_sends() -> None:
+def test_a_second_headset_is_not_used_while_the_first_sends():
     source = HtsSource(port=0)
     inbox, read = source.connect(), source.reader()
     inbox.close()
@@ -264,7 +264,7 @@ def test_a_second_headset_is_not_used_while_the_first_sends() -> None:
     assert first[0].session != take(b"192.168.1.5", 4.0)[0].session
 
 
-def test_one_source_hears_both_protocols() -> None:
+def test_one_source_hears_both_protocols():
     source, mailbox = started("hts:port=0")
     try:
         udp, tcp = ports(source)
@@ -279,7 +279,7 @@ def test_one_source_hears_both_protocols() -> None:
         source.stop()
 
 
-def test_what_can_t_be_listened_on_is_said() -> None:
+def test_what_can_t_be_listened_on_is_said():
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         with pytest.raises(SourceError, match=f"TCP port {port}.*hts:port=PORT"):

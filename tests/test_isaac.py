@@ -78,7 +78,7 @@ class Graph:
 
 
 @pytest.mark.parametrize("side", ["right", "left"])
-def test_joints_follow_the_hand_under_their_names(isaac: SimpleNamespace, side: Any) -> None:
+def test_joints_follow_the_hand_under_their_names(isaac, side):
     graph, recording = Graph(isaac, side), operator(side)
     hand = load_hand("mimic_p050", side)
     rows = [graph.step(frame) for frame in recording]
@@ -96,7 +96,7 @@ def test_joints_follow_the_hand_under_their_names(isaac: SimpleNamespace, side: 
     assert np.ptp(path, axis=0).max() > 0.3
 
 
-def test_a_lost_hand_holds_and_comes_back_without_a_jump(isaac: SimpleNamespace) -> None:
+def test_a_lost_hand_holds_and_comes_back_without_a_jump(isaac):
     graph, recording = Graph(isaac, "right", joints="actuated"), operator("right", 2.0)
     hand = load_hand("mimic_p050")
     before = graph.step(None)
@@ -122,7 +122,7 @@ def test_a_lost_hand_holds_and_comes_back_without_a_jump(isaac: SimpleNamespace)
     assert rows[-1]["valid"] == 1.0
 
 
-def test_reset_and_pause_hold_and_go_on_from_there(isaac: SimpleNamespace) -> None:
+def test_reset_and_pause_hold_and_go_on_from_there(isaac):
     graph, recording = Graph(isaac, "right"), operator("right", 2.0)
     for frame in recording[:80]:
         last = graph.step(frame)
@@ -139,7 +139,7 @@ def test_reset_and_pause_hold_and_go_on_from_there(isaac: SimpleNamespace) -> No
     assert back["valid"] == 1.0
 
 
-def test_the_wrist_is_in_the_z_up_world(isaac: SimpleNamespace) -> None:
+def test_the_wrist_is_in_the_z_up_world(isaac):
     frame = operator("right")[0]
     at = HandFrame(frame.landmarks - frame.landmarks[0] + (0.1, 1.2, -0.4), side="right")
     graph = Graph(isaac, "right", compile=False)
@@ -157,7 +157,7 @@ def test_the_wrist_is_in_the_z_up_world(isaac: SimpleNamespace) -> None:
     np.testing.assert_allclose(graph.step(at)["wrist"][:3], [0.1, 1.2, -0.4], atol=1e-6)
 
 
-def test_the_pipeline_of_the_page_can_be_built(isaac: SimpleNamespace) -> None:
+def test_the_pipeline_of_the_page_can_be_built(isaac):
     page = (Path(__file__).parents[1] / "docs/how-to/isaac.md").read_text(encoding="utf-8")
     code = page.partition("```python\n")[2].partition("```")[0]
     for side in ("right", "left"):
@@ -170,15 +170,13 @@ def test_the_pipeline_of_the_page_can_be_built(isaac: SimpleNamespace) -> None:
     }
 
 
-def test_a_wrong_setting_is_refused(isaac: SimpleNamespace) -> None:
+def test_a_wrong_setting_is_refused(isaac):
     for settings in ({"joints": "some"}, {"world": "unity"}):
         with pytest.raises(ConfigError, match="must be"):
             isaac.node("mimic_p050", "right", method=METHOD, **settings)
 
 
-def test_without_the_library_one_line_says_what_is_missing(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_without_the_library_one_line_says_what_is_missing(monkeypatch):
     monkeypatch.setitem(sys.modules, "isaacteleop", None)
     for name in [n for n in sys.modules if n.startswith("isaacteleop.")]:
         monkeypatch.delitem(sys.modules, name)

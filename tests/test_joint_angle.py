@@ -24,11 +24,11 @@ from smooth_operator.baselines.joint_angle import (
 )
 from smooth_operator.errors import HandModelError, UnknownNameError
 from smooth_operator.formats.readers import read_recording
+from smooth_operator.geometry import PalmAxes, palm_axes
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.hands.spec import FingerSpec, HandSpec, JointMap, Point
 from smooth_operator.human.alignment import human_palm_axes, palm_alignment
-from smooth_operator.human.operator import PalmAxes, palm_axes
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS, WRIST
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.metrics import evaluate
@@ -96,14 +96,14 @@ def right() -> Retargeter:
 # Definitions
 
 
-def test_there_are_four_angles_to_a_finger() -> None:
+def test_there_are_four_angles_to_a_finger():
     assert NUM_JOINT_ANGLES == len(set(JOINT_ANGLES)) == 20
     assert [name.split("_")[0] for name in JOINT_ANGLES[::4]] == list(FINGERS)
     # named as the operator's joints are, but for the thumb's base, where the ray is measured
     assert JOINT_ANGLES[4:] == tuple(joint.name for joint in JOINTS[4:])
 
 
-def test_a_straight_hand_has_no_flexion() -> None:
+def test_a_straight_hand_has_no_flexion():
     ray = np.array([np.cos(0.6), np.sin(0.6), 0.0])
     angles = named(joint_angles(hand_of(chain(ray, ray, ray)), AXES))
     assert angles.pop("thumb_flexion") == pytest.approx(-0.6)
@@ -115,7 +115,7 @@ def test_a_straight_hand_has_no_flexion() -> None:
     ("mcp", "pip", "dip"),
     [(0.3, 0.4, 0.2), (-0.3, 0.0, 0.1), (1.4, 1.8, 1.2), (0.0, 1.7, 1.1), (0.5, -0.1, -0.3)],
 )
-def test_known_angles_of_a_finger(abduction: float, mcp: float, pip: float, dip: float) -> None:
+def test_known_angles_of_a_finger(abduction, mcp, pip, dip):
     finger = long_finger(abduction, mcp, mcp + pip, mcp + pip + dip)
     angles = named(joint_angles(hand_of(chain(*np.eye(3)), finger), AXES))
     seen = (np.cos([mcp, mcp + pip, mcp + pip + dip]) ** 2).sum()
@@ -131,7 +131,7 @@ def test_known_angles_of_a_finger(abduction: float, mcp: float, pip: float, dip:
         assert total == pytest.approx(mcp + pip + dip, abs=0.1)
 
 
-def test_abduction_is_zero_where_no_plane_shows() -> None:
+def test_abduction_is_zero_where_no_plane_shows():
     """A straight finger at a right angle to the palm: no jump, however it trembles."""
     rng, reference = (
         np.random.default_rng(0),
@@ -144,7 +144,7 @@ def test_abduction_is_zero_where_no_plane_shows() -> None:
 
 
 @pytest.mark.parametrize(("mcp", "ip"), [(0.0, 0.0), (0.5, 0.7), (-0.2, -0.4), (0.9, -0.3)])
-def test_known_angles_of_a_thumb(mcp: float, ip: float) -> None:
+def test_known_angles_of_a_thumb(mcp, ip):
     """It flexes about the axis square to the metacarpal and to the base of the little finger."""
     metacarpal = unit(np.array([0.7, 0.5, 0.4]))
     axis = np.cross(metacarpal, [0.5, -1.0, 0.0])
@@ -157,7 +157,7 @@ def test_known_angles_of_a_thumb(mcp: float, ip: float) -> None:
 @pytest.mark.parametrize(
     ("flexion", "abduction"), [(0, 0), (0.8, 0), (-1.2, 0), (0, 1), (0.3, 0.9)]
 )
-def test_where_the_thumb_points(flexion: float, abduction: float) -> None:
+def test_where_the_thumb_points(flexion, abduction):
     """The rotation vector out of distal, whatever way the bones go there."""
     size = np.hypot(flexion, abduction)
     ray = np.array([np.cos(size), *(np.array([-flexion, abduction]) * np.sinc(size / np.pi))])
@@ -169,7 +169,7 @@ def test_where_the_thumb_points(flexion: float, abduction: float) -> None:
 
 
 @pytest.mark.parametrize("side", SIDES)
-def test_the_operators_own_joints_are_found(side: Literal["right", "left"]) -> None:
+def test_the_operators_own_joints_are_found(side):
     """Another model's angles, whose fingers fan out and roll about themselves, within 0.1 rad."""
     truth = operator_poses(300)
     truth[:, 4:] *= 0.6  # up to a loose fist; past that the roll tells
@@ -186,7 +186,7 @@ def test_the_operators_own_joints_are_found(side: Literal["right", "left"]) -> N
 # Invariance
 
 
-def test_a_mirrored_hand_has_the_same_angles() -> None:
+def test_a_mirrored_hand_has_the_same_angles():
     right = operator(operator_poses(20))
     left = right * (1, -1, 1)
     expected = joint_angles(right, palm_axes(right, "right"))
@@ -196,14 +196,14 @@ def test_a_mirrored_hand_has_the_same_angles() -> None:
 
 
 @pytest.mark.parametrize("side", SIDES)
-def test_palm_axes_are_orthonormal_and_handed(side: Literal["right", "left"]) -> None:
+def test_palm_axes_are_orthonormal_and_handed(side):
     axes = np.stack(palm_axes(operator(operator_poses(5), side), side), axis=-2)
     np.testing.assert_allclose(axes @ axes.mT, np.broadcast_to(np.eye(3), (5, 3, 3)), atol=1e-12)
     # distal, radial, palmar of a right hand: fingers up, palm to the viewer, thumb to the left
     np.testing.assert_allclose(np.linalg.det(axes), -1 if side == "right" else 1)
 
 
-def test_angles_do_not_depend_on_place_turn_and_size() -> None:
+def test_angles_do_not_depend_on_place_turn_and_size():
     rng = np.random.default_rng(0)
     landmarks = operator(operator_poses(20))
     moved = 1.3 * landmarks @ random_rotations(rng).T + rng.normal(0, 1, 3)
@@ -214,7 +214,7 @@ def test_angles_do_not_depend_on_place_turn_and_size() -> None:
     )
 
 
-def test_numpy_and_jax_agree() -> None:
+def test_numpy_and_jax_agree():
     landmarks = operator(operator_poses(20))
     expected = joint_angles(landmarks, palm_axes(landmarks, "right"))
     found = jax.jit(lambda x: joint_angles(x, palm_axes(x, "right")))(jnp.asarray(landmarks))
@@ -223,14 +223,14 @@ def test_numpy_and_jax_agree() -> None:
     np.testing.assert_allclose(found, expected, atol=2e-4)
 
 
-def test_angles_are_finite_wherever_landmarks_are() -> None:
+def test_angles_are_finite_wherever_landmarks_are():
     some = np.zeros((21, 3)), np.ones((21, 3)), np.eye(21, 3), np.full((21, 3), 1e-12)
     landmarks = np.stack([*some, hand_of(chain(*np.eye(3)))])
     assert np.isfinite(joint_angles(landmarks, AXES)).all()
     assert jnp.isfinite(jax.jit(joint_angles)(jnp.asarray(landmarks), AXES)).all()
 
 
-def test_a_missing_landmark_costs_its_finger_only() -> None:
+def test_a_missing_landmark_costs_its_finger_only():
     landmarks = operator(operator_poses(1))[0]
     axes = palm_axes(landmarks, "right")
     whole = joint_angles(landmarks, axes)
@@ -256,7 +256,7 @@ def positions(hand: Hand, landmarks: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("side", SIDES)
-def test_the_robots_own_landmarks_give_its_pose_back(side: str) -> None:
+def test_the_robots_own_landmarks_give_its_pose_back(side):
     """A line through a median slope, so not exact: tolerances are what a bent line leaves.
 
     Finger flexions are nearly straight lines. Abduction can't be seen of a finger that stands out
@@ -276,7 +276,7 @@ def test_the_robots_own_landmarks_give_its_pose_back(side: str) -> None:
 
 
 @pytest.mark.parametrize("side", SIDES)
-def test_near_neutral_the_map_is_close(side: str) -> None:
+def test_near_neutral_the_map_is_close(side):
     """There equal angles give equal poses, up to the couplings left out for readability."""
     hand = load_hand("mimic_p050", side)
     q = hand.neutral + np.random.default_rng(0).uniform(-0.05, 0.05, (50, len(hand.neutral)))
@@ -286,7 +286,7 @@ def test_near_neutral_the_map_is_close(side: str) -> None:
     np.testing.assert_allclose(at_rest, hand.neutral, atol=1e-3)
 
 
-def test_positions_are_traceable() -> None:
+def test_positions_are_traceable():
     hand = load_hand()
     landmarks = operator(operator_poses(10))
     aligned = palm_alignment(landmarks, hand).apply(landmarks)
@@ -295,11 +295,11 @@ def test_positions_are_traceable() -> None:
     np.testing.assert_allclose(found, mapping.positions(aligned), atol=1e-3)
 
 
-def test_left_and_right_have_the_same_map() -> None:
+def test_left_and_right_have_the_same_map():
     assert joint_map(load_hand(side="left")) == joint_map(load_hand(side="right"))
 
 
-def test_the_map_is_a_table_to_be_read() -> None:
+def test_the_map_is_a_table_to_be_read():
     lines = str(JointAngleMap(load_hand())).splitlines()
     assert len(lines) == 16
     assert lines[0].startswith("thumb_base2cmc")
@@ -314,7 +314,7 @@ def test_the_map_is_a_table_to_be_read() -> None:
             assert row.gains[leading] > 0
 
 
-def test_a_joint_that_bends_two_phalanges_bends_each_as_the_human_does(right: Retargeter) -> None:
+def test_a_joint_that_bends_two_phalanges_bends_each_as_the_human_does(right):
     """Not half as far: a human who bends PIP and DIP by 0.6 each gets 0.6 in both."""
     hand = load_hand()
     frames = np.zeros((3, 20))
@@ -342,7 +342,7 @@ def pincer_with_all_points(folder: Path, **attributes: str) -> HandSpec:
     return replace(spec, fingers=(thumb, spec.fingers[1]))
 
 
-def test_a_hand_of_three_fingers() -> None:
+def test_a_hand_of_three_fingers():
     """Joints of the fingers that are not in the description stay at neutral."""
     spec = load_hand().spec
     hand = load_hand(replace(spec, fingers=tuple(spec.fingers[i] for i in (0, 1, 4))))
@@ -359,7 +359,7 @@ def test_a_hand_of_three_fingers() -> None:
     np.testing.assert_allclose(mapping.positions(landmarks), hand.neutral, atol=1e-3)
 
 
-def test_two_fingers_in_any_arrangement_stay_within_limits(tmp_path: Path) -> None:
+def test_two_fingers_in_any_arrangement_stay_within_limits(tmp_path):
     hand = load_hand(pincer_with_all_points(tmp_path))
     q = limited_poses(np.random.default_rng(0), hand.limits, 100)
     found = positions(hand, own_landmarks(hand, q))
@@ -368,13 +368,13 @@ def test_two_fingers_in_any_arrangement_stay_within_limits(tmp_path: Path) -> No
     assert np.corrcoef(found[:, 0], q[:, 0])[0, 1] > 0.9
 
 
-def test_a_finger_without_its_middle_is_refused(tmp_path: Path) -> None:
+def test_a_finger_without_its_middle_is_refused(tmp_path):
     spec = pincer(tmp_path)  # its thumb has a base and a tip only
     with pytest.raises(HandModelError, match=r"thumb_mcp.*thumb_ip.*'t1', 't2'.*joint_map"):
         JointAngleConfig().build(load_hand(spec))
 
 
-def test_rows_in_the_description_serve_such_a_finger(tmp_path: Path) -> None:
+def test_rows_in_the_description_serve_such_a_finger(tmp_path):
     rows = (
         JointMap("t1", offset=0.1, gains={"thumb_flexion": -0.5}),
         JointMap("t2", gains={"thumb_abduction": 1.0, "pinky_pip": 0.2}),
@@ -391,7 +391,7 @@ def test_rows_in_the_description_serve_such_a_finger(tmp_path: Path) -> None:
     np.testing.assert_allclose(positions(hand, aligned)[:, 0], expected, atol=1e-4)
 
 
-def test_a_row_overrules_the_measured_one() -> None:
+def test_a_row_overrules_the_measured_one():
     spec = load_hand().spec
     own = JointMap("index_base2mcp", offset=0.3)
     rows = joint_map(load_hand(replace(spec, joint_map=(own,))))
@@ -399,7 +399,7 @@ def test_a_row_overrules_the_measured_one() -> None:
         assert row == (own if row.joint == own.joint else measured)
 
 
-def test_rows_are_checked() -> None:
+def test_rows_are_checked():
     spec = load_hand().spec
     with pytest.raises(UnknownNameError, match="index_base2mcp"):
         joint_map(load_hand(replace(spec, joint_map=(JointMap("index_base"),))))
@@ -414,7 +414,7 @@ def test_rows_are_checked() -> None:
         JointMap("index_base2mcp", offset=float("nan"))
 
 
-def test_a_joint_that_moves_no_angle_stays_at_neutral(tmp_path: Path) -> None:
+def test_a_joint_that_moves_no_angle_stays_at_neutral(tmp_path):
     spec = pincer_with_all_points(tmp_path)
     text = spec.model.read_text().replace(
         '<joint name="t2" axis="1 0 0"', '<joint name="t2" axis="0 0 1"'
@@ -424,7 +424,7 @@ def test_a_joint_that_moves_no_angle_stays_at_neutral(tmp_path: Path) -> None:
     assert dict(zip(hand.actuated_names, joint_map(hand), strict=True))["t2"] == JointMap("t2", 0.4)
 
 
-def test_angles_of_the_robot_are_measured_as_a_humans() -> None:
+def test_angles_of_the_robot_are_measured_as_a_humans():
     hand = load_hand()
     q = np.stack([hand.neutral, hand.neutral])
     q[1, hand.actuated_names.index("ring_mcp2pp")] += 0.3
@@ -438,7 +438,7 @@ def test_angles_of_the_robot_are_measured_as_a_humans() -> None:
 # The method
 
 
-def test_commands_stay_within_limits(right: Retargeter) -> None:
+def test_commands_stay_within_limits(right):
     extremes = np.clip(operator_poses(40) * 3, -3, 3)
     for landmarks in (*operator(extremes), *hand_points(20)):
         result = right(landmarks)
@@ -448,7 +448,7 @@ def test_commands_stay_within_limits(right: Retargeter) -> None:
         assert (result.command.positions <= high).all()
 
 
-def test_fingers_follow_the_humans_fingers(right: Retargeter) -> None:
+def test_fingers_follow_the_humans_fingers(right):
     """Closing any human finger closes that robot finger, and no other."""
     frames = np.zeros((5, 20))
     for f in range(1, 5):
@@ -463,7 +463,7 @@ def test_fingers_follow_the_humans_fingers(right: Retargeter) -> None:
                 assert abs(change) < 1e-5, joint
 
 
-def test_fingers_spread_as_far_as_the_humans() -> None:
+def test_fingers_spread_as_far_as_the_humans():
     """Poses in which a robot finger shows no plane to bend in do not make the map steeper."""
     hand = load_hand()
     frames = np.zeros((3, 20))
@@ -478,7 +478,7 @@ def test_fingers_spread_as_far_as_the_humans() -> None:
         assert robot == pytest.approx(np.diff(human[1:, 4 * f]), rel=0.05)
 
 
-def test_a_left_hand_answers_as_the_right(right: Retargeter) -> None:
+def test_a_left_hand_answers_as_the_right(right):
     left = Retargeter(load_hand(side="left"), config=JointAngleConfig())
     for landmarks in operator(operator_poses(10)):
         mirrored = landmarks * (1, -1, 1)
@@ -487,14 +487,14 @@ def test_a_left_hand_answers_as_the_right(right: Retargeter) -> None:
         )
 
 
-def test_nothing_is_remembered(right: Retargeter) -> None:
+def test_nothing_is_remembered(right):
     first, second = operator(operator_poses(2))
     fresh = right.step(right.init(), second)[1].command.positions
     after = right.step(right.step(right.init(), first)[0], second)[1].command.positions
     np.testing.assert_array_equal(fresh, after)
 
 
-def test_bad_frames_hold_the_last_command(right: Retargeter) -> None:
+def test_bad_frames_hold_the_last_command(right):
     good, other = operator(operator_poses(2))
     bad = other.copy()
     bad[BASES[1] + 2] = np.nan
@@ -507,7 +507,7 @@ def test_bad_frames_hold_the_last_command(right: Retargeter) -> None:
     assert np.abs(again.command.positions - first.command.positions).max() > 0.1
 
 
-def test_a_human_finger_that_the_robot_lacks_may_be_missing(tmp_path: Path) -> None:
+def test_a_human_finger_that_the_robot_lacks_may_be_missing(tmp_path):
     retargeter = Retargeter(pincer_with_all_points(tmp_path), config=JointAngleConfig())
     landmarks = operator(operator_poses(1))[0]
     whole = retargeter(landmarks)
@@ -517,7 +517,7 @@ def test_a_human_finger_that_the_robot_lacks_may_be_missing(tmp_path: Path) -> N
     np.testing.assert_array_equal(partial.command.positions, whole.command.positions)
 
 
-def test_tracking_loss_is_of_the_keyvectors(right: Retargeter) -> None:
+def test_tracking_loss_is_of_the_keyvectors(right):
     hand, landmarks = right.hand, operator(operator_poses(1, seed=4))[0]
     result = right(landmarks)
     aligned = palm_alignment(landmarks, hand).apply(landmarks)
@@ -530,7 +530,7 @@ def test_tracking_loss_is_of_the_keyvectors(right: Retargeter) -> None:
 
 
 @pytest.mark.shared
-def test_on_a_real_recording_it_beats_the_authors(shared: Path, right: Retargeter) -> None:
+def test_on_a_real_recording_it_beats_the_authors(shared, right):
     """Their joint angles: thumb cosine 0.51, motion 0.37, out of the limits on 92 % of frames."""
     recording = read_recording(shared / "recordings/manus_right_subject-000_run-010.npz")[:500]
     commands, loss = right.run(recording)

@@ -37,7 +37,7 @@ def random_tree(
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_random_trees_equal_mujoco(seed: int) -> None:
+def test_random_trees_equal_mujoco(seed):
     model, palm, points, tree = random_tree(seed)
     # over any angle, not only within the limits, and with whatever moves the palm itself
     q = np.random.default_rng([seed, 2]).uniform(-3, 3, (25, model.njnt))
@@ -47,7 +47,7 @@ def test_random_trees_equal_mujoco(seed: int) -> None:
     np.testing.assert_allclose(ours, mujoco_points(model, palm, points, q), atol=1e-12)
 
 
-def test_the_random_trees_hold_every_case() -> None:
+def test_the_random_trees_hold_every_case():
     """The generator must not quietly stop making what it is there to make."""
     seen: set[str] = set()
     for seed in SEEDS:
@@ -67,12 +67,11 @@ def test_the_random_trees_hold_every_case() -> None:
 
 
 @pytest.mark.parametrize("side", ["right", "left"])
-def test_the_mimic_hand_equals_mujoco(side: str) -> None:
+def test_the_mimic_hand_equals_mujoco(side):
     hand = load_hand("mimic_p050", side)
     points = []
     for finger in hand.spec.fingers:
         for point in finger.points:
-            assert point is not None
             offset = np.array((point.mirrored if hand.spec.mirror else point).offset)
             points.append((int(hand.model.body(point.body).id), offset))
     q = hand.full_configuration(limited_poses(np.random.default_rng(0), hand.limits, 200))
@@ -82,7 +81,7 @@ def test_the_mimic_hand_equals_mujoco(side: str) -> None:
 
 
 @pytest.mark.parametrize("seed", [0, 3])
-def test_polynomials_within_limits_are_accurate(seed: int) -> None:
+def test_polynomials_within_limits_are_accurate(seed):
     hand = load_hand("mimic_p050", "right") if seed == 0 else None
     tree = hand.tree if hand else random_tree(seed)[3]
     q = limited_poses(np.random.default_rng(seed), tree.limits, 5000)
@@ -94,7 +93,7 @@ def test_polynomials_within_limits_are_accurate(seed: int) -> None:
     assert abs(got - tree.positions(q)).max() < 1e-6
 
 
-def test_polynomials_of_a_joint_that_turns_round_and_round() -> None:
+def test_polynomials_of_a_joint_that_turns_round_and_round():
     spec = mujoco.MjSpec.from_string(
         '<mujoco><compiler angle="radian"/><worldbody><body name="palm"><geom size="0.1"/>'
         '<body name="tip"><joint axis="0 0 1" range="-12 12"/><geom size="0.1"/></body>'
@@ -108,7 +107,7 @@ def test_polynomials_of_a_joint_that_turns_round_and_round() -> None:
     assert np.hypot(x - 0.1 * np.cos(q[:, 0]), y - 0.1 * np.sin(q[:, 0])).max() < 1e-6
 
 
-def test_batch_shapes_and_kinds() -> None:
+def test_batch_shapes_and_kinds():
     tree = load_hand().tree
     q = limited_poses(np.random.default_rng(1), np.nan_to_num(tree.limits), 12)
     flat = tree.positions(q)
@@ -121,7 +120,7 @@ def test_batch_shapes_and_kinds() -> None:
 
 
 @pytest.mark.parametrize("seed", [1, 6])
-def test_gradients_by_finite_differences(seed: int) -> None:
+def test_gradients_by_finite_differences(seed):
     _, _, _, tree = random_tree(seed)
     q = limited_poses(np.random.default_rng(seed), tree.limits, 1)[0]
     step = 1e-6
@@ -137,7 +136,7 @@ def test_gradients_by_finite_differences(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", [1, 5, 8])
-def test_points_with_derivatives(seed: int) -> None:
+def test_points_with_derivatives(seed):
     """Points, Jacobian and curvature against forward kinematics and against differences of it."""
     _, _, _, tree = random_tree(seed)
     rng = np.random.default_rng(seed)
@@ -180,7 +179,7 @@ def test_points_with_derivatives(seed: int) -> None:
 
 
 @pytest.mark.parametrize("joint", ['type="ball"', 'type="free"'])
-def test_ball_and_free_joints_are_refused(joint: str) -> None:
+def test_ball_and_free_joints_are_refused(joint):
     where = "palm" if "ball" in joint else "worldbody"
     inner = f'<body name="tip"><joint name="loose" {joint}/><geom size="0.1"/></body>'
     text = (
@@ -193,7 +192,7 @@ def test_ball_and_free_joints_are_refused(joint: str) -> None:
         build_tree(model, palm, {"p": (model.body("tip").id, np.zeros(3))})
 
 
-def test_a_point_that_does_not_hang_from_the_palm_is_refused() -> None:
+def test_a_point_that_does_not_hang_from_the_palm_is_refused():
     model = random_model(0)
     leaf = next(b for b in range(1, model.nbody) if not (model.body_parentid == b).any())
     with pytest.raises(HandModelError, match="'root' does not hang from the palm"):

@@ -17,7 +17,7 @@ COMMANDS = ("mypy --no-error-summary", "ruff check -q", "ruff format -q --check"
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_the_code_is_clean(command: str) -> None:
+def test_the_code_is_clean(command):
     if importlib.util.find_spec(command.split()[0]) is None:
         pytest.skip(f"{command.split()[0]} is not installed (extra test)")
     # other releases have other rules and types

@@ -22,7 +22,6 @@ from smooth_operator.lab.discovery import discover
 from smooth_operator.methods.default import DEFAULT_METHOD
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.pages.hand_view import HandView
-from smooth_operator.types import Side
 
 
 def world_tips(hand: Hand, q: np.ndarray) -> np.ndarray:
@@ -34,7 +33,7 @@ def world_tips(hand: Hand, q: np.ndarray) -> np.ndarray:
 
 
 @pytest.fixture(autouse=True)
-def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def _elsewhere(tmp_path, monkeypatch) -> None:
     """MuJoCo writes its warnings to a log in the working folder."""
     monkeypatch.chdir(tmp_path)
 
@@ -43,7 +42,7 @@ def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("form", ["urdf", "mjcf", "mjcf with motors"])
-def test_joints_of_an_arm_are_none_of_the_hands(tmp_path: Path, form: str) -> None:
+def test_joints_of_an_arm_are_none_of_the_hands(tmp_path, form):
     made = make_hand(3, arm=6, coupled=True)
     text = urdf(made.parts) if form == "urdf" else mjcf(made.parts)
     if "motors" in form:  # of the arm alone: the hand's are on another controller
@@ -69,7 +68,7 @@ def test_joints_of_an_arm_are_none_of_the_hands(tmp_path: Path, form: str) -> No
     )
 
 
-def test_commands_for_a_hand_on_an_arm_name_the_hands_joints_only(tmp_path: Path) -> None:
+def test_commands_for_a_hand_on_an_arm_name_the_hands_joints_only(tmp_path):
     path = tmp_path / "m.urdf"
     path.write_text(urdf(make_hand(3, arm=6).parts))
     bare = tmp_path / "bare.urdf"
@@ -88,7 +87,7 @@ def test_commands_for_a_hand_on_an_arm_name_the_hands_joints_only(tmp_path: Path
     assert there.model.njnt == len(there.joint_names) + 6
 
 
-def test_an_arm_is_not_drawn_and_does_not_collide(tmp_path: Path) -> None:
+def test_an_arm_is_not_drawn_and_does_not_collide(tmp_path):
     path = tmp_path / "m.urdf"
     path.write_text(urdf(make_hand(3, arm=6).parts))
     hand = load_hand_spec(discover(path).spec)
@@ -106,7 +105,7 @@ def test_an_arm_is_not_drawn_and_does_not_collide(tmp_path: Path) -> None:
 
 @pytest.mark.shared
 @pytest.mark.parametrize("side", ["right", "left"])
-def test_of_two_hands_in_a_file_one_is_commanded(shared: Path, side: Side) -> None:
+def test_of_two_hands_in_a_file_one_is_commanded(shared, side):
     path = shared / "hands_urdf/shadow_hand/bimanual.urdf"
     hand = load_hand_spec(discover(path, side=side).spec)
     prefix = "rh_" if side == "right" else "lh_"
@@ -142,7 +141,7 @@ def scene(folder: Path, spec: HandSpec, before: str = "", after: str = "", more:
     return path
 
 
-def test_a_free_cube_and_a_wheel_do_not_matter(tmp_path: Path) -> None:
+def test_a_free_cube_and_a_wheel_do_not_matter(tmp_path):
     spec = pincer(tmp_path, actuated=())
     cube = '<body name="cube" pos="1 0 0"><freejoint name="free"/><geom size="0.02"/></body>'
     knob = '<body name="knob"><joint name="knob" axis="0 0 1"/><geom size="0.005"/></body>'
@@ -158,7 +157,7 @@ def test_a_free_cube_and_a_wheel_do_not_matter(tmp_path: Path) -> None:
     assert hand.qpos(hand.full_configuration(q)).shape == (10, 7 + 6)
 
 
-def test_what_follows_a_joint_of_the_arm_stays_where_that_is(tmp_path: Path) -> None:
+def test_what_follows_a_joint_of_the_arm_stays_where_that_is(tmp_path):
     spec = pincer(tmp_path, actuated=("t1", "t2", "i1", "i2"))
     text = spec.model.read_text().replace(
         '<body name="palm">',
@@ -178,9 +177,7 @@ def test_what_follows_a_joint_of_the_arm_stays_where_that_is(tmp_path: Path) -> 
     ("method", "settled"),
     [pytest.param("sbr", 0, marks=pytest.mark.weekly), (DEFAULT_METHOD, 10)],
 )
-def test_a_finger_that_is_left_out_stays_at_neutral_and_in_the_command(
-    tmp_path: Path, method: str, settled: int
-) -> None:
+def test_a_finger_that_is_left_out_stays_at_neutral_and_in_the_command(tmp_path, method, settled):
     """At once, or after the frames in which what the first one left is worked off."""
     path = tmp_path / "m.urdf"
     path.write_text(urdf(make_hand(3, arm=4, coupled=True).parts))
@@ -202,7 +199,7 @@ def test_a_finger_that_is_left_out_stays_at_neutral_and_in_the_command(
     assert np.abs(rest - part.neutral[left])[settled:].max() < 0.1
 
 
-def test_a_hand_all_of_whose_joints_are_above_the_palm_has_none(tmp_path: Path) -> None:
+def test_a_hand_all_of_whose_joints_are_above_the_palm_has_none(tmp_path):
     spec = pincer(tmp_path, actuated=())
     tip = replace(spec.fingers[0], points=(spec.fingers[1].tip, None, None, spec.fingers[1].tip))
     fixed = replace(spec, palm="i3", wrist=spec.fingers[1].tip, fingers=(tip, spec.fingers[1]))
@@ -248,9 +245,7 @@ def follower(range_: str, multiplier: float, offset: float) -> str:
         ('lower="3" upper="4"', (0.8, 0.0), (0.8, 0.0, False)),  # no sign mends this
     ],
 )
-def test_a_sign_that_the_limits_make_impossible_is_turned(
-    tmp_path: Path, limits: str, declared: tuple[float, float], read: tuple[float, float, bool]
-) -> None:
+def test_a_sign_that_the_limits_make_impossible_is_turned(tmp_path, limits, declared, read):
     path = tmp_path / "m.urdf"
     path.write_text(follower(limits, *declared))
     spec = pincer_spec(path)

@@ -51,7 +51,7 @@ Shadow's begins beyond the joint."""
 
 
 @pytest.fixture
-def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def root(tmp_path, monkeypatch) -> Path:
     """A checkout of Menagerie that the package is to use; nothing is fetched."""
     pytest.importorskip("mujoco_menagerie", reason="the extra menagerie is not installed")
     monkeypatch.chdir(tmp_path)
@@ -83,7 +83,7 @@ def vendors(folder: Path) -> Path:
     return path
 
 
-def test_a_hand_of_the_package_is_the_same_hand(root: Path) -> None:
+def test_a_hand_of_the_package_is_the_same_hand(root):
     path = vendors(root / "shadow_hand")
     hand = load_hand("shadow_hand")
     assert menagerie_file(hand) == path
@@ -98,9 +98,7 @@ def test_a_hand_of_the_package_is_the_same_hand(root: Path) -> None:
 
 @pytest.mark.shared
 @pytest.mark.parametrize(("name", "side", "folder"), HANDS)
-def test_every_published_hand_is_drawn_with_its_meshes(
-    shared: Path, root: Path, name: str, side: Side, folder: str
-) -> None:
+def test_every_published_hand_is_drawn_with_its_meshes(shared, root, name, side, folder):
     # the folders beside this checkout are Menagerie's, under names that may end in hand
     (root / folder).symlink_to(shared / "hands" / folder)
     (root / folder.removesuffix("_hand")).symlink_to(shared / "hands" / folder)
@@ -111,7 +109,7 @@ def test_every_published_hand_is_drawn_with_its_meshes(
     assert len(HandView(there).meshes) >= len(hand.fingers)
 
 
-def test_what_the_package_has_not_is_said(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_the_package_has_not_is_said(root, capsys):
     with pytest.raises(HandModelError, match=r"no model of the right hand 'mimic_p050', only of"):
         drawn_on(load_hand("mimic_p050"), "menagerie")
     with pytest.raises(HandModelError, match="no model of the left hand 'shadow_dexee'"):
@@ -123,9 +121,7 @@ def test_what_the_package_has_not_is_said(root: Path, capsys: pytest.CaptureFixt
     assert capsys.readouterr().err.count("\n") == 1
 
 
-def test_without_the_package_one_line_says_how_to_install_it(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_without_the_package_one_line_says_how_to_install_it(monkeypatch, capsys, tmp_path):
     monkeypatch.setitem(sys.modules, "mujoco_menagerie", None)
     with pytest.raises(MissingExtraError):
         drawn_on(load_hand("shadow_hand"), "menagerie")
@@ -158,9 +154,7 @@ def run_of(hand: Hand, folder: Path) -> tuple[Path, Path, np.ndarray]:
     return out, glove, positions
 
 
-def test_a_run_plays_on_the_vendors_model(
-    root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_plays_on_the_vendors_model(root, tmp_path, monkeypatch):
     vendors(root / "shadow_hand")
     hand = load_hand("shadow_hand")
     out, glove, positions = run_of(hand, tmp_path)
@@ -170,16 +164,12 @@ def test_a_run_plays_on_the_vendors_model(
         assert main(["view", str(out), str(glove), "--hand", hand.name, *model]) == 0
     plain, real, here = (page.drawn for page in pages)
     assert plain is None
-    assert real is not None
-    assert here is not None  # what is on this machine is drawn without being asked for
     assert here.model.nq == real.model.nq == hand.model.nq + 2
     assert real.model.nmesh == 1
     np.testing.assert_array_equal(pages[1].trace.joint_positions, positions)
 
 
-def test_a_model_of_another_hand_is_refused_before_any_work(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_model_of_another_hand_is_refused_before_any_work(tmp_path, capsys, monkeypatch):
     def never(*_: Any, **__: Any) -> None:
         raise AssertionError("it should not have come to this")
 
@@ -191,9 +181,7 @@ def test_a_model_of_another_hand_is_refused_before_any_work(
     assert not output.exists()
 
 
-def test_teleop_draws_the_vendors_meshes_on_its_page(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_teleop_draws_the_vendors_meshes_on_its_page(tmp_path, monkeypatch, capsys):
     """The option reaches the page's process; the bodies are the vendor's, in the hand's pose."""
     path = vendors(tmp_path / "vendor")
     setups: list[PageSetup] = []
@@ -245,9 +233,7 @@ def test_teleop_draws_the_vendors_meshes_on_its_page(
 
 @pytest.mark.shared
 @pytest.mark.parametrize(("name", "side", "folder"), HANDS)
-def test_meshes_lie_where_the_simple_shapes_do(
-    shared: Path, name: str, side: Side, folder: str
-) -> None:
+def test_meshes_lie_where_the_simple_shapes_do(shared, name, side, folder):
     """In a pose: a fingertip is on its mesh, and each finger's shapes have about its box."""
     file = "shadow_dexee.xml" if name == "shadow_dexee" else f"{side}_hand.xml"
     hand = load_hand(name, side)
@@ -272,7 +258,7 @@ def test_meshes_lie_where_the_simple_shapes_do(
             assert np.abs(end(ours, 0) - end(theirs, 0)).max() < LARGER.get(name, 0.008)
 
 
-def test_meshes_are_drawn_where_they_are_here_and_can_be_switched(root: Path) -> None:
+def test_meshes_are_drawn_where_they_are_here_and_can_be_switched(root):
     hand = load_hand("shadow_hand")
     assert hand_with_meshes(hand) is None  # neither fetched nor in the checkout
     vendors(root / "shadow_hand")
@@ -314,7 +300,7 @@ def test_meshes_are_drawn_where_they_are_here_and_can_be_switched(root: Path) ->
         close_server(server)
 
 
-def test_a_player_has_both_in_one_place(root: Path, tmp_path: Path) -> None:
+def test_a_player_has_both_in_one_place(root, tmp_path):
     vendors(root / "shadow_hand")
     hand = load_hand("shadow_hand")
     there = hand_with_meshes(hand)
@@ -330,7 +316,6 @@ def test_a_player_has_both_in_one_place(root: Path, tmp_path: Path) -> None:
         view.draw(3)
         real, simple = (look.first for look in view.looks)
         for finger, tip in zip(there.spec.fingers, trace.robot_tips[3], strict=True):
-            assert finger.tip is not None
             node = real.nodes.get(there.model.body(finger.tip.body).id)
             if node is not None:
                 placed = np.empty(3)
@@ -350,9 +335,7 @@ def test_a_player_has_both_in_one_place(root: Path, tmp_path: Path) -> None:
         close_server(server)
 
 
-def test_damaged_meshes_leave_the_simple_shapes(
-    root: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_damaged_meshes_leave_the_simple_shapes(root, capsys):
     """One sentence where nobody asked for them, an error where somebody did."""
     path = vendors(root / "shadow_hand")
     text = path.read_text(encoding="utf-8")
@@ -370,7 +353,7 @@ def test_damaged_meshes_leave_the_simple_shapes(
     assert hand_to_draw(hand, replace(options, no_meshes=True)) is None
 
 
-def test_large_meshes_are_made_coarser() -> None:
+def test_large_meshes_are_made_coarser():
     fine = trimesh.creation.icosphere(subdivisions=6, radius=0.02)
     coarse = coarser(fine, 3000)
     assert 1000 < len(coarse.faces) <= 3000 < len(fine.faces)
@@ -380,7 +363,7 @@ def test_large_meshes_are_made_coarser() -> None:
     assert coarser(fine, len(fine.faces)) is fine
 
 
-def test_a_hand_of_meshes_alone_has_simple_shapes(root: Path) -> None:
+def test_a_hand_of_meshes_alone_has_simple_shapes(root):
     """As a user's own, which has no other shapes: its capsules are drawn."""
     there = load_hand_spec(drawn_on(load_hand("shadow_hand"), vendors(root / "v")).spec)
     simple = HandView(there, simple=True).meshes

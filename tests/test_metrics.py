@@ -21,7 +21,7 @@ from smooth_operator.types import Status
 
 
 @pytest.mark.parametrize("fingers", [FINGERS, FINGERS[:4], ("thumb", "middle"), FINGERS[:3]])
-def test_a_perfect_copy_is_perfect(fingers: tuple[str, ...]) -> None:
+def test_a_perfect_copy_is_perfect(fingers):
     result = evaluate(make_trace(human_motion(80), fingers=fingers))
     for name in ("cosine_similarity", "cosine_similarity_all", "scale_ratio"):
         assert result[name] == pytest.approx(1, abs=1e-12), name
@@ -31,7 +31,7 @@ def test_a_perfect_copy_is_perfect(fingers: tuple[str, ...]) -> None:
     assert result["frozen_share"] == 0
 
 
-def test_a_scaled_copy_keeps_direction_and_shows_its_scale() -> None:
+def test_a_scaled_copy_keeps_direction_and_shows_its_scale():
     human = human_motion(60)
     tips = WRIST + 0.7 * (human[:, list(TIPS)] - WRIST)
     result = evaluate(make_trace(human, tips))
@@ -40,7 +40,7 @@ def test_a_scaled_copy_keeps_direction_and_shows_its_scale() -> None:
     assert result["motion_preservation"] == pytest.approx(1, abs=1e-12)
 
 
-def test_a_copy_turned_about_the_normal_of_planar_motion_shows_its_angle() -> None:
+def test_a_copy_turned_about_the_normal_of_planar_motion_shows_its_angle():
     human = human_motion(60, seed=3)
     human[..., 2] = WRIST[2]  # planar, so every vector turns by the same angle
     turn = rotation(np.array([0, 0, 1.0]), 0.4)
@@ -51,7 +51,7 @@ def test_a_copy_turned_about_the_normal_of_planar_motion_shows_its_angle() -> No
     assert result["scale_ratio"] == pytest.approx(1, abs=1e-12)
 
 
-def test_keyvectors_are_wrist_then_thumb_then_the_rest() -> None:
+def test_keyvectors_are_wrist_then_thumb_then_the_rest():
     tips = np.array([[[1.0, 0, 0], [0, 2, 0], [0, 0, 3]]])
     vectors = keyvectors(tips, np.array([[0.0, 0, 1]]))[0]
     expected = [[1, 0, -1], [0, 2, -1], [0, 0, 2], [-1, 2, 0], [-1, 0, 3], [0, -2, 3]]
@@ -61,7 +61,7 @@ def test_keyvectors_are_wrist_then_thumb_then_the_rest() -> None:
         assert shape == (7, count * (count + 1) // 2, 3)
 
 
-def test_pinch_error_is_the_robots_gap_while_the_human_pinches() -> None:
+def test_pinch_error_is_the_robots_gap_while_the_human_pinches():
     human = human_motion(10)
     apart = np.array([1.0, 0, 0])
     human[:, TIPS[0]] = WRIST + np.array([0.05, 0.05, 0.05])
@@ -85,7 +85,7 @@ def test_pinch_error_is_the_robots_gap_while_the_human_pinches() -> None:
 # --- consistency --------------------------------------------------------------------------------
 
 
-def test_flatness_and_acceleration_of_constant_acceleration() -> None:
+def test_flatness_and_acceleration_of_constant_acceleration():
     t = np.arange(50) / RATE
     acceleration = np.array([0.3, -0.4, 1.2])  # 1.3 m/s^2 in all
     tips = WRIST + 0.5 * t[:, None, None] ** 2 * acceleration * np.ones((1, 5, 1))
@@ -97,7 +97,7 @@ def test_flatness_and_acceleration_of_constant_acceleration() -> None:
     assert result["joint_jitter_rate_free"] == pytest.approx(0.8, rel=1e-9)
 
 
-def test_acceleration_is_the_same_at_uneven_and_at_other_rates() -> None:
+def test_acceleration_is_the_same_at_uneven_and_at_other_rates():
     rng = np.random.default_rng(5)
     for stamps in (np.arange(40) / 30, np.cumsum(rng.uniform(0.004, 0.03, 40))):
         tips = WRIST + 0.5 * stamps[:, None, None] ** 2 * np.array([0, 2.0, 0]) * np.ones((1, 5, 1))
@@ -106,7 +106,7 @@ def test_acceleration_is_the_same_at_uneven_and_at_other_rates() -> None:
 
 
 @pytest.mark.parametrize("delay", [1, 4, 9])
-def test_lag_of_a_pure_delay(delay: int) -> None:
+def test_lag_of_a_pure_delay(delay):
     motion = human_motion(600 + delay)
     human, late = motion[delay:], motion[:-delay]
     result = evaluate(make_trace(human, late[:, list(TIPS)]))
@@ -114,7 +114,7 @@ def test_lag_of_a_pure_delay(delay: int) -> None:
     assert result["velocity_correlation"] == pytest.approx(1, abs=1e-9)
 
 
-def test_lag_finds_part_of_a_frame() -> None:
+def test_lag_finds_part_of_a_frame():
     fine = human_motion(2400, amplitude=0.02)  # four fine steps make one frame
     human, late = fine[10::4], fine[:-10:4]  # two and a half frames late
     late = late[: len(human)]
@@ -122,7 +122,7 @@ def test_lag_finds_part_of_a_frame() -> None:
     assert result["lag_ms"] == pytest.approx(1e3 * 2.5 / RATE, abs=0.5)
 
 
-def test_a_pause_does_not_stretch_the_lag() -> None:
+def test_a_pause_does_not_stretch_the_lag():
     """Frames become time by the median frame."""
     motion = human_motion(604)
     stamps = np.arange(600) / RATE
@@ -131,7 +131,7 @@ def test_a_pause_does_not_stretch_the_lag() -> None:
     assert evaluate(trace)["lag_ms"] == pytest.approx(1e3 * 4 / RATE, abs=0.3)
 
 
-def test_a_frozen_hand() -> None:
+def test_a_frozen_hand():
     human = human_motion(50)
     tips = np.repeat(human[:1, list(TIPS)], 50, axis=0)
     result = evaluate(make_trace(human, tips, joints=np.full((50, 4), 0.2)))
@@ -143,7 +143,7 @@ def test_a_frozen_hand() -> None:
     assert result["max_joint_step"] == 0
 
 
-def test_frozen_share_counts_only_frames_in_which_the_human_moves() -> None:
+def test_frozen_share_counts_only_frames_in_which_the_human_moves():
     human = human_motion(41)
     human[21:] = human[20]  # rests for the second half
     joints = np.repeat(np.arange(21.0)[:, None] * 0.01, 2, axis=0)[:41]  # every other frame
@@ -152,14 +152,14 @@ def test_frozen_share_counts_only_frames_in_which_the_human_moves() -> None:
     assert evaluate(make_trace(still, joints=joints))["frozen_share"] is None
 
 
-def test_one_moving_finger_is_a_moving_human() -> None:
+def test_one_moving_finger_is_a_moving_human():
     human = np.repeat(human_motion(1), 41, axis=0)
     human[:, TIPS[1], 0] += 0.001 * np.arange(41)
     joints = np.repeat(np.arange(21.0)[:, None] * 0.01, 2, axis=0)[:41]  # every other frame
     assert evaluate(make_trace(human, joints=joints))["frozen_share"] == pytest.approx(0.5)
 
 
-def test_the_rate_is_that_of_most_frames() -> None:
+def test_the_rate_is_that_of_most_frames():
     """A pause in the recording does not make the tracker slower."""
     trace = make_trace(human_motion(40))
     stamps = np.arange(40) / 50.0
@@ -168,7 +168,7 @@ def test_the_rate_is_that_of_most_frames() -> None:
     assert result["rate_hz"] == pytest.approx(50.0)
 
 
-def test_still_frames_do_not_dilute_motion_preservation() -> None:
+def test_still_frames_do_not_dilute_motion_preservation():
     human = human_motion(60)
     slow = human.copy()
     slow[30:] = human[29] + 1e-3 * (human[30:] - human[29])  # under the threshold of motion
@@ -182,7 +182,7 @@ def test_still_frames_do_not_dilute_motion_preservation() -> None:
 # --- joints, safety, service --------------------------------------------------------------------
 
 
-def test_limits_steps_and_joints_without_limits() -> None:
+def test_limits_steps_and_joints_without_limits():
     joints = np.zeros((10, 3))
     joints[4, 0], joints[5, 1], joints[6, 2] = 1.25, -1.1, 40.0
     limits = np.array([[-1.0, 1.0], [-1.0, 1.0], [np.nan, np.inf]])
@@ -198,7 +198,7 @@ def test_limits_steps_and_joints_without_limits() -> None:
     assert inside["limit_violation_share"] == 0
 
 
-def test_rounding_at_a_limit_is_no_violation() -> None:
+def test_rounding_at_a_limit_is_no_violation():
     joints = np.full((6, 1), np.float32(1.1), np.float32)  # rounds to above 1.1
     trace = make_trace(human_motion(6), joints=joints, joint_limits=np.array([[-1, 1.1]]))
     result = evaluate(trace)
@@ -211,7 +211,7 @@ def test_rounding_at_a_limit_is_no_violation() -> None:
     assert beyond["limit_violation_share"] == pytest.approx(2 / 6)
 
 
-def test_self_collision() -> None:
+def test_self_collision():
     penetration = np.array([0.003, 0.001, -0.02, 0.005, np.nan])
     result = evaluate(make_trace(human_motion(5), penetration=penetration))
     assert result["self_collision"] == pytest.approx(
@@ -221,7 +221,7 @@ def test_self_collision() -> None:
     assert absent == {"share": None, "mean_depth_mm": None, "max_depth_mm": None}
 
 
-def test_workspace_utilisation_counts_points_near_a_visited_one() -> None:
+def test_workspace_utilisation_counts_points_near_a_visited_one():
     line = np.linspace(0, 0.1, 1001)  # 0.1 mm apart
     reach = np.zeros((1001, 5, 3))
     reach[..., 0] = line[:, None]
@@ -244,13 +244,13 @@ def test_workspace_utilisation_counts_points_near_a_visited_one() -> None:
     )
 
 
-def test_workspace_radius_is_inclusive_and_sharp() -> None:
+def test_workspace_radius_is_inclusive_and_sharp():
     reach = np.zeros((2, 2, 3))
     reach[:, :, 0] = [[0.25], [0.2500001]]
     assert workspace_utilisation(np.zeros((1, 2, 3)), reach, radius=0.25) == [0.5, 0.5]
 
 
-def test_latency_and_status() -> None:
+def test_latency_and_status():
     latency = np.arange(101.0)[::-1].copy()
     status = np.zeros(101, int)
     status[:3], status[5], status[6] = Status.INVALID_LANDMARKS, Status.DEGENERATE_PALM, 77
@@ -274,7 +274,7 @@ def test_latency_and_status() -> None:
 
 
 @pytest.mark.parametrize("definition", ["sound", "paper"])
-def test_invalid_frames_are_left_out_and_not_bridged(definition: str) -> None:
+def test_invalid_frames_are_left_out_and_not_bridged(definition):
     human = human_motion(120)
     tips = human[:, list(TIPS)].copy()
     gap = human.copy()
@@ -290,7 +290,7 @@ def test_invalid_frames_are_left_out_and_not_bridged(definition: str) -> None:
     json.dumps(result, allow_nan=False)
 
 
-def test_one_missing_fingertip_costs_only_its_own_vectors() -> None:
+def test_one_missing_fingertip_costs_only_its_own_vectors():
     human = human_motion(60)
     tips = human[:, list(TIPS)].copy()
     human[:, TIPS[4]] = np.nan
@@ -300,7 +300,7 @@ def test_one_missing_fingertip_costs_only_its_own_vectors() -> None:
     assert result["pinch_error_per_finger_mm"]["pinky"] is None  # type: ignore[index, call-overload]
 
 
-def test_a_run_of_invalid_frames_only() -> None:
+def test_a_run_of_invalid_frames_only():
     human = np.full((30, 21, 3), np.nan)
     robot_landmarks = human_motion(30)
     with np.errstate(all="raise"):
@@ -317,7 +317,7 @@ def test_a_run_of_invalid_frames_only() -> None:
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("frames", [0, 1, 2, 3])
 @pytest.mark.parametrize("definition", ["sound", "paper"])
-def test_tiny_recordings_give_none_and_no_warning(frames: int, definition: str) -> None:
+def test_tiny_recordings_give_none_and_no_warning(frames, definition):
     human = human_motion(frames)
     trace = make_trace(human, penetration=np.zeros(frames), robot_landmarks=human)
     result = evaluate(trace, definition)  # type: ignore[arg-type]
@@ -331,7 +331,7 @@ def test_tiny_recordings_give_none_and_no_warning(frames: int, definition: str) 
     assert result["lag_ms"] is None
 
 
-def test_a_two_finger_hand() -> None:
+def test_a_two_finger_hand():
     human = human_motion(60)
     trace = make_trace(human, fingers=("thumb", "index"))
     assert trace.human_keyvectors.shape == (60, 3, 3)
@@ -356,15 +356,13 @@ def test_a_two_finger_hand() -> None:
         ({"fingers": ("thumb", "indx")}, UnknownNameError, "Did you mean 'index'"),
     ],
 )
-def test_a_trace_that_does_not_fit_together_says_why(
-    changes: dict[str, object], error: type[Exception], message: str
-) -> None:
+def test_a_trace_that_does_not_fit_together_says_why(changes, error, message):
     trace = make_trace(human_motion(20))
     with pytest.raises(error, match=message):
         dataclasses.replace(trace, **changes)  # type: ignore[arg-type]
 
 
-def test_extra_figures_join_but_do_not_overrule() -> None:
+def test_extra_figures_join_but_do_not_overrule():
     trace = make_trace(human_motion(20))
     assert evaluate(trace)["tracking_loss"] is None
     result = evaluate(trace, extra={"tracking_loss": 0.25, "my_own": math.nan})
@@ -376,7 +374,7 @@ def test_extra_figures_join_but_do_not_overrule() -> None:
         evaluate(trace, "papr")  # type: ignore[arg-type]
 
 
-def test_the_table_names_every_key_and_no_other() -> None:
+def test_the_table_names_every_key_and_no_other():
     trace = make_trace(human_motion(40), penetration=np.zeros(40), reach=np.zeros((5, 5, 3)))
     for definition in ("sound", "paper"):
         result = evaluate(trace, definition)  # type: ignore[arg-type]

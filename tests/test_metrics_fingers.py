@@ -22,9 +22,7 @@ FRAMES = 50
 
 @pytest.mark.parametrize("fingers", CHOICES)
 @pytest.mark.parametrize("definition", ["sound", "paper"])
-def test_fingers_that_the_robot_lacks_do_not_count(
-    fingers: tuple[str, ...], definition: str
-) -> None:
+def test_fingers_that_the_robot_lacks_do_not_count(fingers, definition):
     human = human_motion(60)
     tips = human[:, [TIPS[FINGERS.index(f)] for f in fingers]] + 0.003
     wild = human.copy()
@@ -37,7 +35,7 @@ def test_fingers_that_the_robot_lacks_do_not_count(
 
 
 @pytest.mark.parametrize("fingers", CHOICES)
-def test_means_are_over_the_vectors_that_there_are(fingers: tuple[str, ...]) -> None:
+def test_means_are_over_the_vectors_that_there_are(fingers):
     human, count = human_motion(30), len(fingers)
     own = [TIPS[FINGERS.index(f)] for f in fingers]
     tips = human[:, own].copy()
@@ -62,7 +60,7 @@ def test_means_are_over_the_vectors_that_there_are(fingers: tuple[str, ...]) -> 
     assert result["cosine_similarity_all"] == pytest.approx(cosine.mean())
 
 
-def test_a_pinch_of_a_finger_that_the_robot_lacks_is_none_of_its() -> None:
+def test_a_pinch_of_a_finger_that_the_robot_lacks_is_none_of_its():
     human = human_motion(20)
     human[:, TIPS[0]] = WRIST + 0.06
     for k, tip in enumerate(TIPS[1:], 1):
@@ -109,9 +107,7 @@ HANDS = [
 
 @pytest.mark.parametrize("side", ["right", "left"])
 @pytest.mark.parametrize(("name", "fingers"), HANDS)
-def test_a_hand_that_does_what_the_human_does_is_perfect(
-    name: str, fingers: tuple[str, ...] | None, side: str
-) -> None:
+def test_a_hand_that_does_what_the_human_does_is_perfect(name, fingers, side):
     hand = load_hand(name, side, fingers=fingers)
     trace, _ = played_back(hand)
     count = len(hand.fingers)
@@ -131,7 +127,7 @@ def test_a_hand_that_does_what_the_human_does_is_perfect(
 
 
 @pytest.mark.parametrize(("name", "fingers"), HANDS)
-def test_figures_finger_by_finger(name: str, fingers: tuple[str, ...] | None) -> None:
+def test_figures_finger_by_finger(name, fingers):
     hand = load_hand(name, fingers=fingers)
     moved = [n for n, change in zip(hand.fingers, tip_shift(hand), strict=True) if change > 1e-9]
     assert len(moved) == 1  # the last joint moves one finger

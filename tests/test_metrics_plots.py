@@ -10,12 +10,12 @@ import numpy as np
 from smooth_operator.reporting.drawing import name_points
 
 
-def test_importing_metrics_does_not_import_matplotlib() -> None:
+def test_importing_metrics_does_not_import_matplotlib():
     code = "import sys, smooth_operator.metrics; sys.exit('matplotlib' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
-def test_names_of_points_cover_nothing() -> None:
+def test_names_of_points_cover_nothing():
     from matplotlib.figure import Figure
     from matplotlib.text import Text
 

@@ -35,7 +35,7 @@ def trace_of(human: np.ndarray, robot: np.ndarray, size: float = 1.0) -> Trace:
     return replace(trace, robot_landmarks=robot, straight_lengths=straight, robot_wrist=robot[0, 0])
 
 
-def test_a_copy_of_another_size_has_no_error() -> None:
+def test_a_copy_of_another_size_has_no_error():
     human = hand_with(20, 30, 40)
     result = evaluate(trace_of(human, hand_with(20, 30, 40, size=1.5), size=1.5))
     for name in ("finger_extension_error", "curl_error_deg", "finger_direction_error_deg",
@@ -43,7 +43,7 @@ def test_a_copy_of_another_size_has_no_error() -> None:
         assert result[name] == pytest.approx(0, abs=1e-5), name
 
 
-def test_a_bent_finger_has_its_bend_and_its_extension() -> None:
+def test_a_bent_finger_has_its_bend_and_its_extension():
     result = evaluate(trace_of(hand_with(0, 0, 0), hand_with(0, 60, 0)))
     bent = np.sqrt(1 + 4 + 2 * 2 * np.cos(np.radians(60))) / 3  # two bones at 60 degrees to one
     assert result["curl_error_deg"] == pytest.approx(60)
@@ -53,7 +53,7 @@ def test_a_bent_finger_has_its_bend_and_its_extension() -> None:
     assert result["thumb_direction_error_deg"] == pytest.approx(0, abs=1e-5)
 
 
-def test_a_fist_that_does_not_close() -> None:
+def test_a_fist_that_does_not_close():
     result = evaluate(trace_of(hand_with(90, 100, 60), hand_with(90, 40, 20)))
     assert result["flat_extension_lack"] is None
     assert result["fist_extension_excess"] == result["finger_extension_error"]
@@ -61,7 +61,7 @@ def test_a_fist_that_does_not_close() -> None:
     assert result["curl_error_deg"] == pytest.approx(100)
 
 
-def test_directions_are_of_fingers_and_thumb() -> None:
+def test_directions_are_of_fingers_and_thumb():
     human, robot = hand_with(0, 0, 0), hand_with(25, 0, 0)
     robot[:, 1:5] = robot[:, 1:2] + BONE * np.arange(4)[:, None] * np.array([0.6, 0.8, 0])
     result = evaluate(trace_of(human, robot))
@@ -69,7 +69,7 @@ def test_directions_are_of_fingers_and_thumb() -> None:
     assert result["thumb_direction_error_deg"] == pytest.approx(np.degrees(np.arccos(0.8)))
 
 
-def test_spread_is_the_angle_to_the_side() -> None:
+def test_spread_is_the_angle_to_the_side():
     human, robot = hand_with(0, 0, 0), hand_with(0, 0, 0)
     turn = np.radians(12)
     across = np.array([np.cos(turn), np.sin(turn), 0])
@@ -77,7 +77,7 @@ def test_spread_is_the_angle_to_the_side() -> None:
     assert evaluate(trace_of(human, robot))["spread_error_deg"] == pytest.approx(12 / 3)
 
 
-def test_steps_jumps_and_stalls() -> None:
+def test_steps_jumps_and_stalls():
     human, robot = hand_with(0, 0, 0, count=11), hand_with(0, 0, 0, count=11)
     human[5:, 8, 0] += 0.010  # a large step of the index finger
     robot[5:, 8, 0] += 0.003
@@ -89,20 +89,20 @@ def test_steps_jumps_and_stalls() -> None:
     assert result["jumps_per_1000"] == pytest.approx(1000 / 10)
 
 
-def test_a_gap_that_the_human_does_not_leave() -> None:
+def test_a_gap_that_the_human_does_not_leave():
     human, robot = hand_with(0, 0, 0), hand_with(0, 0, 0)
     human[:, 8] = human[:, 4] + [0.008, 0, 0]
     robot[:, 8] = robot[:, 4] + [0, 0.011, 0]
     assert evaluate(trace_of(human, robot))["pinch_gap_excess_mm"] == pytest.approx(3)
 
 
-def test_a_shift_of_all_fingers() -> None:
+def test_a_shift_of_all_fingers():
     human = hand_with(0, 0, 0)
     robot = human + np.where(np.arange(21)[:, None] > 0, [0.003, 0.004, 0], 0)
     assert evaluate(trace_of(human, robot))["common_shift_mm"] == pytest.approx(5)
 
 
-def test_without_the_robots_points_posture_is_unknown() -> None:
+def test_without_the_robots_points_posture_is_unknown():
     result = evaluate(make_trace(human_motion(20)))
     for name in ("finger_extension_error", "curl_error_deg", "finger_direction_error_deg"):
         assert result[name] is None, name

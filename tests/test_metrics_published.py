@@ -17,7 +17,7 @@ from smooth_operator.metrics.assemble import assemble_trace
 from smooth_operator.types import CommandTrajectory
 
 
-def test_paper_headlines_are_medians() -> None:
+def test_paper_headlines_are_medians():
     human = human_motion(50)
     tips = human[:, list(TIPS)].copy()
     tips[:20] = WRIST - 1.5 * (tips[:20] - WRIST)  # 40 % of the frames are upside down
@@ -28,14 +28,14 @@ def test_paper_headlines_are_medians() -> None:
     assert evaluate(trace, "sound")["scale_ratio"] == pytest.approx(1.2, abs=1e-9)
 
 
-def test_paper_motion_preservation_of_a_perfect_copy_is_below_one() -> None:
+def test_paper_motion_preservation_of_a_perfect_copy_is_below_one():
     step = 1e-4  # as area, |dh| |dr| equals the published epsilon
     human = np.tile(human_motion(1), (30, 1, 1))
     human[:, 1:] += np.arange(30)[:, None, None] * np.array([step, 0, 0])
     assert evaluate(make_trace(human), "paper")["motion_preservation"] == pytest.approx(0.5)
 
 
-def test_paper_fits_the_human_to_the_robots_pose() -> None:
+def test_paper_fits_the_human_to_the_robots_pose():
     robot = human_motion(40, seed=1)
     rng = np.random.default_rng(2)
     human = np.empty_like(robot)
@@ -55,7 +55,7 @@ def test_paper_fits_the_human_to_the_robots_pose() -> None:
     assert unfitted["cosine_similarity_all"] < 0.9  # type: ignore[operator]
 
 
-def test_fit_is_a_rotation_and_refuses_degenerate_frames() -> None:
+def test_fit_is_a_rotation_and_refuses_degenerate_frames():
     human = human_motion(4)
     mirrored = human * np.array([-1.0, 1, 1])
     np.testing.assert_allclose(published.fit_to_robot(human, human), human, atol=1e-12)
@@ -72,14 +72,14 @@ def test_fit_is_a_rotation_and_refuses_degenerate_frames() -> None:
     assert np.isnan(fitted[[1, 2]]).all()
 
 
-def test_landmarks_of_the_fit_are_wrist_palm_last_joints_and_tips() -> None:
+def test_landmarks_of_the_fit_are_wrist_palm_last_joints_and_tips():
     paper = published.fit_landmarks(FINGERS, (1, 5, 17))
     assert paper == (0, 1, 3, 4, 5, 7, 8, 11, 12, 15, 16, 17, 19, 20)
     three = published.fit_landmarks(("thumb", "index", "middle"), (0, 1, 5))
     assert three == (0, 1, 3, 4, 5, 7, 8, 11, 12)
 
 
-def test_landmarks_outside_the_fit_do_not_count() -> None:
+def test_landmarks_outside_the_fit_do_not_count():
     human = human_motion(20)
     robot = human.copy()
     robot[:, [2, 6, 9, 10, 13, 14, 18]] += 0.05  # the seven that the authors' hand model has not
@@ -145,9 +145,7 @@ def by_the_definition(hand_xml: Path, nodes: np.ndarray, peer: Path) -> dict[str
     ("peer", "cosine", "scale", "motion"),
     [("dexpilot", 0.99383, 0.8896, 0.6983), ("sampling_based", 0.99760, 0.8690, 0.6873)],
 )
-def test_published_commands_get_the_published_codes_figures(
-    shared: Path, peer: str, cosine: float, scale: float, motion: float
-) -> None:
+def test_published_commands_get_the_published_codes_figures(shared, peer, cosine, scale, motion):
     """The figures are those of the authors' metric code on the same commands."""
     recording = read_recording(shared / "recordings/manus_right_subject-000_run-010.npz")[:500]
     commands = shared / f"peers/{peer}_subject-000_frames-0-500.npz"

@@ -32,10 +32,8 @@ OURS = {  # our name for each of the scorer's
 
 
 @pytest.fixture(scope="module")
-def scorer(shared: Path) -> ModuleType:
+def scorer(shared) -> ModuleType:
     spec = importlib.util.spec_from_file_location("scorer", shared / "tools" / "score.py")
-    assert spec is not None
-    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     module.load_hand = functools.cache(module.load_hand)
@@ -43,7 +41,7 @@ def scorer(shared: Path) -> ModuleType:
 
 
 @pytest.fixture(scope="module")
-def recording(shared: Path) -> tuple[np.ndarray, np.ndarray]:
+def recording(shared) -> tuple[np.ndarray, np.ndarray]:
     with np.load(shared / RECORDING, allow_pickle=False) as archive:
         return archive["data"], archive["timestamps"]
 
@@ -96,14 +94,7 @@ def trace_of(scorer: ModuleType, nodes: np.ndarray, stamps: np.ndarray, output: 
         ("late", 2600),
     ],
 )
-def test_agrees_with_the_independent_scorer(
-    method: str,
-    start: int,
-    shared: Path,
-    scorer: ModuleType,
-    recording: tuple[np.ndarray, np.ndarray],
-    tmp_path: Path,
-) -> None:
+def test_agrees_with_the_independent_scorer(method, start, shared, scorer, recording, tmp_path):
     nodes, stamps = (array[start : start + FRAMES] for array in recording)
     source = tmp_path / "recording.npz"
     np.savez(source, data=nodes, timestamps=stamps)

@@ -73,7 +73,7 @@ def ros_package(folder: Path, mesh: str, *, side: str = "right", scale: str = ""
         "package://vendor_hand/meshes/b%6Fx.stl",
     ],
 )
-def test_a_mesh_is_loaded_however_it_is_named(name: str, tmp_path: Path) -> None:
+def test_a_mesh_is_loaded_however_it_is_named(name, tmp_path):
     package = tmp_path / "vendor_hand"
     path = ros_package(package, name.replace("HERE", package.as_posix()))
     loaded = load_model(path)
@@ -92,13 +92,13 @@ def test_a_mesh_is_loaded_however_it_is_named(name: str, tmp_path: Path) -> None
     assert load_model(copy).model.ngeom == bodies
 
 
-def test_the_package_that_is_named_comes_before_a_nearer_one(tmp_path: Path) -> None:
+def test_the_package_that_is_named_comes_before_a_nearer_one(tmp_path):
     path = ros_package(tmp_path / "mine", "package://other/meshes/box.stl")
     write_box(tmp_path / "other" / "meshes" / "box.stl", size=0.03)
     assert load_model(path).model.geom_aabb[:, 3:].max() == pytest.approx(0.015)
 
 
-def test_what_is_wrong_with_a_mesh_is_said_as_that(tmp_path: Path) -> None:
+def test_what_is_wrong_with_a_mesh_is_said_as_that(tmp_path):
     path = ros_package(tmp_path / "hand", "package://hand/meshes/none.stl")
     text = path.read_text()
     loaded = load_model(path)
@@ -116,7 +116,7 @@ def test_what_is_wrong_with_a_mesh_is_said_as_that(tmp_path: Path) -> None:
     assert loaded.model.ngeom == loaded.model.nbody - 2
 
 
-def test_a_texture_that_is_not_there_costs_the_texture_only(tmp_path: Path) -> None:
+def test_a_texture_that_is_not_there_costs_the_texture_only(tmp_path):
     write_box(tmp_path / "box.stl")
     path = tmp_path / "hand.xml"
     path.write_text(
@@ -131,7 +131,7 @@ def test_a_texture_that_is_not_there_costs_the_texture_only(tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("scale", "fits"), [("1000 1000 1000", "1"), ("50000 50000 50000", r"\S+")]
 )
-def test_meshes_of_another_unit_are_left_out(scale: str, fits: str, tmp_path: Path) -> None:
+def test_meshes_of_another_unit_are_left_out(scale, fits, tmp_path):
     plain = discover(ros_package(tmp_path / "a", "../meshes/box.stl"))
     path = ros_package(tmp_path / "b", "../meshes/box.stl", scale=scale)
     write_box(tmp_path / "b" / "meshes" / "box.stl", size=0.03)
@@ -147,7 +147,7 @@ def test_meshes_of_another_unit_are_left_out(scale: str, fits: str, tmp_path: Pa
     assert max(np.ptp(c.ends, axis=0).max() for c in stand_ins(hand).capsules) < 0.2
 
 
-def test_a_long_mesh_on_what_stands_still_is_kept(tmp_path: Path) -> None:
+def test_a_long_mesh_on_what_stands_still_is_kept(tmp_path):
     path = ros_package(tmp_path / "a", "../meshes/box.stl")
     table = (
         '<link name="table"><collision><geometry><mesh filename="../meshes/box.stl" '
@@ -222,9 +222,7 @@ ENDLESS: dict[str, tuple[str, str]] = {
 
 
 @pytest.mark.parametrize("case", ENDLESS)
-def test_a_model_that_would_not_end_is_refused_before_mujoco_sees_it(
-    case: str, tmp_path: Path
-) -> None:
+def test_a_model_that_would_not_end_is_refused_before_mujoco_sees_it(case, tmp_path):
     text, said = ENDLESS[case]
     (tmp_path / "inner.xml").write_text(
         f'<mujocoinclude><replicate count="99999999">{GEOM}</replicate></mujocoinclude>'
@@ -243,7 +241,7 @@ def test_a_model_that_would_not_end_is_refused_before_mujoco_sees_it(
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no named pipes")
 @pytest.mark.parametrize("tag", ["mesh", "texture", "include"])
-def test_a_name_of_a_pipe_is_refused(tag: str, tmp_path: Path) -> None:
+def test_a_name_of_a_pipe_is_refused(tag, tmp_path):
     os.mkfifo(tmp_path / "pipe.stl")
     inner = {"mesh": '<asset><mesh name="m" file="pipe.stl"/></asset>',
              "texture": '<asset><texture name="m" type="2d" file="pipe.stl"/></asset>',
@@ -258,13 +256,13 @@ def test_a_name_of_a_pipe_is_refused(tag: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no devices")
-def test_a_name_of_a_device_is_refused(tmp_path: Path) -> None:
+def test_a_name_of_a_device_is_refused(tmp_path):
     path = ros_package(tmp_path / "hand", "file:///dev/zero")
     with pytest.raises(HandModelError, match="it is a device"):
         load_model(path)
 
 
-def test_mujocos_warnings_appear_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_mujocos_warnings_appear_once(tmp_path, caplog):
     path = ros_package(tmp_path / "hand", "../meshes/none.stl")  # compiled more than once
     path.write_text(path.read_text().replace('upper="1.6"', 'upper="-0.1"'))
     loading._warn.cache_clear()
@@ -284,9 +282,7 @@ def test_mujocos_warnings_appear_once(tmp_path: Path, caplog: pytest.LogCaptureF
 # --- hands of one side, hands without shapes ------------------------------------------------------
 
 
-def test_a_hand_of_one_side_has_that_side_by_default(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_hand_of_one_side_has_that_side_by_default(tmp_path, monkeypatch, capfd):
     monkeypatch.setenv("SMOOTH_OPERATOR_HANDS", str(tmp_path / "hands"))
     path = ros_package(tmp_path / "lefty", "package://lefty/meshes/box.stl", side="left")
     assert main(["hands", "add", str(path), "--name", "lefty"]) == 0
@@ -321,7 +317,7 @@ def _left_frames() -> list:
 
 
 @pytest.mark.parametrize("simple", [True, False])
-def test_a_hand_without_shapes_is_drawn_by_estimated_ones(simple: bool, tmp_path: Path) -> None:
+def test_a_hand_without_shapes_is_drawn_by_estimated_ones(simple, tmp_path):
     path = ros_package(tmp_path / "bare", "package://bare/meshes/none.stl")
     hand = load_hand_spec(discover(path).spec)
     assert hand.model.ngeom == 0
@@ -329,11 +325,10 @@ def test_a_hand_without_shapes_is_drawn_by_estimated_ones(simple: bool, tmp_path
     from PIL import Image
 
     colors = Image.open(tmp_path / "bare.png").convert("RGB").getcolors(1 << 24)
-    assert colors is not None
     assert len(colors) > 40  # shaded surfaces, not only lines
 
 
-def test_a_gripper_without_a_side_says_so(tmp_path: Path) -> None:
+def test_a_gripper_without_a_side_says_so(tmp_path):
     text = ['<robot name="claw"><link name="base"/>']
     for k in range(3):
         turn, parent = 2 * np.pi * k / 3, "base"

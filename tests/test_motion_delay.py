@@ -42,25 +42,25 @@ def driven(hand: Hand, delay: float, *, rate: float = 100.0, seed: int = 0, seco
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.037, 0.12, 0.31])
-def test_a_delay_is_found_to_a_few_milliseconds(hand: Hand, delay: float) -> None:
+def test_a_delay_is_found_to_a_few_milliseconds(hand, delay):
     found = driven(hand, delay, noise=0.002).now()
     assert found.seconds == pytest.approx(delay, abs=0.004)
     assert found.correlation > 0.9
 
 
-def test_at_a_thousand_commands_a_second_and_over_hours(hand: Hand) -> None:
+def test_at_a_thousand_commands_a_second_and_over_hours(hand):
     found = driven(hand, 0.05, rate=1000.0, seconds=12.0).now()
     assert found.seconds == pytest.approx(0.05, abs=0.004)
 
 
-def test_none_without_motion_resemblance_or_time(hand: Hand) -> None:
+def test_none_without_motion_resemblance_or_time(hand):
     assert MotionDelay().now() is None
     assert driven(hand, 0.05, moving=0.0, noise=1e-4).now() is None
     assert driven(hand, 0.05, seed=5).now() is None
     assert driven(hand, 0.05, seconds=1.0).now() is None
 
 
-def test_it_is_in_the_summary_of_a_run(hand: Hand) -> None:
+def test_it_is_in_the_summary_of_a_run(hand):
     statistics = LoopStatistics(0.01)
     statistics.add(make_tick(hand), 0.0, 0.0)
     assert statistics.summary()["motion_delay_ms"] == {}
@@ -69,7 +69,7 @@ def test_it_is_in_the_summary_of_a_run(hand: Hand) -> None:
     assert statistics.summary()["motion_delay_ms"] == {"right": None}
 
 
-def test_a_reader_never_sees_a_time_that_is_not_written_yet() -> None:
+def test_a_reader_never_sees_a_time_that_is_not_written_yet():
     """The page reads while the loop writes."""
     tracks = [_Track(1)]
     ended = threading.Event()

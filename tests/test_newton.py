@@ -31,7 +31,7 @@ def solve(cost, start, limits, config=NewtonConfig(iterations=20)):  # noqa: B00
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_convex_quadratic_within_bounds(seed: int) -> None:
+def test_a_convex_quadratic_within_bounds(seed):
     rng = np.random.default_rng(seed)
     matrix, goal = rng.standard_normal((8, 6)), rng.standard_normal(8)
     limits = np.sort(rng.uniform(-1.0, 1.2, (6, 2)), axis=1)
@@ -41,7 +41,7 @@ def test_a_convex_quadratic_within_bounds(seed: int) -> None:
     np.testing.assert_allclose(found, reference.x, atol=1e-7)
 
 
-def test_a_free_quadratic_takes_one_step() -> None:
+def test_a_free_quadratic_takes_one_step():
     rng = np.random.default_rng(4)
     root, best = rng.standard_normal((5, 5)), rng.uniform(-0.5, 0.5, 5)
     limits = np.tile([-5.0, 5.0], (5, 1))
@@ -50,7 +50,7 @@ def test_a_free_quadratic_takes_one_step() -> None:
     np.testing.assert_allclose(found, best, atol=1e-9)
 
 
-def test_a_minimum_beyond_all_bounds_ends_in_the_corner() -> None:
+def test_a_minimum_beyond_all_bounds_ends_in_the_corner():
     limits = np.array([[0.2, 0.9], [-0.7, -0.1], [0.3, 0.4]])
     found = solve(lambda q: ((q - jnp.array([5.0, -5.0, 5.0])) ** 2).sum(),
                   limits.mean(axis=1), limits)  # fmt: skip
@@ -65,7 +65,7 @@ def rosenbrock(q):
     return (100 * (q[1:] - q[:-1] ** 2) ** 2 + (1 - q[:-1]) ** 2).sum()
 
 
-def test_a_curved_valley_equals_l_bfgs_b() -> None:
+def test_a_curved_valley_equals_l_bfgs_b():
     limits = np.array([[-1.5, 0.8], [-1.0, 2.0], [-1.0, 2.0]])
     found = solve(rosenbrock, np.array([-1.2, 1.0, 0.5]), limits, NewtonConfig(iterations=100))
     reference = minimize(rosenbrock, [0.5, 0.5, 0.5], bounds=limits, method="L-BFGS-B",
@@ -78,7 +78,7 @@ def wavy(q):
     return (jnp.cos(3 * q) * jnp.array([1.0, 2.0, 0.5])).sum() + 0.1 * (q**2).sum()
 
 
-def test_it_never_rises_not_even_where_the_hessian_is_indefinite() -> None:
+def test_it_never_rises_not_even_where_the_hessian_is_indefinite():
     rng = np.random.default_rng(5)
     limits = np.tile([-2.0, 2.0], (3, 1))
     with float64():
@@ -98,7 +98,7 @@ def test_it_never_rises_not_even_where_the_hessian_is_indefinite() -> None:
         assert descended > 10
 
 
-def test_a_start_from_which_no_step_descends_is_kept() -> None:
+def test_a_start_from_which_no_step_descends_is_kept():
     """An undamped step from a hilltop goes nowhere, and a Hessian without a factor gives none."""
     limits = np.tile([-1.0, 1.0], (2, 1))
     start = np.array([0.3, -0.2])
@@ -108,7 +108,7 @@ def test_a_start_from_which_no_step_descends_is_kept() -> None:
     np.testing.assert_array_equal(found, start)
 
 
-def test_no_iterations_return_the_start_untouched() -> None:
+def test_no_iterations_return_the_start_untouched():
     start, limits = jnp.array([0.1, 0.2]), np.tile([-1.0, 1.0], (2, 1))
     found, cost, gradient = newton_minimise(
         expansion(lambda q: (q**2).sum()), start, limits, NewtonConfig(iterations=0)
@@ -119,6 +119,6 @@ def test_no_iterations_return_the_start_untouched() -> None:
 
 
 @pytest.mark.parametrize("bad", [{"iterations": -1}, {"damping": ()}, {"damping": (-1.0, 0.0)}])
-def test_settings_are_checked(bad: dict[str, object]) -> None:
+def test_settings_are_checked(bad):
     with pytest.raises(ConfigError, match=next(iter(bad))):
         NewtonConfig(**bad)  # type: ignore[arg-type]

@@ -27,7 +27,7 @@ FIVE = KeyvectorLayout(FINGERS)
 # Keyvectors
 
 
-def test_five_fingers_have_fifteen_keyvectors_in_order() -> None:
+def test_five_fingers_have_fifteen_keyvectors_in_order():
     assert FIVE.pairs == (
         (0, 1), (0, 2), (0, 3), (0, 4), (0, 5),
         (1, 2), (1, 3), (1, 4), (1, 5),
@@ -41,7 +41,7 @@ def test_five_fingers_have_fifteen_keyvectors_in_order() -> None:
 
 
 @pytest.mark.parametrize(("fingers", "count"), [(2, 3), (3, 6), (4, 10), (5, 15)])
-def test_fewer_fingers_have_fewer(fingers: int, count: int) -> None:
+def test_fewer_fingers_have_fewer(fingers, count):
     layout = KeyvectorLayout(FINGERS[:fingers])
     assert len(layout.pairs) == count
     assert len(layout.pairs[layout.thumb]) == fingers - 1
@@ -49,14 +49,14 @@ def test_fewer_fingers_have_fewer(fingers: int, count: int) -> None:
     assert len(layout.between) == (fingers - 1) * (fingers - 2) // 2
 
 
-def test_fingers_left_out_are_left_out_of_the_landmarks() -> None:
+def test_fingers_left_out_are_left_out_of_the_landmarks():
     layout = KeyvectorLayout(("thumb", "middle", "pinky"))
     assert [LANDMARKS[i] for i in layout.landmarks] == [
         "wrist", "thumb_tip", "middle_tip", "pinky_tip",
     ]  # fmt: skip
 
 
-def test_human_and_robot_keyvectors() -> None:
+def test_human_and_robot_keyvectors():
     rng = np.random.default_rng(0)
     landmarks = rng.normal(0, 0.1, (7, 21, 3))
     points = landmarks[:, [0, 4, 8, 12, 16, 20]]
@@ -95,7 +95,7 @@ def latches(policy: DexPilotTargets, sequence: list[list[float]]) -> list[list[b
     return seen
 
 
-def test_a_latch_closes_under_project_and_opens_above_escape() -> None:
+def test_a_latch_closes_under_project_and_opens_above_escape():
     far = [0.1, 0.1, 0.1]
     distances = [0.05, 0.012, 0.0101, 0.0099, 0.012, 0.0149, 0.0151, 0.012, 0.0099, 0.03]
     closed = [False, False, False, True, True, True, False, False, True, False]
@@ -104,7 +104,7 @@ def test_a_latch_closes_under_project_and_opens_above_escape() -> None:
     assert not any(any(row[1:]) for row in seen)
 
 
-def test_fingers_latch_on_their_own() -> None:
+def test_fingers_latch_on_their_own():
     seen = latches(
         DexPilotTargets(),
         [[0.009, 0.1, 0.012, 0.1], [0.012, 0.009, 0.012, 0.1], [0.1, 0.012, 0.1, 0.005]],
@@ -114,7 +114,7 @@ def test_fingers_latch_on_their_own() -> None:
     ]  # fmt: skip
 
 
-def test_targets_and_weights_of_open_closed_and_latched_pairs() -> None:
+def test_targets_and_weights_of_open_closed_and_latched_pairs():
     policy = DexPilotTargets(eta2=0.004, w_set2=0.5, beta=1.2, w_thumb=3.0, w_between=4.0)
     human = human_vectors([0.005, 0.05, 0.008, 0.06])
     out, _ = policy(policy.init(FIVE), FIVE, human)
@@ -133,20 +133,20 @@ def test_targets_and_weights_of_open_closed_and_latched_pairs() -> None:
     assert out.vectors.dtype == out.weights.dtype == jnp.float32
 
 
-def test_the_papers_table() -> None:
+def test_the_papers_table():
     out, _ = first_frame(DexPilotTargets(), human_vectors([0.005, 0.008, 0.1, 0.1]))
     lengths = np.linalg.norm(out.vectors, axis=1)
     np.testing.assert_allclose(lengths[[5, 6, 9]], [0.001, 0.001, 0.0], atol=1e-8)
     np.testing.assert_array_equal(out.weights, [1, 1, 1, 1, 1, 2, 2, 1, 1, 0, 1, 1, 1, 1, 1])
 
 
-def test_tips_that_coincide_have_no_direction_and_stay_finite() -> None:
+def test_tips_that_coincide_have_no_direction_and_stay_finite():
     out, state = first_frame(DexPilotTargets(), human_vectors([0.0, 0.1, 0.1, 0.1]))
     assert np.isfinite(out.vectors).all()
     assert bool(state.latched[0])
 
 
-def test_blending_spreads_a_latch_over_frames() -> None:
+def test_blending_spreads_a_latch_over_frames():
     policy = DexPilotTargets(blend=0.25)
     state = policy.init(FIVE)
     human = human_vectors([0.005, 0.005, 0.1, 0.1])
@@ -168,7 +168,7 @@ def test_blending_spreads_a_latch_over_frames() -> None:
 
 
 @pytest.mark.parametrize("fingers", [2, 3])
-def test_latches_of_hands_with_fewer_fingers(fingers: int) -> None:
+def test_latches_of_hands_with_fewer_fingers(fingers):
     layout = KeyvectorLayout(FINGERS[:fingers])
     human = human_vectors([0.005] * (fingers - 1), layout)
     out, state = first_frame(DexPilotTargets(), human, layout)
@@ -179,7 +179,7 @@ def test_latches_of_hands_with_fewer_fingers(fingers: int) -> None:
     np.testing.assert_array_equal(out.weights, expected)
 
 
-def test_plain_targets_follow_the_human() -> None:
+def test_plain_targets_follow_the_human():
     human = human_vectors([0.005, 0.1, 0.1, 0.1])
     policy = PlainTargets(beta=0.9, w_wrist=1.0, w_thumb=2.0, w_between=3.0)
     out, state = policy((), FIVE, human)
@@ -191,7 +191,7 @@ def test_plain_targets_follow_the_human() -> None:
 
 
 @pytest.mark.parametrize(("project", "escape"), [(0.02, 0.01), (0.0, 0.01), (-1.0, 0.01)])
-def test_distances_of_a_latch_are_checked(project: float, escape: float) -> None:
+def test_distances_of_a_latch_are_checked(project, escape):
     with pytest.raises(ConfigError, match="0 < project <= escape"):
         DexPilotTargets(project=project, escape=escape)
 
@@ -243,7 +243,7 @@ def named_hand(name: str) -> Hand:
      ("right", "smooth_l1", 0.0, 0.0), ("left", "squared", 0.0, 0.3),
      ("three fingers", "smooth_l1", 0.05, 0.1)],
 )  # fmt: skip
-def test_the_batch_objective_is_eq_1(name: str, loss: Loss, pose: float, velocity: float) -> None:
+def test_the_batch_objective_is_eq_1(name, loss, pose, velocity):
     hand = named_hand(name)
     config = ObjectiveConfig(loss=loss, pose_weight=pose, velocity_weight=velocity)
     objective, goal = Objective(hand, config), random_goal(hand, 2, velocity)
@@ -269,7 +269,7 @@ def test_the_batch_objective_is_eq_1(name: str, loss: Loss, pose: float, velocit
 
 
 @pytest.mark.parametrize("loss", LOSSES)
-def test_one_pose_has_the_same_objective_and_its_derivatives_are_exact(loss: Loss) -> None:
+def test_one_pose_has_the_same_objective_and_its_derivatives_are_exact(loss):
     hand = load_hand()
     config = ObjectiveConfig(loss=loss, transition=0.013)
     objective = Objective(hand, config)
@@ -302,7 +302,7 @@ def test_one_pose_has_the_same_objective_and_its_derivatives_are_exact(loss: Los
                 np.testing.assert_allclose(ours, theirs, atol=1e-13)
 
 
-def test_no_velocity_term_without_a_previous_command() -> None:
+def test_no_velocity_term_without_a_previous_command():
     """With weight 0 the previous pose must not matter at all, not even to rounding."""
     hand = load_hand()
     objective, goal = Objective(hand, ObjectiveConfig()), random_goal(hand, 8, 0.0)
@@ -316,6 +316,6 @@ def test_no_velocity_term_without_a_previous_command() -> None:
     "bad",
     [{"loss": "huber"}, {"transition": 0.0}, {"pose_weight": -1.0}, {"velocity_weight": -0.1}],
 )
-def test_weights_are_checked(bad: dict[str, object]) -> None:
+def test_weights_are_checked(bad):
     with pytest.raises(ConfigError, match=next(iter(bad))):
         ObjectiveConfig(**bad)  # type: ignore[arg-type]

@@ -74,7 +74,7 @@ def test_leaps_are_spread_and_nothing_is_late():
 
 
 @pytest.mark.parametrize("count", [1, 5, 99, 100, 101, 130, 131, 500])
-def test_windows_cover_a_stretch_once(count: int):
+def test_windows_cover_a_stretch_once(count):
     parts = windows(count, 100, 30)
     assert [p for first, keep, _ in parts for p in range(first, keep)] == list(range(count))
     assert all(keep <= end <= count for _, keep, end in parts)

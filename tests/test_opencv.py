@@ -6,7 +6,6 @@ import json
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -40,9 +39,7 @@ print(json.dumps([sys.path == before, modules, texts]))
 """
 
 
-def test_what_a_failed_import_leaves_is_removed_and_the_system_packages_are_named(
-    tmp_path: Path,
-) -> None:
+def test_what_a_failed_import_leaves_is_removed_and_the_system_packages_are_named(tmp_path):
     (tmp_path / "cv2").mkdir()
     (tmp_path / "cv2" / "__init__.py").write_text(LOADER)
     path = os.pathsep.join([str(tmp_path), *filter(None, [os.environ.get("PYTHONPATH")])])
@@ -64,7 +61,7 @@ def test_what_a_failed_import_leaves_is_removed_and_the_system_packages_are_name
         assert "apt install libgl1 libglib2.0-0 libxcb1" in first
 
 
-def test_tests_of_pictures_skip_with_that_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_tests_of_pictures_skip_with_that_sentence(monkeypatch):
     import pictures
 
     from smooth_operator.errors import SourceError

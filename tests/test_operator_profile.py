@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -32,7 +31,7 @@ from smooth_operator.human.operator import (
 )
 from smooth_operator.landmarks import BASES, TIPS
 from smooth_operator.objective.targets import CloseTargets, DexPilotTargets
-from smooth_operator.types import HandRecording, Side
+from smooth_operator.types import HandRecording
 
 PALM = (0, *BASES)
 GAP = 0.006
@@ -60,11 +59,6 @@ def profile(hand: Hand, *apply: Component) -> OperatorProfile:
 
 
 @pytest.fixture(scope="module")
-def hand() -> Hand:
-    return load_hand()
-
-
-@pytest.fixture(scope="module")
 def recording() -> HandRecording:
     return SyntheticOperator(seed=4, gestures=("pinch_index", "spread")).record(4.0)
 
@@ -85,14 +79,12 @@ def thumb_to(points: np.ndarray, finger: int) -> np.ndarray:
 # What each part does.
 
 
-def test_nothing_applied_changes_nothing(hand: Hand, recording: HandRecording) -> None:
+def test_nothing_applied_changes_nothing(hand, recording):
     before, after = corrected(hand, recording.landmarks, profile(hand))
     np.testing.assert_array_equal(after, before)
 
 
-def test_tips_move_by_their_offset_and_nothing_else_does(
-    hand: Hand, recording: HandRecording
-) -> None:
+def test_tips_move_by_their_offset_and_nothing_else_does(hand, recording):
     before, after = corrected(hand, recording.landmarks, profile(hand, "tips"))
     rest = [i for i in range(21) if i not in TIPS]
     np.testing.assert_array_equal(after[:, rest], before[:, rest])
@@ -101,9 +93,7 @@ def test_tips_move_by_their_offset_and_nothing_else_does(
     np.testing.assert_allclose(moved, np.hypot(0.003, 0.005) * scale * np.ones(5), rtol=1e-9)
 
 
-def test_the_pad_is_on_the_side_that_a_finger_flexes_to(
-    hand: Hand, recording: HandRecording
-) -> None:
+def test_the_pad_is_on_the_side_that_a_finger_flexes_to(hand, recording):
     points, _ = corrected(hand, recording.landmarks, profile(hand))
     _, pad = tip_frames(points, [0, 1, 2, 3, 4], human_palm_axes(hand))
     pinching = thumb_to(points, 1) < 0.006
@@ -115,7 +105,7 @@ def test_the_pad_is_on_the_side_that_a_finger_flexes_to(
     assert ((pad[pinching, 1] * thumb).sum(axis=-1) > 0).all()
 
 
-def test_pinches_close_and_an_open_hand_stays(hand: Hand, recording: HandRecording) -> None:
+def test_pinches_close_and_an_open_hand_stays(hand, recording):
     before, after = corrected(hand, recording.landmarks, profile(hand, "pinch"))
     gap, left = thumb_to(before, 1), thumb_to(after, 1)
     assert (left <= gap + 1e-12).all()
@@ -137,9 +127,7 @@ def test_pinches_close_and_an_open_hand_stays(hand: Hand, recording: HandRecordi
     assert (np.diff(seen) >= -1e-9).all()
 
 
-def test_a_thumb_that_two_fingers_meet_goes_to_them_once(
-    hand: Hand, recording: HandRecording
-) -> None:
+def test_a_thumb_that_two_fingers_meet_goes_to_them_once(hand, recording):
     points = corrected(hand, recording.landmarks[:1], profile(hand))[0]
     points[:, TIPS[1:]] = points[:, TIPS[0], None] + 0.2
     points[:, TIPS[1:3]] = points[:, TIPS[0], None] + np.array([0.0, 0.0, 0.007])
@@ -148,7 +136,7 @@ def test_a_thumb_that_two_fingers_meet_goes_to_them_once(
         assert thumb_to(after, finger) == pytest.approx(max(0.007 - GAP * 0.8, 0.0), abs=1e-6)
 
 
-def test_fingers_reach_further_and_keep_their_pinch(hand: Hand, recording: HandRecording) -> None:
+def test_fingers_reach_further_and_keep_their_pinch(hand, recording):
     operator = profile(hand, "fingers")
     before, after = corrected(hand, recording.landmarks, operator)
     open_hand = int(np.argmax(thumb_to(before, 1)))
@@ -161,7 +149,7 @@ def test_fingers_reach_further_and_keep_their_pinch(hand: Hand, recording: HandR
     np.testing.assert_array_equal(after[:, PALM], before[:, PALM])
 
 
-def test_the_palm_turns_as_a_whole(hand: Hand, recording: HandRecording) -> None:
+def test_the_palm_turns_as_a_whole(hand, recording):
     before, after = corrected(hand, recording.landmarks[:5], profile(hand, "palm"))
     fit = umeyama(before, after, scale=1.0)
     np.testing.assert_allclose(fit.apply(before), after, atol=1e-12)
@@ -169,7 +157,7 @@ def test_the_palm_turns_as_a_whole(hand: Hand, recording: HandRecording) -> None
     assert angle == pytest.approx(0.2, abs=1e-9)
 
 
-def test_one_scale_instead_of_one_a_frame(hand: Hand, recording: HandRecording) -> None:
+def test_one_scale_instead_of_one_a_frame(hand, recording):
     operator = profile(hand, "scale")
     assert AlignmentConfig(operator=operator).fixed_scale == 0.8
     assert AlignmentConfig(scale=0.5, operator=operator).fixed_scale == 0.5
@@ -178,16 +166,14 @@ def test_one_scale_instead_of_one_a_frame(hand: Hand, recording: HandRecording) 
     assert (np.asarray(fit.scale) == 0.8).all()
 
 
-def test_what_is_measured_against_is_the_hand_as_tracked(
-    hand: Hand, recording: HandRecording
-) -> None:
+def test_what_is_measured_against_is_the_hand_as_tracked(hand, recording):
     with_operator = AlignmentConfig(operator=profile(hand, *COMPONENTS))
     np.testing.assert_array_equal(
         align_recording(recording, hand, with_operator), align_recording(recording, hand)
     )
 
 
-def test_a_left_hand_is_corrected_as_its_mirror_image(hand: Hand, recording: HandRecording) -> None:
+def test_a_left_hand_is_corrected_as_its_mirror_image(hand, recording):
     left, mirror = load_hand(side="left"), np.array([-1.0, 1.0, 1.0])
     right = profile(hand, *COMPONENTS)
     w, x, y, z = right.palm_rotation
@@ -197,9 +183,7 @@ def test_a_left_hand_is_corrected_as_its_mirror_image(hand: Hand, recording: Han
     np.testing.assert_allclose(b, a * mirror, atol=1e-9)
 
 
-def test_the_correction_is_the_same_when_it_is_compiled(
-    hand: Hand, recording: HandRecording
-) -> None:
+def test_the_correction_is_the_same_when_it_is_compiled(hand, recording):
     operator, axes = profile(hand, *COMPONENTS), human_palm_axes(hand)
     fit = palm_alignment(recording.landmarks[::40], hand)
     aligned = fit.apply(recording.landmarks[::40])
@@ -209,7 +193,7 @@ def test_the_correction_is_the_same_when_it_is_compiled(
     np.testing.assert_allclose(np.asarray(got), want, atol=2e-6)
 
 
-def test_it_stays_finite_where_tips_coincide(hand: Hand, recording: HandRecording) -> None:
+def test_it_stays_finite_where_tips_coincide(hand, recording):
     points = recording.landmarks[:1].copy()
     points[:, TIPS[1]] = points[:, TIPS[0]]
     points[:, TIPS[2]] = points[:, TIPS[2] - 1]
@@ -225,9 +209,7 @@ def test_it_stays_finite_where_tips_coincide(hand: Hand, recording: HandRecordin
     [pytest.param(name, marks=[pytest.mark.weekly] * (name in ("hybrid", "ako")))
      for name in method_names()],
 )  # fmt: skip
-def test_every_method_is_driven_by_the_corrected_hand(
-    method: str, hand: Hand, recording: HandRecording
-) -> None:
+def test_every_method_is_driven_by_the_corrected_hand(method, hand, recording):
     frames = recording[100:104]
     operator = profile(hand, "tips", "fingers")
     _, seen = corrected(hand, frames.landmarks, operator)
@@ -251,7 +233,7 @@ def test_every_method_is_driven_by_the_corrected_hand(
     assert max(apart) > 1e-3
 
 
-def test_latches_close_at_the_operators_distances(hand: Hand) -> None:
+def test_latches_close_at_the_operators_distances(hand):
     operator = profile(hand, "pinch")
     for method in ("sbr", "dexpilot"):
         config: Any = method_config(method).with_operator(operator)
@@ -266,9 +248,7 @@ def test_latches_close_at_the_operators_distances(hand: Hand) -> None:
     assert config.objective == method_config("dexpilot").objective  # type: ignore[attr-defined]
 
 
-def test_a_frame_without_what_the_correction_needs_is_held(
-    hand: Hand, recording: HandRecording
-) -> None:
+def test_a_frame_without_what_the_correction_needs_is_held(hand, recording):
     config = method_config("geort").with_operator(profile(hand, "tips"))
     retargeter = Retargeter(hand, config=config)
     landmarks = recording.landmarks[0].copy()
@@ -280,7 +260,7 @@ def test_a_frame_without_what_the_correction_needs_is_held(
 # The wrong hand.
 
 
-def test_a_profile_serves_the_hand_it_was_made_for(hand: Hand) -> None:
+def test_a_profile_serves_the_hand_it_was_made_for(hand):
     operator = profile(hand, "tips")
     operator.check(load_hand(fingers=("thumb", "index")))  # fewer of the same fingers
     config = AlignmentConfig(operator=operator)
@@ -307,14 +287,12 @@ def test_a_profile_serves_the_hand_it_was_made_for(hand: Hand) -> None:
         ({"fingers": ()}, "2 to 5 different"),
     ],
 )
-def test_figures_that_are_no_hands_are_refused(
-    change: dict[str, Any], message: str, hand: Hand
-) -> None:
+def test_figures_that_are_no_hands_are_refused(change, message, hand):
     with pytest.raises(ConfigError, match=message):
         replace(profile(hand), **change)
 
 
-def test_an_unknown_component_is_named(hand: Hand) -> None:
+def test_an_unknown_component_is_named(hand):
     with pytest.raises(UnknownNameError, match=r"'tip'.*tips"):
         profile(hand, "tip")  # type: ignore[arg-type]
 
@@ -323,7 +301,7 @@ def test_an_unknown_component_is_named(hand: Hand) -> None:
 
 
 @pytest.mark.parametrize("side", ["right", "left"])
-def test_the_file_brings_back_every_figure(side: Side, tmp_path: Path) -> None:
+def test_the_file_brings_back_every_figure(side, tmp_path):
     operator = profile(load_hand(side=side), "tips", "pinch")
     none = replace(operator, project=None, escape=None, apply=())
     none = replace(none, fingers=tuple(replace(f, pinch_gap=None) for f in none.fingers))
@@ -332,7 +310,7 @@ def test_the_file_brings_back_every_figure(side: Side, tmp_path: Path) -> None:
         assert read_operator(tmp_path / "operator.json") == each
 
 
-def test_a_bad_file_says_what_is_wrong_with_it(hand: Hand, tmp_path: Path) -> None:
+def test_a_bad_file_says_what_is_wrong_with_it(hand, tmp_path):
     path = tmp_path / "operator.json"
     with pytest.raises(ConfigError, match=r"no such file; expected the OPERATOR\.json"):
         read_operator(path)
@@ -369,11 +347,10 @@ def test_a_bad_file_says_what_is_wrong_with_it(hand: Hand, tmp_path: Path) -> No
 # The default method
 
 
-def test_smooth_takes_the_gap_off_lengths_and_leaves_landmarks_alone(hand: Hand) -> None:
+def test_smooth_takes_the_gap_off_lengths_and_leaves_landmarks_alone(hand):
     operator = profile(hand, "scale", "pinch")
     config: Any = method_config("smooth").with_operator(operator)
     used = config.alignment.operator
-    assert used is not None
     assert used.apply == ()  # neither does a scale for all frames
     assert config.unused_components(operator) == ("scale",)
     assert method_config("sbr").unused_components(operator) == ()
@@ -400,7 +377,7 @@ def test_smooth_takes_the_gap_off_lengths_and_leaves_landmarks_alone(hand: Hand)
     assert lengths[1].min() > 0.003  # pads touch before tips meet
 
 
-def test_gaps_go_by_the_fingers_names() -> None:
+def test_gaps_go_by_the_fingers_names():
     targets = CloseTargets(pinch_gaps=(("index", 0.0), ("ring", 0.008)))
     layout = targets.layout(("thumb", "ring"))
     human = jnp.asarray([[0.0, 0.1, 0], [0, 0.1, 0.01], [0, 0, 0.01]])[: len(layout.vectors)]

@@ -6,7 +6,7 @@ import os
 import stat
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -26,7 +26,7 @@ as_root = pytest.mark.skipif(
 
 
 @pytest.fixture
-def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+def cache(tmp_path, monkeypatch) -> Iterator[Path]:
     """The user's cache folder, as a new process would look at it."""
     folder = tmp_path / "above" / "cache"
     monkeypatch.setenv("SMOOTH_OPERATOR_CACHE", str(folder))
@@ -39,7 +39,6 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 def with_an_entry(cache: Path) -> Path:
     """A kept program."""
     kept = program_cache.program_cache()
-    assert kept is not None
     kept.write("p", b"code")
     assert kept.read("p") == b"code"
     program_cache._opened.cache_clear()
@@ -71,12 +70,7 @@ def of_another(path: Path) -> None:
         pytest.param(of_another, "belongs to another user (number 1001)", marks=as_root),
     ],
 )
-def test_a_folder_of_others_is_not_used(
-    cache: Path,
-    damage: Callable[[Path], None],
-    words: str,
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+def test_a_folder_of_others_is_not_used(cache, damage, words, caplog):
     entry = with_an_entry(cache)
     jax_folder = cache / program_cache.machine()
     jax_folder.mkdir()
@@ -97,12 +91,7 @@ def test_a_folder_of_others_is_not_used(
     [open_to_all, open_to_the_group, pytest.param(of_another, marks=as_root)],
 )
 @pytest.mark.parametrize("above", [1, 2])
-def test_a_folder_above_that_others_can_write_is_said_once(
-    cache: Path,
-    damage: Callable[[Path], None],
-    above: int,
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+def test_a_folder_above_that_others_can_write_is_said_once(cache, damage, above, caplog):
     with_an_entry(cache)
     folder = (cache / "programs").parents[above - 1]
     damage(folder)
@@ -116,13 +105,13 @@ def test_a_folder_above_that_others_can_write_is_said_once(
     assert with_an_entry(cache).exists()
 
 
-def test_a_sticky_folder_above_is_as_good_as_tmp(cache: Path) -> None:
+def test_a_sticky_folder_above_is_as_good_as_tmp(cache):
     with_an_entry(cache)
     cache.parent.chmod(0o1777)
     assert program_cache.program_cache() is not None
 
 
-def test_a_link_to_an_open_folder_is_followed_and_refused(cache: Path, tmp_path: Path) -> None:
+def test_a_link_to_an_open_folder_is_followed_and_refused(cache, tmp_path):
     entry = with_an_entry(cache)
     entry.parent.rename(tmp_path / "away")
     target = tmp_path / "open"
@@ -133,7 +122,6 @@ def test_a_link_to_an_open_folder_is_followed_and_refused(cache: Path, tmp_path:
     target.chmod(0o700)
     program_cache._opened.cache_clear()
     kept = program_cache.program_cache()
-    assert kept is not None
     assert kept.folder == target  # and not through the link, which might be another one by then
 
 
@@ -176,13 +164,7 @@ ENTRIES = [
 
 
 @pytest.mark.parametrize(("damage", "words"), ENTRIES)
-def test_an_entry_of_others_is_removed_and_compiled_again(
-    cache: Path,
-    tmp_path: Path,
-    damage: Callable[[Path, Path], None],
-    words: str,
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+def test_an_entry_of_others_is_removed_and_compiled_again(cache, tmp_path, damage, words, caplog):
     entry = with_an_entry(cache)
     damage(entry, tmp_path / "elsewhere")
     kept = ProgramCache(entry.parent)
@@ -194,11 +176,8 @@ def test_an_entry_of_others_is_removed_and_compiled_again(
 
 
 @pytest.mark.parametrize(("damage", "words"), ENTRIES)
-def test_an_entry_of_others_is_not_left_to_jax(
-    cache: Path, tmp_path: Path, damage: Callable[[Path, Path], None], words: str
-) -> None:
+def test_an_entry_of_others_is_not_left_to_jax(cache, tmp_path, damage, words):
     folder = program_cache.own_folder(cache / program_cache.machine())
-    assert folder is not None
     good, bad = folder / "jit-good-cache", folder / "jit-bad-cache"
     for each in (good, bad):
         each.write_bytes(b"x")
@@ -208,7 +187,7 @@ def test_an_entry_of_others_is_not_left_to_jax(
     assert [each.name for each in folder.iterdir()] == [good.name]
 
 
-def test_jax_itself_gets_a_closed_folder_only(tmp_path: Path) -> None:
+def test_jax_itself_gets_a_closed_folder_only(tmp_path):
     """In processes of their own: with a umask for groups, what is kept is taken again."""
     code = (
         "import os, sys; os.umask(0o002)\n"
@@ -244,7 +223,7 @@ def test_jax_itself_gets_a_closed_folder_only(tmp_path: Path) -> None:
     assert errors.count("can be written by other users (mode 0775; chmod go-w)") == 1
 
 
-def test_a_secret_is_not_read_where_others_can(tmp_path: Path) -> None:
+def test_a_secret_is_not_read_where_others_can(tmp_path):
     file = tmp_path / "key"
     file.write_bytes(b"secret")
     file.chmod(0o644)
@@ -261,7 +240,7 @@ def test_a_secret_is_not_read_where_others_can(tmp_path: Path) -> None:
         read_own_file(tmp_path, 5)
 
 
-def test_folders_are_made_for_this_user_alone(tmp_path: Path) -> None:
+def test_folders_are_made_for_this_user_alone(tmp_path):
     before = os.umask(0o002)
     try:
         make_private(tmp_path / "a" / "b")

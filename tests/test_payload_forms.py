@@ -58,7 +58,7 @@ def same_turns(a: Any, b: Any) -> bool:
     return bool((np.abs((np.asarray(a) * np.asarray(b)).sum(axis=1)) > 1 - 1e-9).all())
 
 
-def test_objects_as_mediapipe_writes_them() -> None:
+def test_objects_as_mediapipe_writes_them():
     rows: list[Any] = [
         {"x": x, "y": y, "z": z, "visibility": 0.0, "presence": 0.0} for x, y, z in POINTS.tolist()
     ]
@@ -71,7 +71,7 @@ def test_objects_as_mediapipe_writes_them() -> None:
 
 
 @pytest.mark.parametrize("order", ["wxyz", "xyzw"])
-def test_rows_of_seven_keep_their_orientations(order: str) -> None:
+def test_rows_of_seven_keep_their_orientations(order):
     rows: list[Any] = [
         [*p, *(q if order == "wxyz" else [*q[1:], q[0]])]
         for p, q in zip(POINTS.tolist(), QUATERNIONS.tolist(), strict=True)
@@ -85,7 +85,7 @@ def test_rows_of_seven_keep_their_orientations(order: str) -> None:
     assert np.isnan(frame.orientations[4]).all()
 
 
-def test_26_rows_of_seven_are_mapped_with_their_orientations() -> None:
+def test_26_rows_of_seven_are_mapped_with_their_orientations():
     turned = np.tile([0.0, 0.0, 0.0, 1.0], (26, 1))
     turned[list(FROM_OPENXR_26)] = np.roll(QUATERNIONS, -1, axis=1)
     frame = read(joints=np.hstack([JOINTS, turned]).tolist(), settings={"quaternion": "xyzw"})
@@ -95,7 +95,7 @@ def test_26_rows_of_seven_are_mapped_with_their_orientations() -> None:
 
 @pytest.mark.parametrize("flat", [False, True])
 @pytest.mark.parametrize("columns", [False, True])
-def test_matrices_say_by_themselves_how_they_are_written(columns: bool, flat: bool) -> None:
+def test_matrices_say_by_themselves_how_they_are_written(columns, flat):
     rows: list[Any] = [matrix(p, q, columns) for p, q in zip(POINTS, QUATERNIONS, strict=True)]
     if flat:
         rows = [[v for row in each for v in row] for each in rows]
@@ -112,7 +112,7 @@ def test_matrices_say_by_themselves_how_they_are_written(columns: bool, flat: bo
     assert read(landmarks=rows).valid.tolist() == [k != 7 for k in range(21)]
 
 
-def test_matrices_that_are_no_rigid_transforms_are_refused() -> None:
+def test_matrices_that_are_no_rigid_transforms_are_refused():
     good = [matrix(p, q) for p, q in zip(POINTS, QUATERNIONS, strict=True)]
     projective, scaled, mirrored = (json.loads(json.dumps(good)) for _ in range(3))
     projective[2][3] = [0.1, 0.0, 0.0, 1.0]
@@ -131,7 +131,7 @@ def test_matrices_that_are_no_rigid_transforms_are_refused() -> None:
 @pytest.mark.parametrize(
     ("unit", "factor"), [("s", 1), ("ms", 10**3), ("us", 10**6), ("ns", 10**9)]
 )
-def test_stamps_of_four_units(unit: str, factor: int) -> None:
+def test_stamps_of_four_units(unit, factor):
     rows = POINTS.tolist()
     said = {"stamp_unit": unit}
     assert read(landmarks=rows, stamp=3 * factor, settings=said).stamp == 3.0
@@ -142,7 +142,7 @@ def test_stamps_of_four_units(unit: str, factor: int) -> None:
     assert read(landmarks=rows, settings=said).stamp == 7.0
 
 
-def test_a_stamp_in_another_unit_names_the_setting() -> None:
+def test_a_stamp_in_another_unit_names_the_setting():
     unix_ns = 1_732_613_438_765_715_200
     for stamp, unit in ((unix_ns, "ns"), (unix_ns // 10**3, "us"), (unix_ns // 10**6, "ms")):
         with pytest.raises(RecordingError, match=f"stamp_unit={unit}"):
@@ -159,7 +159,7 @@ def test_a_stamp_in_another_unit_names_the_setting() -> None:
 @pytest.mark.parametrize(
     ("said", "sent"), [("s", 1e3), ("s", 1e6), ("ms", 1e9), ("ns", 1.0), ("us", 1e3)]
 )
-def test_stamps_in_another_unit_are_found_by_their_pace(said: Any, sent: float) -> None:
+def test_stamps_in_another_unit_are_found_by_their_pace(said, sent):
     """An uptime of an hour is a plausible stamp in any unit."""
     right = {1.0: "s", 1e3: "ms", 1e6: "us", 1e9: "ns"}
     for unit in (said, right[sent]):
@@ -178,7 +178,7 @@ def test_stamps_in_another_unit_are_found_by_their_pace(said: Any, sent: float) 
             assert not refused
 
 
-def test_a_slow_or_fast_player_is_no_other_unit() -> None:
+def test_a_slow_or_fast_player_is_no_other_unit():
     for speed in (0.01, 100.0):
         reader = PayloadReader("right", Forms())
         for k in range(120):
@@ -188,7 +188,7 @@ def test_a_slow_or_fast_player_is_no_other_unit() -> None:
             )
 
 
-def test_the_wrist_has_a_pose_in_a_named_world() -> None:
+def test_the_wrist_has_a_pose_in_a_named_world():
     rows = POINTS.tolist()
     frame = read(landmarks=rows, wrist=[1, 2, 3, 0, 0, 0, 2], world="table")
     assert frame.world == "table"
@@ -207,7 +207,7 @@ def test_the_wrist_has_a_pose_in_a_named_world() -> None:
         read(landmarks=rows, wrist=[1, 2, 3])
 
 
-def test_sources_have_the_settings() -> None:
+def test_sources_have_the_settings():
     source = build_source("udp:0,stamp_unit=ns,quaternion=xyzw,matrix=columns")
     rows = [[*p, *q[1:], q[0]] for p, q in zip(POINTS.tolist(), QUATERNIONS.tolist(), strict=True)]
     data = json.dumps({"stamp": 5_000_000_000, "landmarks": rows}).encode()
@@ -220,7 +220,7 @@ def test_sources_have_the_settings() -> None:
         build_source("zmq:tcp://127.0.0.1:1,stamp_unit=min")
 
 
-def test_damaged_messages_are_refused_in_a_sentence() -> None:
+def test_damaged_messages_are_refused_in_a_sentence():
     rng = random.Random(5)
     rows = [matrix(p, q, True) for p, q in zip(POINTS, QUATERNIONS, strict=True)]
     objects = [dict(zip("xyz", p, strict=True)) for p in POINTS.tolist()]

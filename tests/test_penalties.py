@@ -43,7 +43,7 @@ def keyvectors(loss: Loss) -> Keyvectors:
 
 
 @pytest.mark.parametrize("loss", get_args(Loss))
-def test_price_and_slopes(loss: Loss) -> None:
+def test_price_and_slopes(loss):
     with float64():
         vectors, weights = map(jnp.asarray, errors())
 
@@ -65,14 +65,14 @@ def test_price_and_slopes(loss: Loss) -> None:
         np.testing.assert_allclose(full, second, rtol=1e-9, atol=1e-9)
 
 
-def test_a_vector_at_its_target_has_no_force_and_the_curvature_of_the_parabola() -> None:
+def test_a_vector_at_its_target_has_no_force_and_the_curvature_of_the_parabola():
     goal = FrameGoal(np.zeros((1, 3)), jnp.ones(1), np.zeros(0), 0.0)
     _, force, bend = keyvectors("smooth_l1").slopes(jnp.zeros((1, 3)), goal)
     np.testing.assert_array_equal(force, 0.0)
     np.testing.assert_allclose(bend, 1 / TRANSITION)
 
 
-def test_the_length_of_an_error_counts_and_not_its_components() -> None:
+def test_the_length_of_an_error_counts_and_not_its_components():
     """3, 4 and 5 mm: with components of their own, the parts would add up to 7."""
     error = [jnp.asarray(0.03), jnp.asarray(0.04), jnp.asarray(0.0)]
     price = keyvectors("smooth_l1_norm").price(error, jnp.asarray(2.0))
@@ -81,7 +81,7 @@ def test_the_length_of_an_error_counts_and_not_its_components() -> None:
 
 @pytest.mark.parametrize("centre", ["neutral", "zero"])
 @pytest.mark.parametrize("velocity", ["squared", "smooth_l1"])
-def test_regularisation(centre: str, velocity: str) -> None:
+def test_regularisation(centre, velocity):
     hand = load_hand()
     config = ObjectiveConfig(pose_centre=centre, velocity_loss=velocity)  # type: ignore[arg-type]
     objective = Objective(hand, config)
@@ -108,7 +108,7 @@ def test_regularisation(centre: str, velocity: str) -> None:
         np.testing.assert_allclose(bend * np.eye(len(q)), second, rtol=1e-9, atol=1e-12)
 
 
-def test_unknown_words_are_refused() -> None:
+def test_unknown_words_are_refused():
     with pytest.raises(ConfigError, match="'smooth_l1_norm', not 'l2'"):
         ObjectiveConfig(loss="l2")  # type: ignore[arg-type]
     with pytest.raises(ConfigError, match="'neutral' or 'zero', not 'middle'"):

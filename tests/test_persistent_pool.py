@@ -34,7 +34,6 @@ def test_workers_stay_and_those_that_die_are_replaced():
         # not the workers that have answered: one may have had the raising task alone, or none
         known = {process.pid for process in multiprocessing.active_children()}
         third = list(pool.run([7]))
-        assert third[0].value is not None
         assert third[0].value[1] == 7
         assert third[0].value[0] in known  # nobody new was needed
     with pytest.raises(ProcessLookupError):

@@ -49,7 +49,7 @@ def check(frame: HandFrame, pose: app.Pose, joints: np.ndarray) -> None:
     assert sign * chirality(frame.landmarks[None])[0] > 0.25
 
 
-def test_the_bytes_of_a_packet() -> None:
+def test_the_bytes_of_a_packet():
     data = app.pico_packet(0x19, b"PA9410|-1", 1)
     assert data == b"\x3f\x19\x09\x00\x00\x00PA9410|-1\x01\x00\x00\x00\x00\x00\x00\x00\xa5"
     assert read_packet(data).frames == ()
@@ -60,7 +60,7 @@ def test_the_bytes_of_a_packet() -> None:
 
 
 @pytest.mark.parametrize("nested", [True, False])
-def test_both_hands_of_a_packet(nested: bool) -> None:
+def test_both_hands_of_a_packet(nested):
     said = both()
     found = read_packet(app.pico_tracking(said["hands"], STAMP, nested))
     assert [frame.side for frame in found.frames] == ["left", "right"]
@@ -70,7 +70,7 @@ def test_both_hands_of_a_packet(nested: bool) -> None:
     check(right, POSE, JOINTS["right"])
 
 
-def test_what_the_headset_does_not_see_is_not_valid() -> None:
+def test_what_the_headset_does_not_see_is_not_valid():
     hands = both()["hands"]
     hands["leftHand"] = app.pico_hand(LEVEL, JOINTS["left"], active=0)
     locations = hands["rightHand"]["HandJointLocations"]
@@ -84,7 +84,7 @@ def test_what_the_headset_does_not_see_is_not_valid() -> None:
     assert read_packet(app.pico_tracking({}, None)).frames == ()
 
 
-def test_a_left_handed_app_is_read_with_its_axes() -> None:
+def test_a_left_handed_app_is_read_with_its_axes():
     hands = both()["hands"]
     for joint in hands["rightHand"]["HandJointLocations"]:
         x, y, z = (float(word) for word in joint["p"].split(",")[:3])
@@ -107,7 +107,7 @@ def test_a_left_handed_app_is_read_with_its_axes() -> None:
         ('{"timeStampNs": 1e300}', "nanoseconds"),
     ],
 )
-def test_what_can_t_be_read_says_why(value: str, words: str) -> None:
+def test_what_can_t_be_read_says_why(value, words):
     body = json.dumps({"functionName": "Tracking", "value": value}).encode()
     with pytest.raises(RecordingError, match=words):
         read_packet(app.pico_packet(0x6D, body))
@@ -116,14 +116,14 @@ def test_what_can_t_be_read_says_why(value: str, words: str) -> None:
 @pytest.mark.parametrize(
     "joint", [{}, {"p": "1,2,3"}, {"p": "a,b"}, {"p": 1}, {"p": "0", "s": []}, 7]
 )
-def test_a_joint_that_is_none_is_refused(joint: Any) -> None:
+def test_a_joint_that_is_none_is_refused(joint):
     hands = both()["hands"]
     hands["leftHand"]["HandJointLocations"][3] = joint
     with pytest.raises(RecordingError, match="a joint of 'leftHand'"):
         read_packet(app.pico_tracking(hands, STAMP))
 
 
-def test_packets_are_taken_out_of_any_pieces() -> None:
+def test_packets_are_taken_out_of_any_pieces():
     one, two = app.pico_packet(0x23, b"SN"), app.pico_tracking({}, STAMP)
     stream = one + two + one
     for size in (1, 7, 50, len(stream)):
@@ -135,7 +135,7 @@ def test_packets_are_taken_out_of_any_pieces() -> None:
         assert not buffer
 
 
-def test_no_packet_is_a_crash() -> None:
+def test_no_packet_is_a_crash():
     rng = random.Random(4)
     good = app.pico_tracking(both()["hands"], STAMP)
     refused, taken = [], 0
@@ -171,7 +171,7 @@ def started(text: str) -> tuple[PicoSource, Kept, tuple[str, int]]:
     return source, mailbox, (host, int(port))
 
 
-def test_a_headset_connects_repeats_itself_and_comes_back() -> None:
+def test_a_headset_connects_repeats_itself_and_comes_back():
     source, mailbox, where = started("pico:port=0")
     try:
         assert source.health().detail.endswith("say pico:0.0.0.0")
@@ -195,7 +195,7 @@ def test_a_headset_connects_repeats_itself_and_comes_back() -> None:
         source.stop()
 
 
-def test_a_frame_without_a_stamp_is_of_the_time_of_receipt() -> None:
+def test_a_frame_without_a_stamp_is_of_the_time_of_receipt():
     source, mailbox, where = started("pico:port=0,side=right")
     try:
         with socket.create_connection(where, timeout=5) as headset:
@@ -207,7 +207,7 @@ def test_a_frame_without_a_stamp_is_of_the_time_of_receipt() -> None:
         source.stop()
 
 
-def test_what_is_no_packet_does_not_choose_the_sender() -> None:
+def test_what_is_no_packet_does_not_choose_the_sender():
     source = PicoSource(port=0)
     source.connect().close()
     read = source.reader()
@@ -217,7 +217,7 @@ def test_what_is_no_packet_does_not_choose_the_sender() -> None:
     assert len(read((data, b"192.168.1.5", b"2"), 0.1)) == 2
 
 
-def test_what_can_t_be_listened_on_is_said() -> None:
+def test_what_can_t_be_listened_on_is_said():
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         with pytest.raises(SourceError, match=f"TCP port {port}.*pico:port=PORT"):

@@ -20,13 +20,13 @@ RATE = 50.0
 
 
 @pytest.fixture(scope="module")
-def python(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def python(tmp_path_factory) -> Path:
     """Python of an environment that has the plugin, and all that this one has."""
     return environment_with(tmp_path_factory.mktemp("plugin"), PLUGIN)
 
 
 @pytest.fixture
-def run(python: Path, tmp_path: Path) -> Callable[..., str]:
+def run(python, tmp_path) -> Callable[..., str]:
     """Runs commands in one process of that environment; gives what they print."""
 
     def run(*commands: str, status: int = 0) -> str:
@@ -51,7 +51,7 @@ for command in {[command.split() for command in commands]!r}:
     return run
 
 
-def test_the_parts_of_a_plugin_show_up_and_work(run: Callable[..., str], tmp_path: Path) -> None:
+def test_the_parts_of_a_plugin_show_up_and_work(run, tmp_path):
     recording = SyntheticOperator(seed=4, rate_hz=RATE).record(1.0)
     np.savetxt(tmp_path / "hand.csv", recording.landmarks.reshape(-1, 63), delimiter=",")
     shown = run("--help", "teleop --help", "retarget --help", "joint-ranges toy_gripper")
@@ -89,7 +89,7 @@ def test_the_parts_of_a_plugin_show_up_and_work(run: Callable[..., str], tmp_pat
     assert np.ptp(positions, axis=0).max() > 0.05
 
 
-def test_a_layout_and_a_format_of_data_sets(python: Path, tmp_path: Path) -> None:
+def test_a_layout_and_a_format_of_data_sets(python, tmp_path):
     for side in ("right", "left"):
         recording = SyntheticOperator(seed=4, side=side, rate_hz=RATE).record(0.2)
         (tmp_path / "take").mkdir(exist_ok=True)

@@ -30,7 +30,7 @@ done.set()
 
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems have no such scheduling")
 @pytest.mark.parametrize("allowed", [True, False])
-def test_what_was_granted_is_what_is_said(allowed: bool) -> None:
+def test_what_was_granted_is_what_is_said(allowed):
     # a limit of 0 takes the right from whoever has no capability, and root gives that up
     drop = [] if allowed else ["prlimit", "--rtprio=0:0", "setpriv", "--bounding-set=-sys_nice"]
     command = [*drop, sys.executable, "-c", ASKING]
@@ -51,7 +51,7 @@ def test_what_was_granted_is_what_is_said(allowed: bool) -> None:
         assert facts == ["False", "False", "False", "0", "False", "True"]
 
 
-def test_elsewhere_nothing_is_tried(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_elsewhere_nothing_is_tried(monkeypatch):
     from smooth_operator.teleop.runtime import priority
 
     monkeypatch.setattr(priority.sys, "platform", "darwin")

@@ -33,16 +33,9 @@ Scorer = Callable[[np.ndarray, tuple[str, ...], tuple[int, int]], dict[str, Any]
 
 
 @pytest.fixture(scope="module")
-def hand() -> Hand:
-    return load_hand("mimic_p050")
-
-
-@pytest.fixture(scope="module")
-def score(shared: Path, tmp_path_factory: pytest.TempPathFactory) -> Scorer:
+def score(shared, tmp_path_factory) -> Scorer:
     """The independent scorer, on frames of the glove recording."""
     spec = importlib.util.spec_from_file_location("scorer", shared / "tools" / "score.py")
-    assert spec is not None
-    assert spec.loader is not None
     module: ModuleType = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     module.load_hand = functools.cache(module.load_hand)
@@ -75,9 +68,7 @@ def commands(shared: Path, retargeter: Retargeter, frames: tuple[int, int]) -> n
 @pytest.mark.parametrize(
     "method", [METHODS[0], *(pytest.param(m, marks=WEEKLY) for m in METHODS[1:])]
 )
-def test_on_a_glove_each_has_the_figures_of_its_authors_code(
-    shared: Path, hand: Hand, score: Scorer, method: str
-) -> None:
+def test_on_a_glove_each_has_the_figures_of_its_authors_code(shared, hand, score, method):
     with np.load(shared / f"peers/{method}_subject-000_frames-0-500.npz") as archive:
         names = tuple(str(name) for name in archive["joint_names"])
         q = archive["joint_positions"].astype(float)
@@ -98,9 +89,7 @@ def test_on_a_glove_each_has_the_figures_of_its_authors_code(
     [pytest.param("keyvector", 0.7877, 12.4, marks=WEEKLY), ("hybrid", 0.7289, 17.6),
      ("dexpilot", None, 10.0), ("ako", None, 5.35)],
 )  # fmt: skip
-def test_where_the_operator_pinches(
-    shared: Path, hand: Hand, score: Scorer, method: str, cosine: float | None, gap: float
-) -> None:
+def test_where_the_operator_pinches(shared, hand, score, method, cosine, gap):
     """Figures of the authors' code on these frames, as in docs/reference/benchmarks.md."""
     found = score(commands(shared, published(hand, method), PINCHING), hand.joint_names, PINCHING)
     if cosine is not None:
@@ -109,7 +98,7 @@ def test_where_the_operator_pinches(
 
 
 @pytest.mark.shared
-def test_hybrid_begins_where_the_authors_does(shared: Path, hand: Hand) -> None:
+def test_hybrid_begins_where_the_authors_does(shared, hand):
     with np.load(shared / "peers/joint_angle_subject-000_frames-0-500.npz") as archive:
         names = [str(name) for name in archive["joint_names"]]
         theirs = archive["joint_positions"][:, [names.index(n) for n in hand.actuated_names]]
@@ -118,7 +107,7 @@ def test_hybrid_begins_where_the_authors_does(shared: Path, hand: Hand) -> None:
     np.testing.assert_allclose(ours, np.clip(theirs, *hand.limits.T), atol=1e-5)
 
 
-def test_a_bend_is_shared_among_the_joints_that_make_it(hand: Hand) -> None:
+def test_a_bend_is_shared_among_the_joints_that_make_it(hand):
     """A human PIP joint that bends by an angle: half of it, the driven joint makes the other."""
     poses = np.zeros((2, NUM_JOINTS))
     names = [joint.name for joint in JOINTS]
@@ -132,7 +121,7 @@ def test_a_bend_is_shared_among_the_joints_that_make_it(hand: Hand) -> None:
         assert moved[f"{finger}_mcp2pp"] == pytest.approx(0.0, abs=1e-4)
 
 
-def test_another_hand_begins_at_our_joint_angles(hand: Hand) -> None:
+def test_another_hand_begins_at_our_joint_angles(hand):
     config = method_config("hybrid", "published")
     ours, other = config.build(hand), config.build(load_hand("shadow_hand"))
     assert isinstance(ours, SlsqpMethod)

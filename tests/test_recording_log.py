@@ -71,7 +71,7 @@ def assert_same(a: HandRecording, b: HandRecording) -> None:
 
 @pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
 @pytest.mark.parametrize(("side", "rich"), [("right", True), ("left", False)])
-def test_round_trip_is_exact(tmp_path: Path, compression: str, side: Side, rich: bool) -> None:
+def test_round_trip_is_exact(tmp_path, compression, side, rich):
     hands = recording(side=side, rich=rich)
     path = write(tmp_path / "a.mcap", hands, compression=compression)
     log = read_log(path)
@@ -95,7 +95,7 @@ def test_round_trip_is_exact(tmp_path: Path, compression: str, side: Side, rich:
     }
 
 
-def test_opens_in_the_mcap_library_and_its_types_say_what_it_holds(tmp_path: Path) -> None:
+def test_opens_in_the_mcap_library_and_its_types_say_what_it_holds(tmp_path):
     hands = recording(10)
     path = write(tmp_path / "a.mcap", hands)
     with path.open("rb") as stream:
@@ -133,7 +133,7 @@ def test_opens_in_the_mcap_library_and_its_types_say_what_it_holds(tmp_path: Pat
     assert found["/config"] == [{"configuration": '{"method": "sbr", "limit": "inf"}'}]
 
 
-def test_types_carry_their_units(tmp_path: Path) -> None:
+def test_types_carry_their_units(tmp_path):
     path = write(tmp_path / "a.mcap", recording(1))
     with path.open("rb") as stream:
         summary = make_reader(stream).get_summary()
@@ -151,7 +151,7 @@ def test_types_carry_their_units(tmp_path: Path) -> None:
     assert len(own) == 5
 
 
-def test_descriptors_are_those_of_the_proto_files() -> None:
+def test_descriptors_are_those_of_the_proto_files():
     files = FileDescriptorSet.FromString((PROTO / "messages.binpb").read_bytes()).file
     own = {file.name: file for file in files if not file.name.startswith("google/")}
     assert own.keys() == {path.name for path in PROTO.glob("*.proto")}
@@ -168,7 +168,7 @@ def test_descriptors_are_those_of_the_proto_files() -> None:
     assert {v.name: v.number for v in code.value} == {s.name: int(s) for s in Status}
 
 
-def test_numbers_that_are_not_finite_come_back_as_unknown(tmp_path: Path) -> None:
+def test_numbers_that_are_not_finite_come_back_as_unknown(tmp_path):
     hands = recording(4)
     points = hands.landmarks.copy()
     points[2, 5, 0] = np.inf
@@ -184,7 +184,7 @@ def test_numbers_that_are_not_finite_come_back_as_unknown(tmp_path: Path) -> Non
     assert np.isnan(back.commands.latency_ms).all()
 
 
-def test_partial_logs(tmp_path: Path) -> None:
+def test_partial_logs(tmp_path):
     with LogWriter(tmp_path / "empty.mcap"):
         pass
     log = read_log(tmp_path / "empty.mcap")
@@ -207,7 +207,7 @@ def test_partial_logs(tmp_path: Path) -> None:
     np.testing.assert_array_equal(log.stages_ms["solve"], [np.nan, 1.0])
 
 
-def test_optional_fields_may_come_and_go(tmp_path: Path) -> None:
+def test_optional_fields_may_come_and_go(tmp_path):
     hands = recording(3)
     with LogWriter(tmp_path / "a.mcap") as log:
         log.write_hand(HandFrame(hands.landmarks[0], -2.5))  # before zero is a time as well
@@ -222,7 +222,7 @@ def test_optional_fields_may_come_and_go(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
-def test_cut_off_anywhere_gives_the_complete_chunks(tmp_path: Path, compression: str) -> None:
+def test_cut_off_anywhere_gives_the_complete_chunks(tmp_path, compression):
     hands = recording(60)
     whole = write(tmp_path / "a.mcap", hands, compression=compression, chunk_bytes=15_000)
     content = whole.read_bytes()
@@ -271,7 +271,7 @@ def test_cut_off_anywhere_gives_the_complete_chunks(tmp_path: Path, compression:
         assert read_recording(cut).meta["truncated"] is True
 
 
-def test_damage_in_the_middle_keeps_what_came_before(tmp_path: Path) -> None:
+def test_damage_in_the_middle_keeps_what_came_before(tmp_path):
     hands = recording(60)
     whole = write(tmp_path / "a.mcap", hands, chunk_bytes=20_000)
     content = whole.read_bytes()
@@ -295,7 +295,7 @@ def test_damage_in_the_middle_keeps_what_came_before(tmp_path: Path) -> None:
     assert 10 < len(log.recording) < 40
 
 
-def test_flush_and_time_bring_frames_to_the_file(tmp_path: Path) -> None:
+def test_flush_and_time_bring_frames_to_the_file(tmp_path):
     hands = recording(8)
     log = LogWriter(tmp_path / "a.mcap", flush_seconds=3600.0)
     assert read_log(log.path).truncated  # readable from the first moment on
@@ -317,7 +317,7 @@ def test_flush_and_time_bring_frames_to_the_file(tmp_path: Path) -> None:
         assert len(read_recording(log.path)) == 2
 
 
-def test_exception_in_the_block_still_ends_the_log(tmp_path: Path) -> None:
+def test_exception_in_the_block_still_ends_the_log(tmp_path):
     def crash() -> None:
         with LogWriter(tmp_path / "a.mcap") as log:
             log.write_hand(recording(1)[0])
@@ -331,7 +331,7 @@ def test_exception_in_the_block_still_ends_the_log(tmp_path: Path) -> None:
 # --- refusals --------------------------------------------------------------------------------
 
 
-def test_writer_refuses_what_could_not_be_read(tmp_path: Path) -> None:
+def test_writer_refuses_what_could_not_be_read(tmp_path):
     hands = recording(5)
     with LogWriter(tmp_path / "a.mcap") as log:
         log.write_hand(hands[1])
@@ -360,13 +360,13 @@ def test_writer_refuses_what_could_not_be_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "options", [{"compression": "gzip"}, {"chunk_bytes": 0}, {"flush_seconds": float("nan")}]
 )
-def test_bad_options(tmp_path: Path, options: dict[str, object]) -> None:
+def test_bad_options(tmp_path, options):
     with pytest.raises(ConfigError):
         LogWriter(tmp_path / "a.mcap", **options)  # type: ignore[arg-type]
     assert not list(tmp_path.iterdir())
 
 
-def test_paths_that_can_not_be_written(tmp_path: Path) -> None:
+def test_paths_that_can_not_be_written(tmp_path):
     with pytest.raises(OutputError, match="does not exist; create it first"):
         LogWriter(tmp_path / "no" / "a.mcap")
     with pytest.raises(OutputError, match="a folder stands there"):
@@ -382,7 +382,7 @@ def test_paths_that_can_not_be_written(tmp_path: Path) -> None:
         LogWriter(tmp_path / "a.mcap" / "b.mcap")
 
 
-def test_permission_denied(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_permission_denied(tmp_path, monkeypatch):
     def denied(*_: object, **__: object) -> None:
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), "a.mcap")
 
@@ -392,13 +392,13 @@ def test_permission_denied(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs /dev/full, a disk always full")
-def test_disk_full() -> None:
+def test_disk_full():
     with pytest.raises(OutputError, match="no space is left") as caught:
         LogWriter("/dev/full", overwrite=True)
     assert caught.value.errno == errno.ENOSPC
 
 
-def test_disk_that_fills_up_on_the_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_disk_that_fills_up_on_the_way(tmp_path, monkeypatch):
     hands = recording(30)
     log = LogWriter(tmp_path / "a.mcap", chunk_bytes=1)
     for frame in hands[:10]:
@@ -449,15 +449,13 @@ def foreign(path: Path, topic: str, data: bytes, version: str | None) -> Path:
         ("/status", b"\x10\x4d", "3", "77 is not a valid Status"),
     ],
 )
-def test_logs_of_others(
-    tmp_path: Path, topic: str, data: bytes, version: str | None, match: str
-) -> None:
+def test_logs_of_others(tmp_path, topic, data, version, match):
     path = foreign(tmp_path / "a.mcap", topic, data, version)
     with pytest.raises(RecordingError, match=match):
         read_log(path)
 
 
-def test_read_log_of_something_else(tmp_path: Path) -> None:
+def test_read_log_of_something_else(tmp_path):
     np.save(tmp_path / "a.npy", np.zeros(3))
     with pytest.raises(RecordingError, match="not a log, but a file of another format"):
         read_log(tmp_path / "a.npy")
@@ -465,7 +463,7 @@ def test_read_log_of_something_else(tmp_path: Path) -> None:
         read_log(tmp_path / "b.mcap")
 
 
-def test_log_side_and_rate_contradicted(tmp_path: Path) -> None:
+def test_log_side_and_rate_contradicted(tmp_path):
     path = write(tmp_path / "a.mcap", recording(side="left"))
     with pytest.raises(RecordingError, match="recording of a left hand, but side 'right'"):
         read_recording(path, side="right")

@@ -33,7 +33,7 @@ def trajectory(frames: int = 6, joints: int = 3) -> CommandTrajectory:
 
 
 @pytest.mark.parametrize("frames", [6, 0])
-def test_round_trip(tmp_path: Path, frames: int) -> None:
+def test_round_trip(tmp_path, frames):
     commands = trajectory(frames)
     path = tmp_path / "run.1.npz"
     write_commands(path, commands, {"method": "sbr", "seed": np.int64(3)})
@@ -45,7 +45,7 @@ def test_round_trip(tmp_path: Path, frames: int) -> None:
     assert json.loads(config_path(path).read_text()) == {"method": "sbr", "seed": 3}
 
 
-def test_stored_form(tmp_path: Path) -> None:
+def test_stored_form(tmp_path):
     write_commands(tmp_path / "a.npz", trajectory(), {})
     with np.load(tmp_path / "a.npz", allow_pickle=False) as stored:
         forms = {name: (stored[name].dtype.str[1:], stored[name].shape) for name in stored}
@@ -60,7 +60,7 @@ def test_stored_form(tmp_path: Path) -> None:
     assert forms["status"] == ("i1", (6,))
 
 
-def test_status_is_found_by_name(tmp_path: Path) -> None:
+def test_status_is_found_by_name(tmp_path):
     write_commands(tmp_path / "a.npz", trajectory(4), {})
     with np.load(tmp_path / "a.npz", allow_pickle=False) as stored:
         arrays = dict(stored)
@@ -93,7 +93,7 @@ def test_status_is_found_by_name(tmp_path: Path) -> None:
         ("status", np.array(["OK"] * 6), "status must hold whole numbers"),
     ],
 )
-def test_bad_results(tmp_path: Path, key: str, value: Any, match: str) -> None:
+def test_bad_results(tmp_path, key, value, match):
     path = tmp_path / "a.npz"
     write_commands(path, trajectory(), {})
     with np.load(path, allow_pickle=False) as stored:
@@ -105,7 +105,7 @@ def test_bad_results(tmp_path: Path, key: str, value: Any, match: str) -> None:
     assert str(path) in str(caught.value)
 
 
-def test_other_files_are_no_results(tmp_path: Path) -> None:
+def test_other_files_are_no_results(tmp_path):
     np.save(tmp_path / "a.npy", np.zeros(3))
     with pytest.raises(RecordingError, match="not a file of commands"):
         read_commands(tmp_path / "a.npy")
@@ -125,15 +125,13 @@ def test_other_files_are_no_results(tmp_path: Path) -> None:
         ({"status": np.full(6, 42)}, r"status \[42\]"),
     ],
 )
-def test_inconsistent_trajectories_are_not_written(
-    tmp_path: Path, change: dict[str, Any], match: str
-) -> None:
+def test_inconsistent_trajectories_are_not_written(tmp_path, change, match):
     with pytest.raises(RecordingError, match=match):
         write_commands(tmp_path / "a.npz", replace(trajectory(), **change), {})
     assert not list(tmp_path.iterdir())
 
 
-def test_unwritable_results(tmp_path: Path) -> None:
+def test_unwritable_results(tmp_path):
     with pytest.raises(OutputError, match=r"must end in .npz, as out.npz"):
         write_commands(tmp_path / "out", trajectory(), {})
     with pytest.raises(OutputError, match="does not exist; create it first"):
@@ -146,7 +144,7 @@ def test_unwritable_results(tmp_path: Path) -> None:
 # --- atomic_write ----------------------------------------------------------------------------
 
 
-def test_old_file_survives_a_failure(tmp_path: Path) -> None:
+def test_old_file_survives_a_failure(tmp_path):
     path = tmp_path / "a.txt"
     path.write_text("old")
 
@@ -168,7 +166,7 @@ def test_old_file_survives_a_failure(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(os.name == "nt", reason="POSIX permissions")
-def test_mode_is_that_of_any_new_file(tmp_path: Path) -> None:
+def test_mode_is_that_of_any_new_file(tmp_path):
     (tmp_path / "plain").touch()
     with atomic_write(tmp_path / "atomic") as file:
         file.write(b"x")
@@ -177,7 +175,7 @@ def test_mode_is_that_of_any_new_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(os.name == "nt", reason="links need a privilege on Windows")
-def test_links_are_followed_and_devices_left_alone(tmp_path: Path) -> None:
+def test_links_are_followed_and_devices_left_alone(tmp_path):
     target = tmp_path / "target"
     target.write_text("old")
     link = tmp_path / "link"
@@ -193,7 +191,7 @@ def test_links_are_followed_and_devices_left_alone(tmp_path: Path) -> None:
     assert stat.S_ISFIFO(fifo.stat().st_mode)
 
 
-def test_full_disk(tmp_path: Path) -> None:
+def test_full_disk(tmp_path):
     path = tmp_path / "a.txt"
     path.write_text("old")
     with pytest.raises(OutputError, match="no space is left") as caught, atomic_write(path):
@@ -204,14 +202,14 @@ def test_full_disk(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_errors_about_other_files_are_not_relabelled(tmp_path: Path) -> None:
+def test_errors_about_other_files_are_not_relabelled(tmp_path):
     with pytest.raises(FileNotFoundError) as caught, atomic_write(tmp_path / "a.txt"):
         (tmp_path / "input.txt").read_bytes()
     assert not isinstance(caught.value, OutputError)
     assert not list(tmp_path.iterdir())
 
 
-def test_bad_targets(tmp_path: Path) -> None:
+def test_bad_targets(tmp_path):
     for path, match in (
         (tmp_path, "it is a folder"),
         (tmp_path / "no" / "a", "does not exist"),
@@ -230,7 +228,7 @@ def test_bad_targets(tmp_path: Path) -> None:
         (errno.EIO, "choose another path"),
     ],
 )
-def test_output_error_says_what_to_do(number: int, match: str) -> None:
+def test_output_error_says_what_to_do(number, match):
     error = output_error("some/file.npz", OSError(number, os.strerror(number)))
     assert match in str(error)
     assert "file.npz" in str(error)
@@ -257,7 +255,7 @@ class Outer:
     table: dict[Any, Any] = field(default_factory=lambda: {Status.OK: np.float32(0.5), 3: None})
 
 
-def test_to_json_is_strict_and_complete() -> None:
+def test_to_json_is_strict_and_complete():
     value = {
         "outer": Outer(),
         "array": np.array([[1.0, np.nan]]),
@@ -286,6 +284,6 @@ def test_to_json_is_strict_and_complete() -> None:
     }
 
 
-def test_to_json_names_the_place() -> None:
+def test_to_json_names_the_place():
     with pytest.raises(ConfigError, match=r"configuration\.a\[1\].b is a builtin_function"):
         to_json({"a": [0, {"b": print}]})

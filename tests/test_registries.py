@@ -65,14 +65,14 @@ SPEC = MODELS / "allegro_hand.left.toml"
 
 
 @pytest.fixture
-def broken(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> str:
+def broken(monkeypatch, tmp_path) -> str:
     """The target of a module that can't be imported."""
     (tmp_path / "broken_plugin.py").write_text("raise RuntimeError('no\\nlicence')\n")
     monkeypatch.syspath_prepend(tmp_path)
     return "broken_plugin:CONFIG"
 
 
-def test_help_imports_no_numerical_library() -> None:
+def test_help_imports_no_numerical_library():
     """The registries that help texts list name their parts, and import none of them."""
     heavy = "{'numpy', 'jax', 'scipy', 'mujoco'}"
     code = f"import sys, smooth_operator.cli.options; print({heavy} & sys.modules.keys())"
@@ -80,14 +80,14 @@ def test_help_imports_no_numerical_library() -> None:
     assert done.stdout.strip() == "set()"
 
 
-def test_the_summary_of_a_method_lists_its_presets() -> None:
+def test_the_summary_of_a_method_lists_its_presets():
     for name, entry in METHODS.built_in.items():
         listed = re.split(r",? or |, ", entry.summary)
         named = [re.sub(r" for (recordings|objects)$", "", each) for each in listed]
         assert [each for each in named if "file of a model" not in each] == list(PRESETS[name])
 
 
-def test_a_method_of_ones_own_is_named_by_its_module() -> None:
+def test_a_method_of_ones_own_is_named_by_its_module():
     assert method_config(f"{__name__}:OWN") is OWN
     assert method_config(f"{__name__}:TWO") is OWN
     assert method_config(f"{__name__}:TWO", "slow") is TWO["slow"]
@@ -110,7 +110,7 @@ def test_a_method_of_ones_own_is_named_by_its_module() -> None:
         ("srb:paper", UnknownNameError, "unknown method"),
     ],
 )
-def test_what_is_no_method_is_refused(name: str, error: type[Exception], says: str) -> None:
+def test_what_is_no_method_is_refused(name, error, says):
     with pytest.raises(error, match=re.escape(says)):
         method_config(name)
 
@@ -125,14 +125,12 @@ def test_what_is_no_method_is_refused(name: str, error: type[Exception], says: s
         ("leap_hand", ("leap", "allegro"), "'leap'"),
     ],
 )
-def test_a_hand_and_its_sink_find_each_other(name: str, names: tuple[str, ...], hint: str) -> None:
+def test_a_hand_and_its_sink_find_each_other(name, names, hint):
     assert did_you_mean(name, names) == f" Did you mean {hint}?"
     assert did_you_mean("xyz", names) == ""
 
 
-def test_a_broken_plugin_is_an_error_only_where_it_is_asked_for(
-    broken: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_broken_plugin_is_an_error_only_where_it_is_asked_for(broken, monkeypatch, capsys):
     offered = {"sbr": Entry(broken), "cracked": Entry(broken, "from cracks", "cracks")}
     monkeypatch.setattr(
         "smooth_operator.plugins._installed",
@@ -151,7 +149,7 @@ def test_a_broken_plugin_is_an_error_only_where_it_is_asked_for(
         method_config("cracked")
 
 
-def test_a_hand_of_ones_own_is_named_by_its_module() -> None:
+def test_a_hand_of_ones_own_is_named_by_its_module():
     own = load_hand(f"{__name__}:SPEC")
     assert (own.name, own.spec.side, own.spec.mirror) == ("allegro_hand", "left", False)
     hand = load_hand(f"{__name__}:SPEC", "right")
@@ -159,9 +157,7 @@ def test_a_hand_of_ones_own_is_named_by_its_module() -> None:
     assert hand.actuated == load_hand("allegro_hand").actuated
 
 
-def test_a_plugins_hand_is_a_spec_file_or_a_folder(
-    broken: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_plugins_hand_is_a_spec_file_or_a_folder(broken, monkeypatch, capsys):
     offered = {
         "allegro_hand": Entry(broken),
         "cracked": Entry(broken, "from cracks", "cracks"),
@@ -183,7 +179,7 @@ def test_a_plugins_hand_is_a_spec_file_or_a_folder(
         load_hand(f"{__name__}:TWO")
 
 
-def test_a_built_in_part_that_is_broken_is_not_left_out(broken: str) -> None:
+def test_a_built_in_part_that_is_broken_is_not_left_out(broken):
     with pytest.raises(ConfigError, match="no licence"):
         Registry("toy", {"toy": Entry(broken)}).loadable()
 
@@ -198,9 +194,7 @@ ROWS = Reader("a .rows file", read_rows, suffixes=(".rows",))
 WRONG = Reader("a .wrong file", lambda *given: "hands", suffixes=(".wrong",))  # type: ignore
 
 
-def test_a_plugins_reader_recognises_its_files(
-    broken: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_plugins_reader_recognises_its_files(broken, monkeypatch, tmp_path, capsys):
     recording = SyntheticOperator(seed=1).record(0.1)
     text = "\n".join(
         ",".join(map(repr, row)) for row in recording.landmarks.reshape(-1, 63).tolist()
@@ -239,7 +233,7 @@ def test_a_plugins_reader_recognises_its_files(
     ]
 
 
-def test_a_reader_says_which_files_are_its_own() -> None:
+def test_a_reader_says_which_files_are_its_own():
     with pytest.raises(ConfigError, match=r"must have magic \(first bytes\) or suffixes"):
         Reader("anything", read_rows)
 
@@ -257,9 +251,7 @@ TAKEN = Metric("flatness", "", "up", "of another")
 SEVERAL = (TRAVEL, Metric("fails", "", "up", "never there", "motion", _fails))
 
 
-def test_a_plugins_metric_is_measured_and_shown(
-    broken: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_plugins_metric_is_measured_and_shown(broken, monkeypatch, capsys):
     human = np.broadcast_to(SyntheticOperator(seed=1).record(0.1).landmarks, (10, 21, 3))
     q = np.linspace(0.0, 1.0, 10)[:, None] * [1.0, 2.0]
     trace = make_trace(human, joint_positions=q, joint_limits=np.tile([-9.0, 9.0], (2, 1)))
@@ -292,7 +284,7 @@ def test_a_plugins_metric_is_measured_and_shown(
     assert re.search(r"fails +– +↑ +never there", printed)
 
 
-def test_a_metric_is_measured_that_is_named_by_its_module(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_metric_is_measured_that_is_named_by_its_module(monkeypatch):
     monkeypatch.setattr(METRIC_REGISTRY, "_added", {})
     add_metrics(["flatness", f"{__name__}:SEVERAL"])
     assert [metric.name for metric in plugin_metrics()] == ["travel", "fails"]
@@ -305,7 +297,7 @@ def test_a_metric_is_measured_that_is_named_by_its_module(monkeypatch: pytest.Mo
             add_metrics([target])
 
 
-def test_a_worker_of_a_benchmark_measures_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_worker_of_a_benchmark_measures_it(monkeypatch):
     monkeypatch.setattr(METRIC_REGISTRY, "_added", {})
     config, recording = method_config("joint_angle"), SyntheticOperator(seed=1).record(0.2)
     task = Task(recording, "mimic_p050", "joint_angle", "default", config, 0, "sound")
@@ -314,7 +306,7 @@ def test_a_worker_of_a_benchmark_measures_it(monkeypatch: pytest.MonkeyPatch) ->
     assert measure_cell(more).metrics["travel"] > 0
 
 
-def test_directions_of_metrics_are_said_in_one_place() -> None:
+def test_directions_of_metrics_are_said_in_one_place():
     said = {metric.goal: (metric.sign, metric.better) for metric in METRICS}
     assert said == {
         "->1": ("→ 1", "best at 1"),
@@ -325,9 +317,7 @@ def test_directions_of_metrics_are_said_in_one_place() -> None:
     assert all(m.compute is not None for m in METRICS if m.name != "tracking_loss")
 
 
-def test_a_cell_is_measured_again_when_the_code_of_its_plugin_changes(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_a_cell_is_measured_again_when_the_code_of_its_plugin_changes(monkeypatch, tmp_path):
     file = tmp_path / "own_method.py"
     file.write_text(
         "from dataclasses import dataclass\n"

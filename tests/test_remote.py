@@ -87,7 +87,7 @@ class Stage:
 
 
 @pytest.fixture(scope="module")
-def stage(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stage]:
+def stage(tmp_path_factory) -> Iterator[Stage]:
     asked = make_request(method="joint_angle")
     retargeter = Retargeter(load_hand("mimic_p050"), config=asked.config)
     retargeter.warm_up()
@@ -139,7 +139,7 @@ def stage(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stage]:
 # -- methods and operators --------------------------------------------------------------------
 
 
-def test_the_rate_is_what_another_program_asks_for(stage: Stage) -> None:
+def test_the_rate_is_what_another_program_asks_for(stage):
     assert stage.do("status")["rate"] == 50.0
     assert stage.do("status")["compiling"] == []
     try:
@@ -159,7 +159,7 @@ def test_the_rate_is_what_another_program_asks_for(stage: Stage) -> None:
         stage.do("rate", rate=50.0)
 
 
-def test_the_status_tells_what_runs(stage: Stage) -> None:
+def test_the_status_tells_what_runs(stage):
     stage.do("method", method="joint_angle")
     seen = stage.do("status")
     assert (seen["method"], seen["preset"], seen["hand"]) == (
@@ -173,7 +173,7 @@ def test_the_status_tells_what_runs(stage: Stage) -> None:
     assert (seen["operators"], seen["task"], seen["trial"]) == ({"right": None}, None, None)
 
 
-def test_another_method_while_the_hand_moves(stage: Stage) -> None:
+def test_another_method_while_the_hand_moves(stage):
     first, before = len(stage.ticks), stage.loop.pipelines["right"].retargeter
     answer = stage.do("method", method="geort", preset="default")
     assert answer == {"ok": True, "method": "geort", "preset": "default"}
@@ -211,18 +211,14 @@ def test_another_method_while_the_hand_moves(stage: Stage) -> None:
         ({"method": 3}, "expected a text, not 3"),
     ],
 )
-def test_a_method_that_is_none_is_refused_and_the_old_one_goes_on(
-    stage: Stage, fields: dict[str, Any], words: str
-) -> None:
+def test_a_method_that_is_none_is_refused_and_the_old_one_goes_on(stage, fields, words):
     before = stage.loop.pipelines["right"].retargeter
     with pytest.raises(RemoteRefusedError, match=words):
         stage.do("method", **fields)
     assert stage.loop.pipelines["right"].retargeter is before
 
 
-def test_a_stop_is_answered_while_a_method_is_compiled(
-    stage: Stage, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_stop_is_answered_while_a_method_is_compiled(stage, monkeypatch):
     # A method that is used already needs no building: begin with another one than is asked for.
     stage.do("method", method="geort")
     go, warm_up = threading.Event(), Retargeter.warm_up
@@ -253,9 +249,7 @@ def test_a_stop_is_answered_while_a_method_is_compiled(
     until(lambda: stage.do("status")["compiling"] == [], LONG)
 
 
-def test_a_method_that_cannot_be_built_is_said(
-    stage: Stage, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_method_that_cannot_be_built_is_said(stage, monkeypatch):
     def broken(*args: Any) -> Any:
         raise MemoryError("no room")
 
@@ -270,7 +264,7 @@ def test_a_method_that_cannot_be_built_is_said(
     assert stage.do("method", method=other)["method"] == other
 
 
-def test_an_operators_file_is_loaded_and_dropped(stage: Stage, tmp_path: Path) -> None:
+def test_an_operators_file_is_loaded_and_dropped(stage, tmp_path):
     path = tmp_path / "operator.json"
     write_operator(path, profile(load_hand("mimic_p050"), "scale"))
     answer = stage.do("calibration", path=str(path))
@@ -291,7 +285,7 @@ def test_an_operators_file_is_loaded_and_dropped(stage: Stage, tmp_path: Path) -
     assert stage.config().alignment.operator is None
 
 
-def test_the_record_knows_which_method_was_used_when(stage: Stage) -> None:
+def test_the_record_knows_which_method_was_used_when(stage):
     for method in ("joint_angle", "geort"):
         stage.do("method", method=method)
         count = len(stage.ticks)
@@ -318,7 +312,7 @@ def test_the_record_knows_which_method_was_used_when(stage: Stage) -> None:
 # -- blind ------------------------------------------------------------------------------------
 
 
-def test_blind_nothing_that_is_shown_names_the_method(stage: Stage) -> None:
+def test_blind_nothing_that_is_shown_names_the_method(stage):
     stage.do("method", method="joint_angle")
     with contextlib.suppress(RemoteRefusedError):
         stage.do("method", method="geort", preset="no-such")
@@ -336,7 +330,7 @@ def test_blind_nothing_that_is_shown_names_the_method(stage: Stage) -> None:
     assert seen["hands"]["right"]["latched"] is None
 
 
-def test_blind_the_panel_has_no_switch(stage: Stage) -> None:
+def test_blind_the_panel_has_no_switch(stage):
     server = open_server("127.0.0.1", 0)
     try:
         hands = {side: p.retargeter.hand for side, p in stage.loop.pipelines.items()}
@@ -360,9 +354,7 @@ def test_blind_the_panel_has_no_switch(stage: Stage) -> None:
         close_server(server)
 
 
-def test_blind_the_terminal_does_not_name_it(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_blind_the_terminal_does_not_name_it(capsys, tmp_path):
     record = tmp_path / "take.mcap"
     with contextlib.suppress(SystemExit):
         main(
@@ -378,7 +370,7 @@ def test_blind_the_terminal_does_not_name_it(
 # -- tasks ------------------------------------------------------------------------------------
 
 
-def test_a_task_is_loaded_switched_and_left(stage: Stage) -> None:
+def test_a_task_is_loaded_switched_and_left(stage):
     with pytest.raises(RemoteRefusedError, match="load one first"):
         stage.do("trial", begin=True)
     first = len(stage.ticks)
@@ -408,7 +400,7 @@ def test_a_task_is_loaded_switched_and_left(stage: Stage) -> None:
     assert all(health.failed == 0 for health in stage.loop.sinks.health())
 
 
-def test_a_trial_from_begin_to_record(stage: Stage) -> None:
+def test_a_trial_from_begin_to_record(stage):
     stage.do("task", task="screwdriver")
     ready = stage.do("trial")
     assert (ready["phase"], ready["elapsed_s"], ready["time_s"]) == ("ready", 0.0, None)
@@ -494,7 +486,7 @@ def pinched(script: Script) -> dict[str, Any]:
     return {"force": force, "touch": touch, "support": 0.0}
 
 
-def test_scripted_motion_is_scored_and_told(stage: Stage) -> None:
+def test_scripted_motion_is_scored_and_told(stage):
     script = on_table(stage)
     edge = script.state.position - (0.02, 0, 0)
     script.show(0.4, position=edge, support=0.1)
@@ -518,7 +510,7 @@ def test_scripted_motion_is_scored_and_told(stage: Stage) -> None:
     stage.do("task")
 
 
-def test_without_a_simulation_there_is_no_task(stage: Stage) -> None:
+def test_without_a_simulation_there_is_no_task(stage):
     handlers = RpcHandlers(stage.loop, stage.switcher)
     assert handlers.status()["task"] is None
     for word in ("task", "trial", "reset"):
@@ -559,7 +551,7 @@ def answering(answer: bytes, address: str = "tcp://127.0.0.1:*") -> Iterator[str
         context.term()
 
 
-def test_a_teleoperation_may_end_and_be_started_again() -> None:
+def test_a_teleoperation_may_end_and_be_started_again():
     with answering(b'{"ok": true, "n": 1}') as address:
         teleop = RemoteTeleop(address, 0.3)
         assert teleop.request("status") == {"ok": True, "n": 1}
@@ -571,12 +563,12 @@ def test_a_teleoperation_may_end_and_be_started_again() -> None:
 
 
 @pytest.mark.parametrize("answer", [b"hello", b"[1]", b"\xff"])
-def test_something_else_that_answers_is_no_teleoperation(answer: bytes) -> None:
+def test_something_else_that_answers_is_no_teleoperation(answer):
     with answering(answer) as address, pytest.raises(RemoteError, match="no teleoperation"):
         RemoteTeleop(address, 5.0).request("status")
 
 
-def test_a_client_that_is_asked_the_impossible_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_client_that_is_asked_the_impossible_says_so(monkeypatch):
     for make, words in (
         (lambda: RemoteTeleop("127.0.0.1:5558"), "no ZeroMQ address"),
         (lambda: RemoteTeleop("tcp://127.0.0.1:5558", 0.0), "timeout_s"),
@@ -590,7 +582,7 @@ def test_a_client_that_is_asked_the_impossible_says_so(monkeypatch: pytest.Monke
         RemoteTeleop("tcp://127.0.0.1:5558")
 
 
-def test_many_threads_may_ask_at_once(stage: Stage) -> None:
+def test_many_threads_may_ask_at_once(stage):
     ask: Callable[[int], dict[str, Any]] = lambda _: stage.do("status")  # noqa: E731
     with ThreadPoolExecutor(8) as pool:
         answers = list(pool.map(ask, range(40)))

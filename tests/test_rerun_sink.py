@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -37,7 +36,7 @@ def tick(number: int) -> Tick:
 
 
 @pytest.mark.skipif(not HERE, reason="rerun-sdk is not installed")
-def test_a_file_holds_hands_and_joints_on_the_loops_clock(tmp_path: Path) -> None:
+def test_a_file_holds_hands_and_joints_on_the_loops_clock(tmp_path):
     from rerun import recording
 
     hand = load_hand("mimic_p050")
@@ -74,7 +73,7 @@ def test_a_file_holds_hands_and_joints_on_the_loops_clock(tmp_path: Path) -> Non
     assert values("right/events", "TextLog:text") == [["tracking"]]
 
 
-def test_what_rerun_is_to_write_to_is_checked() -> None:
+def test_what_rerun_is_to_write_to_is_checked():
     assert build_sink("rerun").label == "rerun rerun+http://127.0.0.1:9876/proxy"
     assert build_sink("rerun:take.rrd").observes
     with pytest.raises(ConfigError, match=r"NAME\.rrd, not 'take\.mcap'"):

@@ -16,9 +16,8 @@ from smooth_operator.errors import ConfigError
 from smooth_operator.hands.capsules import capsule_pairs
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.methods.presets import SMOOTH_PRECISE
 from smooth_operator.methods.retargeter import Retargeter
-from smooth_operator.methods.smooth import SmoothConfig
+from smooth_operator.methods.smooth import SMOOTH_PRECISE, SmoothConfig
 from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.keyvectors import KeyvectorLayout
 from smooth_operator.objective.rest_pose import RestPose, RestPoseConfig
@@ -48,7 +47,7 @@ def rest_of(
 
 
 @pytest.mark.parametrize("name", ["mimic_p050", "leap_hand", "inspire_hand"])
-def test_where_fingertips_are_right_the_pull_moves_none(name: str) -> None:
+def test_where_fingertips_are_right_the_pull_moves_none(name):
     hand = load_hand(name)
     config = RestPoseConfig(segment=0.0)
     with float64():
@@ -72,7 +71,7 @@ def turn(points: np.ndarray, others: np.ndarray) -> float:
     return float(np.linalg.norm(first / np.linalg.norm(first) - second / np.linalg.norm(second)))
 
 
-def test_a_free_thumb_turns_as_the_human_does() -> None:
+def test_a_free_thumb_turns_as_the_human_does():
     """The thumb of the mimic hand has a joint more than its tip needs."""
     hand = load_hand("mimic_p050")
     rng = np.random.default_rng(2)
@@ -90,7 +89,7 @@ def test_a_free_thumb_turns_as_the_human_does() -> None:
         assert better >= 7
 
 
-def test_a_landmark_that_is_not_known_leaves_its_finger_to_the_neutral_pose() -> None:
+def test_a_landmark_that_is_not_known_leaves_its_finger_to_the_neutral_pose():
     hand = load_hand("mimic_p050")
     q = hand.neutral + 0.2
     shown = human_landmarks(hand, q[None])[0]
@@ -100,14 +99,14 @@ def test_a_landmark_that_is_not_known_leaves_its_finger_to_the_neutral_pose() ->
     assert np.isfinite(rest.pose).all()
 
 
-def test_the_neutral_pose_term_takes_the_goals_pose() -> None:
+def test_the_neutral_pose_term_takes_the_goals_pose():
     term = NeutralPose(0.5, np.zeros(2))
     goal = FrameGoal(np.zeros((0, 3)), np.zeros(0), np.zeros(2), 0.0)
     assert term.cost(np.array([1.0, 0.0]), goal) == 0.5
     assert term.cost(np.array([1.0, 0.0]), goal._replace(rest=np.array([1.0, 0.0]))) == 0.0
 
 
-def test_the_cost_of_positions_is_stiff_near_and_bounded_far() -> None:
+def test_the_cost_of_positions_is_stiff_near_and_bounded_far():
     hand = load_hand("mimic_p050")
     config = FingertipPositionConfig(weight=40.0, width=0.004)
     vectors = RobotVectors(hand, KeyvectorLayout(hand.fingers))
@@ -133,7 +132,7 @@ def test_the_cost_of_positions_is_stiff_near_and_bounded_far() -> None:
             np.testing.assert_allclose(cost(error)[1][1, 0], slope, rtol=1e-5)
 
 
-def test_thumb_and_finger_may_grip_where_they_are_where_the_humans_are() -> None:
+def test_thumb_and_finger_may_grip_where_they_are_where_the_humans_are():
     hand = load_hand("mimic_p050")
     pairs, term = capsule_pairs(hand), SelfCollision(hand, SelfCollisionConfig())
     goal = FrameGoal(np.zeros((0, 3)), np.zeros(0), np.zeros(2), 0.0)
@@ -170,14 +169,14 @@ def reaching_error(config: SmoothConfig) -> float:
     return float(off[100:].mean())
 
 
-def test_what_the_hand_can_reach_is_reached() -> None:
+def test_what_the_hand_can_reach_is_reached():
     """Of ``precise``, whose targets are the human's fingertips; the default's differ from them by
     what a thumb's bones differ from their mean."""
     assert reaching_error(SMOOTH_PRECISE) < 0.5e-3
 
 
 @pytest.mark.weekly
-def test_without_rest_pose_and_positions_it_is_not_reached() -> None:
+def test_without_rest_pose_and_positions_it_is_not_reached():
     bare = replace(
         SMOOTH_PRECISE,
         rest_pose=RestPoseConfig(reach=0.0),
@@ -197,12 +196,12 @@ def test_without_rest_pose_and_positions_it_is_not_reached() -> None:
         lambda: SelfCollisionConfig(grip=-0.001),
     ],
 )
-def test_settings_are_checked(bad) -> None:
+def test_settings_are_checked(bad):
     with pytest.raises(ConfigError):
         bad()
 
 
-def test_the_pull_is_traced_once_for_any_frame() -> None:
+def test_the_pull_is_traced_once_for_any_frame():
     hand = load_hand("leap_hand")
     rest = RestPose(hand, RestPoseConfig())
     points = human_landmarks(hand, hand.neutral[None])[0]

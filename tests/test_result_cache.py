@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +24,7 @@ from smooth_operator.result_cache import (
 
 
 @pytest.fixture
-def home(tmp_path: Path) -> Path:
+def home(tmp_path) -> Path:
     """A package of three modules and a package."""
     folder = tmp_path / "toy"
     (folder / "c").mkdir(parents=True)
@@ -41,7 +41,7 @@ def changed(path: Path) -> Path:
     return path
 
 
-def test_a_digest_changes_with_a_file_below_a_folder(home: Path) -> None:
+def test_a_digest_changes_with_a_file_below_a_folder(home):
     before = code_digest("a.py", "c", home=home)
     changed(home / "d.py")
     (home / "c" / "left.pyc").write_bytes(b"compiled")
@@ -50,7 +50,7 @@ def test_a_digest_changes_with_a_file_below_a_folder(home: Path) -> None:
     assert code_digest("a.py", "c", home=home) != before
 
 
-def test_a_digest_refuses_a_path_that_does_not_exist(home: Path) -> None:
+def test_a_digest_refuses_a_path_that_does_not_exist(home):
     with pytest.raises(FileNotFoundError, match=r"'moved' is not in the package 'toy'"):
         code_digest("a.py", "moved", home=home)
 
@@ -58,7 +58,7 @@ def test_a_digest_refuses_a_path_that_does_not_exist(home: Path) -> None:
 VALUE = {"x": [1.5]}
 
 
-def test_a_result_is_found_by_key_and_code(tmp_path: Path) -> None:
+def test_a_result_is_found_by_key_and_code(tmp_path):
     notes: list[str] = []
     cache = ResultCache(tmp_path / "results", notes.append)
     assert cache.find("one", {"seed": 1}, "code") is None
@@ -78,9 +78,7 @@ def test_a_result_is_found_by_key_and_code(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "damage", [lambda text: text[: len(text) // 2], lambda text: b"", lambda text: b"[1]"]
 )
-def test_a_damaged_result_is_ignored_with_a_note(
-    tmp_path: Path, damage: Callable[[bytes], bytes]
-) -> None:
+def test_a_damaged_result_is_ignored_with_a_note(tmp_path, damage):
     notes: list[str] = []
     cache = ResultCache(tmp_path, notes.append)
     cache.keep("one", "key", "code", VALUE)
@@ -94,7 +92,7 @@ def test_a_damaged_result_is_ignored_with_a_note(
     assert cache.find("one", "key", "code") is not None
 
 
-def test_a_folder_that_cannot_be_made_is_an_output_error(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_made_is_an_output_error(tmp_path):
     (tmp_path / "file").write_text("mine")
     with pytest.raises(OutputError):
         ResultCache(tmp_path / "file")
@@ -106,7 +104,7 @@ def _write_often(folder: Path) -> None:
         cache.keep("shared", "key", "code", {"x": list(range(500))})
 
 
-def test_processes_that_share_a_folder_leave_whole_results(tmp_path: Path) -> None:
+def test_processes_that_share_a_folder_leave_whole_results(tmp_path):
     context = multiprocessing.get_context("spawn")
     writers = [context.Process(target=_write_often, args=(tmp_path,)) for _ in range(2)]
     for writer in writers:
@@ -126,7 +124,7 @@ def test_processes_that_share_a_folder_leave_whole_results(tmp_path: Path) -> No
 # -- the log --------------------------------------------------------------------------------------
 
 
-def test_a_log_goes_on_after_half_a_line(tmp_path: Path) -> None:
+def test_a_log_goes_on_after_half_a_line(tmp_path):
     path = tmp_path / "log.jsonl"
     log = ResultLog(path)
     log.keep("", {"a": 1}, "code", {"x": 1})
@@ -138,7 +136,7 @@ def test_a_log_goes_on_after_half_a_line(tmp_path: Path) -> None:
     assert [again.find("", {"a": n}, "code") for n in (1, 2, 3)] == [{"x": 1}, {"x": 2}, None]
 
 
-def test_a_log_says_what_it_does_not_use(tmp_path: Path) -> None:
+def test_a_log_says_what_it_does_not_use(tmp_path):
     path = tmp_path / "log.jsonl"
     ResultLog(path).keep("", "key", "code", {"x": 1})
     with path.open("ab") as file:
@@ -166,7 +164,7 @@ def jobs(numbers: Sequence[int]) -> list[Job[int]]:
     return [Job(f"n{n}", {"n": n}, "code", n, str(n), effort=n) for n in numbers]
 
 
-def test_only_missing_jobs_are_computed_and_failures_are_tried_again(tmp_path: Path) -> None:
+def test_only_missing_jobs_are_computed_and_failures_are_tried_again(tmp_path):
     begun: list[int] = []
 
     def execute(tasks: Sequence[int]) -> Iterator[TaskResult[int]]:
@@ -190,7 +188,7 @@ def test_only_missing_jobs_are_computed_and_failures_are_tried_again(tmp_path: P
     assert (second[2].value, second[2].fresh) == (4, False)
 
 
-def test_what_is_done_is_kept_when_a_run_is_stopped(tmp_path: Path) -> None:
+def test_what_is_done_is_kept_when_a_run_is_stopped(tmp_path):
     def execute(tasks: Sequence[int]) -> Iterator[TaskResult[int]]:
         return run_tasks(square, tasks, workers=0)
 

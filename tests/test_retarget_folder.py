@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import os
 import shutil
@@ -18,7 +19,6 @@ import numpy as np
 import pytest
 
 from smooth_operator import Retargeter
-from smooth_operator.cli import main
 from smooth_operator.compilation.batching import BLOCK
 from smooth_operator.errors import ConfigError, OutputError, RecordingError, UnknownNameError
 from smooth_operator.formats.commands import read_commands
@@ -66,7 +66,7 @@ def save(path: Path, recording: HandRecording) -> Path:
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory) -> Path:
     """Five recordings, one with lost frames."""
     at = tmp_path_factory.mktemp("data") / "recordings"
     for seed, (name, frames) in enumerate(FRAMES.items()):
@@ -91,7 +91,7 @@ def contents(output: Path) -> Bytes:
 
 
 @pytest.fixture(scope="module")
-def expected(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Bytes:
+def expected(folder, tmp_path_factory) -> Bytes:
     """What one process makes of the folder, undisturbed."""
     output = tmp_path_factory.mktemp("once") / "out"
     _, entries = do(folder, output)
@@ -104,7 +104,7 @@ def expected(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Bytes:
 # Bytes.
 
 
-def test_a_result_is_that_of_the_library(folder: Path, expected: Bytes) -> None:
+def test_a_result_is_that_of_the_library(folder, expected):
     """Of a batch to the last bit, whatever else is in it; of a frame after a frame but for
     rounding."""
     retargeter = Retargeter(config=TINY, seed=3)
@@ -130,7 +130,7 @@ def test_a_result_is_that_of_the_library(folder: Path, expected: Bytes) -> None:
 
 
 @pytest.mark.weekly
-def test_with_the_default_method_too(tmp_path: Path) -> None:
+def test_with_the_default_method_too(tmp_path):
     """Of two recordings by one retargeter, neither leaves anything to the other."""
     for seed, frames in enumerate((BLOCK + 9, 30)):
         save(tmp_path / "in" / f"{seed}.npz", hand(frames, seed))
@@ -146,7 +146,7 @@ def test_with_the_default_method_too(tmp_path: Path) -> None:
         assert (commands.status == Status.OK).all()
 
 
-def test_the_longest_is_begun_first(folder: Path, tmp_path: Path) -> None:
+def test_the_longest_is_begun_first(folder, tmp_path):
     names = [job.found.name for job in survey(folder, tmp_path / "out", ASKED).jobs]
     assert names == ["b.npz", "deep/er/d.npz", "deep/c.npz", "a.npz", "e.npz"]
 
@@ -168,9 +168,7 @@ def killed_once(group: Sequence[Job]) -> tuple[Entry, ...]:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGKILL")
-def test_a_killed_worker_loses_nothing(
-    folder: Path, expected: Bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_killed_worker_loses_nothing(folder, expected, tmp_path, monkeypatch):
     monkeypatch.setattr(pipeline, "MOST", 1)  # each recording is a task
     monkeypatch.setattr(pipeline, "retarget_group", killed_once)
     todo = survey(folder, tmp_path / "out", ASKED)
@@ -207,14 +205,13 @@ if __name__ == "__main__":
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGKILL")
-def test_a_killed_run_is_resumed(folder: Path, expected: Bytes, tmp_path: Path) -> None:
+def test_a_killed_run_is_resumed(folder, expected, tmp_path):
     script, output = tmp_path / "run.py", tmp_path / "out"
     script.write_text(RUN, encoding="utf-8")
     tests = str(Path(__file__).parent)
     with subprocess.Popen(
         [sys.executable, str(script), tests, str(folder), str(output)], stdout=subprocess.PIPE
     ) as process:
-        assert process.stdout is not None
         assert process.stdout.readline()  # one is done, and then
         process.kill()
     before = -1
@@ -237,7 +234,7 @@ def test_a_killed_run_is_resumed(folder: Path, expected: Bytes, tmp_path: Path) 
 
 
 @pytest.mark.weekly
-def test_ray_makes_the_same_bytes(folder: Path, expected: Bytes, tmp_path: Path) -> None:
+def test_ray_makes_the_same_bytes(folder, expected, tmp_path):
     pytest.importorskip("ray", reason="needs ray: in the clone, pip install '.[cluster]'")
     todo = survey(folder, tmp_path / "out", ASKED)
     entries = list(retarget_all(todo.jobs, workers=1, cluster="local"))
@@ -249,7 +246,7 @@ def test_ray_makes_the_same_bytes(folder: Path, expected: Bytes, tmp_path: Path)
 
 
 @pytest.fixture
-def copy(folder: Path, expected: Bytes, tmp_path: Path) -> tuple[Path, Path]:
+def copy(folder, expected, tmp_path) -> tuple[Path, Path]:
     """Folders of recordings and of finished results, to be changed."""
     recordings, output = tmp_path / "in", tmp_path / "out"
     shutil.copytree(folder, recordings)  # with the dates
@@ -263,7 +260,7 @@ def left(recordings: Path, output: Path, asked: RetargetRequest = ASKED, **more:
     return {job.found.name for job in survey(recordings, output, asked, **more).jobs}
 
 
-def test_what_is_finished_is_kept(copy: tuple[Path, Path]) -> None:
+def test_what_is_finished_is_kept(copy):
     recordings, output = copy
     todo = survey(recordings, output, ASKED)
     assert todo.jobs == []
@@ -288,7 +285,7 @@ def test_what_is_finished_is_kept(copy: tuple[Path, Path]) -> None:
         {"config": replace(TINY, settle_rounds=2)},
     ],
 )
-def test_another_request_is_another_result(copy: tuple[Path, Path], change: dict[str, Any]) -> None:
+def test_another_request_is_another_result(copy, change):
     todo = survey(*copy, replace(ASKED, **change))
     assert len(todo.jobs) == todo.remade == len(FRAMES)
 
@@ -312,9 +309,7 @@ def damage(path: Path) -> None:
     ],
     ids=["new recording", "a bit", "no result", "no json", "empty", "another's", "version"],
 )
-def test_only_what_is_whole_and_its_own_is_kept(
-    copy: tuple[Path, Path], spoil: Callable[[Path, Path], object], expected: Bytes
-) -> None:
+def test_only_what_is_whole_and_its_own_is_kept(copy, spoil, expected):
     recordings, output = copy
     spoil(recordings, output)
     assert left(recordings, output) == {"a.npz"}
@@ -326,7 +321,7 @@ def new_version(path: Path) -> None:
     path.write_text(json.dumps(config), encoding="utf-8")
 
 
-def test_two_runs_do_not_meet(tmp_path: Path) -> None:
+def test_two_runs_do_not_meet(tmp_path):
     pytest.importorskip("fcntl")
     with claimed(tmp_path):
         other = pytest.raises(OutputError, match="another run is writing there")
@@ -340,7 +335,7 @@ def test_two_runs_do_not_meet(tmp_path: Path) -> None:
 # What counts as a recording.
 
 
-def test_what_is_found(tmp_path: Path, expected: Bytes) -> None:
+def test_what_is_found(tmp_path, expected):
     save(tmp_path / "glove.npz", hand(5))
     np.save(tmp_path / "plain.npy", hand(7).landmarks)
     with LogWriter(tmp_path / "run.mcap") as log:
@@ -362,7 +357,7 @@ def test_what_is_found(tmp_path: Path, expected: Bytes) -> None:
     assert commands == 1
 
 
-def test_refused_before_any_work(tmp_path: Path) -> None:
+def test_refused_before_any_work(tmp_path):
     recordings, output = tmp_path / "in", tmp_path / "out"
     one = save(recordings / "one.npz", hand(3))
     shutil.copy(one, recordings / "one.npy")
@@ -387,7 +382,7 @@ def test_refused_before_any_work(tmp_path: Path) -> None:
             survey(recordings, there, ASKED)
 
 
-def test_a_request_is_checked_once_and_not_per_recording() -> None:
+def test_a_request_is_checked_once_and_not_per_recording():
     assert checked(make_request(preset="teleop")) == make_request()
     with pytest.raises(UnknownNameError, match="unknown hand"):
         checked(make_request(hand="foot"))
@@ -402,20 +397,12 @@ def test_a_request_is_checked_once_and_not_per_recording() -> None:
 
 
 @pytest.fixture
-def run(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Run:
+def run(run, monkeypatch) -> Run:
     monkeypatch.setitem(PRESETS["sbr"], "tiny", TINY)
-
-    def call(*arguments: object) -> tuple[int, str, str]:
-        capfd.readouterr()
-        status = main([str(argument) for argument in ("retarget", *arguments)])
-        return status, *capfd.readouterr()
-
-    return call
+    return functools.partial(run, "retarget")
 
 
-def test_the_command_retargets_a_folder_and_says_what_failed(
-    run: Run, folder: Path, expected: Bytes, tmp_path: Path
-) -> None:
+def test_the_command_retargets_a_folder_and_says_what_failed(run, folder, expected, tmp_path):
     recordings, output = tmp_path / "in", tmp_path / "new" / "out"
     shutil.copytree(folder, recordings)
     (recordings / "deep" / "[bold]empty.npz").write_bytes(b"")
@@ -458,7 +445,7 @@ def test_the_command_retargets_a_folder_and_says_what_failed(
     assert "0 recordings to retarget, 7 done already" in err
 
 
-def test_what_the_command_refuses(run: Run, folder: Path, tmp_path: Path) -> None:
+def test_what_the_command_refuses(run, folder, tmp_path):
     empty = tmp_path / "empty"
     empty.mkdir()
     output = tmp_path / "out"
@@ -483,7 +470,7 @@ def test_what_the_command_refuses(run: Run, folder: Path, tmp_path: Path) -> Non
 
 
 @pytest.mark.shared
-def test_real_recordings(run: Run, shared: Path, tmp_path: Path) -> None:
+def test_real_recordings(run, shared, tmp_path):
     status, out, err = run(
         *(shared / "recordings", "--output", tmp_path / "out", *TINY_SBR),
         *("--rate", 30, "--frames", ":200", "--workers", 0, "--json"),

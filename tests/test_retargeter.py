@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import jax
 import numpy as np
@@ -103,9 +102,7 @@ def frames() -> np.ndarray:
 # State
 
 
-def test_the_same_seed_and_frames_give_the_same_commands(
-    fresh: Retargeter, frames: np.ndarray
-) -> None:
+def test_the_same_seed_and_frames_give_the_same_commands(fresh, frames):
     first, again = positions(play(fresh, frames)), positions(play(fresh, frames))
     np.testing.assert_array_equal(first, again)
     state, others = fresh.init(seed=1), []
@@ -115,14 +112,12 @@ def test_the_same_seed_and_frames_give_the_same_commands(
     assert (positions(others) != first).any(axis=1).all()
 
 
-def test_a_new_retargeter_gives_the_same_commands(fresh: Retargeter, frames: np.ndarray) -> None:
+def test_a_new_retargeter_gives_the_same_commands(fresh, frames):
     twin = Retargeter(load_hand(), config=FRESH, rate=100.0)
     np.testing.assert_array_equal(positions(play(twin, frames)), positions(play(fresh, frames)))
 
 
-def test_reset_restores_everything_and_never_recompiles(
-    fresh: Retargeter, frames: np.ndarray, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_reset_restores_everything_and_never_recompiles(fresh, frames, monkeypatch):
     fresh.warm_up()
 
     def traced_again(*_: object) -> None:
@@ -148,7 +143,7 @@ def test_reset_restores_everything_and_never_recompiles(
         Retargeter(config=replace(FRESH, settle_rounds=7)).warm_up()
 
 
-def test_a_step_changes_nothing_but_what_it_returns(fresh: Retargeter, frames: np.ndarray) -> None:
+def test_a_step_changes_nothing_but_what_it_returns(fresh, frames):
     state = fresh.init()
     for frame in frames[:3]:
         state, _ = fresh.step(state, frame)
@@ -164,7 +159,7 @@ def test_a_step_changes_nothing_but_what_it_returns(fresh: Retargeter, frames: n
     assert not leaves_equal(state, one_state)
 
 
-def test_warming_up_leaves_the_state_alone(fresh: Retargeter, frames: np.ndarray) -> None:
+def test_warming_up_leaves_the_state_alone(fresh, frames):
     fresh.reset()
     fresh(frames[0])
     before = fresh._state
@@ -172,7 +167,7 @@ def test_warming_up_leaves_the_state_alone(fresh: Retargeter, frames: np.ndarray
     assert leaves_equal(fresh._state, before)
 
 
-def test_a_run_is_what_a_loop_gives(fresh: Retargeter, frames: np.ndarray) -> None:
+def test_a_run_is_what_a_loop_gives(fresh, frames):
     landmarks = frames.copy()
     landmarks[7] = np.nan
     stamps = np.arange(len(frames)) / 60
@@ -249,9 +244,7 @@ BAD = {
 @pytest.mark.filterwarnings("ignore:overflow encountered in cast:RuntimeWarning")
 @pytest.mark.parametrize(("how", "status"), BAD.items())
 @pytest.mark.parametrize("kind", ["fresh", "realtime", "usual"])
-def test_a_bad_frame_never_taints_the_next(
-    kind: str, request: pytest.FixtureRequest, frames: np.ndarray, how: str, status: Status
-) -> None:
+def test_a_bad_frame_never_taints_the_next(kind, request, frames, how, status):
     retargeter: Retargeter = request.getfixturevalue(kind)
     at = 13  # amid the pinch
     good = [stamped(frames[i], i / 100) for i in range(5, 20)]
@@ -268,9 +261,7 @@ def test_a_bad_frame_never_taints_the_next(
 
 
 @pytest.mark.parametrize("how", ["all nan", "collinear"])
-def test_before_the_first_good_frame_the_hand_is_neutral(
-    usual: Retargeter, frames: np.ndarray, how: str
-) -> None:
+def test_before_the_first_good_frame_the_hand_is_neutral(usual, frames, how):
     state, result = usual.step(usual.init(), spoiled(frames[0], how))
     assert result.status != Status.OK
     hand = usual.hand
@@ -281,9 +272,7 @@ def test_before_the_first_good_frame_the_hand_is_neutral(
     assert leaves_equal(replace(state, stamp=None), usual.init())
 
 
-def test_landmarks_that_are_not_needed_may_be_missing(
-    usual: Retargeter, frames: np.ndarray
-) -> None:
+def test_landmarks_that_are_not_needed_may_be_missing(usual, frames):
     method = usual.method
     needed = {*method.needs, *usual.hand.align_indices}
     used = {*needed, *method.optional_landmarks}
@@ -297,9 +286,7 @@ def test_landmarks_that_are_not_needed_may_be_missing(
     assert np.isfinite(positions(play(usual, partial))).all()
 
 
-def test_nonsense_gives_finite_commands_within_the_limits(
-    usual: Retargeter, frames: np.ndarray
-) -> None:
+def test_nonsense_gives_finite_commands_within_the_limits(usual, frames):
     rng = np.random.default_rng(0)
     limits = usual.hand.joint_limits
     nonsense = [spoiled(frames[0], "huge"), *rng.normal(0, 10, (10, 21, 3)),
@@ -312,9 +299,7 @@ def test_nonsense_gives_finite_commands_within_the_limits(
 
 
 @pytest.mark.parametrize("kind", ["fresh", "realtime", "usual"])
-def test_commands_are_within_the_limits(
-    kind: str, request: pytest.FixtureRequest, frames: np.ndarray
-) -> None:
+def test_commands_are_within_the_limits(kind, request, frames):
     retargeter: Retargeter = request.getfixturevalue(kind)
     limits = retargeter.hand.joint_limits
     exaggerated = frames.copy()  # fingers that no robot of this size can follow
@@ -339,7 +324,7 @@ def test_commands_are_within_the_limits(
 # What is no hand
 
 
-def test_a_call_notices_units_order_and_side(usual: Retargeter) -> None:
+def test_a_call_notices_units_order_and_side(usual):
     landmarks = SyntheticOperator(seed=1).record(2.0).landmarks
     usual.reset()
     first = usual(landmarks[0])
@@ -364,7 +349,7 @@ def test_a_call_notices_units_order_and_side(usual: Retargeter) -> None:
 
 
 @pytest.mark.parametrize("size", [0.6, 1.0, 1.25])
-def test_hands_of_all_sizes_are_hands(usual: Retargeter, size: float) -> None:
+def test_hands_of_all_sizes_are_hands(usual, size):
     usual.reset()
     for points in size * SyntheticOperator(seed=2).record(0.5).landmarks:
         assert usual(points).status == Status.OK
@@ -372,7 +357,7 @@ def test_hands_of_all_sizes_are_hands(usual: Retargeter, size: float) -> None:
 
 
 @pytest.mark.parametrize("name", hand_names())
-def test_a_robots_own_landmarks_are_plausible(name: str) -> None:
+def test_a_robots_own_landmarks_are_plausible(name):
     hand = load_hand(name)
     poses = np.vstack([hand.neutral, limited_poses(np.random.default_rng(0), hand.limits, 40)])
     landmarks = human_landmarks(hand, poses)
@@ -383,17 +368,17 @@ def test_a_robots_own_landmarks_are_plausible(name: str) -> None:
 
 
 @pytest.mark.parametrize("shape", [(20, 3), (21, 2), (63,), (1, 21, 3), (25, 3)])
-def test_landmarks_of_another_shape_are_refused(fresh: Retargeter, shape: tuple[int, ...]) -> None:
+def test_landmarks_of_another_shape_are_refused(fresh, shape):
     with pytest.raises(RecordingError, match=r"must have shape \(21, 3\)"):
         fresh(np.zeros(shape))
 
 
-def test_the_other_hand_is_refused(fresh: Retargeter, frames: np.ndarray) -> None:
+def test_the_other_hand_is_refused(fresh, frames):
     with pytest.raises(ConfigError, match="a left human hand can't drive the right hand"):
         fresh(HandFrame(frames[0], side="left"))
 
 
-def test_unknown_names_are_refused() -> None:
+def test_unknown_names_are_refused():
     with pytest.raises(UnknownNameError, match=r"unknown method 'sbrr'. Did you mean 'sbr'\?"):
         Retargeter(method="sbrr")
     with pytest.raises(UnknownNameError, match=r"unknown preset.*'fast'.*paper, realtime\.$"):
@@ -406,7 +391,7 @@ def test_unknown_names_are_refused() -> None:
         Retargeter(side="both")
 
 
-def test_settings_are_checked() -> None:
+def test_settings_are_checked():
     with pytest.raises(ConfigError, match="settle_rounds must be 1 or more"):
         SbrConfig(settle_rounds=0)
     for scale in (0.0, -1.0, 50.0):
@@ -417,20 +402,20 @@ def test_settings_are_checked() -> None:
 # Presets
 
 
-def test_who_names_no_method_gets_the_default_one(usual: Retargeter) -> None:
+def test_who_names_no_method_gets_the_default_one(usual):
     assert DEFAULT_METHOD == "smooth"
     assert usual.config is method_config() is method_config(DEFAULT_METHOD, "teleop")
     assert make_request().method == Retarget.method == Teleop.method == DEFAULT_METHOD
     assert (make_request().preset, make_request().config) == ("teleop", usual.config)
 
 
-def test_a_configuration_in_the_place_of_a_name_is_refused() -> None:
+def test_a_configuration_in_the_place_of_a_name_is_refused():
     for arguments in ({"method": SmoothConfig()}, {"preset": SmoothConfig()}):
         with pytest.raises(ConfigError, match=r"must be names.*config="):
-            Retargeter(**arguments)  # type: ignore[arg-type]
+            Retargeter(**arguments)
 
 
-def test_presets() -> None:
+def test_presets():
     assert "sbr" in method_names()
     assert next(iter(PRESETS["sbr"])) == "realtime"
     assert method_config("sbr") is method_config("sbr", "realtime")
@@ -446,9 +431,7 @@ def test_presets() -> None:
     )
 
 
-def test_settling_starts_where_the_operator_is(
-    realtime: Retargeter, fresh: Retargeter, frames: np.ndarray
-) -> None:
+def test_settling_starts_where_the_operator_is(realtime, fresh, frames):
     """The first command should be near the one after a second of the same frame."""
     settled = positions(play(realtime, [frames[0]] * 60))
     creeping = positions(play(fresh, [frames[0]] * 60))
@@ -459,9 +442,7 @@ def test_settling_starts_where_the_operator_is(
 # Geometry of the task
 
 
-def test_turning_moving_and_scaling_the_human_hand_changes_nothing(
-    usual: Retargeter, frames: np.ndarray
-) -> None:
+def test_turning_moving_and_scaling_the_human_hand_changes_nothing(usual, frames):
     rng = np.random.default_rng(1)
     config = usual.config
     assert isinstance(config, SmoothConfig)
@@ -477,7 +458,7 @@ def test_turning_moving_and_scaling_the_human_hand_changes_nothing(
     np.testing.assert_allclose([r.scale for r in other], 1 / 1.15 / 0.9, rtol=1e-4)
 
 
-def test_turning_and_moving_a_hand_of_a_natural_speed_changes_little(usual: Retargeter) -> None:
+def test_turning_and_moving_a_hand_of_a_natural_speed_changes_little(usual):
     """Where six Newton steps end before the minimum, rounding of the input decides where."""
     frames = motion(load_hand(), 300)
     plain = play(usual, frames)
@@ -488,9 +469,7 @@ def test_turning_and_moving_a_hand_of_a_natural_speed_changes_little(usual: Reta
 
 
 @pytest.mark.parametrize("kind", ["realtime", "usual"])
-def test_the_left_hand_does_what_the_right_does(
-    kind: str, request: pytest.FixtureRequest, frames: np.ndarray
-) -> None:
+def test_the_left_hand_does_what_the_right_does(kind, request, frames):
     right: Retargeter = request.getfixturevalue(kind)
     left = Retargeter(side="left", config=right.config, rate=100.0)
     mirrored = [HandFrame(frame * (-1, 1, 1), side="left") for frame in frames]
@@ -500,7 +479,7 @@ def test_the_left_hand_does_what_the_right_does(
     )
 
 
-def test_the_stamp_is_the_frames(usual: Retargeter, frames: np.ndarray) -> None:
+def test_the_stamp_is_the_frames(usual, frames):
     result = usual(HandFrame(frames[0], stamp=12.5))
     assert result.command.stamp == 12.5
     assert result.command.names == usual.hand.joint_names
@@ -529,18 +508,20 @@ def round_trip(hand: Hand, config: SbrConfig, count: int) -> np.ndarray:
     return np.linalg.norm(miss, axis=-1)
 
 
+@pytest.mark.usefixtures("optimised")
 def test_a_random_pose_comes_back() -> None:
-    miss = round_trip(load_hand(), EXACT, 100).max(axis=1)
+    miss = round_trip(load_hand(), EXACT, 60).max(axis=1)
     assert np.mean(miss < 0.005) >= 0.95
     assert np.median(miss) < 0.001
 
 
+@pytest.mark.usefixtures("optimised")
 def test_a_hand_of_three_fingers() -> None:
     spec = load_hand().spec
     spec = replace(spec, name="tripod", fingers=spec.fingers[:3],
                    align=("thumb", "index", "middle"))  # fmt: skip
     hand = load_hand(spec)
-    miss = round_trip(hand, EXACT, 60).max(axis=1)
+    miss = round_trip(hand, EXACT, 40).max(axis=1)
     assert np.mean(miss < 0.005) >= 0.95
     # the missing fingers' landmarks are not needed: round_trip left them out
 
@@ -548,7 +529,7 @@ def test_a_hand_of_three_fingers() -> None:
 # Alignment of whole recordings
 
 
-def test_recordings_are_aligned_frame_by_frame(frames: np.ndarray) -> None:
+def test_recordings_are_aligned_frame_by_frame(frames):
     hand = load_hand()
     landmarks = frames.copy()
     landmarks[3, 0] = np.nan  # the wrist is not a palm landmark of this hand
@@ -569,7 +550,7 @@ def test_recordings_are_aligned_frame_by_frame(frames: np.ndarray) -> None:
     )  # fmt: skip
 
 
-def test_a_scale_is_calibrated_once(frames: np.ndarray) -> None:
+def test_a_scale_is_calibrated_once(frames):
     hand = load_hand()
     landmarks = frames.copy()
     landmarks[0] = np.nan
@@ -583,14 +564,14 @@ def test_a_scale_is_calibrated_once(frames: np.ndarray) -> None:
         calibrate_scale(recording[:2], hand)
 
 
-def test_a_few_wrong_frames_do_not_move_the_calibrated_scale(frames: np.ndarray) -> None:
+def test_a_few_wrong_frames_do_not_move_the_calibrated_scale(frames):
     landmarks = frames.copy()
     landmarks[::4] *= 3.0  # a tracker that took the hand for one three times as large
     recording = HandRecording(landmarks, np.arange(30.0))
     assert calibrate_scale(recording, load_hand()) == pytest.approx(1 / 1.15, rel=1e-3)
 
 
-def test_two_fingers_are_aligned_by_their_bases_and_the_wrist(tmp_path: Path) -> None:
+def test_two_fingers_are_aligned_by_their_bases_and_the_wrist(tmp_path):
     hand = load_hand(pincer(tmp_path))
     rng = np.random.default_rng(3)
     landmarks = reference_landmarks(hand) @ random_rotations(rng).T / 0.8 + rng.normal(0, 1, 3)
@@ -600,7 +581,7 @@ def test_two_fingers_are_aligned_by_their_bases_and_the_wrist(tmp_path: Path) ->
     np.testing.assert_allclose(fit.apply(landmarks), reference_landmarks(hand), atol=1e-12)
 
 
-def test_published_is_a_preset_of_each_baseline_and_of_sbr() -> None:
+def test_published_is_a_preset_of_each_baseline_and_of_sbr():
     assert method_config("sbr", "published") is method_config("sbr", "paper")
     for method in ("keyvector", "hybrid", "dexpilot", "ako"):
         assert method_config(method, "published") != method_config(method)
@@ -608,7 +589,7 @@ def test_published_is_a_preset_of_each_baseline_and_of_sbr() -> None:
         method_config("joint_angle", "published")
 
 
-def test_the_repr_tells_hand_side_method_and_preset() -> None:
+def test_the_repr_tells_hand_side_method_and_preset():
     named = Retargeter("mimic_p050", side="left", method="joint_angle")
     assert repr(named) == (
         "Retargeter('mimic_p050', side='left', method='joint_angle', preset='default')"

@@ -50,7 +50,7 @@ def read(folder: Path) -> tuple[dict[str, Any], dict[str, np.ndarray], Any]:
     return info, columns, file
 
 
-def test_a_row_is_a_moment_of_lerobots_clock(tmp_path: Path) -> None:
+def test_a_row_is_a_moment_of_lerobots_clock(tmp_path):
     takes = [episode(), episode(1.0)]
     written: list[int] = []
     write_dataset(
@@ -82,7 +82,7 @@ def test_a_row_is_a_moment_of_lerobots_clock(tmp_path: Path) -> None:
     np.testing.assert_allclose(columns["timestamp"], columns["frame_index"] / 30, atol=1e-6)
 
 
-def test_the_wrist_is_left_out_or_written_with_the_robots_keys(tmp_path: Path) -> None:
+def test_the_wrist_is_left_out_or_written_with_the_robots_keys(tmp_path):
     take = episode(wrist=True)
     for name, size in (("robot", 16), ("robot-wrist", 23)):
         write_dataset(tmp_path / name, [lambda: take], columns=name)  # type: ignore[arg-type]
@@ -97,7 +97,7 @@ def test_the_wrist_is_left_out_or_written_with_the_robots_keys(tmp_path: Path) -
     )
 
 
-def test_what_the_columns_need_is_named_where_it_is_lacking(tmp_path: Path) -> None:
+def test_what_the_columns_need_is_named_where_it_is_lacking(tmp_path):
     take = episode()
 
     def refused(value: Episode, words: str, **options: Any) -> None:
@@ -108,7 +108,6 @@ def test_what_the_columns_need_is_named_where_it_is_lacking(tmp_path: Path) -> N
     refused(replace(take, states=None), "measured joints; record it with a sink that measures")
     refused(replace(take, config=None), "name of its robot hand")
     refused(replace(take, config={"hand": "leap_hand", "side": "right"}), "of the hand leap_hand")
-    assert take.states is not None
     blind = replace(take.states, positions=np.full_like(take.states.positions, np.nan))
     refused(replace(take, states=blind), "no measurement")
     with pytest.raises(RecordingError, match="a commanded wrist"):
@@ -117,7 +116,7 @@ def test_what_the_columns_need_is_named_where_it_is_lacking(tmp_path: Path) -> N
         write_dataset(tmp_path / "no", [lambda: take], environment_state=True)
 
 
-def test_convert_asks_for_a_data_set(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_convert_asks_for_a_data_set(tmp_path, capsys):
     from smooth_operator.cli import main
 
     out = str(tmp_path / "x.npz")

@@ -28,7 +28,6 @@ from smooth_operator.errors import (
     SinkError,
     UnknownNameError,
 )
-from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.alignment import reference_landmarks
 from smooth_operator.landmarks import NODE_LAYOUTS
@@ -143,7 +142,7 @@ def of_rosbags(store: Any, message: Message) -> Any:
 
 
 @pytest.mark.parametrize("release", ["ROS2_HUMBLE", "ROS2_JAZZY"])
-def test_bytes_are_those_of_rosbags(release: str) -> None:
+def test_bytes_are_those_of_rosbags(release):
     rosbags = pytest.importorskip("rosbags.typesys", reason="needs rosbags to compare with")
     store = rosbags.get_typestore(rosbags.Stores[release])
     for message in SAMPLES:
@@ -160,7 +159,7 @@ def test_bytes_are_those_of_rosbags(release: str) -> None:
 # --- the sink
 
 
-def test_another_process_gets_joints_mode_and_wrists(peer: Peer, domain: int, hand: Hand) -> None:
+def test_another_process_gets_joints_mode_and_wrists(peer, domain, hand):
     sink = Ros2Sink(domain=domain, human_wrist="/{side}/human", base="panda_link0", **LOCAL)
     for topic, kind in {
         "rt/mimic_p050/right/joint_commands": "JointState",
@@ -217,7 +216,7 @@ def test_another_process_gets_joints_mode_and_wrists(peer: Peer, domain: int, ha
     assert json.dumps(wrist["header"]["stamp"]) in stamps  # wrist and fingers bear one stamp
 
 
-def test_controllers_get_the_actuated_joints_by_their_names(peer: Peer, domain: int) -> None:
+def test_controllers_get_the_actuated_joints_by_their_names(peer, domain):
     hand = load_hand("mimic_p050")
     assert len(hand.actuated) < len(hand.joint_names)
     tick = make_tick(hand, 7)
@@ -271,13 +270,13 @@ class Recorded:
 
 
 @pytest.fixture
-def recorded(monkeypatch: pytest.MonkeyPatch) -> Recorded:
+def recorded(monkeypatch) -> Recorded:
     transport = Recorded()
     monkeypatch.setattr(sink_module, "Transport", lambda endpoint: transport)
     return transport
 
 
-def test_rate_is_the_most_and_a_new_mode_is_never_left_out(hand: Hand, recorded: Recorded) -> None:
+def test_rate_is_the_most_and_a_new_mode_is_never_left_out(hand, recorded):
     link = Ros2Sink("/x", rate=30.0).connect({"right": hand}, {})
     for i in range(100):  # a second at 100 Hz
         link.deliver(make_tick(hand, i, at=50.0 + 0.01 * i))
@@ -308,9 +307,7 @@ ends = [20.0, 240.0]
 """
 
 
-def test_a_table_gives_names_order_and_commands(
-    hand: Hand, recorded: Recorded, tmp_path: Path
-) -> None:
+def test_a_table_gives_names_order_and_commands(hand, recorded, tmp_path):
     index, thumb = hand.joint_names[5], hand.joint_names[1]
     file = tmp_path / "driver_right.toml"
     file.write_text(TABLE.format(index=index, thumb=thumb), encoding="utf-8")
@@ -339,7 +336,7 @@ def test_a_table_gives_names_order_and_commands(
         Ros2Sink(table="x", prefix="r_")
 
 
-def test_the_drivers_of_the_page_get_their_joints_in_their_order(recorded: Recorded) -> None:
+def test_the_drivers_of_the_page_get_their_joints_in_their_order(recorded):
     page = Path(__file__).parents[1] / "docs" / "how-to" / "ros2.md"
     commands = re.findall(r"`--hand (\w+) --sink (.*?)`", page.read_text(encoding="utf-8"))
     sent = {}
@@ -379,7 +376,7 @@ def test_the_drivers_of_the_page_get_their_joints_in_their_order(recorded: Recor
     ]
 
 
-def test_no_wrist_no_message(hand: Hand, recorded: Recorded) -> None:
+def test_no_wrist_no_message(hand, recorded):
     link = Ros2Sink("/x", human_wrist="/h").connect({"right": hand}, {})
     tick = make_tick(hand)
     lost = replace(tick.arrival.frame, T_world_wrist=np.full(7, np.nan), world="headset")
@@ -389,7 +386,7 @@ def test_no_wrist_no_message(hand: Hand, recorded: Recorded) -> None:
     assert len(sent.position) == len(sent.velocity) == len(hand.joint_names)
 
 
-def test_the_arm_and_the_measured_joints_go_along(hand: Hand, recorded: Recorded) -> None:
+def test_the_arm_and_the_measured_joints_go_along(hand, recorded):
     sink = Ros2Sink("/x", rate=10.0, arm="/ur/{side}", arm_message="trajectory")
     link = sink.connect({"right": hand}, {})
     arm = ArmCommand(
@@ -416,7 +413,7 @@ def test_the_arm_and_the_measured_joints_go_along(hand: Hand, recorded: Recorded
     assert len(recorded.sent["/x"]) == 1
 
 
-def test_a_command_that_is_not_finite_is_not_sent(hand: Hand, recorded: Recorded) -> None:
+def test_a_command_that_is_not_finite_is_not_sent(hand, recorded):
     link = Ros2Sink("/x").connect({"right": hand}, {})
     tick = make_tick(hand)
     bad = tick.command.positions.copy()
@@ -426,7 +423,7 @@ def test_a_command_that_is_not_finite_is_not_sent(hand: Hand, recorded: Recorded
     assert recorded.sent["/x"] == []
 
 
-def test_wrong_names_and_settings_say_what_is_expected(hand: Hand, recorded: Recorded) -> None:
+def test_wrong_names_and_settings_say_what_is_expected(hand, recorded):
     with pytest.raises(UnknownNameError, match=r"no_such.*joints= takes all, actuated"):
         Ros2Sink(joints="no_such").connect({"right": hand}, {})
     with pytest.raises(SinkError, match="two hands on one topic"):
@@ -479,9 +476,7 @@ def publish_until(peer: Peer, done: Callable[[], object], *orders: dict[str, Any
 
 
 @pytest.mark.parametrize("reliable", [True, False])
-def test_hands_come_from_another_process_with_the_wrist_in_the_world(
-    peer: Peer, domain: int, reliable: bool
-) -> None:
+def test_hands_come_from_another_process_with_the_wrist_in_the_world(peer, domain, reliable):
     source, mailbox = started(Ros2Source("/{side}/p", side="both", domain=domain, **LOCAL))
     hands = {"right": a_hand("right", 26), "left": a_hand("left", 25)}
     turn = Rotation.from_euler("xyz", [30, -20, 100], degrees=True)
@@ -512,7 +507,7 @@ def test_hands_come_from_another_process_with_the_wrist_in_the_world(
     until(lambda: source.health().state == "ended")
 
 
-def test_wrist_topic_gloves_and_texts(peer: Peer, domain: int) -> None:
+def test_wrist_topic_gloves_and_texts(peer, domain):
     points = a_hand()
     points -= points[0]
     turn = Rotation.from_euler("xyz", [30, -20, 100], degrees=True)
@@ -565,9 +560,7 @@ def test_wrist_topic_gloves_and_texts(peer: Peer, domain: int) -> None:
         source.stop()
 
 
-def test_a_message_that_can_not_be_read_is_counted_and_the_next_is_read(
-    peer: Peer, domain: int
-) -> None:
+def test_a_message_that_can_not_be_read_is_counted_and_the_next_is_read(peer, domain):
     source, mailbox = started(Ros2Source("/x", domain=domain, **LOCAL))
     here = {"domain": domain, "publish": "rt/x"}
     points = a_hand()
@@ -588,7 +581,7 @@ def test_a_message_that_can_not_be_read_is_counted_and_the_next_is_read(
     source.stop()
 
 
-def test_bytes_of_another_type_are_refused_in_one_line(domain: int) -> None:
+def test_bytes_of_another_type_are_refused_in_one_line(domain):
     class Reader:
         def take(self, most: int, condition: Any) -> list[Any]:
             return [ros.PoseArray.deserialize(b"\0\1\0\0\7")]
@@ -600,7 +593,7 @@ def test_bytes_of_another_type_are_refused_in_one_line(domain: int) -> None:
         reader.read("/x", refusal, 1.0)
 
 
-def test_a_wrist_that_is_old_or_unknown_is_not_valid() -> None:
+def test_a_wrist_that_is_old_or_unknown_is_not_valid():
     reader = HandPoseReader({"/x": "right"}, {"/w": "right"}, "wrist", "mediapipe", {})
     points = a_hand()
     array = ros.PoseArray(poses=[ros.Pose(ros.Point(*row)) for row in points.tolist()])
@@ -624,7 +617,7 @@ def test_a_wrist_that_is_old_or_unknown_is_not_valid() -> None:
     assert reading.frame.T_world_wrist is None
 
 
-def test_settings_of_the_source_that_contradict_each_other() -> None:
+def test_settings_of_the_source_that_contradict_each_other():
     for text, words in {
         "ros2:/p,side=both": "put {side} into the topic",
         "ros2:/p,wrist=/w": "give both or none",
@@ -643,9 +636,7 @@ def test_settings_of_the_source_that_contradict_each_other() -> None:
 # --- domain, network and libraries
 
 
-def test_network_and_domain_come_from_the_setting_else_from_ros_variables(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_network_and_domain_come_from_the_setting_else_from_ros_variables(monkeypatch):
     names = ("ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY", "CYCLONEDDS_URI")
     for name in (*names, "ROS_DOMAIN_ID"):
         monkeypatch.delenv(name, raising=False)
@@ -671,7 +662,7 @@ def test_network_and_domain_come_from_the_setting_else_from_ros_variables(
             end.domain_id()
 
 
-def test_one_domain_has_one_network_in_a_process(domain: int) -> None:
+def test_one_domain_has_one_network_in_a_process(domain):
     end = Endpoint("the ros2 sink", SinkError, domain=domain, **LOCAL)  # type: ignore[arg-type]
     first = Transport(end)
     with pytest.raises(ConfigError, match="in use here with network 'localhost'"):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import warnings
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -35,7 +34,7 @@ LOOP = LoopConfig(rate=1 / PERIOD)
 
 
 @pytest.fixture(scope="module")
-def retargeter(hand: Hand) -> Retargeter:
+def retargeter(hand) -> Retargeter:
     built = Retargeter(hand, method="joint_angle")  # the quickest to compile
     built.warm_up()
     return built
@@ -58,7 +57,7 @@ def within(hand: Hand, limits: LimitsConfig, q: np.ndarray, dt: float) -> None:
     assert np.abs(np.diff(every, n=2, axis=0)).max() / dt**2 <= limits.acceleration * (1 + 1e-9)
 
 
-def test_a_step_is_reached_without_overshoot(hand: Hand) -> None:
+def test_a_step_is_reached_without_overshoot(hand):
     limiter = Limiter(hand, LimitsConfig(velocity=5.0, acceleration=200.0))
     target = hand.limits[:, 1].copy()
     start = limiter.q
@@ -73,7 +72,7 @@ def test_a_step_is_reached_without_overshoot(hand: Hand) -> None:
     assert arrived < needed + 5 * PERIOD
 
 
-def test_a_margin_that_leaves_nothing_is_refused(hand: Hand) -> None:
+def test_a_margin_that_leaves_nothing_is_refused(hand):
     with pytest.raises(ConfigError, match="margin"):
         Limiter(hand, LimitsConfig(margin=2.0))
 
@@ -88,7 +87,7 @@ def test_a_margin_that_leaves_nothing_is_refused(hand: Hand) -> None:
         lambda: LoopConfig(rate=0.1),
     ],
 )
-def test_impossible_settings_are_refused(make: Callable[[], object]) -> None:
+def test_impossible_settings_are_refused(make):
     with pytest.raises(ConfigError):
         make()
 
@@ -100,7 +99,7 @@ def arrived(frame: HandFrame, at: float, session: int = 0, **changes: object) ->
     return Arrival(replace(frame, **changes), at, session)  # type: ignore[arg-type]
 
 
-def test_only_newer_frames_count(motion: HandRecording) -> None:
+def test_only_newer_frames_count(motion):
     supervisor, frame = Supervisor(SafetyConfig()), motion[0]
     seen = [(1.0, 0), (1.0, 0), (1.01, 0), (0.9, 0), (1.02, 0), (1.5, 1), (0.1, 1)]
     answers = [
@@ -110,7 +109,7 @@ def test_only_newer_frames_count(motion: HandRecording) -> None:
     assert supervisor.refused == {"a stamp that came before": 1, "out of order": 1}
 
 
-def test_a_frame_that_waited_too_long_is_refused(motion: HandRecording) -> None:
+def test_a_frame_that_waited_too_long_is_refused(motion):
     supervisor = Supervisor(SafetyConfig(stale_s=0.1))
     assert supervisor.admits(arrived(motion[0], 1.0), 1.2) == "too late"
 
@@ -119,7 +118,7 @@ def curl(frame: HandFrame) -> float:
     return finger_curl(frame.landmarks, frame.side)
 
 
-def test_another_hand_and_another_unit_are_refused() -> None:
+def test_another_hand_and_another_unit_are_refused():
     frames = list(SyntheticOperator(seed=1).record(6.0))
     assert all(implausible(frame) is None for frame in frames)
     curled = max(frames, key=curl)
@@ -134,16 +133,14 @@ def test_another_hand_and_another_unit_are_refused() -> None:
 
 
 @pytest.mark.shared
-def test_no_frame_of_a_real_hand_is_implausible(shared: object) -> None:
+def test_no_frame_of_a_real_hand_is_implausible(shared):
     recording = read_recording(
         shared / "recordings" / "manus_right_subject-000_run-010.npz"  # type: ignore[operator]
     )
     assert not [why for frame in recording[::7] if (why := implausible(frame))]
 
 
-def test_every_refusal_is_counted_by_its_reason(
-    retargeter: Retargeter, motion: HandRecording
-) -> None:
+def test_every_refusal_is_counted_by_its_reason(retargeter, motion):
     stage = Stage(retargeter)
     mirrored = [replace(f, landmarks=f.landmarks * [-1.0, 1.0, 1.0]) for f in motion]
     wrong = [f for f in mirrored if implausible(f)]
@@ -158,9 +155,7 @@ def test_every_refusal_is_counted_by_its_reason(
     assert [n for why, n in refused.items() if "metres" in why] == [30]
 
 
-def test_a_session_of_the_other_hand_or_in_another_order_is_refused(
-    retargeter: Retargeter, motion: HandRecording
-) -> None:
+def test_a_session_of_the_other_hand_or_in_another_order_is_refused(retargeter, motion):
     """From its first few frames on, whatever the pose; the next session is judged by itself."""
     mano = np.argsort(LAYOUTS["mano"])
     faults = {
@@ -182,7 +177,7 @@ def test_a_session_of_the_other_hand_or_in_another_order_is_refused(
         assert stage.ticks[-1].mode.moves
 
 
-def test_the_delay_of_a_tracker_with_another_clock(motion: HandRecording) -> None:
+def test_the_delay_of_a_tracker_with_another_clock(motion):
     delay, rng = TrackerDelay(), np.random.default_rng(0)
     extra = rng.exponential(0.004, 500)
     extra[0] = 0.0
@@ -192,7 +187,7 @@ def test_the_delay_of_a_tracker_with_another_clock(motion: HandRecording) -> Non
         assert delay.above_fastest(arrival) == pytest.approx(extra[i], abs=1e-9)
 
 
-def test_the_delay_of_a_recording_that_is_played_slowly(motion: HandRecording) -> None:
+def test_the_delay_of_a_recording_that_is_played_slowly(motion):
     delay = TrackerDelay()
     for i in range(300):  # a tenth of its speed: 30 s
         arrival = Arrival(replace(motion[0], stamp=i * PERIOD), 5.0 + 10 * i * PERIOD, 0, 0.1)
@@ -235,9 +230,7 @@ def modes(ticks: list[Tick]) -> list[Mode]:
     return out
 
 
-def test_silence_holds_then_eases_and_the_return_blends(
-    hand: Hand, retargeter: Retargeter, motion: HandRecording
-) -> None:
+def test_silence_holds_then_eases_and_the_return_blends(hand, retargeter, motion):
     stage, frames = Stage(retargeter), list(motion)
     assert modes(stage.play([None] * 5)) == [Mode.WAITING]
     assert modes(stage.play(frames[:200])) == [Mode.BLENDING, Mode.TRACKING]
@@ -257,7 +250,7 @@ def test_silence_holds_then_eases_and_the_return_blends(
     within(hand, LOOP.limits, stage.q, PERIOD)
 
 
-def test_tracking_is_the_methods_own_answer(retargeter: Retargeter, motion: HandRecording) -> None:
+def test_tracking_is_the_methods_own_answer(retargeter, motion):
     stage, frames = Stage(retargeter), list(motion)
     ticks = stage.play(frames[:300])
     followed = ticks[-1]
@@ -269,15 +262,13 @@ def test_tracking_is_the_methods_own_answer(retargeter: Retargeter, motion: Hand
     assert list(followed.stages) == ["tracker", "receive", "solve", "limit"]
 
 
-def test_on_loss_hold_never_eases(retargeter: Retargeter, motion: HandRecording) -> None:
+def test_on_loss_hold_never_eases(retargeter, motion):
     stage = Stage(retargeter, replace(LOOP, safety=SafetyConfig(on_loss="hold")))
     stage.play(list(motion)[:100])
     assert modes(stage.play([None] * 500)) == [Mode.TRACKING, Mode.HOLDING]
 
 
-def test_a_robot_holds_while_a_method_is_compiled(
-    retargeter: Retargeter, motion: HandRecording
-) -> None:
+def test_a_robot_holds_while_a_method_is_compiled(retargeter, motion):
     stage, frames = Stage(retargeter), list(motion)
     stage.pipeline.hold()
     waiting = stage.play(frames[:50])
@@ -298,7 +289,7 @@ def test_a_robot_holds_while_a_method_is_compiled(
     within(stage.pipeline.retargeter.hand, LOOP.limits, stage.q, PERIOD)
 
 
-def test_useless_frames_are_a_loss(retargeter: Retargeter, motion: HandRecording) -> None:
+def test_useless_frames_are_a_loss(retargeter, motion):
     stage, frames = Stage(retargeter), list(motion)
     stage.play(frames[:100])
     nothing = [replace(f, landmarks=np.full((21, 3), np.nan), valid=None) for f in frames[100:400]]
@@ -308,9 +299,7 @@ def test_useless_frames_are_a_loss(retargeter: Retargeter, motion: HandRecording
     assert "not used" in ticks[0].events[0]
 
 
-def test_the_clutch_holds_and_takes_over_where_the_operator_is(
-    hand: Hand, retargeter: Retargeter, motion: HandRecording
-) -> None:
+def test_the_clutch_holds_and_takes_over_where_the_operator_is(hand, retargeter, motion):
     stage, frames = Stage(retargeter), list(motion)
     stage.play(frames[:100])
     stage.pipeline.supervisor.pause()
@@ -323,9 +312,7 @@ def test_the_clutch_holds_and_takes_over_where_the_operator_is(
     within(hand, LOOP.limits, stage.q, PERIOD)
 
 
-def test_an_emergency_stop_stands_at_once_until_released(
-    retargeter: Retargeter, motion: HandRecording
-) -> None:
+def test_an_emergency_stop_stands_at_once_until_released(retargeter, motion):
     stage, frames = Stage(retargeter), list(motion)
     before = stage.play(frames[:100])[-1]
     stage.pipeline.supervisor.stop()
@@ -341,9 +328,7 @@ def test_an_emergency_stop_stands_at_once_until_released(
 
 
 @pytest.mark.parametrize("switch", ["stop", "pause"])
-def test_a_release_moves_nothing_before_a_frame_comes(
-    retargeter: Retargeter, motion: HandRecording, switch: str
-) -> None:
+def test_a_release_moves_nothing_before_a_frame_comes(retargeter, motion, switch):
     stage, frames = Stage(retargeter), list(motion)
     stage.play(frames[:100])
     getattr(stage.pipeline.supervisor, switch)()
@@ -356,9 +341,7 @@ def test_a_release_moves_nothing_before_a_frame_comes(
     assert modes(stage.play(frames[150:152])) == [Mode.BLENDING]
 
 
-def test_what_a_method_remembers_ends_with_the_loss_of_the_hand(
-    retargeter: Retargeter, motion: HandRecording, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_a_method_remembers_ends_with_the_loss_of_the_hand(retargeter, motion, monkeypatch):
     begun: list[float] = []
     first = retargeter.init
 
@@ -382,9 +365,7 @@ def test_what_a_method_remembers_ends_with_the_loss_of_the_hand(
     assert len(begun) == 2
 
 
-def test_a_blend_goes_half_the_way_in_half_of_its_time(
-    retargeter: Retargeter, motion: HandRecording
-) -> None:
+def test_a_blend_goes_half_the_way_in_half_of_its_time(retargeter, motion):
     stage, frames = Stage(retargeter), list(motion)
     stage.play(frames[:100])
     stage.pipeline.supervisor.pause()
@@ -401,9 +382,7 @@ def test_a_blend_goes_half_the_way_in_half_of_its_time(
         np.testing.assert_allclose(gone, share * way, atol=0.04 * np.abs(way).max())
 
 
-def test_a_short_gap_blends_as_long_as_the_gap(
-    retargeter: Retargeter, motion: HandRecording
-) -> None:
+def test_a_short_gap_blends_as_long_as_the_gap(retargeter, motion):
     stage, frames = Stage(retargeter), list(motion)
     stage.play(frames[:100])
     stage.play([None] * 20)  # 0.2 s
@@ -412,9 +391,7 @@ def test_a_short_gap_blends_as_long_as_the_gap(
     assert blending == pytest.approx(0.21 / PERIOD, abs=2)
 
 
-def test_another_method_takes_over_smoothly(
-    hand: Hand, retargeter: Retargeter, motion: HandRecording
-) -> None:
+def test_another_method_takes_over_smoothly(hand, retargeter, motion):
     stage, frames = Stage(retargeter), list(motion)
     stage.play(frames[:100])
     other = Retargeter(hand, method="geort")
@@ -424,7 +401,7 @@ def test_another_method_takes_over_smoothly(
     within(hand, LOOP.limits, stage.q, PERIOD)
 
 
-def test_the_fault_run_breaks_no_limit(hand: Hand, retargeter: Retargeter) -> None:
+def test_the_fault_run_breaks_no_limit(hand, retargeter):
     """Drop-outs, bursts, NaN, swapped hands, doubled and shuffled stamps, a restarted tracker."""
     rng, stage = np.random.default_rng(7), Stage(retargeter)
     frames = list(SyntheticOperator(seed=9, rate_hz=1 / PERIOD).record(40.0))
@@ -462,7 +439,7 @@ def test_the_fault_run_breaks_no_limit(hand: Hand, retargeter: Retargeter) -> No
 # Statistics
 
 
-def test_what_a_run_came_to(retargeter: Retargeter, motion: HandRecording) -> None:
+def test_what_a_run_came_to(retargeter, motion):
     stage = Stage(retargeter)
     statistics = LoopStatistics(PERIOD)
     for i, tick in enumerate(stage.play([*list(motion)[:50], *[None] * 50])):
@@ -478,7 +455,7 @@ def test_what_a_run_came_to(retargeter: Retargeter, motion: HandRecording) -> No
     assert percentiles([]) == {}
 
 
-def test_times_of_a_long_run_take_no_more_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_times_of_a_long_run_take_no_more_memory(monkeypatch):
     monkeypatch.setattr(run_statistics, "_CAPACITY", 100)
     times = run_statistics._Times()
     assert len(times.newest()) == 0
@@ -492,7 +469,7 @@ def test_times_of_a_long_run_take_no_more_memory(monkeypatch: pytest.MonkeyPatch
     assert times._ring.nbytes == 400
 
 
-def test_numbers_of_any_size_are_refused_without_a_warning(motion: HandRecording) -> None:
+def test_numbers_of_any_size_are_refused_without_a_warning(motion):
     frame = motion[10]
     assert implausible(frame) is None
     with warnings.catch_warnings():

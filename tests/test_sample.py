@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -13,7 +11,7 @@ from smooth_operator.synthetic import SyntheticOperator, TrackerModel
 
 
 @pytest.mark.parametrize("suffix", ["npz", "mcap"])
-def test_the_file_holds_the_operator(tmp_path: Path, suffix: str) -> None:
+def test_the_file_holds_the_operator(tmp_path, suffix):
     path = tmp_path / "new" / f"hand.{suffix}"
     options = ["--seed", "7", "--side", "left", "--rate", "30", "--noise", "1", "--duration", "2"]
     assert main(["sample", str(path), *options, "--landmark-loss", "0.1"]) == 0
@@ -25,7 +23,7 @@ def test_the_file_holds_the_operator(tmp_path: Path, suffix: str) -> None:
     np.testing.assert_allclose(found.stamps, expected.stamps, atol=1e-9)
 
 
-def test_what_can_be_mended_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_can_be_mended_is_said(tmp_path, capsys):
     path = tmp_path / "hand.npz"
     arguments = ["sample", str(path), "--duration", "0.5"]
     assert main(arguments) == 0

@@ -38,9 +38,7 @@ def found_by() -> Callable[[np.ndarray], list[np.ndarray]]:
         np.where(np.arange(MANY) == 7, -np.inf, USUAL),
     ],
 )
-def test_they_are_the_largest(
-    found_by: Callable[[np.ndarray], list[np.ndarray]], values: np.ndarray
-) -> None:
+def test_they_are_the_largest(found_by, values):
     values = values.astype(np.float32)
     best, index = found_by(values)
     np.testing.assert_array_equal(best, np.sort(values)[::-1][:FEW])
@@ -49,14 +47,14 @@ def test_they_are_the_largest(
 
 
 @pytest.mark.parametrize("count", [1000, 4096])
-def test_numbers_without_columns_enough(count: int) -> None:
+def test_numbers_without_columns_enough(count):
     values = USUAL[:count].astype(np.float32)
     best, index = largest(jnp.asarray(values), 100)
     np.testing.assert_array_equal(best, np.sort(values)[::-1][:100])
     np.testing.assert_array_equal(values[np.asarray(index)], best)
 
 
-def test_wide_vectors_change_no_number() -> None:
+def test_wide_vectors_change_no_number():
     """What is set for long loops gives the same bits."""
     values = jnp.asarray(USUAL, jnp.float32)
 

@@ -14,7 +14,7 @@ from smooth_operator.methods.program import shared_program
 from smooth_operator.synthetic import SyntheticOperator
 
 
-def test_the_same_hand_and_settings_share_and_others_do_not() -> None:
+def test_the_same_hand_and_settings_share_and_others_do_not():
     hand, config = load_hand("mimic_p050"), method_config("joint_angle")
     first = shared_program(hand, config)
     assert shared_program(hand, method_config("joint_angle")).run is first.run
@@ -28,14 +28,14 @@ def test_the_same_hand_and_settings_share_and_others_do_not() -> None:
 
 
 @pytest.mark.parametrize(("name", "mirrored"), [("mimic_p050", True), ("shadow_hand", False)])
-def test_a_mirrored_hand_is_served_by_its_mirror_image(name: str, mirrored: bool) -> None:
+def test_a_mirrored_hand_is_served_by_its_mirror_image(name, mirrored):
     config = method_config("joint_angle")
     right, left = (shared_program(load_hand(name, side), config) for side in ("right", "left"))
     assert (right.run is left.run) == mirrored
     assert (right.reflects, left.reflects) == (False, mirrored)
 
 
-def test_mirrored_motion_gives_equal_joints_bit_for_bit() -> None:
+def test_mirrored_motion_gives_equal_joints_bit_for_bit():
     recordings = [SyntheticOperator(seed=3, side=side).record(0.4) for side in ("right", "left")]
     (right, _), (left, _) = (
         Retargeter("mimic_p050", side=recording.side, method="keyvector").run(
@@ -49,7 +49,7 @@ def test_mirrored_motion_gives_equal_joints_bit_for_bit() -> None:
     assert right.joint_names == left.joint_names
 
 
-def test_another_retargeter_of_the_same_hand_compiles_nothing() -> None:
+def test_another_retargeter_of_the_same_hand_compiles_nothing():
     Retargeter("mimic_p050", method="geort", side="right")  # never shared: its file may change
     first = Retargeter("mimic_p050", method="joint_angle", side="left")
     first.warm_up()
@@ -63,7 +63,7 @@ def test_another_retargeter_of_the_same_hand_compiles_nothing() -> None:
     assert [event for event in compiled if "backend_compile" in event]
 
 
-def test_a_fingerprint_is_of_figures_not_of_names() -> None:
+def test_a_fingerprint_is_of_figures_not_of_names():
     hand = load_hand("leap_hand")
     renamed = load_hand(dataclasses.replace(hand.spec, name="other", source="elsewhere"))
     assert fingerprint(renamed) == fingerprint(hand)

@@ -11,7 +11,6 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -107,9 +106,7 @@ TELEOP = (
 
 @posix
 @pytest.mark.parametrize("how", ["closed", "SIGTERM"])
-def test_a_run_ends_with_torque_off_and_a_whole_recording(
-    bank: ServoBank, tmp_path: Path, how: str
-) -> None:
+def test_a_run_ends_with_torque_off_and_a_whole_recording(bank, tmp_path, how):
     log = tmp_path / "take.mcap"
     sinks = ("--sink", f"leap:{bank.path},baud=57600", f"record:{log}")
     terminal = Terminal(*TELEOP, "--no-view", *sinks)
@@ -125,7 +122,7 @@ def test_a_run_ends_with_torque_off_and_a_whole_recording(
 
 @posix
 @pytest.mark.parametrize("how", ["closed", "SIGTERM"])
-def test_a_check_of_a_hand_ends_with_torque_off(bank: ServoBank, how: str) -> None:
+def test_a_check_of_a_hand_ends_with_torque_off(bank, how):
     device = f"leap:{bank.path},baud=57600"
     terminal = Terminal("-m", "smooth_operator", "hardware", "check", device)
     until(lambda: powered(bank) == 16, LONG_S)
@@ -137,7 +134,7 @@ def test_a_check_of_a_hand_ends_with_torque_off(bank: ServoBank, how: str) -> No
 
 @posix
 @pytest.mark.parametrize("how", ["SIGINT", "SIGHUP"])
-def test_a_run_that_has_not_begun_ends_too(bank: ServoBank, tmp_path: Path, how: str) -> None:
+def test_a_run_that_has_not_begun_ends_too(bank, tmp_path, how):
     sink = ("--sink", f"leap:{bank.path},baud=57600")
     waiting = ("--method", "smooth", "--duration", "9", "--no-browser", "--port", "0")
     terminal = Terminal(*TELEOP, *waiting, *sink)
@@ -152,7 +149,7 @@ def test_a_run_that_has_not_begun_ends_too(bank: ServoBank, tmp_path: Path, how:
 
 @posix
 @pytest.mark.parametrize("how", ["SIGINT", "SIGQUIT"])
-def test_a_progress_bar_leaves_the_cursor_and_no_file(tmp_path: Path, how: str) -> None:
+def test_a_progress_bar_leaves_the_cursor_and_no_file(tmp_path, how):
     motion = SyntheticOperator().record(300.0)
     np.savez(tmp_path / "long.npz", landmarks=motion.landmarks, timestamps=motion.stamps)
     command = ("retarget", str(tmp_path / "long.npz"), "--method", "joint_angle")
@@ -186,9 +183,7 @@ sys.exit(program())
 @posix
 @pytest.mark.parametrize("how", ["SIGINT", "SIGTERM"])
 @pytest.mark.parametrize("where", ["smooth_operator.errors", "tyro", "numpy"])
-def test_a_signal_in_the_midst_of_the_imports_is_no_traceback(
-    tmp_path: Path, where: str, how: str
-) -> None:
+def test_a_signal_in_the_midst_of_the_imports_is_no_traceback(tmp_path, where, how):
     (tmp_path / "importing.py").write_text(IMPORTING, encoding="utf-8")
     command = [sys.executable, "-m", "importing", where, how]
     done = subprocess.run(
@@ -198,7 +193,7 @@ def test_a_signal_in_the_midst_of_the_imports_is_no_traceback(
 
 
 @posix
-def test_what_a_program_was_told_to_ignore_stays_ignored() -> None:
+def test_what_a_program_was_told_to_ignore_stays_ignored():
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # as nohup does
     try:
         with ended_by_signals() as ending:
@@ -209,7 +204,7 @@ def test_what_a_program_was_told_to_ignore_stays_ignored() -> None:
 
 
 @pytest.mark.parametrize("number", ENDING)
-def test_the_first_signal_raises_and_those_after_it_do_not(number: signal.Signals) -> None:
+def test_the_first_signal_raises_and_those_after_it_do_not(number):
     before = [signal.getsignal(other) for other in ENDING]
     with ended_by_signals() as ending:
         with pytest.raises(KeyboardInterrupt):
@@ -223,7 +218,7 @@ def test_the_first_signal_raises_and_those_after_it_do_not(number: signal.Signal
     assert [signal.getsignal(other) for other in ENDING] == before
 
 
-def test_a_clean_up_of_an_outer_block_is_not_cut_off_either() -> None:
+def test_a_clean_up_of_an_outer_block_is_not_cut_off_either():
     with ended_by_signals() as outer:
         quits: list[int] = []
         outer.quit = lambda: quits.append(0)
@@ -236,7 +231,7 @@ def test_a_clean_up_of_an_outer_block_is_not_cut_off_either() -> None:
 
 
 @posix
-def test_keys_end_with_their_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_keys_end_with_their_terminal(monkeypatch):
     """Reading a closed terminal returns immediately: the thread would take a whole core."""
     ours, theirs = os.openpty()
     with open(theirs, encoding="utf-8") as stdin:
@@ -249,7 +244,7 @@ def test_keys_end_with_their_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
             assert not thread.is_alive()
 
 
-def test_a_loop_is_asked_to_quit() -> None:
+def test_a_loop_is_asked_to_quit():
     with ended_by_signals() as ending:
         quits: list[int] = []
         ending.quit = lambda: quits.append(1)
@@ -258,7 +253,7 @@ def test_a_loop_is_asked_to_quit() -> None:
         assert quits == [1, 1]
 
 
-def test_another_thread_changes_nothing() -> None:
+def test_another_thread_changes_nothing():
     before = [signal.getsignal(number) for number in ENDING]
     inside: list[Any] = []
 
@@ -273,7 +268,7 @@ def test_another_thread_changes_nothing() -> None:
 
 
 @posix
-def test_a_closed_window_of_windows_is_an_ending_signal(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_closed_window_of_windows_is_an_ending_signal(monkeypatch):
     """With the system's part made up: its handlers, and that it ends the process afterwards."""
     handlers: list[Any] = []
 

@@ -6,7 +6,6 @@ import json
 import time
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -38,17 +37,17 @@ BUILT_IN = [
 
 
 @pytest.fixture(autouse=True)
-def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def elsewhere(tmp_path, monkeypatch) -> None:
     """MuJoCo writes its warnings into the working folder."""
     monkeypatch.chdir(tmp_path)
 
 
-def test_all_built_in_hands_are_tried() -> None:
+def test_all_built_in_hands_are_tried():
     assert set(BUILT_IN) <= set(hand_names())
 
 
 @pytest.mark.parametrize("name", BUILT_IN)
-def test_follows_a_sine(name: str) -> None:
+def test_follows_a_sine(name):
     """1 Hz, up to 0.3 rad, joint by joint where it touches nothing; left and right in turn."""
     hand = load_hand(name, "left" if BUILT_IN.index(name) % 2 else "right")
     physics = HandPhysics(hand)
@@ -81,7 +80,7 @@ def test_follows_a_sine(name: str) -> None:
     [pytest.param(name, marks=[pytest.mark.weekly] * (name not in ("mimic_p050", "inspire_hand")))
      for name in BUILT_IN],
 )  # fmt: skip
-def test_a_minute_of_random_commands(name: str) -> None:
+def test_a_minute_of_random_commands(name):
     """Twelve jumps a second to anywhere, fingers through fingers: it stays whole and in bounds."""
     hand = load_hand(name, "right" if BUILT_IN.index(name) % 2 else "left")
     physics = HandPhysics(hand)
@@ -100,7 +99,7 @@ def test_a_minute_of_random_commands(name: str) -> None:
     assert fastest < 100.0
 
 
-def test_fingers_stop_at_fingers() -> None:
+def test_fingers_stop_at_fingers():
     """A thumb that is sent through the fist stays outside; without contacts it would arrive."""
     hand = load_hand("mimic_p050")
     physics = HandPhysics(hand)
@@ -117,7 +116,7 @@ def test_fingers_stop_at_fingers() -> None:
     assert np.degrees(np.abs(physics.positions - hand.full_configuration(closed)).max()) > 5.0
 
 
-def test_motors_give_what_their_makers_state() -> None:
+def test_motors_give_what_their_makers_state():
     assert np.all(load_hand("leap_hand").torques == 0.28)
     shadow = load_hand("shadow_hand")
     torques = dict(zip(shadow.actuated_names, shadow.torques, strict=True))
@@ -142,7 +141,7 @@ def test_motors_give_what_their_makers_state() -> None:
     assert 0.0 < turned[1] < 0.5 * (0.01 / 5e-4) * 0.04**2
 
 
-def test_critically_damped_and_back_at_rest() -> None:
+def test_critically_damped_and_back_at_rest():
     hand = load_hand("allegro_hand")
     physics = HandPhysics(hand)
     start = hand.neutral
@@ -160,7 +159,7 @@ def test_critically_damped_and_back_at_rest() -> None:
 
 
 @pytest.mark.parametrize("gravity", [False, True])
-def test_gravity_bends_it_a_little(gravity: bool) -> None:
+def test_gravity_bends_it_a_little(gravity):
     hand = load_hand("leap_hand")
     physics = HandPhysics(hand, gravity=gravity)
     physics.advance(2.0)
@@ -168,7 +167,7 @@ def test_gravity_bends_it_a_little(gravity: bool) -> None:
     assert (0.02 < sag < 3.0) if gravity else sag < 0.01
 
 
-def test_bad_commands_change_nothing_and_hold_stands() -> None:
+def test_bad_commands_change_nothing_and_hold_stands():
     hand = load_hand("mimic_p050")
     physics = HandPhysics(hand)
     physics.advance(0.5)
@@ -185,7 +184,7 @@ def test_bad_commands_change_nothing_and_hold_stands() -> None:
     assert (physics.positions <= hand.joint_limits[:, 1] + 0.05).all()
 
 
-def test_physics_that_comes_apart_is_set_back() -> None:
+def test_physics_that_comes_apart_is_set_back():
     hand = load_hand("mimic_p050")
     physics = HandPhysics(hand)
     physics._data.qvel[:] = 1e5
@@ -199,7 +198,7 @@ def test_physics_that_comes_apart_is_set_back() -> None:
     assert np.isfinite(physics.positions).all()
 
 
-def test_an_arm_is_taken_out(tmp_path: Path) -> None:
+def test_an_arm_is_taken_out(tmp_path):
     from dataclasses import replace
 
     import mujoco
@@ -228,7 +227,7 @@ def test_an_arm_is_taken_out(tmp_path: Path) -> None:
         "hands_urdf/schunk_hand/schunk_svh_hand_left.urdf",
     ],
 )
-def test_vendors_models_stay_whole(shared: Path, file: str) -> None:
+def test_vendors_models_stay_whole(shared, file):
     """With their own defaults, actuators, tendons, meshes that are there or missing."""
     found = next(iter(shared.glob(file)), None)
     if found is None:
@@ -247,12 +246,12 @@ def test_vendors_models_stay_whole(shared: Path, file: str) -> None:
 
 
 @pytest.mark.parametrize("text", ["mujoco:rate=50", "mujoco:bandwidth=100", "mujoco:bandwidth=0"])
-def test_bad_settings(text: str) -> None:
+def test_bad_settings(text):
     with pytest.raises(ConfigError, match="mujoco"):
         build_sink(text)
 
 
-def test_sink_follows_in_real_time_and_holds_when_commands_stop() -> None:
+def test_sink_follows_in_real_time_and_holds_when_commands_stop():
     hands: dict[Side, Hand] = {s: load_hand("mimic_p050", s) for s in ("right", "left")}
     sim = Simulation()
     assert sim.state("right") is None
@@ -294,7 +293,7 @@ def test_sink_follows_in_real_time_and_holds_when_commands_stop() -> None:
     assert sim.note == ""
 
 
-def test_sink_tells_of_physics_that_came_apart() -> None:
+def test_sink_tells_of_physics_that_came_apart():
     hand = load_hand("mimic_p050")
     sim = Simulation()
     sim.open({"right": hand}, {})
@@ -339,7 +338,7 @@ def looked(simulation: Simulation, sides: tuple[Side, ...] = SIDES, known: int =
 
 
 @pytest.mark.parametrize("task", ["card", "cube", "screwdriver"])
-def test_the_object_is_where_the_physics_has_it(simulation: Simulation, task: str) -> None:
+def test_the_object_is_where_the_physics_has_it(simulation, task):
     simulation.change_task(task)
     seen = looked(simulation)
     for side in SIDES:
@@ -369,9 +368,7 @@ def test_the_object_is_where_the_physics_has_it(simulation: Simulation, task: st
     assert across["left"] == pytest.approx(-across["right"], abs=1e-3)
 
 
-def test_the_hands_turn_to_the_scene_and_back(
-    simulation: Simulation, page: tuple[viser.ViserServer, LiveScene]
-) -> None:
+def test_the_hands_turn_to_the_scene_and_back(simulation, page):
     server, scene = page
     view = scene._sides["right"]
     before, size = view.row.roots["robot"].wxyz.copy(), scene.aiming.half
@@ -419,9 +416,7 @@ def test_the_hands_turn_to_the_scene_and_back(
     assert not [name for name in server.scene._handle_from_node_name if "part_" in name]
 
 
-def test_all_that_moves_is_sent_as_one_kind_of_change(
-    simulation: Simulation, page: tuple[viser.ViserServer, LiveScene]
-) -> None:
+def test_all_that_moves_is_sent_as_one_kind_of_change(simulation, page):
     """A browser has the poses of nodes a picture before all else, so none of a node changes."""
     server, scene = page
     hand = load_hand("mimic_p050")
@@ -448,7 +443,7 @@ def test_all_that_moves_is_sent_as_one_kind_of_change(
     simulation.change_task("none")
 
 
-def test_the_places_of_the_fingertips_are_marked() -> None:
+def test_the_places_of_the_fingertips_are_marked():
     """A method with places shows them, each with a line from the robot's tip; others show none."""
     hand = load_hand("mimic_p050")
     server = open_server("127.0.0.1", 0)
@@ -470,7 +465,7 @@ def test_the_places_of_the_fingertips_are_marked() -> None:
         close_server(server)
 
 
-def test_the_forearm_is_cut_off_and_the_picture_holds_the_label() -> None:
+def test_the_forearm_is_cut_off_and_the_picture_holds_the_label():
     """Mimic's model has a forearm 12 cm long; the page shows 3 cm of it."""
     hand = load_hand("mimic_p050")
     whole = HandView(hand)
@@ -488,9 +483,7 @@ def test_the_forearm_is_cut_off_and_the_picture_holds_the_label() -> None:
     assert set(cut) == set(whole.meshes)
 
 
-def test_the_card_is_seen(
-    chromium: Any, simulation: Simulation, page: tuple[viser.ViserServer, LiveScene]
-) -> None:
+def test_the_card_is_seen(chromium, simulation, page):
     server, scene = page
     simulation.change_task("card")
     scene.draw_scenery(looked(simulation, ("right",)))

@@ -32,7 +32,7 @@ from smooth_operator.types import Side
 
 
 @pytest.fixture(scope="module")
-def hands(hand: Hand) -> dict[Side, Hand]:
+def hands(hand) -> dict[Side, Hand]:
     return {"right": hand, "left": load_hand("mimic_p050", "left")}
 
 
@@ -72,7 +72,7 @@ class Fake(Sink):
         self._call("close")
 
 
-def test_runner_opens_all_or_none(hand: Hand) -> None:
+def test_runner_opens_all_or_none(hand):
     good, bad, never = Fake("good"), Fake("bad"), Fake("never")
     bad.raises["open"] = SinkError("no such port")
     runner = SinkRunner([good, bad, never])
@@ -89,7 +89,7 @@ def test_runner_opens_all_or_none(hand: Hand) -> None:
     assert [s.calls[-2:] for s in (good, bad, never)] == [["open", "close"]] * 3
 
 
-def test_runner_isolates_a_failure_and_mends_it_in_its_time(hand: Hand) -> None:
+def test_runner_isolates_a_failure_and_mends_it_in_its_time(hand):
     now = [100.0]
     good, bad = Fake("good"), Fake("bad")
     runner = SinkRunner([bad, good], retry_s=1.0, clock=lambda: now[0])
@@ -120,7 +120,7 @@ def test_runner_isolates_a_failure_and_mends_it_in_its_time(hand: Hand) -> None:
     assert report[0].detail == "still away"
 
 
-def test_runner_closes_all_even_when_one_fails_in_closing(hand: Hand) -> None:
+def test_runner_closes_all_even_when_one_fails_in_closing(hand):
     bad, good = Fake("bad"), Fake("good")
     bad.raises["close"] = OSError("disk gone")
     runner = SinkRunner([bad, good])
@@ -130,7 +130,7 @@ def test_runner_closes_all_even_when_one_fails_in_closing(hand: Hand) -> None:
     assert "disk gone" in runner.report()[0].detail
 
 
-def test_runner_takes_in_and_lets_go_while_running(hand: Hand) -> None:
+def test_runner_takes_in_and_lets_go_while_running(hand):
     base = Fake("base")
     runner = SinkRunner([base], retry_s=0.05)
     runner.open({"right": hand}, {})
@@ -167,7 +167,7 @@ def test_runner_takes_in_and_lets_go_while_running(hand: Hand) -> None:
     assert all("AssertionError" not in h.detail for h in report)
 
 
-def test_the_watchdog_does_not_wait_for_a_sink_that_hangs(hand: Hand) -> None:
+def test_the_watchdog_does_not_wait_for_a_sink_that_hangs(hand):
     class Hanging(Fake):
         def send(self, tick: Tick) -> None:
             inside.set()
@@ -232,7 +232,7 @@ def _until_heard(sink: ZmqSink, socket: Any, tick: Tick) -> dict[str, Any]:
     raise AssertionError("nothing was heard")
 
 
-def test_zmq_says_all_of_a_command(hands: dict[Side, Hand], listen: Any) -> None:
+def test_zmq_says_all_of_a_command(hands, listen):
     sink = ZmqSink(f"tcp://127.0.0.1:{free_port()}", valid_for_s=0.15)
     sink.open(hands, {})
     socket = listen(sink.address, b'{"side":"left"')
@@ -267,7 +267,7 @@ def test_zmq_says_all_of_a_command(hands: dict[Side, Hand], listen: Any) -> None
         sink.send(tick)
 
 
-def test_zmq_subscriber_killed_and_restarted_and_nobody_there(hand: Hand, listen: Any) -> None:
+def test_zmq_subscriber_killed_and_restarted_and_nobody_there(hand, listen):
     sink = ZmqSink(f"tcp://127.0.0.1:{free_port()}")
     sink.open({"right": hand}, {})
     child = """
@@ -308,7 +308,7 @@ def test_zmq_subscriber_killed_and_restarted_and_nobody_there(hand: Hand, listen
     sink.close()
 
 
-def test_zmq_address_in_use_and_reopened(hand: Hand, listen: Any) -> None:
+def test_zmq_address_in_use_and_reopened(hand, listen):
     sink = ZmqSink(f"tcp://127.0.0.1:{free_port()}")
     other = ZmqSink(sink.address)
     sink.open({"right": hand}, {})
@@ -320,7 +320,7 @@ def test_zmq_address_in_use_and_reopened(hand: Hand, listen: Any) -> None:
     other.close()
 
 
-def test_zmq_never_sends_what_is_not_finite(hand: Hand) -> None:
+def test_zmq_never_sends_what_is_not_finite(hand):
     sink = ZmqSink(f"tcp://127.0.0.1:{free_port()}")
     sink.open({"right": hand}, {})
     tick = make_tick(hand)
@@ -338,7 +338,7 @@ def test_zmq_never_sends_what_is_not_finite(hand: Hand) -> None:
 
 
 @pytest.mark.parametrize("text", ["zmq:5556", "zmq:valid_for_s=0", "table:0"])
-def test_bad_settings(text: str) -> None:
+def test_bad_settings(text):
     with pytest.raises(ConfigError):
         build_sink(text)
 
@@ -346,7 +346,7 @@ def test_bad_settings(text: str) -> None:
 # --- table
 
 
-def test_table_shows_joints_mode_and_latency(hand: Hand) -> None:
+def test_table_shows_joints_mode_and_latency(hand):
     panel = HandPanel("right", hand)
     console = Console(file=io.StringIO(), width=100)
     console.print(panel.table())
@@ -367,9 +367,7 @@ def test_table_shows_joints_mode_and_latency(hand: Hand) -> None:
     assert "stalled" in panel.line()
 
 
-def test_table_writes_lines_where_no_terminal_is(
-    hands: dict[Side, Hand], capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_table_writes_lines_where_no_terminal_is(hands, capfd):
     sink = TableSink()
     sink.open(hands, {})
     for i in range(50):
@@ -386,7 +384,7 @@ def test_table_writes_lines_where_no_terminal_is(
     ]
 
 
-def test_table_draws_in_a_terminal(hand: Hand, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_table_draws_in_a_terminal(hand, monkeypatch):
     class Screen(io.StringIO):
         def isatty(self) -> bool:
             return True

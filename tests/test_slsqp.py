@@ -32,21 +32,21 @@ def rosenbrock(x: np.ndarray) -> np.ndarray:
     return np.array([value, -2 * (1 - a) - 400 * a * (b - a * a), 200 * (b - a * a)])
 
 
-def test_minimum_of_a_quadratic() -> None:
+def test_minimum_of_a_quadratic():
     found = slsqp_minimise(bowl, np.full(4, 2.5), WIDE, SlsqpConfig(tolerance=1e-12))
     np.testing.assert_allclose(found.x, CENTRE, atol=1e-5)
     assert found.value < 1e-9
     assert found.stopped_by == "tolerance"
 
 
-def test_minimum_of_rosenbrocks_valley() -> None:
+def test_minimum_of_rosenbrocks_valley():
     found = slsqp_minimise(
         rosenbrock, np.array([-1.2, 1.0]), WIDE[:2], SlsqpConfig(tolerance=1e-14)
     )
     np.testing.assert_allclose(found.x, [1, 1], atol=1e-4)
 
 
-def test_active_bounds_hold_exactly() -> None:
+def test_active_bounds_hold_exactly():
     limits = np.array([[1.0, 2.0], [-3.0, -2.0], [-1.0, 1.0], [0.25, 3.0]])  # none holds the centre
     found = slsqp_minimise(bowl, np.zeros(4), limits, SlsqpConfig(tolerance=1e-12))
     np.testing.assert_allclose(found.x, [1.0, -2.0, 1.0, 0.25], atol=1e-9)
@@ -54,7 +54,7 @@ def test_active_bounds_hold_exactly() -> None:
     assert (found.x <= limits[:, 1]).all()
 
 
-def test_a_start_outside_the_bounds_is_brought_in() -> None:
+def test_a_start_outside_the_bounds_is_brought_in():
     seen: list[np.ndarray] = []
 
     def watched(x: np.ndarray) -> np.ndarray:
@@ -65,7 +65,7 @@ def test_a_start_outside_the_bounds_is_brought_in() -> None:
     np.testing.assert_array_equal(seen[0], np.full(4, 3.0))
 
 
-def test_a_cap_on_evaluations_gives_the_best_so_far() -> None:
+def test_a_cap_on_evaluations_gives_the_best_so_far():
     found = slsqp_minimise(
         rosenbrock, np.array([-1.2, 1.0]), WIDE[:2], SlsqpConfig(max_evaluations=6)
     )
@@ -75,7 +75,7 @@ def test_a_cap_on_evaluations_gives_the_best_so_far() -> None:
     assert found.value == rosenbrock(found.x)[0]
 
 
-def test_a_time_budget_is_honoured() -> None:
+def test_a_time_budget_is_honoured():
     def slow(x: np.ndarray) -> np.ndarray:
         time.sleep(0.02)
         return rosenbrock(x)
@@ -89,7 +89,7 @@ def test_a_time_budget_is_honoured() -> None:
     assert np.isfinite(found.value)
 
 
-def test_an_objective_that_breaks_gives_the_best_finite_point() -> None:
+def test_an_objective_that_breaks_gives_the_best_finite_point():
     calls = 0
 
     def breaking(x: np.ndarray) -> np.ndarray:
@@ -102,18 +102,18 @@ def test_an_objective_that_breaks_gives_the_best_finite_point() -> None:
     assert found.value == rosenbrock(found.x)[0]
 
 
-def test_an_objective_that_is_nowhere_finite_says_so() -> None:
+def test_an_objective_that_is_nowhere_finite_says_so():
     found = slsqp_minimise(lambda x: np.full(5, np.nan), np.zeros(4), WIDE, SlsqpConfig())
     assert np.isnan(found.value)
 
 
-def test_a_start_that_is_a_minimum_is_looked_at_once() -> None:
+def test_a_start_that_is_a_minimum_is_looked_at_once():
     found = slsqp_minimise(bowl, CENTRE, WIDE, SlsqpConfig(optimality=1e-6))
     assert (found.stopped_by, found.evaluations) == ("optimality", 1)
     np.testing.assert_array_equal(found.x, CENTRE)
 
 
-def test_a_gradient_against_a_bound_does_not_count() -> None:
+def test_a_gradient_against_a_bound_does_not_count():
     limits = np.array([[1.0, 2.0], [-3.0, -2.0], [-1.0, 1.0], [0.25, 3.0]])  # none holds the centre
     corner = np.array([1.0, -2.0, 1.0, 0.25])
     config = SlsqpConfig(optimality=1e-6)
@@ -125,7 +125,7 @@ def test_a_gradient_against_a_bound_does_not_count() -> None:
     np.testing.assert_allclose(found.x, corner, atol=1e-6)
 
 
-def test_a_gradient_away_from_a_bound_counts() -> None:
+def test_a_gradient_away_from_a_bound_counts():
     """A start in the corner from which all components go down inwards is no minimum."""
     start = np.where(bowl(WIDE[:, 0])[1:] < 0, WIDE[:, 0], WIDE[:, 1])
     found = slsqp_minimise(bowl, start, WIDE, SlsqpConfig(optimality=1e-6))
@@ -136,15 +136,13 @@ def test_a_gradient_away_from_a_bound_counts() -> None:
     "bad",
     [{"tolerance": 0.0}, {"max_evaluations": 0}, {"time_budget_ms": 0.0}, {"optimality": -1.0}],
 )
-def test_a_bad_configuration_is_refused(bad: dict[str, float]) -> None:
+def test_a_bad_configuration_is_refused(bad):
     with pytest.raises(ConfigError, match=next(iter(bad))):
         SlsqpConfig(**bad)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("name", ["RuntimeError", "RoundoffLimited", "runtime_error"])
-def test_a_line_search_that_fails_gives_the_best_so_far(
-    name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_line_search_that_fails_gives_the_best_so_far(name, monkeypatch):
     """NLopt says so with one exception or another, by its version."""
     failure = getattr(builtins, name, None) or getattr(nlopt, name, None)
     if failure is None:
@@ -164,7 +162,7 @@ def test_a_line_search_that_fails_gives_the_best_so_far(
 # SciPy's
 
 
-def test_scipys_finds_the_minimum_within_bounds() -> None:
+def test_scipys_finds_the_minimum_within_bounds():
     tight = ScipySlsqpConfig(tolerance=1e-12, max_iterations=200)
     found = scipy_slsqp_minimise(bowl, np.full(4, 2.5), WIDE, tight)
     np.testing.assert_allclose(found.x, CENTRE, atol=1e-5)
@@ -174,7 +172,7 @@ def test_scipys_finds_the_minimum_within_bounds() -> None:
     np.testing.assert_allclose(held.x, [1.0, -2.0, 1.0, 0.25], atol=1e-9)
 
 
-def test_scipys_ends_at_its_limit_of_iterations_short_of_the_minimum() -> None:
+def test_scipys_ends_at_its_limit_of_iterations_short_of_the_minimum():
     start = np.array([-1.2, 1.0])
     few = scipy_slsqp_minimise(rosenbrock, start, WIDE[:2], ScipySlsqpConfig(max_iterations=3))
     assert few.stopped_by == "evaluations"
@@ -187,7 +185,7 @@ def test_scipys_ends_at_its_limit_of_iterations_short_of_the_minimum() -> None:
     np.testing.assert_allclose(many.x, [1, 1], atol=1e-4)
 
 
-def test_scipys_says_that_an_objective_is_not_finite() -> None:
+def test_scipys_says_that_an_objective_is_not_finite():
     found = scipy_slsqp_minimise(
         lambda x: np.full(5, np.nan), np.zeros(4), WIDE, ScipySlsqpConfig()
     )
@@ -195,6 +193,6 @@ def test_scipys_says_that_an_objective_is_not_finite() -> None:
 
 
 @pytest.mark.parametrize("changes", [{"tolerance": 0.0}, {"max_iterations": 0}])
-def test_scipys_settings_that_can_not_be(changes: dict[str, float]) -> None:
+def test_scipys_settings_that_can_not_be(changes):
     with pytest.raises(ConfigError, match="tolerance > 0 and max_iterations >= 1"):
         ScipySlsqpConfig(**changes)  # type: ignore[arg-type]

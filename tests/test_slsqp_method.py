@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-from pathlib import Path
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from smooth_operator import HandFrame, HandSpec, Retargeter, Status, load_hand, method_config
+from smooth_operator import HandFrame, HandSpec, Retargeter, Status, method_config
 from smooth_operator.baselines import slsqp, slsqp_method
 from smooth_operator.baselines.slsqp import SlsqpConfig
 from smooth_operator.baselines.slsqp_method import (
@@ -33,13 +32,8 @@ METHODS = ("keyvector", "hybrid", "dexpilot", "ako")
 FINGERS = ("thumb", "index", "middle", "ring", "pinky")
 
 
-@pytest.fixture(scope="module")
-def hand() -> Hand:
-    return load_hand("mimic_p050")
-
-
 @pytest.fixture(scope="module", params=METHODS)
-def retargeter(request: pytest.FixtureRequest, hand: Hand) -> Retargeter:
+def retargeter(request, hand) -> Retargeter:
     built = Retargeter(hand, method=request.param, rate=100.0)
     built.warm_up()
     return built
@@ -65,7 +59,7 @@ def ako_vectors(gaps: list[float]) -> np.ndarray:
     return vectors
 
 
-def test_ako_has_fourteen_vectors() -> None:
+def test_ako_has_fourteen_vectors():
     layout = PinchLayout(FINGERS)
     assert layout.vectors == (
         *((0, tip) for tip in (4, 8, 12, 16, 20)),
@@ -74,7 +68,7 @@ def test_ako_has_fourteen_vectors() -> None:
     )
 
 
-def test_ako_pinch_target_closes_below_10_mm_and_is_the_humans_above_20() -> None:
+def test_ako_pinch_target_closes_below_10_mm_and_is_the_humans_above_20():
     human = jnp.asarray(ako_vectors([0.005, 0.01, 0.015, 0.03]), jnp.float32)
     targets, _ = AkoTargets()((), PinchLayout(FINGERS), human)
     lengths = np.linalg.norm(targets.vectors[5:9], axis=1)
@@ -82,7 +76,7 @@ def test_ako_pinch_target_closes_below_10_mm_and_is_the_humans_above_20() -> Non
     np.testing.assert_array_equal(targets.vectors[:5], human[:5])
 
 
-def test_ako_switches_between_wrist_and_pinch_at_20_mm() -> None:
+def test_ako_switches_between_wrist_and_pinch_at_20_mm():
     """Each pinch vector by its own distance, all wrist vectors by the nearest finger."""
     human = jnp.asarray(ako_vectors([0.02, 0.005, 0.12, 0.02]), jnp.float32)
     policy = AkoTargets(switch_pinch=True)
@@ -95,7 +89,7 @@ def test_ako_switches_between_wrist_and_pinch_at_20_mm() -> None:
     np.testing.assert_allclose(held[5:9], 10)
 
 
-def test_ako_refuses_a_hand_without_last_joints(hand: Hand) -> None:
+def test_ako_refuses_a_hand_without_last_joints(hand):
     spec = hand.spec
     stub = dataclasses.replace(
         spec.fingers[1], points=(spec.fingers[1].points[0], None, None, spec.fingers[1].points[3])
@@ -112,9 +106,7 @@ def test_ako_refuses_a_hand_without_last_joints(hand: Hand) -> None:
 
 
 @pytest.mark.parametrize("policy", [AkoTargets(), TipTargets()])
-def test_objective_of_other_vectors_is_their_weighted_loss(
-    hand: Hand, policy: AkoTargets | TipTargets
-) -> None:
+def test_objective_of_other_vectors_is_their_weighted_loss(hand, policy):
     objective = Objective(
         hand, ObjectiveConfig(targets=policy, loss="squared", pose_weight=0.0, velocity_weight=0.0)
     )
@@ -138,7 +130,7 @@ def test_objective_of_other_vectors_is_their_weighted_loss(
         assert len(layout.vectors) == 5
 
 
-def test_gradient_against_finite_differences(hand: Hand) -> None:
+def test_gradient_against_finite_differences(hand):
     method = SlsqpMethodConfig(
         objective=ObjectiveConfig(targets=AkoTargets(), pose_weight=0.02, velocity_weight=0.1)
     ).build(hand)
@@ -163,7 +155,7 @@ def test_gradient_against_finite_differences(hand: Hand) -> None:
 # The methods
 
 
-def test_round_trip_brings_the_tips_to_the_robots_own(hand: Hand, retargeter: Retargeter) -> None:
+def test_round_trip_brings_the_tips_to_the_robots_own(hand, retargeter):
     q = hand.neutral + 0.25 * (hand.limits[:, 1] - hand.neutral)
     state = retargeter.init()
     frame = posed(hand, 0.25)
@@ -175,9 +167,7 @@ def test_round_trip_brings_the_tips_to_the_robots_own(hand: Hand, retargeter: Re
     assert error.max() < 0.008, error
 
 
-def test_commands_stay_within_limits_and_bad_frames_hold(
-    hand: Hand, retargeter: Retargeter
-) -> None:
+def test_commands_stay_within_limits_and_bad_frames_hold(hand, retargeter):
     recording = SyntheticOperator(seed=4, rate_hz=30.0).record(2.0)
     landmarks = recording.landmarks.copy()
     landmarks[10:13, 8] = np.nan
@@ -195,7 +185,7 @@ def test_commands_stay_within_limits_and_bad_frames_hold(
     assert held == [10, 11, 12, 20]
 
 
-def test_the_same_frames_give_the_same_commands(retargeter: Retargeter) -> None:
+def test_the_same_frames_give_the_same_commands(retargeter):
     recording = SyntheticOperator(seed=1, rate_hz=30.0).record(1.0)
     runs = []
     for _ in range(2):
@@ -204,7 +194,7 @@ def test_the_same_frames_give_the_same_commands(retargeter: Retargeter) -> None:
     np.testing.assert_array_equal(runs[0], runs[1])
 
 
-def test_dexpilots_latch_lives_in_the_state_and_resets(hand: Hand) -> None:
+def test_dexpilots_latch_lives_in_the_state_and_resets(hand):
     """Human thumb-to-index distances of 25, 40 and 60 mm: closes under 30, opens above 50."""
     retargeter = Retargeter(hand, method="dexpilot", rate=100.0)
     assert isinstance(retargeter.method, SlsqpMethod)
@@ -227,7 +217,7 @@ def test_dexpilots_latch_lives_in_the_state_and_resets(hand: Hand) -> None:
     assert not retargeter.init().method.targets.latched.any()
 
 
-def test_a_time_budget_ends_a_frame_early(hand: Hand) -> None:
+def test_a_time_budget_ends_a_frame_early(hand):
     config = method_config("dexpilot")
     assert isinstance(config, SlsqpMethodConfig)
     hurried = dataclasses.replace(config, solver=SlsqpConfig(time_budget_ms=1e-3))
@@ -238,7 +228,7 @@ def test_a_time_budget_ends_a_frame_early(hand: Hand) -> None:
     assert early.tracking_loss > well.tracking_loss
 
 
-def test_both_sides(retargeter: Retargeter) -> None:
+def test_both_sides(retargeter):
     """Mirrored frames on the mirrored hand give the same joint angles."""
     right = SyntheticOperator(seed=2, rate_hz=10.0).record(1.0)
     left = Retargeter("mimic_p050", side="left", config=retargeter.config)
@@ -256,9 +246,7 @@ def test_both_sides(retargeter: Retargeter) -> None:
      pytest.param("hybrid", 0.9981, 7.7e-6, marks=pytest.mark.weekly),
      pytest.param("ako", 0.9985, 4.6e-6, marks=pytest.mark.weekly)],
 )  # fmt: skip
-def test_figures_of_our_presets_on_a_glove(
-    shared: Path, hand: Hand, method: str, cosine: float, flatness: float
-) -> None:
+def test_figures_of_our_presets_on_a_glove(shared, hand, method, cosine, flatness):
     """Our own figures, so that they don't get worse unseen. They were tuned on these frames, so
     that says nothing about other recordings; the authors' are in test_published_methods.py."""
     path = shared / "recordings" / "manus_right_subject-000_run-010.npz"
@@ -281,9 +269,7 @@ def test_figures_of_our_presets_on_a_glove(
 
 
 @pytest.mark.parametrize("method", ["keyvector", pytest.param("hybrid", marks=pytest.mark.weekly)])
-def test_newton_steps_find_what_slsqp_alone_finds_in_fewer_evaluations(
-    hand: Hand, method: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_newton_steps_find_what_slsqp_alone_finds_in_fewer_evaluations(hand, method, monkeypatch):
     evaluations: list[int] = []
 
     def counted(*arguments: Any) -> slsqp.SlsqpResult:

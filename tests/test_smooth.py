@@ -11,12 +11,11 @@ from trees import limited_poses
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.collision import penetration_depths
 from smooth_operator.hands.hand import Hand
-from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.landmark_filter import LandmarkFilterConfig
 from smooth_operator.landmarks import LANDMARKS, TIPS
-from smooth_operator.methods.presets import SMOOTH_TELEOP, method_config
+from smooth_operator.methods.presets import method_config
 from smooth_operator.methods.retargeter import Retargeter
-from smooth_operator.methods.smooth import SmoothConfig
+from smooth_operator.methods.smooth import SMOOTH_TELEOP, SmoothConfig
 from smooth_operator.metrics.consistency import frozen_share, motion_preservation
 from smooth_operator.objective.smooth_terms import SelfCollisionConfig
 from smooth_operator.types import HandFrame, HandRecording, Status
@@ -45,17 +44,12 @@ def commands(retargeter: Retargeter, of: HandRecording) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def hand() -> Hand:
-    return load_hand()
-
-
-@pytest.fixture(scope="module")
 def smooth() -> Retargeter:
     return Retargeter(method="smooth")
 
 
 @pytest.fixture(scope="module")
-def motion(hand: Hand) -> HandRecording:
+def motion(hand) -> HandRecording:
     """Within the robot's reach, and back: 150 frames."""
     low, high = hand.limits.T
     ends = 0.7 * hand.neutral + 0.3 * limited_poses(np.random.default_rng(0), hand.limits, 6)
@@ -68,18 +62,16 @@ def motion(hand: Hand) -> HandRecording:
 
 
 @pytest.fixture(scope="module")
-def answer(smooth: Retargeter, motion: HandRecording) -> np.ndarray:
+def answer(smooth, motion) -> np.ndarray:
     return commands(smooth, motion)
 
 
-def test_the_preset_is_listed() -> None:
+def test_the_preset_is_listed():
     assert isinstance(method_config("smooth"), SmoothConfig)
     assert method_config("smooth") == method_config("smooth", "teleop")
 
 
-def test_it_follows_and_never_freezes(
-    hand: Hand, motion: HandRecording, answer: np.ndarray
-) -> None:
+def test_it_follows_and_never_freezes(hand, motion, answer):
     tips, wrist = motion.landmarks[:, list(TIPS)], motion.landmarks[:, :1]
     robot = hand.tips(answer)
     assert frozen_share(tips - wrist, answer) == 0
@@ -91,7 +83,7 @@ def test_it_follows_and_never_freezes(
 
 
 @pytest.mark.parametrize(("preset", "share"), [("teleop", 0.35), ("grasp", 0.2)])
-def test_a_pinch_hardly_moves_and_opens_on_time(hand: Hand, preset: str, share: float) -> None:
+def test_a_pinch_hardly_moves_and_opens_on_time(hand, preset, share):
     still = landmarks_of(hand, np.tile(hand.neutral, (140, 1)))
     t = np.arange(140) / RATE
     closed = np.clip(t / 0.3, 0, 1) * np.clip((1.0 - t) / 0.1, 0, 1)
@@ -116,14 +108,14 @@ def test_a_pinch_hardly_moves_and_opens_on_time(hand: Hand, preset: str, share: 
     assert gap[held].max() < 0.012 < 0.02 < gap[t > 1.15].min()
 
 
-def test_steps_are_bounded_when_the_hand_leaps(smooth: Retargeter, hand: Hand) -> None:
+def test_steps_are_bounded_when_the_hand_leaps(smooth, hand):
     low, high = hand.limits.T
     q = np.where(np.arange(40)[:, None] % 10 < 5, low + 0.05, high - 0.05)
     steps = np.abs(np.diff(commands(smooth, recording(landmarks_of(hand, q))), axis=0))
     assert 0.1 < steps.max() <= 0.25
 
 
-def test_after_lost_frames_steps_are_no_larger(smooth: Retargeter, hand: Hand) -> None:
+def test_after_lost_frames_steps_are_no_larger(smooth, hand):
     low, high = hand.limits.T
     q = np.where(np.arange(40)[:, None] % 10 < 5, low + 0.05, high - 0.05)
     stamps = np.cumsum(np.where(np.arange(40) % 5 == 0, 3.0, 1.0)) / RATE
@@ -132,19 +124,19 @@ def test_after_lost_frames_steps_are_no_larger(smooth: Retargeter, hand: Hand) -
     assert steps.max() <= 26.0 * 1.5 / RATE  # the mean time between frames is 1.4 periods
 
 
-def test_commands_stay_within_the_limits(answer: np.ndarray, hand: Hand) -> None:
+def test_commands_stay_within_the_limits(answer, hand):
     low, high = hand.joint_limits.T
     assert (answer >= low - 1e-9).all()
     assert (answer <= high + 1e-9).all()
 
 
-def test_the_left_hand_mirrors_the_right(motion: HandRecording, answer: np.ndarray) -> None:
+def test_the_left_hand_mirrors_the_right(motion, answer):
     left = Retargeter("mimic_p050", side="left", method="smooth")
     mirrored = HandRecording(motion.landmarks * (-1, 1, 1), motion.stamps, "left")
     np.testing.assert_array_equal(commands(left, mirrored)[:40], answer[:40])
 
 
-def test_a_bad_frame_holds_and_leaves_no_trace(smooth: Retargeter, motion: HandRecording) -> None:
+def test_a_bad_frame_holds_and_leaves_no_trace(smooth, motion):
     state = smooth.init()
     for i in range(20):
         state, good = smooth.step(state, motion[i])
@@ -159,7 +151,7 @@ def test_a_bad_frame_holds_and_leaves_no_trace(smooth: Retargeter, motion: HandR
 
 
 @pytest.mark.parametrize("rate", [30.0, 100.0])
-def test_a_rate_stands_in_for_stamps(motion: HandRecording, rate: float) -> None:
+def test_a_rate_stands_in_for_stamps(motion, rate):
     """Video frames one by one are what the stamped recording of them is, bit for bit."""
     landmarks = motion.landmarks[:30]
     stamped, _ = Retargeter(method="smooth").run(recording(landmarks, rate=rate))
@@ -175,7 +167,7 @@ def test_a_rate_stands_in_for_stamps(motion: HandRecording, rate: float) -> None
         np.testing.assert_allclose([c.stamp for c in commands], stamped.stamps, atol=1e-9)
 
 
-def test_a_call_without_a_stamp_is_of_its_moment(motion: HandRecording) -> None:
+def test_a_call_without_a_stamp_is_of_its_moment(motion):
     """Frames of a 30 Hz camera, given when they come, are those that bear these times."""
     landmarks = motion.landmarks[:30]
     times = 5.0 + np.arange(30) / 30.0
@@ -190,7 +182,7 @@ def test_a_call_without_a_stamp_is_of_its_moment(motion: HandRecording) -> None:
     assert np.abs(hurried.joint_positions - stamped.joint_positions).max() > 0.01
 
 
-def test_a_bad_frame_takes_its_time_too(motion: HandRecording) -> None:
+def test_a_bad_frame_takes_its_time_too(motion):
     """A frame that the tracker lost, counted by the rate, is a gap of two periods in the stamps."""
     landmarks = motion.landmarks[:12].copy()
     landmarks[5] = np.nan
@@ -200,7 +192,7 @@ def test_a_bad_frame_takes_its_time_too(motion: HandRecording) -> None:
     np.testing.assert_array_equal(counted, stamped.joint_positions)
 
 
-def test_a_step_without_time_is_refused(motion: HandRecording) -> None:
+def test_a_step_without_time_is_refused(motion):
     retargeter = Retargeter(method="smooth")
     for frame in (motion.landmarks[0], HandFrame(motion.landmarks[0])):
         with pytest.raises(ConfigError, match=r"no stamp, and step\(\) has no clock.*rate=30"):
@@ -215,14 +207,12 @@ def test_a_step_without_time_is_refused(motion: HandRecording) -> None:
             Retargeter(method="smooth", rate=rate)
 
 
-def test_a_time_of_day_is_as_good_as_a_small_one(
-    smooth: Retargeter, motion: HandRecording, answer: np.ndarray
-) -> None:
+def test_a_time_of_day_is_as_good_as_a_small_one(smooth, motion, answer):
     late = HandRecording(motion.landmarks[:30], motion.stamps[:30] + 1.7e9, "right")
     np.testing.assert_allclose(commands(smooth, late), answer[:30], atol=2e-3)
 
 
-def test_after_a_long_gap_the_basin_is_found_anew(smooth: Retargeter, hand: Hand) -> None:
+def test_after_a_long_gap_the_basin_is_found_anew(smooth, hand):
     """A fist, then nothing for a second, then an open hand: the same pose as from the start."""
     high = hand.limits[:, 1]
     fist, flat = hand.neutral + 0.7 * (high - hand.neutral), hand.neutral
@@ -244,21 +234,17 @@ def crossing(hand: Hand) -> HandRecording:
     return recording(landmarks)
 
 
-def test_the_self_collision_cost_keeps_fingers_out_of_each_other(
-    smooth: Retargeter, hand: Hand
-) -> None:
+def test_the_self_collision_cost_keeps_fingers_out_of_each_other(smooth, hand):
     frames = crossing(hand)
     config = method_config("smooth")
     assert isinstance(config, SmoothConfig)
     without = Retargeter(config=replace(config, self_collision=SelfCollisionConfig(weight=0.0)))
     deep, clear = (penetration_depths(hand, commands(r, frames)) for r in (without, smooth))
-    assert deep is not None
-    assert clear is not None
     assert deep.max() > 0.004
     assert clear.max() < 0.0025
 
 
-def test_a_pinch_closes(smooth: Retargeter, hand: Hand) -> None:
+def test_a_pinch_closes(smooth, hand):
     """Thumb and index tips meet between where they are."""
     landmarks = landmarks_of(hand, np.tile(hand.neutral, (80, 1)))
     thumb, index = landmarks[0, TIPS[0]], landmarks[0, TIPS[1]]
@@ -271,7 +257,6 @@ def test_a_pinch_closes(smooth: Retargeter, hand: Hand) -> None:
     tips = hand.tips(q[-1])
     assert np.linalg.norm(tips[0] - tips[1]) < 0.008
     depth = penetration_depths(hand, q)
-    assert depth is not None
     assert depth.max() < 0.0025
 
 
@@ -280,12 +265,12 @@ def test_a_pinch_closes(smooth: Retargeter, hand: Hand) -> None:
     [{"settle_rounds": 0}, {"motion_weight": -1.0}, {"joint_speed": 0.0}, {"gap": -1.0}],
     ids=lambda bad: next(iter(bad)),
 )
-def test_settings_are_checked(bad: dict[str, float]) -> None:
+def test_settings_are_checked(bad):
     with pytest.raises(ConfigError):
         replace(SmoothConfig(), **bad)  # type: ignore[arg-type]
 
 
-def test_every_term_can_be_left_out(motion: HandRecording) -> None:
+def test_every_term_can_be_left_out(motion):
     bare = SmoothConfig(
         motion_weight=0.0,
         motion_speed=0.0,

@@ -17,12 +17,7 @@ from smooth_operator.types import CommandTrajectory, HandFrame, HandRecording, S
 
 
 @pytest.fixture(scope="module")
-def hand() -> Hand:
-    return load_hand()
-
-
-@pytest.fixture(scope="module")
-def smooth(hand: Hand) -> Retargeter:
+def smooth(hand) -> Retargeter:
     return Retargeter(hand, method="smooth")
 
 
@@ -33,13 +28,11 @@ def operator() -> HandRecording:
 
 
 @pytest.fixture(scope="module")
-def answer(smooth: Retargeter, operator: HandRecording) -> CommandTrajectory:
+def answer(smooth, operator) -> CommandTrajectory:
     return smooth.run(operator)[0]
 
 
-def test_open_and_closed_as_the_human(
-    hand: Hand, operator: HandRecording, answer: CommandTrajectory
-) -> None:
+def test_open_and_closed_as_the_human(hand, operator, answer):
     old = Retargeter(hand, method="smooth", preset="precise").run(operator)[0]
     new, before = (
         evaluate(assemble_trace(operator, commands, hand, reach_samples=0))
@@ -68,7 +61,7 @@ def tips_apart(hand: Hand, one: CommandTrajectory, other: CommandTrajectory) -> 
         ),
     ],
 )
-def test_a_fault_is_forgotten_within_a_second(name: str, operator: HandRecording) -> None:
+def test_a_fault_is_forgotten_within_a_second(name, operator):
     faulty = operator.landmarks.copy()
     faulty[60] *= (-1, 1, 1)  # a tracker that takes the hand for the other one
     faulty[61, TIPS[1]] += 0.04
@@ -84,7 +77,7 @@ def test_a_fault_is_forgotten_within_a_second(name: str, operator: HandRecording
     assert apart[100:].max() < 3e-3  # a fast step of LEAP's middle finger still differs at 1.5 s
 
 
-def test_a_finger_in_a_wrong_basin_finds_back(operator: HandRecording) -> None:
+def test_a_finger_in_a_wrong_basin_finds_back(operator):
     """LEAP's folded fingers with the side joint at its limit: 0.1 m from their places, and no step
     leads out."""
     hand = load_hand("leap_hand")
@@ -110,9 +103,7 @@ def test_a_finger_in_a_wrong_basin_finds_back(operator: HandRecording) -> None:
     assert np.abs(np.diff(positions, axis=0)).max() < 0.25  # it moves over, and does not jump
 
 
-def test_a_gap_measures_the_operator_again(
-    hand: Hand, smooth: Retargeter, operator: HandRecording, answer: CommandTrajectory
-) -> None:
+def test_a_gap_measures_the_operator_again(hand, smooth, operator, answer):
     valid = np.ones((len(operator), 21), bool)
     valid[60:90] = False
     lossy = HandRecording(operator.landmarks, operator.stamps, "right", valid=valid)
@@ -123,14 +114,12 @@ def test_a_gap_measures_the_operator_again(
     assert tips_apart(hand, commands, answer)[180:].max() < 4e-3
 
 
-def test_the_size_of_the_operator_makes_no_difference(
-    hand: Hand, smooth: Retargeter, operator: HandRecording, answer: CommandTrajectory
-) -> None:
+def test_the_size_of_the_operator_makes_no_difference(hand, smooth, operator, answer):
     small = HandRecording(0.85 * operator.landmarks, operator.stamps, "right")
     assert tips_apart(hand, smooth.run(small)[0], answer).mean() < 1e-3
 
 
-def test_a_left_hand_mirrors_the_right(operator: HandRecording, answer: CommandTrajectory) -> None:
+def test_a_left_hand_mirrors_the_right(operator, answer):
     left = Retargeter("mimic_p050", side="left", method="smooth")
     mirrored = HandRecording(operator.landmarks * (-1, 1, 1), operator.stamps, "left")
     commands = left.run(mirrored)[0]

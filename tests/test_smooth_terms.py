@@ -44,7 +44,7 @@ HANDS = ("mimic_p050", "leap_hand", "shadow_hand", "inspire_hand")
 # Capsules
 
 
-def test_segments_are_nearest_where_a_search_says_so() -> None:
+def test_segments_are_nearest_where_a_search_says_so():
     rng = np.random.default_rng(0)
     ends = rng.normal(0, 1, (40, 4, 3))
     ends[0, 1] = ends[0, 0]  # a point
@@ -61,7 +61,7 @@ def test_segments_are_nearest_where_a_search_says_so() -> None:
 
 
 @pytest.mark.parametrize("name", HANDS)
-def test_capsules_are_as_deep_as_the_models_shapes(name: str) -> None:
+def test_capsules_are_as_deep_as_the_models_shapes(name):
     """Palms are boxes, filled from within: there, capsules are less deep, at edges most."""
     hand = load_hand(name)
     pairs = capsule_pairs(hand)
@@ -74,7 +74,7 @@ def test_capsules_are_as_deep_as_the_models_shapes(name: str) -> None:
     assert np.median(np.abs(ours - theirs)) < 1e-3
 
 
-def test_pairs_that_cannot_meet_are_left_out() -> None:
+def test_pairs_that_cannot_meet_are_left_out():
     hand = load_hand()
     pairs = capsule_pairs(hand)
     shapes = {frozenset(hand.model.geom(int(g)).name for g in pair) for pair in pairs.shapes}
@@ -83,7 +83,7 @@ def test_pairs_that_cannot_meet_are_left_out() -> None:
     assert frozenset(("index_mcp", "pinky_mcp")) not in shapes  # too far from each other
 
 
-def test_a_hand_without_shapes_has_estimated_pairs_only() -> None:
+def test_a_hand_without_shapes_has_estimated_pairs_only():
     hand = load_hand()
     model = hand.spec.model
     spec = mujoco.MjSpec.from_file(str(model))
@@ -105,7 +105,7 @@ def _compiled_without_inertia(spec: mujoco.MjSpec) -> mujoco.MjModel:
 # Self-collision
 
 
-def test_the_price_is_that_of_the_depths() -> None:
+def test_the_price_is_that_of_the_depths():
     hand = load_hand()
     pairs, config = capsule_pairs(hand), SelfCollisionConfig(weight=7.0, margin=0.001)
     q = np.random.default_rng(2).uniform(*hand.limits.T, (20, len(hand.limits)))
@@ -120,7 +120,7 @@ def test_the_price_is_that_of_the_depths() -> None:
     np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-9)
 
 
-def test_thumb_and_finger_whose_tips_are_there_may_be_deeper_by_the_grip() -> None:
+def test_thumb_and_finger_whose_tips_are_there_may_be_deeper_by_the_grip():
     hand, config = load_hand(), SelfCollisionConfig(weight=7.0, margin=0.001, grip=0.004)
     pairs, owner = capsule_pairs(hand), owners(hand)
     near = {"thumb": 0.5, "index": 0.8}  # and no other
@@ -181,7 +181,7 @@ def problem(
 
 
 @pytest.mark.parametrize("name", ["mimic_p050", "inspire_hand"])
-def test_gradient_and_hessian_against_finite_differences(name: str) -> None:
+def test_gradient_and_hessian_against_finite_differences(name):
     hand = load_hand(name)
     with float64():
         _, goal = problem(hand, 3)
@@ -210,7 +210,7 @@ def test_gradient_and_hessian_against_finite_differences(name: str) -> None:
                     np.testing.assert_allclose(hessian, bends, atol=1e-4, rtol=1e-4)
 
 
-def test_it_is_eq_1_where_nothing_is_added() -> None:
+def test_it_is_eq_1_where_nothing_is_added():
     hand = load_hand()
     with float64():
         plain, goal = problem(hand, 5, 0.0, held=False)
@@ -222,7 +222,7 @@ def test_it_is_eq_1_where_nothing_is_added() -> None:
         np.testing.assert_allclose(found, expected, rtol=1e-10)
 
 
-def test_the_descent_reaches_a_bounded_minimum() -> None:
+def test_the_descent_reaches_a_bounded_minimum():
     hand = load_hand()
     with float64():
         smooth, goal = problem(hand, 7)
@@ -246,7 +246,7 @@ def test_the_descent_reaches_a_bounded_minimum() -> None:
         assert cost < first[0]
 
 
-def test_the_cost_never_rises() -> None:
+def test_the_cost_never_rises():
     """Newton's undamped step on sqrt(1 + x^2) goes from x to -x^3, and beyond 1 the cost rises."""
 
     def values(q: jax.Array) -> jax.Array:
@@ -276,7 +276,7 @@ def targets_of(config: CloseTargets, human: np.ndarray):
     return layout, config((), layout, jnp.asarray(human))[0]
 
 
-def test_short_vectors_weigh_more_and_all_weigh_alike_without_focus() -> None:
+def test_short_vectors_weigh_more_and_all_weigh_alike_without_focus():
     human = np.zeros((6, 3))
     human[:, 0] = (0.1, 0.1, 0.1, 0.06, 0.01, 0.06)
     _, plain = targets_of(
@@ -291,7 +291,7 @@ def test_short_vectors_weigh_more_and_all_weigh_alike_without_focus() -> None:
     np.testing.assert_allclose(focused.vectors, human)
 
 
-def test_targets_of_a_pinch_stay_apart_and_point_the_same_way() -> None:
+def test_targets_of_a_pinch_stay_apart_and_point_the_same_way():
     config = CloseTargets(apart=0.004)
     gaps = np.linspace(1e-4, 0.03, 300)
     human = np.tile([0.1, 0.0, 0.0], (len(gaps), 6, 1))
@@ -307,7 +307,7 @@ def test_targets_of_a_pinch_stay_apart_and_point_the_same_way() -> None:
     assert np.abs(length - gaps)[gaps > 0.012].max() < 4e-5
 
 
-def test_latches_close_near_and_open_far_and_change_no_target() -> None:
+def test_latches_close_near_and_open_far_and_change_no_target():
     config = CloseTargets(latches=True, project=0.012, escape=0.02)
     layout = config.layout(("thumb", "index", "middle"))
     state, seen = config.init(layout), []
@@ -333,16 +333,15 @@ def slopes_of(
     config: DirectionLengthConfig, vectors: jax.Array, targets: jax.Array
 ) -> VectorSlopes:
     """The cost of some vectors, whatever hand they are of."""
-    vectors_of_no_hand: Any = None
     goal = NO_GOAL._replace(vectors=targets)
-    return EveryVector(vectors_of_no_hand, config).slopes(vectors - targets, goal)
+    return EveryVector(None, config).slopes(vectors - targets, goal)
 
 
 def cost_of(config: DirectionLengthConfig, vector: np.ndarray, target: np.ndarray) -> float:
     return float(slopes_of(config, jnp.asarray(vector)[None], jnp.asarray(target)[None]).cost)
 
 
-def test_a_vector_is_priced_by_its_cosine_and_its_length() -> None:
+def test_a_vector_is_priced_by_its_cosine_and_its_length():
     target = np.array([0.0, 0.008, 0.0])
     turned = np.array([0.008 * np.sin(1.2), 0.008 * np.cos(1.2), 0.0])
     with float64():
@@ -368,7 +367,7 @@ def test_a_vector_is_priced_by_its_cosine_and_its_length() -> None:
         )
 
 
-def test_the_slope_of_angle_and_length_is_that_of_the_price() -> None:
+def test_the_slope_of_angle_and_length_is_that_of_the_price():
     rng, config = np.random.default_rng(0), DirectionLengthConfig(0.7, 5.0, 0.003, 0.02)
     vectors, targets = rng.normal(0, 0.02, (2, 12, 3))
     with float64():
@@ -389,7 +388,7 @@ def test_the_slope_of_angle_and_length_is_that_of_the_price() -> None:
 @pytest.mark.parametrize(
     "bad", [{"direction": -1.0}, {"length": -2.0}, {"huber_width": 0.0}, {"near": 0.0}]
 )
-def test_prices_of_angle_and_length_are_checked(bad: dict[str, float]) -> None:
+def test_prices_of_angle_and_length_are_checked(bad):
     with pytest.raises(ConfigError, match=next(iter(bad))):
         DirectionLengthConfig(**bad)
 
@@ -399,7 +398,7 @@ def test_prices_of_angle_and_length_are_checked(bad: dict[str, float]) -> None:
     [{"apart": -0.01}, {"at": 0.0}, {"floor": -0.01}, {"project": 0.02, "escape": 0.01}],
     ids=lambda bad: next(iter(bad)),
 )
-def test_target_settings_are_checked(bad: dict[str, float]) -> None:
+def test_target_settings_are_checked(bad):
     with pytest.raises(ConfigError):
         CloseTargets(**bad)
 
@@ -424,12 +423,12 @@ def follow(path: np.ndarray, config: LandmarkFilterConfig, dt: float = 0.01) -> 
     return np.stack([np.asarray(one.points) for one in filter_states(path, config, dt)])
 
 
-def test_an_idle_tracker_passes_points() -> None:
+def test_an_idle_tracker_passes_points():
     path = np.random.default_rng(0).normal(0, 1, (5, 2, 3)).astype(np.float32)
     np.testing.assert_array_equal(follow(path, LandmarkFilterConfig()), path)
 
 
-def test_steady_motion_is_late_by_the_lag() -> None:
+def test_steady_motion_is_late_by_the_lag():
     path = 1e-3 * np.arange(60.0)[:, None, None] * np.ones(3) / np.sqrt(3)  # 1 mm a frame
     late = np.linalg.norm((path - follow(path, LandmarkFilterConfig(time_constant=0.004)))[-1, 0])
     assert late == pytest.approx(0.4e-3, rel=1e-3)
@@ -437,7 +436,7 @@ def test_steady_motion_is_late_by_the_lag() -> None:
     assert late < 0.02e-3
 
 
-def test_a_leap_is_spread_and_not_overshot() -> None:
+def test_a_leap_is_spread_and_not_overshot():
     path = np.zeros((40, 1, 3))
     path[3:] = (0.05, 0.0, 0.0)
     followed = follow(path, LandmarkFilterConfig(jump_threshold=0.05))[:, 0, 0]
@@ -449,7 +448,7 @@ def test_a_leap_is_spread_and_not_overshot() -> None:
     assert (np.diff(followed, 2) ** 2).sum() < 0.6 * (np.diff(path[:, 0, 0], 2) ** 2).sum()
 
 
-def test_what_a_hand_can_do_in_that_time_is_no_leap() -> None:
+def test_what_a_hand_can_do_in_that_time_is_no_leap():
     config = LandmarkFilterConfig(jump_threshold=0.05, jump_speed=2.0)
     path = np.array([[[0.0, 0.0, 0.0]], [[0.1, 0.0, 0.0]]])
     assert follow(path, config, dt=0.01)[1, 0, 0] == pytest.approx(0.1 / 3, rel=1e-5)
@@ -462,7 +461,7 @@ def noise_of(path: np.ndarray, time: float = 0.2) -> np.ndarray:
     return np.array([float(one.noise) for one in filter_states(path, config)])
 
 
-def test_noise_is_what_most_points_do_and_steady_motion_does_not() -> None:
+def test_noise_is_what_most_points_do_and_steady_motion_does_not():
     rng = np.random.default_rng(3)
     steady = 3e-3 * np.arange(300.0)[:, None, None] * np.ones((6, 3))
     shaken = steady + rng.normal(0, 1e-3, steady.shape)
@@ -477,7 +476,7 @@ def test_noise_is_what_most_points_do_and_steady_motion_does_not() -> None:
     assert noise_of(leaping)[160] < 2 * noise_of(shaken)[160]
 
 
-def test_the_leap_grows_with_the_noise() -> None:
+def test_the_leap_grows_with_the_noise():
     rng = np.random.default_rng(4)
     path = np.zeros((200, 6, 3))
     path[150:] = (0.05, 0.0, 0.0)
@@ -498,7 +497,7 @@ def test_the_leap_grows_with_the_noise() -> None:
     )
 
 
-def test_after_a_gap_points_are_taken_as_they_are_and_the_noise_stays() -> None:
+def test_after_a_gap_points_are_taken_as_they_are_and_the_noise_stays():
     rng = np.random.default_rng(5)
     config = LandmarkFilterConfig(time_constant=0.003, jump_threshold=0.02, noise=50.0)
     before = filter_states(rng.normal(0, 1e-3, (50, 6, 3)), config)[-1]
@@ -513,12 +512,12 @@ def test_after_a_gap_points_are_taken_as_they_are_and_the_noise_stays() -> None:
 @pytest.mark.parametrize(
     "name", ["time_constant", "jump_threshold", "jump_speed", "noise", "noise_time"]
 )
-def test_tracker_settings_are_checked(name: str) -> None:
+def test_tracker_settings_are_checked(name):
     with pytest.raises(ConfigError, match=name):
         LandmarkFilterConfig(**{name: -1.0})
 
 
-def test_ticks_tell_short_times_apart_at_any_time_of_day() -> None:
+def test_ticks_tell_short_times_apart_at_any_time_of_day():
     stamps = 1.7e9 + np.array([0.0, 0.008, 0.016])
     ticks = ticks_of(stamps)
     assert ticks.dtype == np.uint32

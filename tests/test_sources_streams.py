@@ -55,7 +55,7 @@ def read(data: bytes, side: Any = "right") -> HandFrame:
 
 @pytest.mark.parametrize("kind", ["<f4", "<f8"])
 @pytest.mark.parametrize("points", [POINTS, NODES, np.vstack([[0.0, 0.0, 0.0], NODES])])
-def test_numbers_of_three_trackers_are_the_same_hand(kind: str, points: np.ndarray) -> None:
+def test_numbers_of_three_trackers_are_the_same_hand(kind, points):
     frame = read(points.astype(kind).tobytes(), "left")
     np.testing.assert_allclose(frame.landmarks, POINTS, atol=1e-6)
     assert (frame.side, frame.stamp) == ("left", 7.0)
@@ -64,13 +64,13 @@ def test_numbers_of_three_trackers_are_the_same_hand(kind: str, points: np.ndarr
         np.testing.assert_allclose(frame.metacarpals, HAND.metacarpals, atol=1e-6)
 
 
-def test_numbers_that_start_like_json_are_numbers() -> None:
+def test_numbers_that_start_like_json_are_numbers():
     for first in b"{[":
         data = bytes([first]) + POINTS.astype("<f4").tobytes()[1:]
         np.testing.assert_allclose(read(data).landmarks, POINTS, atol=1e-6)
 
 
-def test_json_of_the_size_of_numbers_is_json() -> None:
+def test_json_of_the_size_of_numbers_is_json():
     short = json.dumps(
         [[round(x, 3) for x in row] for row in POINTS.tolist()], separators=(",", ":")
     )
@@ -79,7 +79,7 @@ def test_json_of_the_size_of_numbers_is_json() -> None:
     np.testing.assert_allclose(read(data).landmarks, POINTS, atol=1e-3)
 
 
-def test_json_says_all_or_the_landmarks_alone() -> None:
+def test_json_says_all_or_the_landmarks_alone():
     frame = read(
         text(
             stamp=12.5,
@@ -97,7 +97,7 @@ def test_json_says_all_or_the_landmarks_alone() -> None:
     np.testing.assert_allclose(read(text(landmarks=NODES.tolist())).landmarks, POINTS)
 
 
-def test_one_message_may_hold_both_hands() -> None:
+def test_one_message_may_hold_both_hands():
     hands = [{"side": side, "landmarks": POINTS.tolist()} for side in ("right", "left")]
     data = json.dumps({"stamp": 3.0, "session": 9, "hands": hands}).encode()
     both = read_payload(data, side=None, received=7.0)
@@ -105,7 +105,7 @@ def test_one_message_may_hold_both_hands() -> None:
         ("right", 3.0, True, "9"), ("left", 3.0, True, "9")]  # fmt: skip
 
 
-def test_what_a_tracker_does_not_see_is_invalid_and_no_error() -> None:
+def test_what_a_tracker_does_not_see_is_invalid_and_no_error():
     lost = POINTS.tolist()
     lost[8] = [None, None, None]
     assert read(text(landmarks=lost)).valid.tolist() == [k != 8 for k in range(21)]
@@ -150,21 +150,21 @@ def test_what_a_tracker_does_not_see_is_invalid_and_no_error() -> None:
         (text(hands=[5]), "list of objects"),
     ],
 )
-def test_what_can_t_be_read_says_why(data: bytes, says: str) -> None:
+def test_what_can_t_be_read_says_why(data, says):
     with pytest.raises(RecordingError) as caught:
         read_payload(data, side="right", received=0.0)
     assert says in str(caught.value)
     assert len(str(caught.value)) < 600
 
 
-def test_a_hand_that_nobody_names_is_refused_where_both_are_taken() -> None:
+def test_a_hand_that_nobody_names_is_refused_where_both_are_taken():
     for data in (POINTS.astype("<f4").tobytes(), text()):
         with pytest.raises(RecordingError, match="which hand"):
             read(data, None)
     assert read(text(side="L"), None).side == "left"
 
 
-def test_no_message_can_raise_anything_else() -> None:
+def test_no_message_can_raise_anything_else():
     rng = np.random.default_rng(0)
     seeds = [text(stamp=1.0, side="right", valid=[True] * 21), glove_text(), csv(), ros_text()]
     refused = 0
@@ -245,7 +245,7 @@ ROWS = [[*p, 1.0, 0.0, 0.0, 0.0] for p in NODES.tolist()]
         (b",".join([b"0.1"] * 40), []),
     ],
 )
-def test_every_bridge_s_message_is_the_same_hand(data: bytes, hands: list[str]) -> None:
+def test_every_bridge_s_message_is_the_same_hand(data, hands):
     frames = read_glove(data, **{"bccdf6ef": "right", "60f3738b": "left"})
     assert [frame.side for frame in frames] == hands
     for frame in frames:
@@ -256,13 +256,13 @@ def test_every_bridge_s_message_is_the_same_hand(data: bytes, hands: list[str]) 
             np.testing.assert_allclose(frame.orientations, np.tile([1.0, 0, 0, 0], (21, 1)))
 
 
-def test_quaternions_may_have_w_last_if_the_message_says_so() -> None:
+def test_quaternions_may_have_w_last_if_the_message_says_so():
     rows = [[*p, 0.1, 0.2, 0.3, 0.927] for p in NODES.tolist()]
     (frame,) = read_glove(glove_text(nodes=rows, quaternion_order="xyzw"))
     np.testing.assert_allclose(frame.orientations[0], [0.927, 0.1, 0.2, 0.3], atol=1e-3)
 
 
-def test_stamps_of_a_bridge_are_read_where_they_are_seconds() -> None:
+def test_stamps_of_a_bridge_are_read_where_they_are_seconds():
     assert read_glove(glove_text(stamp=4.5))[0].stamp == 4.5
     assert read_glove(glove_text(timestamp=4.5))[0].stamp == 4.5
     # The SDK's own time is a packed date: better none than that.
@@ -291,13 +291,13 @@ def test_stamps_of_a_bridge_are_read_where_they_are_seconds() -> None:
         (csv().replace(b",0.0", b",x"), "must be numbers"),
     ],
 )
-def test_a_bridge_s_message_that_can_t_be_read_says_why(data: bytes, says: str) -> None:
+def test_a_bridge_s_message_that_can_t_be_read_says_why(data, says):
     with pytest.raises(RecordingError) as caught:
         read_glove(data)
     assert says in str(caught.value)
 
 
-def test_what_is_written_is_read_again() -> None:
+def test_what_is_written_is_read_again():
     landmarks = POINTS.copy()
     landmarks[5:9] = np.nan
     frame = HandFrame(landmarks, metacarpals=HAND.metacarpals, orientations=HAND.orientations)
@@ -309,7 +309,7 @@ def test_what_is_written_is_read_again() -> None:
 
 
 @pytest.mark.shared
-def test_a_real_glove_s_nodes_go_through_the_stream_unchanged(shared: Path) -> None:
+def test_a_real_glove_s_nodes_go_through_the_stream_unchanged(shared):
     path = shared / "recordings" / "manus_right_subject-000_run-010.npz"
     with np.load(path, allow_pickle=False) as file:
         data = file["data"][2600]
@@ -334,7 +334,7 @@ def running(source: ThreadedSource) -> Iterator[Kept]:
         assert source.health().state == "ended"
 
 
-def test_datagrams_become_frames_and_bad_ones_are_counted() -> None:
+def test_datagrams_become_frames_and_bad_ones_are_counted():
     source = UdpSource(port=0)
     with running(source) as mailbox, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         port = int(source.endpoint.rpartition(":")[2])
@@ -358,7 +358,7 @@ def test_datagrams_become_frames_and_bad_ones_are_counted() -> None:
         pass
 
 
-def test_of_a_flood_the_newest_is_looked_at() -> None:
+def test_of_a_flood_the_newest_is_looked_at():
     source = UdpSource(port=0)
     inbox = source.connect()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
@@ -369,7 +369,7 @@ def test_of_a_flood_the_newest_is_looked_at() -> None:
     inbox.close()
 
 
-def test_messages_that_come_together_have_stamps_in_their_order() -> None:
+def test_messages_that_come_together_have_stamps_in_their_order():
     running = Running(Kept(), "test")
 
     class Batch:
@@ -392,7 +392,7 @@ def test_messages_that_come_together_have_stamps_in_their_order() -> None:
 
 
 @pytest.mark.parametrize("settings", [{"port": -1}, {"port": 70_000}, {"side": "top"}])
-def test_settings_of_udp_are_checked(settings: dict[str, Any]) -> None:
+def test_settings_of_udp_are_checked(settings):
     with pytest.raises(ConfigError):
         UdpSource(**settings)
     with pytest.raises(SourceError, match="host"):
@@ -438,7 +438,7 @@ class Publisher:
         self._context.term()
 
 
-def test_a_publisher_may_come_late_and_come_back() -> None:
+def test_a_publisher_may_come_late_and_come_back():
     with Publisher() as first:
         address = first.address
     source = ZmqSource(address)
@@ -456,7 +456,7 @@ def test_a_publisher_may_come_late_and_come_back() -> None:
         assert source.health().state == "waiting"
 
 
-def test_topics_may_be_a_part_or_a_word() -> None:
+def test_topics_may_be_a_part_or_a_word():
     with Publisher() as publisher:
         source = ZmqSource(publisher.address, topic="hand", side="left")
         with running(source) as mailbox:
@@ -468,7 +468,7 @@ def test_topics_may_be_a_part_or_a_word() -> None:
             assert "could not be read" not in source.health().detail
 
 
-def test_a_source_may_be_the_one_that_listens_and_pulls() -> None:
+def test_a_source_may_be_the_one_that_listens_and_pulls():
     source = ZmqSource("tcp://127.0.0.1:*", bind=True, pattern="pull")
     with running(source) as mailbox:
         with zmq.Context() as context, context.socket(zmq.PUSH) as pusher:
@@ -482,7 +482,7 @@ def test_a_source_may_be_the_one_that_listens_and_pulls() -> None:
         ZmqSource("nowhere").start(Kept())
 
 
-def test_pickled_python_objects_are_refused_not_opened() -> None:
+def test_pickled_python_objects_are_refused_not_opened():
     # What another program's send_pyobj([1, 2]) would send.
     pickled = bytes.fromhex("80049509000000000000005d94284b014b02652e")
     with Publisher() as publisher:
@@ -495,8 +495,8 @@ def test_pickled_python_objects_are_refused_not_opened() -> None:
 # Gloves.
 
 
-def test_a_simulated_glove_s_faults_are_as_often_as_asked() -> None:
-    played = SyntheticOperator(rate_hz=50.0).record(20.0)
+def test_a_simulated_glove_s_faults_are_as_often_as_asked():
+    played = SyntheticOperator(rate_hz=50.0).record(5.0)
 
     def ticks(count: int, **faults: float) -> list[tuple[float, list[HandFrame]]]:
         sent = itertools.islice(messages(played, 50.0, "both", GloveFaults(**faults)), count)
@@ -511,7 +511,7 @@ def test_a_simulated_glove_s_faults_are_as_often_as_asked() -> None:
     def steps(count: int = 1500, **faults: float) -> np.ndarray:
         return np.diff([frame.time for frame in hands(count, **faults) if frame.side == "right"])
 
-    np.testing.assert_allclose(steps(4200), 0.02, atol=1e-6)  # 42 s: there, back, there again
+    np.testing.assert_allclose(steps(1100), 0.02, atol=1e-6)  # 11 s: there, back, there again
     found = ticks(1500, drop=0.1)
     assert len(found) / 2 / (found[-1][0] * 50) == pytest.approx(0.9, abs=0.04)
     seen = Counter(int(frame.valid.sum()) for frame in hands(missing=0.1))
@@ -540,14 +540,14 @@ def start_glove(path: Path, address: str, *more: str) -> tuple[subprocess.Popen[
 
 
 @pytest.fixture
-def short(tmp_path: Path) -> Path:
+def short(tmp_path) -> Path:
     recording = SyntheticOperator().record(0.5)
     path = tmp_path / "short.npz"
     np.savez(path, landmarks=recording.landmarks, timestamps=recording.stamps, side="right")
     return path
 
 
-def test_a_glove_that_is_killed_and_restarted_is_another_session(short: Path) -> None:
+def test_a_glove_that_is_killed_and_restarted_is_another_session(short):
     first, address = start_glove(short, "tcp://127.0.0.1:*")
     source = ManusStream(address)
     try:

@@ -57,7 +57,7 @@ i1 = 0.3
 
 
 @pytest.fixture(autouse=True)
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def folder(tmp_path, monkeypatch) -> Path:
     """The user's folder of a user who has no hands yet."""
     folder = tmp_path / "hands of ünser user"
     monkeypatch.setenv("SMOOTH_OPERATOR_HANDS", str(folder))
@@ -78,7 +78,7 @@ def changed(old: str, new: str) -> Callable[[Path], Path]:
 # Round trips
 
 
-def test_a_file_says_what_it_says(tmp_path: Path) -> None:
+def test_a_file_says_what_it_says(tmp_path):
     spec = read_hand_spec(written(tmp_path))
     assert (spec.name, spec.side, spec.palm, spec.mirror) == ("pincer", "left", "palm", False)
     assert spec.model == tmp_path / "models/pincer.xml"
@@ -90,7 +90,7 @@ def test_a_file_says_what_it_says(tmp_path: Path) -> None:
     assert spec.align == ("wrist", "thumb", "index")
 
 
-def test_what_is_written_is_read_back(tmp_path: Path) -> None:
+def test_what_is_written_is_read_back(tmp_path):
     spec = replace(
         pincer(tmp_path),
         side="left",
@@ -112,14 +112,14 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", hand_names())
-def test_built_in_hands_are_read_back(tmp_path: Path, name: str) -> None:
+def test_built_in_hands_are_read_back(tmp_path, name):
     for side in ("right", "left"):
         spec = find_hand(name).spec(side)  # type: ignore[arg-type]
         write_hand_spec(spec, tmp_path / "spec.toml")
         assert read_hand_spec(tmp_path / "spec.toml") == spec
 
 
-def test_a_folder_with_its_model_can_be_moved(tmp_path: Path) -> None:
+def test_a_folder_with_its_model_can_be_moved(tmp_path):
     old = tmp_path / "old"
     (old / "models").mkdir(parents=True)
     write_hand_spec(pincer(old / "models"), old / "p.toml")
@@ -130,7 +130,7 @@ def test_a_folder_with_its_model_can_be_moved(tmp_path: Path) -> None:
     assert load_hand(str(tmp_path / "elsewhere.toml")).name == "pincer"
 
 
-def test_a_file_from_windows(tmp_path: Path) -> None:
+def test_a_file_from_windows(tmp_path):
     path = tmp_path / "w.toml"
     path.write_bytes(b"\xef\xbb\xbf" + TEXT.replace("\n", "\r\n").encode())
     assert read_hand_spec(path).name == "pincer"
@@ -176,14 +176,14 @@ def test_a_file_from_windows(tmp_path: Path) -> None:
         ("[neutral]", "[joint_map.i1]\ngains = {index_mcp = 'x'}\n[neutral]", "gains.index_mcp"),
     ],
 )
-def test_mistakes_are_named(tmp_path: Path, old: str, new: str, message: str) -> None:
+def test_mistakes_are_named(tmp_path, old, new, message):
     path = changed(old, new)(tmp_path)
     with pytest.raises(HandModelError, match=message) as caught:
         read_hand_spec(path)
     assert str(caught.value).startswith(str(path)) or str(path) in str(caught.value)
 
 
-def test_what_is_no_spec_file(tmp_path: Path) -> None:
+def test_what_is_no_spec_file(tmp_path):
     with pytest.raises(HandModelError, match=r"no spec file at .*no\.toml"):
         load_hand("no.toml")
     with pytest.raises(HandModelError, match="it is a folder, not a plain file"):
@@ -199,7 +199,7 @@ def test_what_is_no_spec_file(tmp_path: Path) -> None:
         read_hand_spec(tmp_path / "deep.toml")
 
 
-def test_what_can_not_be_written(tmp_path: Path) -> None:
+def test_what_can_not_be_written(tmp_path):
     spec = pincer(tmp_path)
     with pytest.raises(HandModelError, match="can't hold the number nan"):
         write_hand_spec(replace(spec, neutral={"i1": np.nan}), tmp_path / "a.toml")
@@ -213,7 +213,7 @@ def test_what_can_not_be_written(tmp_path: Path) -> None:
 # The user's own
 
 
-def test_a_users_hand_is_found_by_name(tmp_path: Path, folder: Path) -> None:
+def test_a_users_hand_is_found_by_name(tmp_path, folder):
     assert "pincer" not in hand_names()
     file = save_hand(pincer(tmp_path))
     assert file == folder / "pincer.right.toml"
@@ -230,16 +230,14 @@ def test_a_users_hand_is_found_by_name(tmp_path: Path, folder: Path) -> None:
     assert load_hand("pincer").neutral[2] == 0.7
 
 
-def test_a_relative_model_is_found_from_the_users_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_relative_model_is_found_from_the_users_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     spec = pincer(tmp_path)
     save_hand(replace(spec, model=Path(spec.model.name)))
     assert load_hand("pincer").spec.model == spec.model
 
 
-def test_a_spec_file_brings_its_side(tmp_path: Path) -> None:
+def test_a_spec_file_brings_its_side(tmp_path):
     left = replace(pincer(tmp_path), side="left")
     write_hand_spec(left, tmp_path / "a.toml")
     assert (load_hand(tmp_path / "a.toml").spec.side, load_hand(left).spec.side) == ("left", "left")
@@ -247,7 +245,7 @@ def test_a_spec_file_brings_its_side(tmp_path: Path) -> None:
     assert (right.spec.side, right.spec.mirror) == ("right", True)
 
 
-def test_built_in_names_are_taken(tmp_path: Path, folder: Path) -> None:
+def test_built_in_names_are_taken(tmp_path, folder):
     mine = replace(pincer(tmp_path), name="shadow_hand")
     with pytest.raises(HandModelError, match=r"'shadow_hand' is a built-in hand.*its own name"):
         save_hand(mine)
@@ -259,7 +257,7 @@ def test_built_in_names_are_taken(tmp_path: Path, folder: Path) -> None:
     assert hand_names().count("shadow_hand") == 1
 
 
-def test_a_file_that_describes_another_hand(tmp_path: Path, folder: Path) -> None:
+def test_a_file_that_describes_another_hand(tmp_path, folder):
     folder.mkdir()
     write_hand_spec(pincer(tmp_path), folder / "claw.right.toml")
     with pytest.raises(HandModelError, match=r"the right hand 'pincer'; expected .* 'claw'"):
@@ -268,7 +266,7 @@ def test_a_file_that_describes_another_hand(tmp_path: Path, folder: Path) -> Non
         load_hand("pincer")
 
 
-def test_where_the_users_folder_is(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_where_the_users_folder_is(monkeypatch, tmp_path):
     assert user_hands_folder().name == "hands of ünser user"
     monkeypatch.setenv("SMOOTH_OPERATOR_HANDS", "~/x")
     assert user_hands_folder() == Path.home() / "x"
@@ -288,7 +286,7 @@ def run(*arguments: str) -> None:
     tyro.cli(Hands, args=arguments, config=(tyro.conf.FlagCreatePairsOff,)).run()
 
 
-def test_the_list(tmp_path: Path, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_list(tmp_path, folder, capsys):
     save_hand(replace(pincer(tmp_path), source="[our] lab"))
     (folder / "broken.left.toml").write_text("format = 1")
     run("list")
@@ -314,7 +312,7 @@ def test_the_list(tmp_path: Path, folder: Path, capsys: pytest.CaptureFixture[st
     assert (hands["pincer"]["builtin"], hands["pincer"]["mirrored"]) == (False, ["left"])
 
 
-def test_one_hand_in_words(capsys: pytest.CaptureFixture[str]) -> None:
+def test_one_hand_in_words(capsys):
     run("show", "ability_hand", "--side", "left", "--no-view")
     text = capsys.readouterr().out
     for words in (
@@ -341,20 +339,19 @@ def test_one_hand_in_words(capsys: pytest.CaptureFixture[str]) -> None:
     assert not any("torque" in joint for joint in joints.values())
 
 
-def test_a_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_picture(tmp_path, capsys):
     run("render", "shadow_dexee", "--output", str(tmp_path / "d.png"))
     assert capsys.readouterr().out.strip() == str(tmp_path / "d.png")
     with Image.open(tmp_path / "d.png") as picture:
         assert picture.width > 800
         colors = picture.convert("RGB").getcolors(1 << 24)
-    assert colors is not None
     assert len(colors) > 40  # shaded, not blank
     assert (tmp_path / "d.png").stat().st_size < 60_000
     with pytest.raises(OutputError, match="does not exist"):
         run("render", "mimic_p050", "--output", str(tmp_path / "none" / "d.png"))
 
 
-def test_a_picture_on_another_model(tmp_path: Path) -> None:
+def test_a_picture_on_another_model(tmp_path):
     run("render", "ability_hand", "--model", str(MODELS / "ability_hand_right.xml"),
         "--output", str(tmp_path / "a.png"))  # fmt: skip
     with pytest.raises(HandModelError, match="lacks the joints"):
@@ -362,7 +359,7 @@ def test_a_picture_on_another_model(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("arguments", [["list", "--help"], ["show", "--help"], ["--help"]])
-def test_help(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_help(arguments, capsys):
     with pytest.raises(SystemExit) as stop:
         run(*arguments)
     assert stop.value.code == 0
@@ -373,7 +370,7 @@ def test_help(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.parametrize(("name", "side"), [("schunk_svh", "left"), ("shadow_dexee", "right")])
-def test_the_view(name: str, side: str) -> None:
+def test_the_view(name, side):
     hand = load_hand(name, side)
     view = HandView(hand)
     right, up, toward = view.axes
@@ -390,7 +387,7 @@ def test_the_view(name: str, side: str) -> None:
     assert len(view.bones()) == 4 * len(hand.fingers)
 
 
-def test_the_page_poses_the_hand(tmp_path: Path) -> None:
+def test_the_page_poses_the_hand(tmp_path):
     hand = load_hand("ability_hand")
     with HandPage(hand, "notes", port=0) as page:
         assert page.url.startswith("http://127.0.0.1:")
@@ -402,7 +399,7 @@ def test_the_page_poses_the_hand(tmp_path: Path) -> None:
         _ = page.url
 
 
-def test_specs_are_equal_by_value(tmp_path: Path) -> None:
+def test_specs_are_equal_by_value(tmp_path):
     spec = pincer(tmp_path)
     twice = spec.mirrored.mirrored
     assert isinstance(twice, HandSpec)

@@ -48,7 +48,7 @@ def with_lost_meshes(hand: Hand, lost: str, folder: Path) -> Hand:
 
 
 @pytest.mark.parametrize("name", hand_names())
-def test_a_hand_without_shapes_is_kept_clear_nearly_as_with_them(name: str, tmp_path: Path) -> None:
+def test_a_hand_without_shapes_is_kept_clear_nearly_as_with_them(name, tmp_path):
     """Judged by the shapes that were taken away: deep poses are seen, clear ones mostly let be."""
     real = load_hand(name)
     bare = with_lost_meshes(real, r".*", tmp_path)
@@ -67,7 +67,7 @@ def test_a_hand_without_shapes_is_kept_clear_nearly_as_with_them(name: str, tmp_
         assert (ours[clear] < 0.006).mean() > 0.75
 
 
-def test_only_links_that_lost_shapes_get_one(tmp_path: Path) -> None:
+def test_only_links_that_lost_shapes_get_one(tmp_path):
     whole = load_hand("shadow_hand")
     assert stand_in_links(whole) == ()
     assert stand_in_note(whole) == ""
@@ -89,7 +89,7 @@ def test_only_links_that_lost_shapes_get_one(tmp_path: Path) -> None:
     assert fingerprint(hand) != fingerprint(whole)
 
 
-def test_where_most_fingers_lost_shapes_all_get_the_same_kind(tmp_path: Path) -> None:
+def test_where_most_fingers_lost_shapes_all_get_the_same_kind(tmp_path):
     whole = load_hand("leap_hand")
     tips = "|".join(
         whole.model.geom(g).name
@@ -109,7 +109,7 @@ def test_where_most_fingers_lost_shapes_all_get_the_same_kind(tmp_path: Path) ->
     assert int(hand.model.body_weldid[hand.model.body(hand.spec.palm).id]) in parts
 
 
-def test_radii_follow_the_size_of_the_hand(tmp_path: Path) -> None:
+def test_radii_follow_the_size_of_the_hand(tmp_path):
     for name in ("shadow_hand", "allegro_hand", "shadow_dexee"):
         real = load_hand(name)
         (folder := tmp_path / name).mkdir()
@@ -120,7 +120,7 @@ def test_radii_follow_the_size_of_the_hand(tmp_path: Path) -> None:
 
 
 @pytest.mark.shared
-def test_a_vendors_urdf_is_kept_clear_without_its_meshes(shared: Path) -> None:
+def test_a_vendors_urdf_is_kept_clear_without_its_meshes(shared):
     """Judged by the built-in hand's shapes at the same joint positions."""
     file = shared / "hands_urdf" / "leap_hand" / "leap_hand_right.urdf"
     urdf, real = load_hand_spec(discover(file).spec), load_hand("leap_hand")
@@ -133,9 +133,7 @@ def test_a_vendors_urdf_is_kept_clear_without_its_meshes(shared: Path) -> None:
     assert (ours[truth > 0.005] > 0.0).mean() > 0.9
 
 
-def test_it_is_said_where_a_folder_is_retargeted(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_it_is_said_where_a_folder_is_retargeted(tmp_path, capfd):
     hand = with_lost_meshes(load_hand("mimic_p050"), r".*", tmp_path)
     write_hand_spec(hand.spec, tmp_path / "bare.toml")
     folder = tmp_path / "recordings"
@@ -148,9 +146,7 @@ def test_it_is_said_where_a_folder_is_retargeted(
 
 
 @pytest.mark.shared
-def test_it_is_said_where_a_hand_is_added(
-    shared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_it_is_said_where_a_hand_is_added(shared, tmp_path, monkeypatch, capfd):
     monkeypatch.setenv("SMOOTH_OPERATOR_HANDS", str(tmp_path))
     file = shared / "hands_urdf" / "leap_hand" / "leap_hand_right.urdf"
     assert main(["hands", "add", str(file), "--name", "bare_leap"]) == 0

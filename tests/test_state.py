@@ -30,7 +30,7 @@ def same(one: Any, other: Any) -> bool:
     )
 
 
-def test_a_state_is_one_array_bit_for_bit() -> None:
+def test_a_state_is_one_array_bit_for_bit():
     trees = FrameState(TREE, Q)
     layout = StateLayout.of(trees)
     words, others = layout.pack(trees)
@@ -42,7 +42,7 @@ def test_a_state_is_one_array_bit_for_bit() -> None:
     assert same(traced, trees)
 
 
-def test_arrays_of_other_kinds_stay_as_they_are() -> None:
+def test_arrays_of_other_kinds_stay_as_they_are():
     trees = FrameState(TREE | OTHERS, Q)
     state = RetargetState.of(trees)
     assert len(state.others) == len(OTHERS)
@@ -51,14 +51,14 @@ def test_arrays_of_other_kinds_stay_as_they_are() -> None:
     np.testing.assert_array_equal(state.q, Q)
 
 
-def test_a_state_of_a_solver_on_the_host_stays_as_it_is() -> None:
+def test_a_state_of_a_solver_on_the_host_stays_as_it_is():
     state = RetargetState.of(FrameState(TREE, Q), joined=False)
     assert state.words.size == 0
     assert state.trees.method["positions"] is TREE["positions"]
     assert same(state.trees, FrameState(TREE, Q))
 
 
-def test_a_state_is_a_tree_of_one_array() -> None:
+def test_a_state_is_a_tree_of_one_array():
     state = RetargetState.of(FrameState(TREE, Q))
     assert len(jax.tree.leaves(state)) == 1
     again = jax.tree.unflatten(*reversed(jax.tree.flatten(state)))

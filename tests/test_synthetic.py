@@ -7,7 +7,6 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -56,7 +55,7 @@ def tip_gaps(landmarks: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("seed", [0, 7, 123])
-def test_bones_are_rigid_and_scale_with_the_hand(seed: int) -> None:
+def test_bones_are_rigid_and_scale_with_the_hand(seed):
     lengths = {}
     for hand_length in (0.15, 0.19, 0.22):
         recorded = SyntheticOperator(seed=seed, hand_length=hand_length).record(6.0)
@@ -70,7 +69,7 @@ def test_bones_are_rigid_and_scale_with_the_hand(seed: int) -> None:
     assert lengths[0.19][8:12].sum() == pytest.approx(1.0)
 
 
-def test_proportions_are_the_published_ones_within_a_few_percent() -> None:
+def test_proportions_are_the_published_ones_within_a_few_percent():
     # Buryanov & Kotiuk 2010, [mm]: proximal, middle, distal + tip of index, middle, ring, pinky.
     published = np.array([[39.78, 22.38, 19.66], [44.63, 26.33, 21.35],
                           [41.37, 25.65, 21.25], [32.74, 18.11, 19.69]])  # fmt: skip
@@ -85,7 +84,7 @@ def test_proportions_are_the_published_ones_within_a_few_percent() -> None:
     assert 0.085 < wrist_to_middle.min() < wrist_to_middle.max() < 0.10
 
 
-def test_joints_stay_in_their_ranges_and_dips_follow(recording: HandRecording) -> None:
+def test_joints_stay_in_their_ranges_and_dips_follow(recording):
     angles = recording.meta["joint_angles"]
     assert angles.shape == (len(recording), len(JOINTS)) == (len(recording), 20)
     assert (angles >= LOWER - SMALL).all()
@@ -97,7 +96,7 @@ def test_joints_stay_in_their_ranges_and_dips_follow(recording: HandRecording) -
         assert np.ptp(angles[:, pip]) > np.deg2rad(70.0)  # the programme uses the range
 
 
-def test_frames_are_what_the_joint_angles_say(recording: HandRecording) -> None:
+def test_frames_are_what_the_joint_angles_say(recording):
     operator = SyntheticOperator(seed=3)
     poses = pose_hand(operator.anatomy, recording.meta["joint_angles"])
     np.testing.assert_array_equal(poses.landmarks, recording.landmarks)
@@ -110,7 +109,7 @@ def test_frames_are_what_the_joint_angles_say(recording: HandRecording) -> None:
         np.testing.assert_allclose(bend, measured, atol=1e-6)
 
 
-def test_flexion_is_towards_the_palm_and_the_thumb_is_radial() -> None:
+def test_flexion_is_towards_the_palm_and_the_thumb_is_radial():
     angles = np.zeros((3, 20))
     angles[1, [5, 9, 13, 17]] = np.deg2rad(60.0)
     angles[2, [4, 8, 12, 16]] = np.deg2rad(15.0)
@@ -122,7 +121,7 @@ def test_flexion_is_towards_the_palm_and_the_thumb_is_radial() -> None:
 
 
 @pytest.mark.parametrize("tracker", [TrackerModel(), TrackerModel(frame_loss=0.1)])
-def test_left_mirrors_right_exactly(tracker: TrackerModel) -> None:
+def test_left_mirrors_right_exactly(tracker):
     right = SyntheticOperator(seed=5, side="right", tracker=tracker).record(10.0)
     left = SyntheticOperator(seed=5, side="left", tracker=tracker).record(10.0)
     flip = np.array([1.0, -1.0, 1.0])
@@ -138,9 +137,8 @@ def test_left_mirrors_right_exactly(tracker: TrackerModel) -> None:
     )
 
 
-def test_orientations_point_along_the_bones_and_never_jump(recording: HandRecording) -> None:
+def test_orientations_point_along_the_bones_and_never_jump(recording):
     quaternions = recording.orientations
-    assert quaternions is not None
     np.testing.assert_allclose(np.linalg.norm(quaternions, axis=-1), 1.0)
     assert np.abs(np.diff(quaternions, axis=0)).max() < 0.1  # no sign flips either
     axis = rotate(quaternions, np.array([1.0, 0.0, 0.0]))
@@ -151,7 +149,7 @@ def test_orientations_point_along_the_bones_and_never_jump(recording: HandRecord
         np.testing.assert_array_equal(quaternions[:, base + 3], quaternions[:, base + 2])
 
 
-def test_digits_do_not_pass_through_one_another(recording: HandRecording) -> None:
+def test_digits_do_not_pass_through_one_another(recording):
     # Points along the bones; pinching tips may meet, whole fingers may not.
     share = np.linspace(0.0, 1.0, 6)[:, None]
     digits = []
@@ -171,7 +169,7 @@ def test_digits_do_not_pass_through_one_another(recording: HandRecording) -> Non
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_pinching_tips_really_meet_within_the_joint_ranges(seed: int) -> None:
+def test_pinching_tips_really_meet_within_the_joint_ranges(seed):
     postures = pinch_postures(seed)
     assert (postures > FREE_LOWER).all()
     assert (postures < FREE_UPPER).all()
@@ -182,7 +180,7 @@ def test_pinching_tips_really_meet_within_the_joint_ranges(seed: int) -> None:
         assert gaps[~np.eye(4, dtype=bool)].min() > 0.02  # and no other tip does
 
 
-def test_each_pinch_closes_in_motion_and_opens_again(recording: HandRecording) -> None:
+def test_each_pinch_closes_in_motion_and_opens_again(recording):
     gaps, labels = tip_gaps(recording.landmarks), np.array(recording.meta["gesture"])
     for finger, name in enumerate(PINCHES):
         (rows,) = np.nonzero(labels == name)
@@ -199,7 +197,7 @@ def test_each_pinch_closes_in_motion_and_opens_again(recording: HandRecording) -
 
 
 @pytest.mark.parametrize(("max_jerk", "speed"), [(500.0, 1.0), (150.0, 1.0), (2000.0, 2.0)])
-def test_jerk_is_bounded_across_all_joins(max_jerk: float, speed: float) -> None:
+def test_jerk_is_bounded_across_all_joins(max_jerk, speed):
     # A third difference is a mean of the third derivative wherever two derivatives are continuous;
     # a jump in velocity or acceleration at a join would make it grow with the rate.
     rate = 1000.0
@@ -210,7 +208,7 @@ def test_jerk_is_bounded_across_all_joins(max_jerk: float, speed: float) -> None
     assert len(set(recorded.meta["gesture"])) == len(GESTURES)
 
 
-def test_motion_is_smooth_and_at_human_speed(recording: HandRecording) -> None:
+def test_motion_is_smooth_and_at_human_speed(recording):
     rate = recording.rate_hz
     velocity = np.diff(recording.landmarks[:, TIPS], axis=0) * rate
     speed = np.linalg.norm(velocity, axis=-1)
@@ -219,7 +217,7 @@ def test_motion_is_smooth_and_at_human_speed(recording: HandRecording) -> None:
     assert acceleration.max() < 10.0  # a jump of 1 mm between frames would be 10
 
 
-def test_speed_and_jerk_settings_change_the_tempo() -> None:
+def test_speed_and_jerk_settings_change_the_tempo():
     def first_round(operator: SyntheticOperator) -> float:
         recorded = operator.record(80.0)
         labels = np.array(recorded.meta["gesture"])
@@ -233,7 +231,7 @@ def test_speed_and_jerk_settings_change_the_tempo() -> None:
     assert first_round(SyntheticOperator(rate_hz=20, max_jerk=50.0)) > 1.3 * natural
 
 
-def test_gestures_can_be_chosen_and_go_on_for_ever_with_new_draws() -> None:
+def test_gestures_can_be_chosen_and_go_on_for_ever_with_new_draws():
     chosen = ("spread", "pinch_ring", "spread")
     recorded = SyntheticOperator(gestures=chosen, rate_hz=50).record(60.0)
     labels = [name for name, _ in itertools.groupby(recorded.meta["gesture"])]
@@ -249,13 +247,13 @@ def test_gestures_can_be_chosen_and_go_on_for_ever_with_new_draws() -> None:
 
 
 @pytest.mark.parametrize("gesture", GESTURES)
-def test_every_gesture_works_alone(gesture: str) -> None:
+def test_every_gesture_works_alone(gesture):
     recorded = SyntheticOperator(seed=2, gestures=(gesture,), rate_hz=60, side="left").record(12.0)
     assert set(recorded.meta["gesture"]) == {gesture}
     assert np.ptp(recorded.landmarks[:, TIPS], axis=0).max() > 0.01
 
 
-def test_wandering_does_not_repeat_or_stand_still() -> None:
+def test_wandering_does_not_repeat_or_stand_still():
     recorded = SyntheticOperator(seed=4, gestures=("wander",)).record(20.0)
     free = recorded.meta["joint_angles"]
     moving = np.abs(np.diff(free, axis=0)).max(1) > 1e-5
@@ -267,7 +265,7 @@ def test_wandering_does_not_repeat_or_stand_still() -> None:
 # Determinism
 
 
-def test_same_seed_same_bits_other_seed_other_person() -> None:
+def test_same_seed_same_bits_other_seed_other_person():
     noisy = TrackerModel(noise=1e-3, rate_jitter=0.1, frame_loss=0.05, landmark_loss=0.05, seed=9)
     operator = SyntheticOperator(seed=11, tracker=noisy, wrist=WristMotion(0.1, 0.4))
     a, b = operator.record(5.0), replace(operator).record(5.0)
@@ -288,7 +286,7 @@ def test_same_seed_same_bits_other_seed_other_person() -> None:
         ),
     ],
 )
-def test_frames_are_those_of_the_recording(tracker: TrackerModel) -> None:
+def test_frames_are_those_of_the_recording(tracker):
     operator = SyntheticOperator(seed=6, side="left", tracker=tracker)
     longer, shorter = operator.record(9.0), operator.record(3.0)
     endless = operator.frames()
@@ -302,7 +300,7 @@ def test_frames_are_those_of_the_recording(tracker: TrackerModel) -> None:
     assert sum(1 for _ in operator.frames(3.0)) == len(shorter)
 
 
-def test_the_programme_does_not_depend_on_how_it_is_asked() -> None:
+def test_the_programme_does_not_depend_on_how_it_is_asked():
     times = np.arange(3000) / 100.0
     whole, labels = Programme(2, GESTURES, 1.0, 500.0).at(times)
     piecewise = Programme(2, GESTURES, 1.0, 500.0)
@@ -314,7 +312,7 @@ def test_the_programme_does_not_depend_on_how_it_is_asked() -> None:
 # Tracker
 
 
-def test_motion_underneath_is_the_same_with_and_without_imperfections() -> None:
+def test_motion_underneath_is_the_same_with_and_without_imperfections():
     clean = SyntheticOperator(seed=8).record(15.0)
     tracker = TrackerModel(noise=2e-3, frame_loss=0.1, landmark_loss=0.1, seed=4)
     real = SyntheticOperator(seed=8, tracker=tracker).record(15.0)
@@ -330,7 +328,7 @@ def test_motion_underneath_is_the_same_with_and_without_imperfections() -> None:
 
 
 @pytest.mark.parametrize("noise_time", [0.0, 0.1])
-def test_noise_has_the_standard_deviation_and_correlation_asked_for(noise_time: float) -> None:
+def test_noise_has_the_standard_deviation_and_correlation_asked_for(noise_time):
     clean = SyntheticOperator(seed=1).record(40.0)
     noisy = SyntheticOperator(
         seed=1, tracker=TrackerModel(noise=1.5e-3, noise_time=noise_time)
@@ -350,7 +348,7 @@ def test_noise_has_the_standard_deviation_and_correlation_asked_for(noise_time: 
 
 
 @pytest.mark.parametrize("jitter", [0.05, 0.45])
-def test_stamps_jitter_and_still_increase(jitter: float) -> None:
+def test_stamps_jitter_and_still_increase(jitter):
     even = SyntheticOperator(rate_hz=120).record(20.0)
     np.testing.assert_allclose(even.stamps, np.arange(2400) / 120.0, atol=1e-12)
     recorded = SyntheticOperator(
@@ -366,7 +364,7 @@ def test_stamps_jitter_and_still_increase(jitter: float) -> None:
     np.testing.assert_allclose(couple(angles), recorded.meta["joint_angles"], atol=1e-11)
 
 
-def test_lost_frames_have_the_share_and_bursts_asked_for() -> None:
+def test_lost_frames_have_the_share_and_bursts_asked_for():
     tracker = TrackerModel(frame_loss=0.2, frame_loss_burst=0.05, seed=2)
     recorded = SyntheticOperator(gestures=("spread",), tracker=tracker).record(300.0)
     assert len(recorded) / 30_000 == pytest.approx(0.8, abs=0.02)
@@ -375,11 +373,10 @@ def test_lost_frames_have_the_share_and_bursts_asked_for() -> None:
     assert recorded.stamps[0] == 0.0
 
 
-def test_lost_landmarks_are_nan_and_invalid_in_bursts() -> None:
+def test_lost_landmarks_are_nan_and_invalid_in_bursts():
     tracker = TrackerModel(landmark_loss=0.15, landmark_loss_burst=0.1, seed=3)
     recorded = SyntheticOperator(gestures=("gait",), tracker=tracker).record(100.0)
     assert recorded.valid is not None
-    assert recorded.orientations is not None
     lost = ~recorded.valid
     assert lost.mean() == pytest.approx(0.15, abs=0.015)
     np.testing.assert_array_equal(np.isnan(recorded.landmarks), np.repeat(lost[..., None], 3, -1))
@@ -389,11 +386,10 @@ def test_lost_landmarks_are_nan_and_invalid_in_bursts() -> None:
     # Landmarks come and go on their own.
     assert np.abs(np.corrcoef(lost.T.astype(float))[np.triu_indices(21, 1)]).max() < 0.2
     frame = recorded[int(np.flatnonzero(lost.any(1))[0])]
-    assert frame.valid is not None
     assert not frame.valid.all()
 
 
-def test_wrist_motion_carries_the_hand_rigidly() -> None:
+def test_wrist_motion_carries_the_hand_rigidly():
     still = SyntheticOperator(seed=2, side="left").record(60.0)
     moved = SyntheticOperator(seed=2, side="left", wrist=WristMotion(0.1, 0.5, seed=1)).record(60.0)
     np.testing.assert_allclose(
@@ -408,7 +404,6 @@ def test_wrist_motion_carries_the_hand_rigidly() -> None:
 
 
 def in_wrist(recorded: HandRecording, name: str) -> np.ndarray:
-    assert recorded.orientations is not None
     inverse = recorded.orientations[:, :1] * np.array([1.0, -1.0, -1.0, -1.0])
     points = getattr(recorded, name) - recorded.landmarks[:, :1]
     return rotate(np.broadcast_to(inverse, (*points.shape[:2], 4)), points)
@@ -417,11 +412,8 @@ def in_wrist(recorded: HandRecording, name: str) -> np.ndarray:
 # Form
 
 
-def test_form_is_that_of_a_glove(recording: HandRecording) -> None:
+def test_form_is_that_of_a_glove(recording):
     assert recording.landmarks.shape == (4000, NUM_LANDMARKS, 3)
-    assert recording.metacarpals is not None
-    assert recording.orientations is not None
-    assert recording.valid is not None
     assert recording.metacarpals.shape == (4000, 4, 3)
     assert recording.orientations.shape == (4000, NUM_LANDMARKS, 4)
     assert recording.valid.all()
@@ -443,7 +435,7 @@ def test_form_is_that_of_a_glove(recording: HandRecording) -> None:
 
 
 @pytest.mark.shared
-def test_palm_and_pinches_resemble_a_real_glove(shared: Path, recording: HandRecording) -> None:
+def test_palm_and_pinches_resemble_a_real_glove(shared, recording):
     path = shared / "recordings" / "manus_right_subject-000_run-010.npz"
     with np.load(path, allow_pickle=False) as file:
         data = file["data"].astype(float)
@@ -461,7 +453,6 @@ def test_palm_and_pinches_resemble_a_real_glove(shared: Path, recording: HandRec
     assert scale == pytest.approx(1.07, abs=0.08)  # that operator's hand is larger
     assert residual.max() < 0.005
     bases = np.concatenate([data[0, :1, :3], data[0, METACARPALS_MANUS_25, :3]])
-    assert recording.metacarpals is not None
     ours = np.concatenate([recording.landmarks[0, :1], recording.metacarpals[0]])
     assert fit(ours, bases)[1].max() < 0.006
     # The hand's own frame is turned as the glove's: x distal, z dorsal in both.
@@ -494,7 +485,7 @@ def test_palm_and_pinches_resemble_a_real_glove(shared: Path, recording: HandRec
         ({"gestures": ()}, "gestures must name"),
     ],
 )
-def test_bad_settings_are_refused(settings: dict[str, object], said: str) -> None:
+def test_bad_settings_are_refused(settings, said):
     with pytest.raises(ConfigError, match=said):
         SyntheticOperator(**settings)  # type: ignore[arg-type]
 
@@ -512,12 +503,12 @@ def test_bad_settings_are_refused(settings: dict[str, object], said: str) -> Non
         ({"seed": "a"}, "tracker seed"),
     ],
 )
-def test_bad_tracker_settings_are_refused(settings: dict[str, object], said: str) -> None:
+def test_bad_tracker_settings_are_refused(settings, said):
     with pytest.raises(ConfigError, match=said):
         TrackerModel(**settings)  # type: ignore[arg-type]
 
 
-def test_other_bad_input_is_refused() -> None:
+def test_other_bad_input_is_refused():
     with pytest.raises(UnknownNameError, match="Did you mean 'pinch_index'"):
         SyntheticOperator(gestures=("pinch_indx",))
     with pytest.raises(ConfigError, match=r"wrist rotation must be 0 to 1\.5 rad"):
@@ -533,14 +524,14 @@ def test_other_bad_input_is_refused() -> None:
 # Cost
 
 
-def test_twenty_seconds_take_well_under_a_second() -> None:
+def test_twenty_seconds_take_well_under_a_second():
     pinch_postures.cache_clear()
     began = time.thread_time()
     assert len(SyntheticOperator(seed=77).record(20.0)) == 2000
     assert time.thread_time() - began < 1.0
 
 
-def test_no_heavy_import() -> None:
+def test_no_heavy_import():
     code = (
         "import sys; from smooth_operator.synthetic import SyntheticOperator as S; S().record(1.0);"
         "print([m for m in ('jax', 'scipy', 'mujoco', 'matplotlib') if m in sys.modules])"
@@ -549,6 +540,6 @@ def test_no_heavy_import() -> None:
     assert done.stdout.strip() == "[]"
 
 
-def test_the_flat_hand_of_the_palm_axes_is_that_of_the_operator() -> None:
+def test_the_flat_hand_of_the_palm_axes_is_that_of_the_operator():
     posed = pose_hand(draw_anatomy(0.19, 0), np.zeros((1, len(JOINTS)))).landmarks[0]
     np.testing.assert_allclose(FLAT_HAND, posed, rtol=0, atol=1e-15)

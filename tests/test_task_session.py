@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -73,7 +72,7 @@ class Stepped:
 
 
 @pytest.fixture
-def simulation(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Stepped:
+def simulation(tmp_path, monkeypatch) -> Stepped:
     monkeypatch.chdir(tmp_path)  # MuJoCo writes its warnings into the working folder
     return Stepped()
 
@@ -84,7 +83,7 @@ def closed(simulation: Stepped) -> np.ndarray:
     return hand.full_configuration(0.3 * hand.limits[:, 0] + 0.7 * hand.limits[:, 1])
 
 
-def test_a_trial_waits_until_the_hand_is_clear(simulation: Stepped) -> None:
+def test_a_trial_waits_until_the_hand_is_clear(simulation):
     begun: list[float] = []
     session = TaskSession(
         simulation,  # type: ignore[arg-type]
@@ -110,7 +109,7 @@ def test_a_trial_waits_until_the_hand_is_clear(simulation: Stepped) -> None:
     assert (outcome.ended, outcome.seconds) == ("timeout", pytest.approx(7.0, abs=0.02))
 
 
-def test_what_is_swept_away_before_the_start_is_put_back(simulation: Stepped) -> None:
+def test_what_is_swept_away_before_the_start_is_put_back(simulation):
     session = TaskSession(simulation, "right")  # type: ignore[arg-type]
     session.go(when_clear=True)
     simulation.run(0.1)
@@ -128,7 +127,7 @@ def test_what_is_swept_away_before_the_start_is_put_back(simulation: Stepped) ->
     assert session.report()["phase"] == "ready"
 
 
-def test_in_free_movement_nothing_can_be_touched(simulation: Stepped) -> None:
+def test_in_free_movement_nothing_can_be_touched(simulation):
     runner = TrialRunner(simulation, ("right",))  # type: ignore[arg-type]
     assert runner.object_there
     runner.change("cube", with_object=False)
@@ -147,7 +146,7 @@ def test_in_free_movement_nothing_can_be_touched(simulation: Stepped) -> None:
     assert simulation.physics.observe().placed
 
 
-def test_the_operator_sees_task_number_clock_and_go_and_no_score(simulation: Stepped) -> None:
+def test_the_operator_sees_task_number_clock_and_go_and_no_score(simulation):
     trials = TaskTrials((), ("right",), LoggingReporter())
     assert trials.shown() is None
     assert live_texts.trial(None) == ""
@@ -180,7 +179,7 @@ def test_the_operator_sees_task_number_clock_and_go_and_no_score(simulation: Ste
     assert "not-done" not in shown()
 
 
-def test_what_ends_a_trial_ends_its_pause(simulation: Stepped, tmp_path: Path) -> None:
+def test_what_ends_a_trial_ends_its_pause(simulation, tmp_path):
     runner = TrialRunner(simulation, ("right",), tmp_path)  # type: ignore[arg-type]
     with pytest.raises(StudyError, match="could be paused"):
         runner.pause()
@@ -199,7 +198,7 @@ def test_what_ends_a_trial_ends_its_pause(simulation: Stepped, tmp_path: Path) -
     assert read_trial(tmp_path / "cube-001.npz").about == {"pauses": 1}
 
 
-def test_the_record_of_an_undone_trial_is_marked(simulation: Stepped, tmp_path: Path) -> None:
+def test_the_record_of_an_undone_trial_is_marked(simulation, tmp_path):
     folder = tmp_path / "trials"
     runner = TrialRunner(simulation, ("right",), folder)  # type: ignore[arg-type]
     for trial in (1, 2):

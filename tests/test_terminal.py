@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -27,13 +26,13 @@ def harmless(text: str) -> bool:
     return not any((ord(c) < 32 and c not in "\n\t") or 127 <= ord(c) < 160 for c in text)
 
 
-def test_control_characters_become_escapes_and_the_rest_stays() -> None:
+def test_control_characters_become_escapes_and_the_rest_stays():
     assert printable("m² → 3 µs\n\tß 手") == "m² → 3 µs\n\tß 手"
     assert printable(HOSTILE) == (r"\x1b]0;title\x07\x1b[2J\x9b31m\x0d\u202e[/x][bold]:warning:")
     assert printable("\udc80") == r"\udc80"  # of a file name that is no UTF-8
 
 
-def test_tables_take_no_text_for_markup(capsys: pytest.CaptureFixture[str]) -> None:
+def test_tables_take_no_text_for_markup(capsys):
     table = Table(title=HOSTILE)
     table.add_column(HOSTILE)
     table.add_row(HOSTILE)
@@ -43,18 +42,14 @@ def test_tables_take_no_text_for_markup(capsys: pytest.CaptureFixture[str]) -> N
     assert out.count("[/x][bold]:warning:") == 5
 
 
-def test_errors_name_hostile_files_as_text(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_errors_name_hostile_files_as_text(tmp_path, capsys):
     assert main(["retarget", f"/nowhere/{HOSTILE}.npz", "--output", str(tmp_path / "o.npz")]) == 2
     told = capsys.readouterr()
     assert harmless(told.err)
     assert r"\x1b[2J" in told.err.replace("\\\\", "\\")
 
 
-def test_latency_shows_hostile_names_as_they_are(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_latency_shows_hostile_names_as_they_are(tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "300")
     path = tmp_path / "q[red]x[] [\x1b[2J.mcap"
     with LogWriter(path) as log:
@@ -67,7 +62,7 @@ def test_latency_shows_hostile_names_as_they_are(
     assert "q[red]x[]" in out.replace("\n", "")
 
 
-def test_keys_of_a_message_are_told_as_text(capsys: pytest.CaptureFixture[str]) -> None:
+def test_keys_of_a_message_are_told_as_text(capsys):
     message = json.dumps({HOSTILE: 1}).encode()
     with pytest.raises(RecordingError) as caught:
         read_manus(message, gloves={}, side="right", received=0.0)
@@ -77,7 +72,7 @@ def test_keys_of_a_message_are_told_as_text(capsys: pytest.CaptureFixture[str]) 
     assert "[/x][bold]:warning:" in err.replace("\n", "")
 
 
-def test_no_error_has_control_characters_of_a_file() -> None:
+def test_no_error_has_control_characters_of_a_file():
     foreign = "a\x1b]0;owned\x07b\u202e"
     for error in (
         RecordingError(f"a.csv: {foreign}"),
@@ -88,13 +83,13 @@ def test_no_error_has_control_characters_of_a_file() -> None:
         assert "\\x1b" in str(error)
 
 
-def test_what_another_library_says_is_one_short_line() -> None:
+def test_what_another_library_says_is_one_short_line():
     assert reason(ValueError("no\n  number: 'x'")) == "no number: 'x'"
     assert len(reason(ValueError("{a=" * 500))) == 160
 
 
 @pytest.mark.parametrize("name", ["a.csv", "a.jsonl"])
-def test_a_line_of_a_manifest_is_not_quoted_at_length(tmp_path: Path, name: str) -> None:
+def test_a_line_of_a_manifest_is_not_quoted_at_length(tmp_path, name):
     rate = "{a=" * 500 + "\x1b[2J"
     row = (
         f'path,rate\na.npz,"{rate}"\n'

@@ -47,7 +47,7 @@ class EvenBend(JointTerm):
         return 4 * self.weight * q**3, 12 * self.weight * q**2
 
 
-def test_terms_of_points_and_of_joints_add_to_eq_1_in_both_forms() -> None:
+def test_terms_of_points_and_of_joints_add_to_eq_1_in_both_forms():
     hand = load_hand()
     rng = np.random.default_rng(0)
     poses = limited_poses(rng, hand.limits, 3)
@@ -71,7 +71,7 @@ def test_terms_of_points_and_of_joints_add_to_eq_1_in_both_forms() -> None:
         np.testing.assert_allclose(hessian, [(a[1] - b[1]) / 2e-6 for a, b in ends], atol=1e-5)
 
 
-def test_a_term_of_weight_zero_changes_nothing_and_a_heavy_one_wins() -> None:
+def test_a_term_of_weight_zero_changes_nothing_and_a_heavy_one_wins():
     """By a method that solves on the host, which compiles in the shortest time."""
     hand, recording = load_hand(), SyntheticOperator(seed=2).record(0.1)
     config = method_config("keyvector")

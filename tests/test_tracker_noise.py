@@ -146,7 +146,7 @@ def test_without_a_scale_of_motion_nothing_is_removed():
 
 
 @pytest.mark.parametrize("name", ["level_time", "shape_time", "outlier"])
-def test_settings_are_checked(name: str):
+def test_settings_are_checked(name):
     with pytest.raises(ConfigError, match=f"tracker_noise.{name}"):
         NoiseConfig(**{name: 0.0})
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 from test_bench_uses import line
@@ -20,19 +19,19 @@ ONE_FINGER = r"index_\w+"
 
 
 @pytest.mark.parametrize("name", hand_names())
-def test_built_in_hands_are_measured(name: str) -> None:
+def test_built_in_hands_are_measured(name):
     assert collision_note(load_hand(name)) == ""
 
 
 @pytest.mark.parametrize("lost", [ONE_FINGER, r"(?!palm).*", r".*"])
-def test_a_hand_that_lost_shapes_is_not_measured(lost: str, tmp_path: Path) -> None:
+def test_a_hand_that_lost_shapes_is_not_measured(lost, tmp_path):
     hand = with_lost_meshes(load_hand("mimic_p050"), lost, tmp_path)
     assert shapeless_links(hand)
     assert penetration_depths(hand, hand.full_configuration(hand.neutral)[None]) is None
     assert "no collision shapes that can be read" in collision_note(hand)
 
 
-def test_a_verdict_has_no_part_for_collision_that_was_not_measured() -> None:
+def test_a_verdict_has_no_part_for_collision_that_was_not_measured():
     lines = [
         line("wide", 0.98, 1.1, 0.95, 3e-6, 7.0, None, 0.10, 0.5),
         line("close", 0.97, 1.2, 0.92, 4e-6, 4.0, None, 0.09, 0.6),
@@ -43,9 +42,7 @@ def test_a_verdict_has_no_part_for_collision_that_was_not_measured() -> None:
 
 
 @pytest.mark.weekly
-def test_bench_and_retarget_leave_the_cell_empty(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_bench_and_retarget_leave_the_cell_empty(tmp_path, capfd):
     hand = with_lost_meshes(load_hand("mimic_p050"), ONE_FINGER, tmp_path)
     bare = tmp_path / "bare.toml"
     write_hand_spec(replace(hand.spec, name="bare"), bare)

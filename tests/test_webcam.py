@@ -79,7 +79,7 @@ class Fake:
 
 
 @pytest.fixture
-def fake(monkeypatch: pytest.MonkeyPatch) -> type[Fake]:
+def fake(monkeypatch) -> type[Fake]:
     monkeypatch.setattr(picture_tracker, "HandLandmarker", Fake)
     monkeypatch.setattr(picture_tracker, "hand_model", lambda given: given)
     return Fake
@@ -99,7 +99,7 @@ def plain(level: int) -> np.ndarray:
     return np.full((64, 96, 3), level, np.uint8)
 
 
-def test_a_landmark_outside_the_picture_is_not_valid(fake: type[Fake]) -> None:
+def test_a_landmark_outside_the_picture_is_not_valid(fake):
     (frame,) = PictureTracker(PictureConfig()).frames(plain(200), 1.5)
     assert frame.valid.sum() == 20
     assert not frame.valid[8]
@@ -107,9 +107,7 @@ def test_a_landmark_outside_the_picture_is_not_valid(fake: type[Fake]) -> None:
 
 
 @pytest.mark.parametrize("mirrored", [False, True])
-def test_a_mirrored_picture_is_turned_back_before_it_is_looked_at(
-    fake: type[Fake], mirrored: bool
-) -> None:
+def test_a_mirrored_picture_is_turned_back_before_it_is_looked_at(fake, mirrored):
     picture = plain(0)
     picture[:, :10] = (200, 100, 50)  # blue, green, red at the left edge
     PictureTracker(PictureConfig(mirrored=mirrored)).frames(picture, 0.0)
@@ -118,7 +116,7 @@ def test_a_mirrored_picture_is_turned_back_before_it_is_looked_at(
     np.testing.assert_array_equal(looked_at[0, 0 if mirrored else -1], (0, 0, 0))
 
 
-def test_smoothing_is_of_each_hand_and_off_by_default(fake: type[Fake]) -> None:
+def test_smoothing_is_of_each_hand_and_off_by_default(fake):
     jumps = [np.zeros((21, 3)), np.full((21, 3), 0.01)]
 
     def last(smoothing: float) -> np.ndarray:
@@ -132,7 +130,7 @@ def test_smoothing_is_of_each_hand_and_off_by_default(fake: type[Fake]) -> None:
     assert (last(4.0) < 0.009).all()
 
 
-def test_a_video_is_played_at_its_own_pace(fake: type[Fake], tmp_path: Path) -> None:
+def test_a_video_is_played_at_its_own_pace(fake, tmp_path):
     path = write_video(tmp_path / "clip.mp4", [plain(200)] * 20, rate=20.0)
     source, mailbox = build_source(f"video:{path},speed=2,every=true"), Mailbox()
     began = time.perf_counter()
@@ -147,8 +145,8 @@ def test_a_video_is_played_at_its_own_pace(fake: type[Fake], tmp_path: Path) -> 
 
 
 def test_pictures_that_are_late_are_left_out_unless_every_one_is_wanted(
-    fake: type[Fake], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    fake, tmp_path, monkeypatch
+):
     path = write_video(tmp_path / "clip.mp4", [plain(200)] * 20)
     find = Fake.find
     monkeypatch.setattr(
@@ -165,7 +163,7 @@ def test_pictures_that_are_late_are_left_out_unless_every_one_is_wanted(
     assert "left out since they were late" in source.health().detail
 
 
-def test_a_video_that_loops_begins_a_new_session(fake: type[Fake], tmp_path: Path) -> None:
+def test_a_video_that_loops_begins_a_new_session(fake, tmp_path):
     path = write_video(tmp_path / "clip.mp4", [plain(200)] * 4)
     source, mailbox = Video(path, speed=2.0, loop=True), Mailbox()
     source.start(mailbox)
@@ -183,7 +181,7 @@ def test_a_video_that_loops_begins_a_new_session(fake: type[Fake], tmp_path: Pat
 
 
 @pytest.mark.parametrize("name", ["missing.mp4", "text.mp4"])
-def test_what_is_no_video_is_refused_with_its_name(tmp_path: Path, name: str) -> None:
+def test_what_is_no_video_is_refused_with_its_name(tmp_path, name):
     (tmp_path / "text.mp4").write_text("no video")
     with pytest.raises(SourceError, match=name):
         Video(tmp_path / name).start(Mailbox())
@@ -194,12 +192,12 @@ def test_what_is_no_video_is_refused_with_its_name(tmp_path: Path, name: str) ->
     ["webcam:0,max_hands=3", "webcam:0,confidence=1.5", "webcam:-1", "webcam:0,rate=0",
      "video:a.mp4,speed=0", "video:a.mp4,points=depth", "webcam:0,smoothing=-2", "video"],
 )  # fmt: skip
-def test_settings_are_checked_before_anything_starts(text: str) -> None:
+def test_settings_are_checked_before_anything_starts(text):
     with pytest.raises(ConfigError):
         build_source(text)
 
 
-def test_a_camera_is_a_number_or_an_address() -> None:
+def test_a_camera_is_a_number_or_an_address():
     assert build_source("webcam") == Webcam(0)
     assert build_source("webcam:2") == Webcam(2)
     address = build_source("webcam:rtsp://10.0.0.2/live?a=1,mirrored=true")
@@ -207,9 +205,7 @@ def test_a_camera_is_a_number_or_an_address() -> None:
 
 
 @pytest.mark.parametrize("module", ["cv2", "mediapipe"])
-def test_without_the_extra_one_line_says_so(
-    module: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_the_extra_one_line_says_so(module, tmp_path, monkeypatch):
     clip = write_video(tmp_path / "clip.mp4", [plain(0)])
     monkeypatch.setattr(picture_tracker, "hand_model", lambda given: clip)
     monkeypatch.setitem(sys.modules, module, None)
@@ -247,14 +243,14 @@ class Capture:
 
 
 @pytest.fixture
-def captures(monkeypatch: pytest.MonkeyPatch) -> type[Capture]:
+def captures(monkeypatch) -> type[Capture]:
     monkeypatch.setattr(cv2, "VideoCapture", Capture)
     monkeypatch.setattr(camera_module, "RETRY_S", 0.05)
     Capture.released = 0
     return Capture
 
 
-def test_a_camera_that_vanishes_is_opened_again(captures: type[Capture], fake: type[Fake]) -> None:
+def test_a_camera_that_vanishes_is_opened_again(captures, fake):
     captures.left = [4]
     source, mailbox = Webcam(), Mailbox()
     source.start(mailbox)
@@ -275,9 +271,7 @@ def test_a_camera_that_vanishes_is_opened_again(captures: type[Capture], fake: t
     assert captures.released >= 2
 
 
-def test_the_newest_picture_is_taken_and_the_others_are_dropped(
-    captures: type[Capture], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_newest_picture_is_taken_and_the_others_are_dropped(captures, monkeypatch):
     numbers: list[int] = []
 
     def numbered(self: Capture) -> tuple[bool, np.ndarray]:
@@ -297,7 +291,7 @@ def test_the_newest_picture_is_taken_and_the_others_are_dropped(
     assert camera.newest(0.05) is None or camera.newest(0.05) is None
 
 
-def test_no_camera_says_what_was_tried(captures: type[Capture], fake: type[Fake]) -> None:
+def test_no_camera_says_what_was_tried(captures, fake):
     captures.left = []
     with pytest.raises(SourceError, match=r"camera 0: it can't be opened\. Tried through .*video:"):
         Webcam().start(Mailbox())
@@ -310,7 +304,7 @@ def test_no_camera_says_what_was_tried(captures: type[Capture], fake: type[Fake]
 
 
 @pytest.fixture(scope="module")
-def media(shared_folder: Path) -> Path:
+def media(shared_folder) -> Path:
     pytest.importorskip("mediapipe", reason="the extra webcam is not installed")
     return shared_folder / "media"
 
@@ -325,7 +319,7 @@ def shared_folder() -> Path:
 
 
 @pytest.fixture(scope="module")
-def clip(media: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def clip(media, tmp_path_factory) -> Path:
     """Forty pictures of the hand, at half their size."""
     capture = cv2.VideoCapture(str(media / "human_hand_video.mp4"))
     pictures = [cv2.resize(capture.read()[1], (640, 360)) for _ in range(40)]
@@ -334,7 +328,7 @@ def clip(media: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def tracker(media: Path) -> Iterator[Callable[..., PictureTracker]]:
+def tracker(media) -> Iterator[Callable[..., PictureTracker]]:
     made = []
 
     def make(**settings: Any) -> PictureTracker:
@@ -353,9 +347,7 @@ def photograph(media: Path, finger: str) -> np.ndarray:
 
 @pytest.mark.shared
 @pytest.mark.parametrize("finger", PINCHES)
-def test_a_photographed_right_hand_is_a_right_hand(
-    media: Path, tracker: Callable[..., PictureTracker], finger: str
-) -> None:
+def test_a_photographed_right_hand_is_a_right_hand(media, tracker, finger):
     """By its shape, and not by its label: against the same hand as another tracker saw it."""
     with np.load(media.parent / "recordings" / "pinch_poses_wilor_21x3.npz") as poses:
         reference = np.asarray(poses[f"thumb_to_{finger}_tip"], float)
@@ -372,9 +364,7 @@ def test_a_photographed_right_hand_is_a_right_hand(
 
 
 @pytest.mark.shared
-def test_a_mirrored_photograph_needs_the_setting(
-    media: Path, tracker: Callable[..., PictureTracker]
-) -> None:
+def test_a_mirrored_photograph_needs_the_setting(media, tracker):
     mirrored = photograph(media, "ring")[:, ::-1]
     (wrong,) = tracker().frames(mirrored, 0.0)
     assert wrong.side == "left"
@@ -386,9 +376,7 @@ def test_a_mirrored_photograph_needs_the_setting(
 
 @pytest.mark.shared
 @pytest.mark.parametrize("finger", PINCHES)
-def test_the_thumb_is_found_at_the_finger_that_it_touches(
-    media: Path, tracker: Callable[..., PictureTracker], finger: str
-) -> None:
+def test_the_thumb_is_found_at_the_finger_that_it_touches(media, tracker, finger):
     following = tracker(points="picture")
     for k in range(3):  # it settles as in a video
         (frame,) = following.frames(photograph(media, finger), k / 30)
@@ -398,7 +386,7 @@ def test_the_thumb_is_found_at_the_finger_that_it_touches(
 
 
 @pytest.mark.shared
-def test_a_video_becomes_a_recording(media: Path, clip: Path) -> None:
+def test_a_video_becomes_a_recording(media, clip):
     told: list[tuple[int, int]] = []
     recording = track_video(
         clip,
@@ -411,9 +399,7 @@ def test_a_video_becomes_a_recording(media: Path, clip: Path) -> None:
 
 
 @pytest.mark.shared
-def test_the_command_line_converts_a_video(
-    media: Path, clip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_command_line_converts_a_video(media, clip, tmp_path, monkeypatch):
     monkeypatch.setenv(SWITCH, str(media / "hand_landmarker.task"))
     out = tmp_path / "hand.npz"
     assert main(["convert", str(clip), "--output", str(out)]) == 0
@@ -422,14 +408,14 @@ def test_the_command_line_converts_a_video(
 
 
 @pytest.mark.shared
-def test_a_hand_that_is_not_there_is_an_error(media: Path, clip: Path) -> None:
+def test_a_hand_that_is_not_there_is_an_error(media, clip):
     config = PictureConfig(model=media / "hand_landmarker.task")
     with pytest.raises(RecordingError, match="no left hand is on any of its 40 pictures"):
         track_video(clip, side="left", config=config)
 
 
 @pytest.mark.shared
-def test_the_live_video_posts_a_hand(media: Path, clip: Path) -> None:
+def test_the_live_video_posts_a_hand(media, clip):
     source, mailbox = Video(clip, every=True, model=media / "hand_landmarker.task"), Mailbox()
     source.start(mailbox)
     wait_for(lambda: source.health().state == "ended")
@@ -440,7 +426,7 @@ def test_the_live_video_posts_a_hand(media: Path, clip: Path) -> None:
 
 
 @pytest.mark.shared
-def test_a_video_without_a_hand_gives_no_frame(media: Path, tmp_path: Path) -> None:
+def test_a_video_without_a_hand_gives_no_frame(media, tmp_path):
     noise = np.random.default_rng(0).integers(0, 255, (10, 120, 160, 3), np.uint8)
     path = write_video(tmp_path / "noise.mp4", list(noise))
     source: LiveSource = build_source(f"video:{path},model={media / 'hand_landmarker.task'}")
@@ -452,7 +438,7 @@ def test_a_video_without_a_hand_gives_no_frame(media: Path, tmp_path: Path) -> N
 
 
 @pytest.mark.shared
-def test_a_model_that_is_none_is_one_sentence(media: Path, tmp_path: Path) -> None:
+def test_a_model_that_is_none_is_one_sentence(media, tmp_path):
     import zipfile
 
     path = tmp_path / "empty.task"
@@ -463,9 +449,7 @@ def test_a_model_that_is_none_is_one_sentence(media: Path, tmp_path: Path) -> No
 
 
 @pytest.mark.shared
-def test_the_start_is_quiet_and_hides_no_word_of_others(
-    media: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_start_is_quiet_and_hides_no_word_of_others(media, capfd, monkeypatch):
     module = importlib.import_module("smooth_operator.teleop.sources.webcam.picture_tracker")
     find = HandLandmarker.find
 
@@ -482,7 +466,7 @@ def test_the_start_is_quiet_and_hides_no_word_of_others(
 
 
 @pytest.mark.shared
-def test_a_program_that_ends_without_stopping_ends_in_peace(media: Path, clip: Path) -> None:
+def test_a_program_that_ends_without_stopping_ends_in_peace(media, clip):
     program = f"""
 import time
 from pathlib import Path
@@ -524,7 +508,7 @@ def feed(pictures: list[list[SeenHand]]) -> list[dict[Side, float]]:
 BOTH = [seen("right", 0.2), seen("left", 0.8)]
 
 
-def test_a_label_that_flips_for_a_moment_is_overruled() -> None:
+def test_a_label_that_flips_for_a_moment_is_overruled():
     flipped = [seen("left", 0.21, 0.99)]
     assert feed([[seen("right", 0.2)], flipped, flipped, [seen("right", 0.22)]]) == [
         {"right": 0.2},
@@ -534,14 +518,14 @@ def test_a_label_that_flips_for_a_moment_is_overruled() -> None:
     ]
 
 
-def test_a_label_that_insists_is_believed() -> None:
+def test_a_label_that_insists_is_believed():
     """Or the first guess, if it was wrong, would hold for ever."""
     out = feed([[seen("right", 0.2)]] + [[seen("left", 0.2)]] * (PATIENCE + 3))
     sides = [next(iter(found)) for found in out]
     assert sides == ["right"] * PATIENCE + ["left"] * 4
 
 
-def test_hands_that_cross_keep_their_labels() -> None:
+def test_hands_that_cross_keep_their_labels():
     """Where both were near, the label decides."""
     steps = np.linspace(-0.2, 0.2, 15)
     out = feed([[seen("right", 0.5 + x), seen("left", 0.5 - x)] for x in steps])
@@ -574,17 +558,17 @@ WAIT = int(MEMORY_S / PERIOD) + 2
         ([[seen("right", 0.2)], [seen("left", 0.2 + 1.6 * PALM)]], {"left": 0.36}),
     ],
 )  # fmt: skip
-def test_each_hand_keeps_its_side(pictures: list[list[SeenHand]], last: dict[Side, float]) -> None:
+def test_each_hand_keeps_its_side(pictures, last):
     assert feed(pictures)[-1] == pytest.approx(last)
 
 
-def test_time_that_goes_back_forgets_all() -> None:
+def test_time_that_goes_back_forgets_all():
     _, tracks = assign_sides([seen("right", 0.2)], {}, 20.0)
     found, _ = assign_sides([seen("left", 0.2)], tracks, 0.0)
     assert list(found) == ["left"]
 
 
-def test_points_of_the_picture_get_the_size_of_those_in_metres() -> None:
+def test_points_of_the_picture_get_the_size_of_those_in_metres():
     rng = np.random.default_rng(1)
     world = rng.normal(scale=0.04, size=(21, 3))
     picture = (world - world.mean(axis=0)) * 2.7 + (0.3, 0.6, 0.0)
@@ -607,7 +591,7 @@ def run(points: np.ndarray, gain: float = 20.0) -> np.ndarray:
     return np.array(out)
 
 
-def test_noise_at_rest_is_more_than_halved() -> None:
+def test_noise_at_rest_is_more_than_halved():
     noise = np.random.default_rng(0).normal(scale=1e-3, size=(400, 21, 3))
     filtered = run(noise)
     assert np.std(filtered[50:]) < 0.65 * np.std(noise)
@@ -615,7 +599,7 @@ def test_noise_at_rest_is_more_than_halved() -> None:
     assert jitter[0] < 0.2 * jitter[1]
 
 
-def test_a_moving_hand_is_followed_within_a_frame() -> None:
+def test_a_moving_hand_is_followed_within_a_frame():
     t = np.arange(90) / RATE
     truth = np.zeros((90, 21, 3))
     truth[..., 0] = 0.08 * np.sin(2 * np.pi * 0.7 * t)[:, None]  # up to 0.35 m/s
@@ -627,7 +611,7 @@ def test_a_moving_hand_is_followed_within_a_frame() -> None:
     assert behind < 0.75 * constant  # it is the speed that makes it quick
 
 
-def test_no_direction_is_preferred() -> None:
+def test_no_direction_is_preferred():
     """Motion that is turned in space is answered by the answer, turned alike."""
     rng = np.random.default_rng(1)
     points = np.cumsum(rng.normal(scale=0.01, size=(60, 21, 3)), axis=0)
@@ -635,7 +619,7 @@ def test_no_direction_is_preferred() -> None:
     np.testing.assert_allclose(run(points @ turn), run(points) @ turn, atol=1e-12)
 
 
-def test_a_lost_landmark_stays_lost_and_comes_back_clean() -> None:
+def test_a_lost_landmark_stays_lost_and_comes_back_clean():
     points = np.full((6, 2, 3), 0.1)
     points[2:4, 1] = np.nan
     points[4:, 1] = 0.3
@@ -646,7 +630,7 @@ def test_a_lost_landmark_stays_lost_and_comes_back_clean() -> None:
 
 
 @pytest.mark.parametrize("stamp", [0.5, 0.0, -1.0])
-def test_it_begins_anew_after_a_gap_and_when_stamps_go_back(stamp: float) -> None:
+def test_it_begins_anew_after_a_gap_and_when_stamps_go_back(stamp):
     first = one_euro(None, np.zeros((1, 3)), 0.0, 4.0)
     again = one_euro(first, np.ones((1, 3)), stamp, 4.0)
     np.testing.assert_array_equal(again.points, 1.0)

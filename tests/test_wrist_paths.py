@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -80,7 +79,7 @@ def same(back: Episode, sent: Episode) -> None:
 
 
 @pytest.mark.parametrize("side", ["right", "left"])
-def test_the_operator_knows_its_wrist(side: str) -> None:
+def test_the_operator_knows_its_wrist(side):
     hand = operator(side)
     world = poses.points_to_ours(hand.landmarks, poses.axes("z", "y", "-x"))
     found = poses.wrist_from_landmarks(world, hand.side)
@@ -92,7 +91,7 @@ def test_the_operator_knows_its_wrist(side: str) -> None:
     assert plain.T_world_wrist is None
 
 
-def test_the_live_operator_moves_its_wrist_and_not_its_landmarks() -> None:
+def test_the_live_operator_moves_its_wrist_and_not_its_landmarks():
     boxes = [Mailbox(), Mailbox()]
     seen: list[list[HandFrame]] = [[], []]
     for box, frames, wrist in zip(boxes, seen, (0.05, 0.0), strict=True):
@@ -118,7 +117,7 @@ def test_the_live_operator_moves_its_wrist_and_not_its_landmarks() -> None:
     assert moved[0].world == "synthetic"
 
 
-def test_a_replay_has_the_wrist_of_its_recording(tmp_path: Path) -> None:
+def test_a_replay_has_the_wrist_of_its_recording(tmp_path):
     sent = episode()
     write_log_episode(tmp_path / "a.mcap", sent)
     source, box, seen = Replay(tmp_path / "a.mcap", speed=100.0), Mailbox(), []
@@ -129,7 +128,7 @@ def test_a_replay_has_the_wrist_of_its_recording(tmp_path: Path) -> None:
     np.testing.assert_array_equal([f.T_world_wrist for f in seen], sent.recording.T_world_wrist)
 
 
-def test_a_headset_sends_its_wrist_in_its_reference_space() -> None:
+def test_a_headset_sends_its_wrist_in_its_reference_space():
     # Palm down, pointing ahead, 1.2 m up, 0.3 m to the right and 0.4 m ahead of the headset.
     joints = np.full((25, 8), 0.01, np.float32)
     joints[:, 0] = 0.01 * np.arange(25)
@@ -149,7 +148,7 @@ def test_a_headset_sends_its_wrist_in_its_reference_space() -> None:
     assert frame.valid[0]
 
 
-def test_26_poses_of_openxr_hold_a_wrist() -> None:
+def test_26_poses_of_openxr_hold_a_wrist():
     rows = np.zeros((26, 7))
     rows[list(FROM_OPENXR_26), :3] = FLAT_HAND
     rows[:, 3] = 1.0
@@ -164,7 +163,7 @@ def test_26_poses_of_openxr_hold_a_wrist() -> None:
     assert read_payload(points, side="right", received=0.0)[0].frame.T_world_wrist is None
 
 
-def test_a_bridge_may_add_a_trackers_wrist_to_a_glove() -> None:
+def test_a_bridge_may_add_a_trackers_wrist_to_a_glove():
     nodes = json.loads(write_manus(HandFrame(FLAT_HAND, 0.0)))
     message = json.dumps({"side": "right", "nodes": nodes, "wrist": POSE, "world": "vive"})
     (reading,) = read_manus(message.encode(), gloves={}, side=None, received=0.0)
@@ -178,7 +177,7 @@ def test_a_bridge_may_add_a_trackers_wrist_to_a_glove() -> None:
 # -- files ------------------------------------------------------------------------------------
 
 
-def test_an_npz_holds_both_wrists(tmp_path: Path) -> None:
+def test_an_npz_holds_both_wrists(tmp_path):
     sent = episode()
     write_npz_episode(tmp_path / "a.npz", sent)
     same(read_npz_episode(tmp_path / "a.npz"), sent)
@@ -187,14 +186,14 @@ def test_an_npz_holds_both_wrists(tmp_path: Path) -> None:
     assert plain.world == "synthetic"
 
 
-def test_an_hdf5_file_holds_both_wrists(tmp_path: Path) -> None:
+def test_an_hdf5_file_holds_both_wrists(tmp_path):
     pytest.importorskip("h5py", reason="needs the extra hdf5")
     sent = episode()
     write_hdf5_episode(tmp_path / "a.h5", sent)
     same(read_hdf5_episode(tmp_path / "a.h5"), sent)
 
 
-def test_a_log_holds_both_wrists(tmp_path: Path) -> None:
+def test_a_log_holds_both_wrists(tmp_path):
     sent = episode()
     write_log_episode(tmp_path / "a.mcap", sent)
     same(read_log_episode(tmp_path / "a.mcap"), sent)
@@ -202,7 +201,7 @@ def test_a_log_holds_both_wrists(tmp_path: Path) -> None:
     assert b"foxglove.PoseInFrame" in data
 
 
-def test_a_lerobot_dataset_holds_both_wrists(tmp_path: Path) -> None:
+def test_a_lerobot_dataset_holds_both_wrists(tmp_path):
     pytest.importorskip("pyarrow", reason="needs the extra lerobot")
     from smooth_operator.episode_files.lerobot.reader import open_dataset, read_dataset_episode
     from smooth_operator.episode_files.lerobot.writer import write_dataset
@@ -221,7 +220,7 @@ def test_a_lerobot_dataset_holds_both_wrists(tmp_path: Path) -> None:
     assert back.recording.T_world_wrist is None
 
 
-def test_parts_of_an_episode_and_of_a_recording_keep_the_wrist(tmp_path: Path) -> None:
+def test_parts_of_an_episode_and_of_a_recording_keep_the_wrist(tmp_path):
     sent = episode()
     cut = sent.sliced(slice(3, 11))
     np.testing.assert_array_equal(cut.recording.T_world_wrist, sent.recording.T_world_wrist[3:11])  # type: ignore[index,union-attr]
@@ -236,7 +235,7 @@ def test_parts_of_an_episode_and_of_a_recording_keep_the_wrist(tmp_path: Path) -
 # -- a live loop ------------------------------------------------------------------------------
 
 
-def test_a_live_command_carries_both_wrists_to_log_and_message(tmp_path: Path) -> None:
+def test_a_live_command_carries_both_wrists_to_log_and_message(tmp_path):
     hand = load_hand("mimic_p050")
     sink = RecordSink(tmp_path / "take.mcap")
     sink.open({"right": hand}, {})
@@ -269,7 +268,7 @@ def test_a_live_command_carries_both_wrists_to_log_and_message(tmp_path: Path) -
     assert "operator_wrist" not in bare
 
 
-def test_the_wrist_and_the_fingers_of_a_row_have_one_stamp(tmp_path: Path) -> None:
+def test_the_wrist_and_the_fingers_of_a_row_have_one_stamp(tmp_path):
     sent = episode()
     write_log_episode(tmp_path / "a.mcap", sent)
     rows: dict[str, list[tuple[int, float]]] = {"/wrist": [], "/command": []}

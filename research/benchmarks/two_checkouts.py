@@ -52,16 +52,8 @@ for line in sys.stdin:
 
 
 METHODS = (
-    "smooth",
-    "sbr",
-    "sbr:paper",
-    "dexpilot",
-    "ako",
-    "keyvector",
-    "hybrid",
-    "joint_angle",
-    "geort",
-)
+    "smooth", "sbr", "sbr:paper", "dexpilot", "ako", "keyvector", "hybrid", "joint_angle", "geort",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)

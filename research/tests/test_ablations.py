@@ -94,18 +94,18 @@ def tiny() -> Iterator[Size]:
 
 
 @pytest.fixture(scope="module")
-def settings(tmp_path_factory: pytest.TempPathFactory) -> Settings:
+def settings(tmp_path_factory) -> Settings:
     folder = tmp_path_factory.mktemp("ablations") / "out"
     return Settings(output=folder, experiments=OURS, size="tiny")
 
 
 @pytest.fixture(scope="module")
-def outcomes(settings: Settings) -> dict[str, typing.Any]:
+def outcomes(settings) -> dict[str, typing.Any]:
     return dict(run_experiments(settings, load_recordings(settings)))
 
 
 @pytest.fixture(scope="module")
-def problem(settings: Settings, tmp_path_factory: pytest.TempPathFactory) -> Problem:
+def problem(settings, tmp_path_factory) -> Problem:
     store = ExperimentFolder(tmp_path_factory.mktemp("problem") / "out", {})
     return ExperimentContext(load_recordings(settings), "mimic_p050", TINY, store).judged[0]
 
@@ -118,9 +118,7 @@ def programs() -> typing.Any:
 # Whole runs
 
 
-def test_every_experiment_writes_results_figures_and_a_verdict(
-    settings: Settings, outcomes: dict[str, typing.Any]
-) -> None:
+def test_every_experiment_writes_results_figures_and_a_verdict(settings, outcomes):
     page = (settings.output / "report.html").read_text(encoding="utf-8")
     assert "http://" not in page.replace("http://www.w3.org", "")
     assert "https://" not in page
@@ -140,9 +138,7 @@ def test_every_experiment_writes_results_figures_and_a_verdict(
     assert page.count("data:image/svg+xml;base64,") == len(OURS)
 
 
-def test_solvers_stay_within_limits_and_improve_on_holding_still(
-    outcomes: dict[str, typing.Any], problem: Problem
-) -> None:
+def test_solvers_stay_within_limits_and_improve_on_holding_still(outcomes, problem):
     still = float(problem.cost(np.repeat(problem.start[None], len(problem), axis=0), 0.0).mean())
     found = outcomes["solver"].figures["solvers"]
     assert {"sampling", "SLSQP", "RMSProp", "Newton", "SLSQP × 2", "RMSProp × 3"} <= set(found)
@@ -152,15 +148,13 @@ def test_solvers_stay_within_limits_and_improve_on_holding_still(
     assert len(found["SLSQP"]["loss"][0]) == 1  # nothing in it is random
 
 
-def test_the_hessian_experiment_checks_itself(outcomes: dict[str, typing.Any]) -> None:
+def test_the_hessian_experiment_checks_itself(outcomes):
     assert 0 < outcomes["hessian"].figures["finite_difference_error"] < 1e-6
     (check,) = [v for v in outcomes["hessian"].verdicts if "our check" in v.claim]
     assert check.held == "held"
 
 
-def test_a_finished_run_computes_nothing_again_and_says_the_same(
-    settings: Settings, outcomes: dict[str, typing.Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_finished_run_computes_nothing_again_and_says_the_same(settings, outcomes, monkeypatch):
     def never(*_: object, **__: object) -> Run:
         raise AssertionError("a finished cell was computed again")
 
@@ -174,7 +168,7 @@ def test_a_finished_run_computes_nothing_again_and_says_the_same(
 
 
 @pytest.fixture
-def counted(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+def counted(monkeypatch) -> list[str]:
     calls: list[str] = []
 
     def fake(problem: Problem, one: Solver, weight: float, seed: int, advance: object) -> Run:
@@ -187,7 +181,7 @@ def counted(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return calls
 
 
-def test_a_stopped_run_goes_on_where_it_was(tmp_path: Path, counted: list[str]) -> None:
+def test_a_stopped_run_goes_on_where_it_was(tmp_path, counted):
     settings = Settings(output=tmp_path / "out", experiments=("solver",), size="tiny")
     sources = load_recordings(settings)
 
@@ -212,7 +206,7 @@ def test_a_stopped_run_goes_on_where_it_was(tmp_path: Path, counted: list[str]) 
     assert len(counted) == total + 1
 
 
-def test_steps_are_tuned_on_frames_that_are_not_judged(tmp_path: Path, counted: list[str]) -> None:
+def test_steps_are_tuned_on_frames_that_are_not_judged(tmp_path, counted):
     frames = f"600:{600 + TINY.tuning_frames}"
     judged = Settings(
         output=tmp_path / "out",
@@ -234,7 +228,7 @@ def test_steps_are_tuned_on_frames_that_are_not_judged(tmp_path: Path, counted: 
         assert tuned.chosen == min(tuned.tried, key=lambda pair: pair[1])[0]
 
 
-def test_unusable_requests_are_refused(tmp_path: Path) -> None:
+def test_unusable_requests_are_refused(tmp_path):
     with pytest.raises(UnknownNameError, match="experiment"):
         Settings(output=tmp_path, experiments=("nothing",))
     with pytest.raises(RecordingError):
@@ -249,7 +243,7 @@ def test_unusable_requests_are_refused(tmp_path: Path) -> None:
 # The command
 
 
-def test_the_command_knows_every_experiment() -> None:
+def test_the_command_knows_every_experiment():
     assert set(typing.get_args(ExperimentName)) == set(EXPERIMENTS)
     for name in EXPERIMENTS:
         made = experiment(name)
@@ -257,9 +251,7 @@ def test_the_command_knows_every_experiment() -> None:
         assert made.claim
 
 
-def test_the_command_refuses_before_it_computes(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_refuses_before_it_computes(tmp_path, capsys):
     (tmp_path / "taken").mkdir()
     (tmp_path / "taken" / "file.txt").write_text("mine")
     assert main(["ablate", "solver", "--output", str(tmp_path / "taken")]) == 2
@@ -270,7 +262,7 @@ def test_the_command_refuses_before_it_computes(
     assert not (tmp_path / "new").exists()
 
 
-def test_published_says_how_many_starts_there_are(capsys: pytest.CaptureFixture[str]) -> None:
+def test_published_says_how_many_starts_there_are(capsys):
     """Not every solver has the published number, and the help says which."""
     with contextlib.suppress(SystemExit):
         main(["paper", "--help"])
@@ -286,7 +278,7 @@ def test_published_says_how_many_starts_there_are(capsys: pytest.CaptureFixture[
         assert words in told, told
 
 
-def test_without_recordings_there_are_enough_independent_ones() -> None:
+def test_without_recordings_there_are_enough_independent_ones():
     for name, least in (("default", 20), ("published", 20), ("quick", 4)):
         requests = [parse_request(word) for word in SIZES[name].recordings]
         assert len({one.unit for one in requests}) == len(requests) >= least
@@ -309,7 +301,7 @@ def test_without_recordings_there_are_enough_independent_ones() -> None:
 # Solvers
 
 
-def test_rmsprop_finds_the_minimum_of_a_quadratic_within_bounds() -> None:
+def test_rmsprop_finds_the_minimum_of_a_quadratic_within_bounds():
     stiffness, centre = jnp.array([1.0, 10.0, 100.0]), jnp.array([0.3, -0.2, 2.0])
     limits = np.array([[-1.0, 1.0]] * 3)
 
@@ -330,14 +322,14 @@ def test_rmsprop_finds_the_minimum_of_a_quadratic_within_bounds() -> None:
     np.testing.assert_allclose(at_the_minimum[:, 0], [0.3, -0.2, 1.0], atol=1e-4)
 
 
-def test_rmsprop_refuses_settings_that_mean_nothing() -> None:
+def test_rmsprop_refuses_settings_that_mean_nothing():
     for bad in ({"step": 0.0}, {"final": 0.0}, {"decay": 1.0}, {"tolerance": 0.0}):
         with pytest.raises(ConfigError):
             RmspropConfig(**bad)
 
 
 @pytest.mark.parametrize("kind", [np.asarray, jnp.asarray])
-def test_the_softmax_of_outputs(kind: typing.Any) -> None:
+def test_the_softmax_of_outputs(kind):
     outputs = kind(np.array([[0.0, 1.0, 5.0], [2.0, 4.0, 9.0]]))
     equal = soft_mean(outputs, kind(np.array([3.0, 3.0, 3.0])), 0.1)
     np.testing.assert_allclose(equal, [2.0, 5.0], rtol=1e-6)
@@ -348,7 +340,7 @@ def test_the_softmax_of_outputs(kind: typing.Any) -> None:
     np.testing.assert_allclose(two, [share, 2 + 2 * share], rtol=1e-5)
 
 
-def test_starts_scatter_about_the_last_answer_within_limits() -> None:
+def test_starts_scatter_about_the_last_answer_within_limits():
     limits = np.array([[-0.1, 3.0], [-3.0, 3.0]])
     starts = scattered_starts(jnp.array([0.0, 1.0]), limits, jnp.asarray(seed_words(1)), 4000, 0.2)
     np.testing.assert_array_equal(starts[:, 0], [0.0, 1.0])
@@ -357,7 +349,7 @@ def test_starts_scatter_about_the_last_answer_within_limits() -> None:
     assert float(starts[1].mean()) == pytest.approx(1.0, abs=0.02)
 
 
-def test_cycles_given_to_the_sampler_are_those_of_its_configuration() -> None:
+def test_cycles_given_to_the_sampler_are_those_of_its_configuration():
     limits = np.array([[-2.0, 2.0]] * 2)
     key, start = jnp.asarray(seed_words(3)), jnp.array([1.0, -1.0])
 
@@ -373,7 +365,7 @@ def test_cycles_given_to_the_sampler_are_those_of_its_configuration() -> None:
     np.testing.assert_allclose(given, configured, atol=1e-6)
 
 
-def test_a_batch_of_one_is_the_single_start(problem: Problem) -> None:
+def test_a_batch_of_one_is_the_single_start(problem):
     """And all solvers of one objective agree on what is better than the last answer."""
     one = run_solver(problem, Slsqp(), 0.0, 0)
     same = run_solver(problem, Slsqp(starts=Starts(1)), 0.0, 7)
@@ -387,7 +379,7 @@ def test_a_batch_of_one_is_the_single_start(problem: Problem) -> None:
         assert (run.q <= high).all()
 
 
-def test_random_solvers_repeat_by_their_seed(problem: Problem) -> None:
+def test_random_solvers_repeat_by_their_seed(problem):
     sampling = Sampling(TINY.samples, TINY.cycles, most_cycles=TINY.cycles)
     first, again, other = (run_solver(problem, sampling, 0.0, seed) for seed in (0, 0, 1))
     np.testing.assert_array_equal(first.q, again.q)
@@ -396,7 +388,7 @@ def test_random_solvers_repeat_by_their_seed(problem: Problem) -> None:
     assert Rmsprop(starts=Starts(2)).random
 
 
-def test_a_velocity_term_slows_the_answers_down(problem: Problem) -> None:
+def test_a_velocity_term_slows_the_answers_down(problem):
     free, held = (run_solver(problem, Newton(), weight, 0).q for weight in (0.0, 100.0))
     assert np.abs(np.diff(held, axis=0)).max() < 0.2 * np.abs(np.diff(free, axis=0)).max()
 
@@ -404,7 +396,7 @@ def test_a_velocity_term_slows_the_answers_down(problem: Problem) -> None:
 # The problem and its Hessian
 
 
-def test_the_tracking_loss_is_the_objectives_own(problem: Problem) -> None:
+def test_the_tracking_loss_is_the_objectives_own(problem):
     rng = np.random.default_rng(0)
     q = np.clip(problem.start + 0.1 * rng.standard_normal((len(problem), 16)),
                 *problem.hand.limits.T)  # fmt: skip
@@ -422,7 +414,7 @@ def test_the_tracking_loss_is_the_objectives_own(problem: Problem) -> None:
     assert measure_run(problem, run, 0.0)["frame_ms"] == 2.0
 
 
-def test_the_hessian_is_that_of_the_cost_by_finite_differences_of_values(problem: Problem) -> None:
+def test_the_hessian_is_that_of_the_cost_by_finite_differences_of_values(problem):
     """Not through the program that makes the Hessian: NumPy kinematics, differences of values."""
     t, step = 3, 1e-4
     q = run_solver(problem, Newton(), 0.0, 0).q
@@ -448,7 +440,7 @@ def test_the_hessian_is_that_of_the_cost_by_finite_differences_of_values(problem
     np.testing.assert_allclose(differences, ours, atol=2e-3 * np.abs(exact[t]).max())
 
 
-def test_jitter_along_a_direction_is_seen_there_and_nowhere_else() -> None:
+def test_jitter_along_a_direction_is_seen_there_and_nowhere_else():
     rng = np.random.default_rng(0)
     basis, _ = np.linalg.qr(rng.standard_normal((4, 4)))
     amplitude = 0.01
@@ -457,7 +449,7 @@ def test_jitter_along_a_direction_is_seen_there_and_nowhere_else() -> None:
     np.testing.assert_allclose(seen, [0, 0, 4 * amplitude, 0], atol=1e-12)
 
 
-def test_the_first_long_run_of_usable_frames_is_taken() -> None:
+def test_the_first_long_run_of_usable_frames_is_taken():
     usable = np.array([1, 1, 0, 1, 1, 1, 1, 0, 1, 1, 1, 1, 1], bool)
     assert unbroken(usable, 2) == slice(0, 2)
     assert unbroken(usable, 4) == slice(3, 7)
@@ -472,7 +464,7 @@ def alone(*values: float) -> Samples:
     return independent(values)
 
 
-def test_contrasts_are_paired_by_recording() -> None:
+def test_contrasts_are_paired_by_recording():
     rng = np.random.default_rng(0)
     size = 10.0 ** rng.uniform(-2, 2, 8)  # recordings differ a hundredfold
     units = [str(k) for k in range(8)]
@@ -496,7 +488,7 @@ def test_contrasts_are_paired_by_recording() -> None:
         contrast(a, Samples(b.values, [*units[:-1], "other"]), "ratio")
 
 
-def test_intervals_are_students_t() -> None:
+def test_intervals_are_students_t():
     found = mean_of(alone(1.0, 2.0, 4.0, 5.0))
     half = 3.182446 * np.std([1.0, 2.0, 4.0, 5.0], ddof=1) / 2  # t of 3 degrees, as in any table
     assert (found.low, found.high) == pytest.approx((3 - half, 3 + half), rel=1e-4)
@@ -504,7 +496,7 @@ def test_intervals_are_students_t() -> None:
     assert high - low == pytest.approx(2 * half * 4.176535 / 3.182446, rel=1e-4)
 
 
-def test_windows_of_one_recording_are_one_unit() -> None:
+def test_windows_of_one_recording_are_one_unit():
     ratios = ([2.0], [2.2], [1.1])
     units = ["glove", "glove", "video"]
     found = contrast(Samples(ratios, units), Samples([[1.0]] * 3, units), "ratio")
@@ -514,7 +506,7 @@ def test_windows_of_one_recording_are_one_unit() -> None:
     assert one.low is None  # however many windows: of another recording they say nothing
 
 
-def test_parts_of_a_file_share_a_unit_and_people_do_not(tmp_path: Path) -> None:
+def test_parts_of_a_file_share_a_unit_and_people_do_not(tmp_path):
     words = ("synthetic:3@:100", "synthetic:3@100:200", "synthetic:4@18cm", "a.npz@:9", "b.npz")
     units = [parse_request(word).unit for word in words]
     assert units[0] == units[1]
@@ -524,7 +516,7 @@ def test_parts_of_a_file_share_a_unit_and_people_do_not(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("count", [2, 4, 8])
-def test_intervals_hold_the_truth_as_often_as_they_say(programs: typing.Any, count: int) -> None:
+def test_intervals_hold_the_truth_as_often_as_they_say(programs, count):
     found = programs.coverage(programs.DRAWS["normal"], count, 1500)
     assert 0.93 < found.covered < 0.97  # intervals of 90 % have 0.90, four standard errors below
     assert found.shown == pytest.approx(1 - found.covered)
@@ -534,7 +526,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say(programs: typing.Any, cou
     assert wrong.covered < 0.9
 
 
-def test_the_table_of_coverage_is_that_of_the_page(programs: typing.Any) -> None:
+def test_the_table_of_coverage_is_that_of_the_page(programs):
     made = programs.coverage_table(programs.Settings(draws=2))
     page = (Path(__file__).resolve().parents[2] / "research" / "docs" / "paper.md").read_text(
         encoding="utf-8"
@@ -545,7 +537,7 @@ def test_the_table_of_coverage_is_that_of_the_page(programs: typing.Any) -> None
     assert [line[0].strip() for line in lines[2:]] == [row[0] for row in made.rows]
 
 
-def test_one_unit_has_no_interval_and_shows_nothing() -> None:
+def test_one_unit_has_no_interval_and_shows_nothing():
     one = contrast(alone(2.0), alone(1.0), "ratio")
     assert one.low is None
     assert "n = 1" in one.shown()
@@ -584,11 +576,11 @@ def _of(low: float, value: float, high: float) -> Estimate:
         (_of(0.1, 0.2, 0.3), "did not hold"),
     ],
 )
-def test_an_effect_is_judged_by_its_interval(found: Estimate, expected: str) -> None:
+def test_an_effect_is_judged_by_its_interval(found, expected):
     assert judge(Effect(0.0, -0.364), [found]) == expected
 
 
-def test_noise_never_helps_a_claim() -> None:
+def test_noise_never_helps_a_claim():
     """A wider interval about the same figure never has a better verdict."""
     rank = {"not shown": 0, "held in part": 1, "held": 2}
     judges = (Effect(0.0, -0.364), Direction(0.0, upwards=False), Equality(-0.3, 0.3))
@@ -599,14 +591,14 @@ def test_noise_never_helps_a_claim() -> None:
             assert ranks == sorted(ranks, reverse=True), (value, one, wider)
 
 
-def test_shares_of_ratios_are_on_a_logarithmic_scale() -> None:
+def test_shares_of_ratios_are_on_a_logarithmic_scale():
     claim = Effect(1.0, 4.0)  # four fifths of it are × 3.03
     assert judge(claim, [contrast(alone(3.1, 3.11, 3.12), alone(1, 1, 1), "ratio")]) == "held"
     part = contrast(alone(2.9, 2.91, 2.92), alone(1, 1, 1), "ratio")
     assert judge(claim, [part]) == "held in part"
 
 
-def test_claims_of_several_parts() -> None:
+def test_claims_of_several_parts():
     down = Direction(0.0, upwards=False)
     clearly, hardly = _of(-0.4, -0.3, -0.2), _of(-0.4, -0.2, -0.001)
     opposite, unclear = _of(0.2, 0.3, 0.4), _of(-0.3, 0.1, 0.5)
@@ -627,7 +619,7 @@ def test_claims_of_several_parts() -> None:
     assert judge(equal, [_of(0.06, 0.07, 0.08)]) == "did not hold"
 
 
-def test_contours_of_equal_compute_run_from_wide_to_deep() -> None:
+def test_contours_of_equal_compute_run_from_wide_to_deep():
     points = [Point(n, depth) for n in (256, 1024, 4096) for depth in (5, 20, 80)]
     (line,) = contours(points)
     assert line == [Point(4096, 5), Point(1024, 20), Point(256, 80)]
@@ -638,7 +630,7 @@ def test_contours_of_equal_compute_run_from_wide_to_deep() -> None:
     assert deep.value == pytest.approx(1 / 1.5 - 1)
 
 
-def test_a_cell_is_not_judged_by_the_losses_that_it_was_chosen_by() -> None:
+def test_a_cell_is_not_judged_by_the_losses_that_it_was_chosen_by():
     """Of many cells that differ by chance alone, the luckiest is no better than the ends."""
     rng = np.random.default_rng(0)
     line = [Point(2**k, 2 ** (20 - k)) for k in range(18, 1, -1)]

@@ -24,8 +24,7 @@ from smooth_operator_research.paper import (
     fk_libraries,
     follow,
     more_sizes,
-    noise,
-    rate,
+    sweeps,
     table,
 )
 from smooth_operator_research.paper.experiment import QUICK, ExperimentContext, ExperimentFolder
@@ -56,7 +55,7 @@ from smooth_operator_research.paper.follow import (
     through_tracker,
 )
 from smooth_operator_research.paper.intervals import independent, mean_of
-from smooth_operator_research.paper.noise import Condition
+from smooth_operator_research.paper.sweeps import Condition
 from smooth_operator_research.paper.table import Benchmark
 
 pytestmark = pytest.mark.weekly
@@ -88,7 +87,7 @@ def sources() -> list[Source]:
 
 
 @pytest.fixture
-def context(sources: list[Source], tmp_path: Path) -> ExperimentContext:
+def context(sources, tmp_path) -> ExperimentContext:
     size = dataclasses.replace(QUICK, name="tiny")
     return ExperimentContext(sources, "mimic_p050", size, ExperimentFolder(tmp_path / "out", {}))
 
@@ -105,7 +104,7 @@ def field() -> Field:
 
 
 @pytest.mark.parametrize("hand", [("mimic_p050", "right"), ("mimic_p050", "left")])
-def test_the_urdf_has_the_hands_kinematics(hand: tuple[str, str]) -> None:
+def test_the_urdf_has_the_hands_kinematics(hand):
     robot = load_hand(*hand)
     urdf = write_urdf(robot)
     option = '<mujoco><compiler fusestatic="false"/></mujoco></robot>'
@@ -119,7 +118,7 @@ def test_the_urdf_has_the_hands_kinematics(hand: tuple[str, str]) -> None:
         np.testing.assert_allclose(tips, robot.tips(q), atol=1e-9)
 
 
-def test_the_urdf_knows_slides_offsets_and_references() -> None:
+def test_the_urdf_knows_slides_offsets_and_references():
     """Of a joint that slides, sits beside its body's origin, and is not 0 at its reference."""
     robot = load_hand("mimic_p050")
     spec = mujoco.MjSpec.from_string(
@@ -164,7 +163,7 @@ def test_the_urdf_knows_slides_offsets_and_references() -> None:
     np.testing.assert_allclose(found.body("tip_thumb").xpos, in_palm, atol=1e-9)
 
 
-def test_every_library_that_is_here_agrees() -> None:
+def test_every_library_that_is_here_agrees():
     hand = load_hand("mimic_p050", "left")
     q = random_poses(hand, 30, 1)
     here = [name for name in fk_libraries.LIBRARIES if missing(name) is None]
@@ -175,9 +174,7 @@ def test_every_library_that_is_here_agrees() -> None:
         assert disagreement(make_library(name, hand), hand, q) < AGREEMENT, name
 
 
-def test_fk_names_what_is_missing_and_does_not_time_what_is_wrong(
-    context: ExperimentContext, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_fk_names_what_is_missing_and_does_not_time_what_is_wrong(context, monkeypatch):
     def wrong(name: str, hand: Any) -> Library:
         right = make_library(name, hand)
         if name != BOUNDED:
@@ -208,7 +205,7 @@ def test_fk_names_what_is_missing_and_does_not_time_what_is_wrong(
     assert "Pinocchio: not installed" in legend
 
 
-def test_every_round_counts_and_libraries_are_compared_round_by_round() -> None:
+def test_every_round_counts_and_libraries_are_compared_round_by_round():
     walk, mujoco = [1.0, 3.0, 9.0], [4.0, 12.0, 37.0]  # the machine was busy in the last
     found = fk.Timing((1,), {OURS: {1: walk}, MUJOCO: {1: mujoco}}, {}, {}, 0)
     assert found.mean(OURS, 1).value == pytest.approx(3.0)  # geometric
@@ -222,9 +219,8 @@ def test_every_round_counts_and_libraries_are_compared_round_by_round() -> None:
 # Takes
 
 
-def test_a_tracker_adds_its_noise_and_loses_its_share(sources: list[Source]) -> None:
+def test_a_tracker_adds_its_noise_and_loses_its_share(sources):
     clean = sources[0].recording
-    assert clean is not None
     before = clean.landmarks.copy()
     degraded = through_tracker(sources[0], clean, TrackerModel(noise=2e-3, frame_loss=0.2, seed=3))
     lost = ~degraded.seen.valid.any(axis=1)  # type: ignore[union-attr]
@@ -244,9 +240,8 @@ def test_a_tracker_adds_its_noise_and_loses_its_share(sources: list[Source]) -> 
     assert degraded.digest == again.digest != other.digest
 
 
-def test_without_imperfections_a_take_is_the_recording(sources: list[Source]) -> None:
+def test_without_imperfections_a_take_is_the_recording(sources):
     clean = sources[0].recording
-    assert clean is not None
     degraded = through_tracker(sources[0], clean, TrackerModel())
     np.testing.assert_array_equal(degraded.seen.landmarks[LEAD:], clean.landmarks)
     np.testing.assert_array_equal(
@@ -254,10 +249,8 @@ def test_without_imperfections_a_take_is_the_recording(sources: list[Source]) ->
     )
 
 
-def test_the_built_in_operator_moves_alike_at_every_rate(sources: list[Source]) -> None:
+def test_the_built_in_operator_moves_alike_at_every_rate(sources):
     base, fast = (at_rate(sources[1], hz, 0.5) for hz in (100.0, 200.0))
-    assert base is not None
-    assert fast is not None
     assert fast.clean.rate_hz == pytest.approx(200.0)
     assert fast.clean.duration == pytest.approx(0.5, abs=0.011)
     both = [i for i, t in enumerate(fast.clean.stamps) if np.isclose(t, base.clean.stamps).any()]
@@ -266,22 +259,18 @@ def test_the_built_in_operator_moves_alike_at_every_rate(sources: list[Source]) 
     np.testing.assert_allclose(fast.clean.landmarks[both], base.clean.landmarks[same], atol=1e-9)
 
 
-def test_an_operators_hand_and_tempo_stay_at_every_rate() -> None:
+def test_an_operators_hand_and_tempo_stay_at_every_rate():
     (source,) = load_sources([parse_request("synthetic:1@16.5cm,1.3x,300:400")])
     degraded = at_rate(source, 100.0, 0.5)
-    assert degraded is not None
-    assert source.recording is not None
     at = np.flatnonzero(np.isclose(source.recording.stamps, degraded.clean.stamps[0]))[0]
     same = source.recording.landmarks[at : at + len(degraded.clean)]
     np.testing.assert_allclose(degraded.clean.landmarks, same, atol=1e-9)
 
 
-def test_of_a_file_frames_are_taken_and_never_made_up(sources: list[Source]) -> None:
+def test_of_a_file_frames_are_taken_and_never_made_up(sources):
     recording = sources[0].recording
     source = Source(Request(Path("glove.npz")), "glove", recording, digest="d")
     slow = at_rate(source, 30.0, 0.9)
-    assert slow is not None
-    assert recording is not None
     assert slow.clean.rate_hz == pytest.approx(30.0, rel=0.15)
     assert np.isin(slow.clean.stamps, recording.stamps).all()
     assert at_rate(source, 200.0, 0.9) is None
@@ -289,16 +278,15 @@ def test_of_a_file_frames_are_taken_and_never_made_up(sources: list[Source]) -> 
         at_rate(source, 15.0, 0.2)
 
 
-def test_the_middle_leaves_as_much_on_either_side(sources: list[Source]) -> None:
+def test_the_middle_leaves_as_much_on_either_side(sources):
     recording = sources[0].recording
-    assert recording is not None
     count = len(recording)
     found = middle(recording, count - 20)
     np.testing.assert_array_equal(found.stamps, recording.stamps[10 : count - 10])
     assert len(middle(recording, count + 5)) == count
 
 
-def test_nearest_frames_are_taken_once() -> None:
+def test_nearest_frames_are_taken_once():
     stamps = np.array([0.0, 0.1, 0.2, 0.3])
     np.testing.assert_array_equal(
         nearest_frames(stamps, np.array([0.0, 0.04, 0.16, 0.9])), [0, 2, 3]
@@ -310,7 +298,7 @@ def test_nearest_frames_are_taken_once() -> None:
 
 @pytest.mark.parametrize("rate_hz", [15.0, 30.0, 100.0, 200.0])
 @pytest.mark.parametrize("delay_ms", [0.0, 3.7, 41.0])
-def test_a_delay_is_found_finer_than_a_frame(rate_hz: float, delay_ms: float) -> None:
+def test_a_delay_is_found_finer_than_a_frame(rate_hz, delay_ms):
     rng = np.random.default_rng(0)
     speed, phase = rng.uniform(2.0, 12.0, (5, 3)), rng.uniform(0, 6, (5, 3))
     stamps = np.arange(0.0, 4.0, 1 / rate_hz)
@@ -323,7 +311,7 @@ def test_a_delay_is_found_finer_than_a_frame(rate_hz: float, delay_ms: float) ->
     assert correlation > 0.99
 
 
-def test_where_nothing_moves_there_is_no_lag() -> None:
+def test_where_nothing_moves_there_is_no_lag():
     stamps = np.arange(0.0, 2.0, 0.01)
     still = np.zeros((len(stamps), 5, 3))
     assert np.isnan(sub_frame_lag(still, still, stamps)).all()
@@ -333,11 +321,9 @@ def test_where_nothing_moves_there_is_no_lag() -> None:
 # Methods
 
 
-def test_noise_makes_rougher_and_is_resumed(
-    context: ExperimentContext, field: Field, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(noise, "field_of", lambda context: field)
-    outcome = noise.TrackerNoise().run(context)
+def test_noise_makes_rougher_and_is_resumed(context, field, monkeypatch):
+    monkeypatch.setattr(sweeps, "field_of", lambda context: field)
+    outcome = sweeps.TrackerNoise().run(context)
     clean, noisy = Condition(), Condition(noise=2e-3)
     by = {
         (one["method"], one["condition"], one["recording"]): one["seeds"]
@@ -360,16 +346,14 @@ def test_noise_makes_rougher_and_is_resumed(
     assert "geort × " in outcome.verdicts[0].ours
     assert "geort ×" not in outcome.verdicts[2].ours
     monkeypatch.setattr(follow, "built_for", None)  # no method runs again
-    assert noise.TrackerNoise().run(context).figures == outcome.figures
+    assert sweeps.TrackerNoise().run(context).figures == outcome.figures
 
 
-def test_rate_reports_accelerations_and_lags(
-    context: ExperimentContext, field: Field, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(rate, "field_of", lambda context: field)
+def test_rate_reports_accelerations_and_lags(context, field, monkeypatch):
+    monkeypatch.setattr(sweeps, "field_of", lambda context: field)
     glove = Source(Request(Path("glove.npz")), "glove", context.sources[0].recording, digest="d")
     mixed = dataclasses.replace(context, sources=[context.sources[1], glove])
-    outcome = rate.FrameRate().run(mixed)
+    outcome = sweeps.FrameRate().run(mixed)
     cells = [one for one in outcome.figures["cells"] if one["method"] == PUBLISHED_SBR]
     assert {one["condition"] for one in cells} == set(TINY.rates)
     for one in cells:
@@ -381,12 +365,12 @@ def test_rate_reports_accelerations_and_lags(
     assert "100 Hz" in outcome.verdicts[0].note
     faster = dataclasses.replace(TINY, rates=(100.0, 200.0))
     monkeypatch.setitem(more_sizes._SIZES, "tiny", faster)
-    again = rate.FrameRate().run(mixed)
+    again = sweeps.FrameRate().run(mixed)
     assert again.figures["too_slow"] == ["glove at 200 Hz"]
     assert "glove at 200 Hz" in again.setup
 
 
-def test_a_method_that_cannot_serve_the_hand_is_a_gap(context: ExperimentContext) -> None:
+def test_a_method_that_cannot_serve_the_hand_is_a_gap(context):
     other = dataclasses.replace(context, hand="allegro_hand")  # no GeoRT model comes with it
     found = field_of(other, ("joint_angle", "geort"))
     assert list(found.choices) == ["joint_angle"]
@@ -398,9 +382,7 @@ def test_a_method_that_cannot_serve_the_hand_is_a_gap(context: ExperimentContext
 # The table
 
 
-def test_the_table_has_six_metrics_by_both_definitions(
-    context: ExperimentContext, field: Field, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_table_has_six_metrics_by_both_definitions(context, field, monkeypatch):
     monkeypatch.setattr(table, "field_of", lambda context, names: field)
     outcome = table.BenchmarkTable().run(context)
     assert [v.claim.partition(":")[0].split(" (")[0].split(" [")[0] for v in outcome.verdicts] == [
@@ -441,7 +423,7 @@ def _benchmark(order: tuple[str, ...]) -> Benchmark:
     return Benchmark(order, values, {name: name for name in ("r-1", "r0", "r1")}, None)
 
 
-def test_an_order_holds_only_where_all_pairs_do() -> None:
+def test_an_order_holds_only_where_all_pairs_do():
     papers = list(table.PAPERS)
     cosine = next(metric for metric in HEADLINES if metric.name == "cosine_similarity")
     order = ("sbr:paper", "dexpilot:published", "hybrid:published", "geort")
@@ -456,12 +438,12 @@ def test_an_order_holds_only_where_all_pairs_do() -> None:
     assert _benchmark(swapped).winners("paper", cosine, list(swapped)) == {"dexpilot:published"}
 
 
-def test_differences_are_written_with_their_sign() -> None:
-    assert noise.signed(mean_of(independent([-3.0, -1.0])), " ms").startswith("−2")
-    assert noise.signed(mean_of(independent([1.0, 3.0]))).startswith("+2")
+def test_differences_are_written_with_their_sign():
+    assert sweeps.signed(mean_of(independent([-3.0, -1.0])), " ms").startswith("−2")
+    assert sweeps.signed(mean_of(independent([1.0, 3.0]))).startswith("+2")
 
 
-def test_presets_of_a_method_share_a_colour_and_not_a_look() -> None:
+def test_presets_of_a_method_share_a_colour_and_not_a_look():
     looks = looks_of(["sbr", "sbr:paper", "geort", "unheard_of"])
     assert looks["sbr"].color == looks["sbr:paper"].color
     assert looks["sbr"].line != looks["sbr:paper"].line

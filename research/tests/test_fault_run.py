@@ -15,7 +15,7 @@ BENCHMARKS = Path(__file__).resolve().parents[1] / "benchmarks"
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="ends processes by POSIX signals")
-def test_nothing_bad_happens_when_everything_goes_wrong(tmp_path: Path) -> None:
+def test_nothing_bad_happens_when_everything_goes_wrong(tmp_path):
     output = tmp_path / "faults.json"
     program = [sys.executable, "teleop.py", "--faults", "--seconds", "12"]
     done = subprocess.run(

@@ -22,7 +22,7 @@ pytestmark = pytest.mark.weekly
 ARC = np.stack([np.cos(np.linspace(0, 1.5, 7)), np.sin(np.linspace(0, 1.5, 7)), np.zeros(7)], -1)
 
 
-def test_it_is_the_best_of_all_motions() -> None:
+def test_it_is_the_best_of_all_motions():
     steps = np.random.default_rng(3).normal(0.0, 0.01, (5, 3))
     steps[2] = 0.0  # the human rests
     steps[3, 0] = np.nan
@@ -36,7 +36,7 @@ def test_it_is_the_best_of_all_motions() -> None:
     assert curve_bound(steps, ARC, 2) == pytest.approx(best, abs=1e-12)
 
 
-def test_a_human_on_the_curve_can_be_followed_and_one_across_it_cannot() -> None:
+def test_a_human_on_the_curve_can_be_followed_and_one_across_it_cannot():
     there_and_back = ARC[[0, 1, 2, 4, 3, 1]]
     assert curve_bound(np.diff(there_and_back, axis=0), ARC, 2) == pytest.approx(1.0)
     across = np.tile([0.0, 0.0, 0.01], (4, 1))
@@ -44,7 +44,7 @@ def test_a_human_on_the_curve_can_be_followed_and_one_across_it_cannot() -> None
     assert curve_bound(np.zeros((4, 3)), ARC, 2) is None
 
 
-def test_fingers_with_one_motor_are_found_and_their_own_motion_reaches_the_bound() -> None:
+def test_fingers_with_one_motor_are_found_and_their_own_motion_reaches_the_bound():
     hand = load_hand("inspire_hand")
     motors = single_motors(hand)
     assert motors[hand.fingers.index("thumb")] is None
@@ -62,7 +62,7 @@ def test_fingers_with_one_motor_are_found_and_their_own_motion_reaches_the_bound
         assert bound == pytest.approx(1.0, abs=0.01), finger
 
 
-def test_a_human_finger_moves_more_ways_than_one_motor() -> None:
+def test_a_human_finger_moves_more_ways_than_one_motor():
     operator = SyntheticOperator(seed=3, rate_hz=30.0).record(4.0)
     hand = load_hand("inspire_hand")
     found = motion_bounds(hand, operator, 61)

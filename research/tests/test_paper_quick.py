@@ -57,7 +57,7 @@ def _unnumbered(text: str) -> str:
 
 
 @pytest.mark.weekly
-def test_the_whole_set_runs_and_is_not_computed_twice(tmp_path: Path) -> None:
+def test_the_whole_set_runs_and_is_not_computed_twice(tmp_path):
     folder = tmp_path / "quick"
     told, progress = quickly(folder, "paper")
     assert "its verdicts say little" in told.splitlines()[-1]  # below the ticks and crosses

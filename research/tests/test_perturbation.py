@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from smooth_operator.baselines.joint_angle import joint_angles
 from smooth_operator.errors import ConfigError
+from smooth_operator.geometry import palm_axes
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.human.operator import palm_axes
 from smooth_operator.landmarks import BASES, BONES, LANDMARKS
 from smooth_operator.simulation.scenes import SCENES, ScenePhysics, scene_for
 from smooth_operator.simulation.scenes.scene import OBJECT
@@ -33,12 +32,12 @@ HAND = load_hand("mimic_p050")
 
 
 @pytest.fixture(autouse=True)
-def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def elsewhere(tmp_path, monkeypatch) -> None:
     """MuJoCo writes its warnings into the working folder."""
     monkeypatch.chdir(tmp_path)
 
 
-def test_a_world_depends_on_its_seed_and_number_alone() -> None:
+def test_a_world_depends_on_its_seed_and_number_alone():
     first, again, other = (draw_perturbation(3, seed) for seed in (0, 0, 1))
     assert repr(first) == repr(again)
     assert first.mass != other.mass != draw_perturbation(4).mass
@@ -49,7 +48,7 @@ def test_a_world_depends_on_its_seed_and_number_alone() -> None:
         PerturbationRanges(friction=-0.1)
 
 
-def test_worlds_fill_their_ranges_and_world_0_is_unperturbed() -> None:
+def test_worlds_fill_their_ranges_and_world_0_is_unperturbed():
     worlds = [draw_perturbation(k) for k in range(1, 201)]
     bones = np.array([world.bones for world in worlds])
     assert 0.9 <= bones.min() < 0.92
@@ -65,12 +64,11 @@ def test_worlds_fill_their_ranges_and_world_0_is_unperturbed() -> None:
     source = DemonstrationLandmarks(load_demonstration("card"))
     physics = ScenePhysics(HAND, scene)
     seen = PerturbedLandmarks(source, none).landmarks(1.0, physics.observe(), physics)
-    assert seen is not None
     np.testing.assert_allclose(seen, source.at(1.0), atol=1e-12)
 
 
 @pytest.mark.parametrize("task", list(SCENES))
-def test_the_object_is_where_and_as_heavy_as_the_world_says(task: str) -> None:
+def test_the_object_is_where_and_as_heavy_as_the_world_says(task):
     world = replace(draw_perturbation(1), mass=1.2, friction=0.9)
     plain = ScenePhysics(HAND, scene_for(task, HAND))
     scene = world.scene(scene_for(task, HAND))
@@ -98,7 +96,7 @@ def test_the_object_is_where_and_as_heavy_as_the_world_says(task: str) -> None:
     assert not run.assessment.dropped
 
 
-def test_an_object_that_waits_for_the_hand_is_solid_afterwards() -> None:
+def test_an_object_that_waits_for_the_hand_is_solid_afterwards():
     """The thumb of this hand starts in the cube's place."""
     hand = load_hand("orca_v2")
     physics = ScenePhysics(hand, scene_for("cube", hand))
@@ -112,7 +110,7 @@ def test_an_object_that_waits_for_the_hand_is_solid_afterwards() -> None:
     assert state.support == pytest.approx(weight, rel=0.05)
 
 
-def test_another_operator_shows_the_same_angles_with_other_bones() -> None:
+def test_another_operator_shows_the_same_angles_with_other_bones():
     world = draw_perturbation(5)
     points = DemonstrationLandmarks(load_demonstration("cube")).at(1.0)
     longer = world.operator(points)
@@ -127,7 +125,7 @@ def test_another_operator_shows_the_same_angles_with_other_bones() -> None:
         assert ratio == pytest.approx(factor), LANDMARKS[child]
 
 
-def test_frames_are_noisy_and_dropped_as_the_world_says() -> None:
+def test_frames_are_noisy_and_dropped_as_the_world_says():
     base = draw_perturbation(2)
     world = replace(base, tracker=replace(
         base.tracker, noise=0.001, frame_loss=0.1, frame_loss_burst=0.04))  # fmt: skip

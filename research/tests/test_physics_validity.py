@@ -21,7 +21,7 @@ def pad_force(depth: float, inverse_mass: float) -> float:
 
 
 @pytest.mark.parametrize("mass", [0.002, 0.009, 0.045, 0.2])
-def test_pads_give_way_alike_whatever_the_object_weighs(mass: float) -> None:
+def test_pads_give_way_alike_whatever_the_object_weighs(mass):
     """A fingertip moves 4 1/kg by itself."""
     low, high = pad_impedance(1.0 / mass + 4.0)
     assert 0.0 < low <= high < 1.0
@@ -30,7 +30,7 @@ def test_pads_give_way_alike_whatever_the_object_weighs(mass: float) -> None:
 
 
 @pytest.mark.parametrize("name", ["cube 10", "cube 30"])
-def test_pressed_pads_are_as_deep_as_silicone_ones(name: str) -> None:
+def test_pressed_pads_are_as_deep_as_silicone_ones(name):
     """Two points of contact bear a fingertip that lies on a face, each with half of the force."""
     depths = [1e3 * validity.indentation(force, thing(name)) for force in (1.0, 2.0, 5.0)]
     assert depths == sorted(depths)
@@ -39,24 +39,24 @@ def test_pressed_pads_are_as_deep_as_silicone_ones(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["sphere 10", "sphere 30"])
-def test_a_fall_on_a_pad_gains_no_energy(name: str) -> None:
+def test_a_fall_on_a_pad_gains_no_energy(name):
     gain, bounce = validity.energy_gain(thing(name))
     assert gain < 1e-6
     assert bounce < 0.2
 
 
 @pytest.mark.parametrize("force", [1.0, 5.0])
-def test_an_object_slips_at_coulombs_limit(force: float) -> None:
+def test_an_object_slips_at_coulombs_limit(force):
     assert validity.slip_ratio(force, thing("cube 20")) == pytest.approx(1.0, abs=0.1)
 
 
-def test_what_is_held_does_not_creep() -> None:
+def test_what_is_held_does_not_creep():
     assert abs(validity.creep(2.0, thing("cube 30"), 4.0)) < 0.00005
     assert validity.creep(0.1, thing("cube 30"), 1.0) > 0.01  # 0.18 N of friction, 0.26 N of weight
 
 
 @pytest.mark.parametrize("name", ["card 2", "sphere 20"])
-def test_half_the_step_gives_the_same(name: str) -> None:
+def test_half_the_step_gives_the_same(name):
     coarse, fine = (validity.mimic_pinch(thing(name), step) for step in (0.002, 0.001))
     assert coarse.held
     assert fine.held

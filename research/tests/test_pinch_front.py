@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
 from smooth_operator.methods.presets import method_config
@@ -20,7 +18,7 @@ def stand_in(task: pinch_front.Task) -> dict[str, float | None]:
     }  # fmt: skip
 
 
-def test_table_and_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_table_and_picture(tmp_path, monkeypatch):
     monkeypatch.setattr(pinch_front, "measure", stand_in)
     pinch_front.main(
         pinch_front.Settings(
@@ -43,7 +41,7 @@ def test_rows_are_the_presets() -> None:
     assert set(rows) >= {"30", "1000", "sbr", "dexpilot"}
 
 
-def test_a_recording_that_is_missing_ends_the_run(tmp_path: Path) -> None:
+def test_a_recording_that_is_missing_ends_the_run(tmp_path):
     settings = pinch_front.Settings(
         damping=(0.0,), methods=(), data=tmp_path, workers=0, output=tmp_path / "front.json"
     )
@@ -52,7 +50,7 @@ def test_a_recording_that_is_missing_ends_the_run(tmp_path: Path) -> None:
 
 
 @pytest.mark.weekly
-def test_a_row_is_measured() -> None:
+def test_a_row_is_measured():
     found = pinch_front.measure(
         pinch_front.Task("sbr", "sbr", method_config("sbr"), "mimic_p050", "synthetic:1@:500")
     )

@@ -44,7 +44,7 @@ def thing(name: str) -> GraspObject:
 # The human's pinches
 
 
-def test_pinches_of_a_recording_are_found(recording: HandRecording) -> None:
+def test_pinches_of_a_recording_are_found(recording):
     pinches = find_pinches(recording)
     assert [pinch.finger for pinch in pinches] == ["index", "pinky"]
     for pinch in pinches:
@@ -67,7 +67,7 @@ def fingers_apart(gaps: np.ndarray, recording: HandRecording) -> HandRecording:
     return HandRecording(landmarks, 0.01 * np.arange(len(gaps)), "right")
 
 
-def test_a_pinch_is_looked_at_from_where_the_hand_was_open_last(recording: HandRecording) -> None:
+def test_a_pinch_is_looked_at_from_where_the_hand_was_open_last(recording):
     """An object that appeared in the pinch before would be lost as the human opens."""
     times = [0.0, 0.5, 0.6, 0.9, 1.1, 1.3, 1.6, 1.8, 2.6]
     gaps = np.interp(np.arange(0.0, 2.6, 0.01), times, [80, 80, 3, 3, 45, 3, 3, 80, 80]) / 1e3
@@ -82,7 +82,7 @@ def test_a_pinch_is_looked_at_from_where_the_hand_was_open_last(recording: HandR
     assert half.opening(0.01) == second.opening(0.02)
 
 
-def test_what_is_no_pinch_is_not_found(recording: HandRecording) -> None:
+def test_what_is_no_pinch_is_not_found(recording):
     tight = find_pinches(recording)[0].tight
     touched = recording.landmarks.copy()
     touched[:, 8] += 0.008 * np.array([0.0, 0.0, 1.0])  # the index stays 8 mm away: near misses
@@ -94,7 +94,7 @@ def test_what_is_no_pinch_is_not_found(recording: HandRecording) -> None:
     assert find_pinches(recording[:50]) == []
 
 
-def test_the_hand_rests_at_the_tightest_moment(recording: HandRecording) -> None:
+def test_the_hand_rests_at_the_tightest_moment(recording):
     pinches = find_pinches(recording)[:2]
     longer, moments = with_holds(recording, pinches, 1.0)
     assert longer.duration == pytest.approx(recording.duration + 2.0, abs=0.03)
@@ -136,7 +136,7 @@ def pinched(
 
 
 @pytest.mark.parametrize("name", ["card 2", "pen 8", "sphere 20", "cube 30"])
-def test_a_good_pinch_holds_and_lets_go(name: str) -> None:
+def test_a_good_pinch_holds_and_lets_go(name):
     result = pinched(name)
     assert (result.touched, result.held, result.dropped) == (True, True, False)
     assert result.force is not None
@@ -147,7 +147,7 @@ def test_a_good_pinch_holds_and_lets_go(name: str) -> None:
     assert 0.0 <= result.at_limit <= 1.0
 
 
-def test_the_object_waits_for_the_last_closing() -> None:
+def test_the_object_waits_for_the_last_closing():
     """Pads that come near, open again and close: what appeared at first would fall."""
     hand = load_hand("mimic_p050")
     wide, tight = hand.full_configuration(WIDE), hand.full_configuration(TIGHT)
@@ -164,27 +164,27 @@ def test_the_object_waits_for_the_last_closing() -> None:
     assert (never.touched, never.held) == (False, False)
 
 
-def test_what_does_not_close_does_not_hold() -> None:
+def test_what_does_not_close_does_not_hold():
     result = pinched("card 2", share=0.5)
     assert not result.touched
     assert result.gap > 0.001
     assert (result.held, result.dropped, result.let_go) == (False, False, None)
 
 
-def test_what_is_slippery_is_lost() -> None:
+def test_what_is_slippery_is_lost():
     result = pinched("sphere 20", push=0.01)
     assert result.touched
     assert not result.held
 
 
-def test_what_opens_early_drops_and_late_holds_on() -> None:
+def test_what_opens_early_drops_and_late_holds_on():
     early = pinched("card 2", early=True)
     assert (early.held, early.dropped, early.let_go) == (False, True, None)
     late = pinched("card 2", late=0.5)
     assert (late.held, late.dropped, late.let_go) == (True, False, False)
 
 
-def test_the_object_appears_without_a_jolt() -> None:
+def test_the_object_appears_without_a_jolt():
     """Held loosely while the pads close on it; where it is let go it does not jump."""
     hand = load_hand("mimic_p050")
     physics = PinchPhysics(hand, thing("sphere 20"))
@@ -208,7 +208,7 @@ def test_the_object_appears_without_a_jolt() -> None:
 # The measure
 
 
-def test_the_measure_counts_what_was_tried(recording: HandRecording) -> None:
+def test_the_measure_counts_what_was_tried(recording):
     measure = find_measure("pinch")
     assert isinstance(measure, PinchHold)
     unit = Unit("two pinches", data=recording[:400])
@@ -231,7 +231,7 @@ def test_the_measure_counts_what_was_tried(recording: HandRecording) -> None:
     assert abs(measure.run(left).row["held"] - held) <= 0.5  # type: ignore[operator]
 
 
-def test_what_the_human_could_not_take_is_not_tried(recording: HandRecording) -> None:
+def test_what_the_human_could_not_take_is_not_tried(recording):
     """A sphere of 20 mm does not go between fingers that were 15 mm apart."""
     gap = np.linalg.norm(recording.landmarks[:, 8] - recording.landmarks[:, 4], axis=1)
     tight = find_pinches(recording)[0].tight
@@ -244,7 +244,7 @@ def test_what_the_human_could_not_take_is_not_tried(recording: HandRecording) ->
     assert (row["pinches"], row["tried"], row["held_sphere_20"]) == (1, 1, None)
 
 
-def test_a_recording_without_pinches_is_refused(recording: HandRecording) -> None:
+def test_a_recording_without_pinches_is_refused(recording):
     with pytest.raises(RecordingError, match="no pinch"):
         PinchHold().units(PhysicsSettings(output=None, recordings=("synthetic@:30",)))  # type: ignore[arg-type]
     (unit,) = PinchHold().units(PhysicsSettings(output=None, quick=True))  # type: ignore[arg-type]

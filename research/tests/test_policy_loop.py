@@ -13,14 +13,14 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture(autouse=True)
-def paths(monkeypatch: pytest.MonkeyPatch) -> None:
+def paths(monkeypatch) -> None:
     pytest.importorskip("gymnasium", reason="gymnasium is not installed")
     monkeypatch.syspath_prepend(str(ROOT / "packages" / "lerobot_env_smooth_hand"))
     monkeypatch.syspath_prepend(str(ROOT / "research" / "benchmarks"))
 
 
 @pytest.mark.parametrize(("task", "number"), [("card", 0), ("cube", 1)])
-def test_recorded_actions_do_the_task_in_the_environment(task: str, number: int) -> None:
+def test_recorded_actions_do_the_task_in_the_environment(task, number):
     """At a quarter of the rate, from the start pose, in the same world."""
     import policy_loop
     from lerobot_env_smooth_hand import HandTask
@@ -49,7 +49,7 @@ def test_recorded_actions_do_the_task_in_the_environment(task: str, number: int)
     assert (reward, info["is_success"]) == (1.0, True), info
 
 
-def test_intervals_are_of_seeds_and_worlds() -> None:
+def test_intervals_are_of_seeds_and_worlds():
     import policy_loop as loop
 
     success = np.array([[1.0] * 50 + [0.0] * 50] * 3)  # seeds agree: the worlds alone differ

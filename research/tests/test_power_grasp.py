@@ -29,7 +29,7 @@ def recording() -> HandRecording:
     return SyntheticOperator(seed=3, gestures=("open_close", "pinch_index")).record(4.6)
 
 
-def test_a_fist_is_found_and_a_pinch_is_not(recording: HandRecording) -> None:
+def test_a_fist_is_found_and_a_pinch_is_not(recording):
     (closing,) = find_closings(recording)
     straight = finger_straightness(recording)
     assert closing.opened is not None
@@ -41,7 +41,6 @@ def test_a_fist_is_found_and_a_pinch_is_not(recording: HandRecording) -> None:
     )
     (cut,) = find_closings(recording[: closing.tight + 20])
     assert (cut.opened, cut.last) == (None, closing.tight + 19)
-    assert recording.valid is not None
     known = recording.valid.copy()
     known[:, 8] = False  # nobody knows whether the index is bent
     assert find_closings(replace(recording, valid=known)) == []
@@ -70,21 +69,21 @@ def grasped(*, share: float = 1.0, early: bool = False, friction: float = 1.0) -
     return try_power_grasp(physics, grasp)
 
 
-def test_a_fist_holds_a_handle_and_lets_go() -> None:
+def test_a_fist_holds_a_handle_and_lets_go():
     result = grasped()
     assert (result.held, result.dropped, result.let_go) == (True, False, True)
     assert result.force is not None
     assert 1.0 < result.force < 100.0
 
 
-def test_an_open_hand_holds_nothing_and_an_early_one_drops() -> None:
+def test_an_open_hand_holds_nothing_and_an_early_one_drops():
     open_hand = grasped(share=0.1)
     assert (open_hand.held, open_hand.dropped, open_hand.let_go) == (False, False, None)
     early = grasped(early=True)
     assert (early.held, early.dropped) == (False, True)
 
 
-def test_the_object_lies_in_the_palm_and_touches_nothing() -> None:
+def test_the_object_lies_in_the_palm_and_touches_nothing():
     hand = load_hand("mimic_p050")
     for thing in POWER_GRASP_OBJECTS[1:3]:
         physics = PowerGraspPhysics(hand, thing)
@@ -97,7 +96,7 @@ def test_the_object_lies_in_the_palm_and_touches_nothing() -> None:
         assert np.linalg.norm(physics.position - at) < 1e-6  # somebody holds it
 
 
-def test_the_measure_counts_what_was_tried(recording: HandRecording) -> None:
+def test_the_measure_counts_what_was_tried(recording):
     measure = find_measure("grasp")
     assert isinstance(measure, PowerGrasp)
     case = Case(
@@ -110,6 +109,6 @@ def test_the_measure_counts_what_was_tried(recording: HandRecording) -> None:
     assert row["held"] == row["held_handle_30"]
 
 
-def test_a_recording_without_a_closed_hand_is_refused() -> None:
+def test_a_recording_without_a_closed_hand_is_refused():
     with pytest.raises(RecordingError, match="the hand closes nowhere"):
         PowerGrasp().units(PhysicsSettings(output=None, recordings=("synthetic@:30",)))  # type: ignore[arg-type]

@@ -33,7 +33,7 @@ HANDS = ("mimic_p050", "leap_hand", "inspire_hand", "shadow_dexee")
 
 
 @pytest.mark.parametrize("name", HANDS)
-def test_a_motion_keeps_the_limits_and_does_not_collide(name: str) -> None:
+def test_a_motion_keeps_the_limits_and_does_not_collide(name):
     hand = load_hand(name, "right")
     motion = joint_motion(hand, 3, duration=2.0)
     low, high = hand.limits.T
@@ -42,7 +42,6 @@ def test_a_motion_keeps_the_limits_and_does_not_collide(name: str) -> None:
     assert (motion.joints <= high + 1e-9).all()
     np.testing.assert_allclose(motion.joints[0], hand.neutral, atol=1e-12)
     depths = penetration_depths(hand, hand.full_configuration(motion.joints))
-    assert depths is not None
     assert depths.max() <= TOUCH
     # Twice differentiable: the acceleration changes by a bounded jerk from frame to frame.
     span = float((high - low).max())
@@ -51,7 +50,7 @@ def test_a_motion_keeps_the_limits_and_does_not_collide(name: str) -> None:
     assert jumps < 16 * span * (0.01 / KNOT_S) ** 3
 
 
-def test_a_motion_has_pinches_and_follows_from_its_seed() -> None:
+def test_a_motion_has_pinches_and_follows_from_its_seed():
     hand, asked = load_hand("mimic_p050", "right"), asked_of_mimic()
     gaps = np.linalg.norm(asked.tips[:, 1:] - asked.tips[:, :1], axis=-1)
     assert (gaps.min(axis=1) < PINCH_GAP).mean() > 0.05
@@ -64,14 +63,14 @@ def test_a_motion_has_pinches_and_follows_from_its_seed() -> None:
 
 @pytest.mark.parametrize("name", HANDS)
 @pytest.mark.parametrize("side", ["right", "left"])
-def test_alignment_leaves_the_landmarks_where_they_are(name: str, side: str) -> None:
+def test_alignment_leaves_the_landmarks_where_they_are(name, side):
     hand = load_hand(name, side)
     asked = reachable_motion(hand, 1, duration=0.8)
     aligned = align_recording(asked.recording, hand)
     np.testing.assert_allclose(aligned, asked.recording.landmarks, atol=1e-12)
 
 
-def test_noise_moves_the_palm_and_so_the_whole_hand() -> None:
+def test_noise_moves_the_palm_and_so_the_whole_hand():
     hand = load_hand("mimic_p050", "right")
     clean, noisy = (reachable_motion(hand, 1, duration=2.0, noise=n) for n in (0.0, 0.5e-3))
     np.testing.assert_array_equal(clean.joints, noisy.joints)
@@ -82,7 +81,7 @@ def test_noise_moves_the_palm_and_so_the_whole_hand() -> None:
     assert aligned[:, [8, 12, 16]].std() > 1.1 * moved.std()
 
 
-def test_true_joints_are_exact() -> None:
+def test_true_joints_are_exact():
     hand, asked = load_hand("mimic_p050", "right"), asked_of_mimic()
     row = motion_figures(hand, asked, asked.joints)
     assert row["tip_error_mm"] == row["tip_p95_mm"] == row["lag_ms"] == row["common_shift_mm"] == 0
@@ -90,7 +89,7 @@ def test_true_joints_are_exact() -> None:
     assert row["exact"] == 1
 
 
-def test_a_delay_of_three_frames_is_a_lag_of_30_ms() -> None:
+def test_a_delay_of_three_frames_is_a_lag_of_30_ms():
     hand, asked = load_hand("mimic_p050", "right"), asked_of_mimic()
     late = np.concatenate([np.repeat(asked.joints[:1], 3, axis=0), asked.joints[:-3]])
     row = motion_figures(hand, asked, late)
@@ -100,7 +99,7 @@ def test_a_delay_of_three_frames_is_a_lag_of_30_ms() -> None:
     assert row["exact"] < 0.5
 
 
-def test_the_fraction_of_a_frame_is_found() -> None:
+def test_the_fraction_of_a_frame_is_found():
     time = np.arange(400) / 100
     points = np.stack([np.sin(3 * time), np.cos(2 * time), 0 * time], axis=-1)[:, None]
     late = time - 0.0125

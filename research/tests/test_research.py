@@ -22,11 +22,11 @@ WORDS = ["paper", "ablate", "physics", "study simulate", "bench --physics"]
 
 
 @pytest.mark.parametrize("name", MODULES)
-def test_a_module_loads(name: str) -> None:
+def test_a_module_loads(name):
     importlib.import_module(name)
 
 
-def test_the_commands_are_those_that_the_package_expects() -> None:
+def test_the_commands_are_those_that_the_package_expects():
     project = tomllib.loads((RESEARCH / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     assert set(project["entry-points"]["smooth_operator.commands"]) == set(NAMES)
     assert all(name in COMMANDS.plugins for name in NAMES)
@@ -35,7 +35,7 @@ def test_the_commands_are_those_that_the_package_expects() -> None:
 @pytest.mark.parametrize(
     "words", ["paper", "ablate", "physics", "study simulate", "bench --physics"]
 )
-def test_a_command_has_help(words: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_command_has_help(words, capsys):
     assert main([*words.split(), "--help"]) == 0
     usage = words.replace("bench --physics", "physics")
     assert f"usage: smooth-operator {usage}" in capsys.readouterr().out

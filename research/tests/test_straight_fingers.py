@@ -18,7 +18,7 @@ from smooth_operator_research.demonstrations.perturbation import draw_perturbati
 pytestmark = pytest.mark.weekly
 
 
-def test_fingers_are_found_where_a_joint_bends_them_past_straight() -> None:
+def test_fingers_are_found_where_a_joint_bends_them_past_straight():
     hand = load_hand("mimic_p050")
     fingers = StraightFingers(hand)
     assert [hand.fingers[f] for f, *_ in fingers.found] == ["index", "middle", "ring", "pinky"]
@@ -37,7 +37,7 @@ def test_fingers_are_found_where_a_joint_bends_them_past_straight() -> None:
         assert StraightFingers(hand).limits(hand.limits, tips) is hand.limits
 
 
-def test_only_a_fingertip_nearer_than_the_finger_at_its_limit_moves_the_limit() -> None:
+def test_only_a_fingertip_nearer_than_the_finger_at_its_limit_moves_the_limit():
     hand = load_hand("mimic_p050")
     fingers = StraightFingers(hand)
     tips = hand.tips(hand.full_configuration(hand.neutral)) - hand.wrist
@@ -50,7 +50,7 @@ def test_only_a_fingertip_nearer_than_the_finger_at_its_limit_moves_the_limit() 
         assert (found[others, 1] == hand.limits[others, 1].astype(np.float32)).all()
 
 
-def test_a_finger_stretched_too_far_is_not_left_straight() -> None:
+def test_a_finger_stretched_too_far_is_not_left_straight():
     """An operator whose bones stretch the middle finger, which then bends."""
     demonstration = load_demonstration("screwdriver", "mimic_p050")
     hand, source = demonstration.robot, DemonstrationLandmarks(demonstration)

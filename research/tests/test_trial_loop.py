@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -26,7 +24,7 @@ AKO = Retargeter(HAND, method="ako")
 
 
 @pytest.fixture(autouse=True)
-def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def elsewhere(tmp_path, monkeypatch) -> None:
     """MuJoCo writes its warnings into the working folder."""
     monkeypatch.chdir(tmp_path)
 
@@ -50,18 +48,17 @@ def trial(task: str, source: DemonstrationLandmarks, **options: object) -> Trial
 
 
 @pytest.mark.parametrize("task", ["cube", "screwdriver"])
-def test_a_retargeter_that_follows_exactly_does_what_the_demonstration_does(task: str) -> None:
+def test_a_retargeter_that_follows_exactly_does_what_the_demonstration_does(task):
     result = trial(task, Gaps(task))
     assert (result.score, result.line, result.ended) == (1.0, "done", "success")
     assert (result.dropped, result.diverged, result.trace) == (0, 0, None)
     assert result.frames == round(100 * result.seconds)
 
 
-def test_the_trace_is_what_happened_and_the_loop_is_causal() -> None:
+def test_the_trace_is_what_happened_and_the_loop_is_causal():
     source = Gaps("cube", ((0.2, 0.3), (1.0, 1.05)))
     result = trial("cube", source, trace=True)
     trace = result.trace
-    assert trace is not None
     assert result.dropped == 15
     assert result.frames == len(trace.times) - 15
     held = np.isnan(trace.landmarks[:, 0, 0])
@@ -74,11 +71,10 @@ def test_the_trace_is_what_happened_and_the_loop_is_causal() -> None:
         assert seen == pytest.approx(time, abs=1e-9)
         assert now == pytest.approx(time, abs=1e-9)
     again = trial("cube", Gaps("cube", source.gaps), trace=True).trace
-    assert again is not None
     np.testing.assert_array_equal(again.positions, trace.positions)
 
 
-def test_the_lead_in_comes_before_go() -> None:
+def test_the_lead_in_comes_before_go():
     """The hand is in the first pose, the object at its start, and no frame of it is counted."""
     source = Gaps("cube")
     result = trial("cube", source, lead_s=0.2, seconds=0.1, trace=True)
@@ -88,7 +84,7 @@ def test_the_lead_in_comes_before_go() -> None:
     assert result.seconds == pytest.approx(0.1)
 
 
-def test_a_limit_has_the_last_word() -> None:
+def test_a_limit_has_the_last_word():
     slow = 0.5  # [rad/s]
     last = HAND.full_configuration(HAND.neutral)
 
@@ -99,12 +95,11 @@ def test_a_limit_has_the_last_word() -> None:
         return last
 
     result = trial("card", Gaps("card"), limit=limit, rate_hz=50.0, seconds=1.0, trace=True)
-    assert result.trace is not None
     assert np.abs(np.diff(result.trace.commands, axis=0)).max() <= slow * 0.02 + 1e-9
     assert result.score == 0.0
 
 
 @pytest.mark.parametrize("options", [{"rate_hz": 0.0}, {"rate_hz": 1000.0}, {"lead_s": -1.0}])
-def test_what_can_not_be_is_refused(options: dict[str, float]) -> None:
+def test_what_can_not_be_is_refused(options):
     with pytest.raises(ConfigError, match="up to 500 Hz"):
         trial("cube", Gaps("cube"), **options)

@@ -7,7 +7,6 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -78,7 +77,7 @@ def closed_loop(
 
 
 @pytest.mark.parametrize("delay", [0.1, 0.2, 0.28])
-def test_a_step_is_answered_after_the_delay(delay: float) -> None:
+def test_a_step_is_answered_after_the_delay(delay):
     path = closed_loop(3.0, delay, lambda t: 0.01 * (t >= 1.0), 3.0)
     first = np.flatnonzero(path)[0] * STEP
     assert first == pytest.approx(1.0 + delay, abs=1.5 * STEP)
@@ -86,7 +85,7 @@ def test_a_step_is_answered_after_the_delay(delay: float) -> None:
     assert slope == pytest.approx(3.0 * 0.01, rel=1e-6)  # gain times error until it is seen to fall
 
 
-def test_the_loop_crosses_over_at_its_gain() -> None:
+def test_the_loop_crosses_over_at_its_gain():
     """With Y = w exp(-tau s) / s the closed loop is Y / (1 + Y); measured at some frequencies."""
     gain, delay = 3.0, 0.2
     for omega in (1.0, 3.0, 5.0):
@@ -102,7 +101,7 @@ def test_the_loop_crosses_over_at_its_gain() -> None:
     assert abs(gain * np.exp(-1j * gain * delay) / (1j * gain)) == pytest.approx(1.0)
 
 
-def test_correction_has_its_limits_and_threshold() -> None:
+def test_correction_has_its_limits_and_threshold():
     correction = CrossoverCorrection(3.0, 0.002, (1, 3))
     assert not correction.update(np.array([[0.0019, 0, 0]]), 1.0).any()
     one = correction.update(np.array([[1.0, 0, 0]]), 0.1)
@@ -110,7 +109,7 @@ def test_correction_has_its_limits_and_threshold() -> None:
     assert correction.update(np.array([[1.0, 0, 0]]), 10.0)[0, 0] == pytest.approx(0.015)
 
 
-def test_persons_differ_by_seed_and_keep_their_phase_margin() -> None:
+def test_persons_differ_by_seed_and_keep_their_phase_margin():
     persons = [draw_person(k, 3) for k in range(200)]
     again = draw_person(7, 3)
     assert again.delay_s == persons[7].delay_s
@@ -130,12 +129,12 @@ def test_persons_differ_by_seed_and_keep_their_phase_margin() -> None:
         draw_person(-1)
 
 
-def test_fitts_law_with_lag() -> None:
+def test_fitts_law_with_lag():
     assert movement_time(0.07, 0.01, 0.0) == pytest.approx(0.230 + 0.169 * 3)
     assert movement_time(0.07, 0.01, 0.1) - movement_time(0.07, 0.01, 0.0) == pytest.approx(0.309)
 
 
-def test_tremor_is_in_its_band_and_noise_grows_with_the_movement() -> None:
+def test_tremor_is_in_its_band_and_noise_grows_with_the_movement():
     noise = MotorNoise(0.0, 1e-4, 5, np.random.default_rng(0))
     still = np.zeros((5, 3))
     path = np.array([noise.update(k / 200, still, 1 / 200) for k in range(2000)])
@@ -157,7 +156,7 @@ def test_tremor_is_in_its_band_and_noise_grows_with_the_movement() -> None:
     assert 0.01 < spread(0.06) / 0.06 < 0.1
 
 
-def test_fast_kinematics_agree_with_the_hands_own() -> None:
+def test_fast_kinematics_agree_with_the_hands_own():
     for name in ("mimic_p050", "allegro_hand"):
         hand = load_hand(name, "right")
         q = np.random.default_rng(1).uniform(*hand.limits.T)
@@ -176,7 +175,7 @@ def test_fast_kinematics_agree_with_the_hands_own() -> None:
 
 
 @pytest.mark.parametrize("body", ["matched", "human"])
-def test_the_hand_reaches_what_it_can_and_keeps_its_bones(body: str) -> None:
+def test_the_hand_reaches_what_it_can_and_keeps_its_bones(body):
     person, hand = draw_person(2), load_hand("mimic_p050", "right")
     model = hand_model(person, hand, body)  # type: ignore[arg-type]
     goal = model.landmarks(model.relaxed + 0.2 * (model.upper - model.relaxed))[0][list(TIPS)]
@@ -191,7 +190,7 @@ def test_the_hand_reaches_what_it_can_and_keeps_its_bones(body: str) -> None:
     assert np.abs(slow.angles - model.relaxed).max() <= 0.015 + 1e-12
 
 
-def test_a_person_learns_where_to_put_a_finger() -> None:
+def test_a_person_learns_where_to_put_a_finger():
     """A retargeter that scales and shifts is learnt exactly; one that bends, locally."""
     rng = np.random.default_rng(0)
     own = rng.uniform(-0.05, 0.05, (400, 5, 3))
@@ -204,7 +203,7 @@ def test_a_person_learns_where_to_put_a_finger() -> None:
     assert error.max() < 0.005
 
 
-def test_closing_fingers_stop_where_they_are_seen_to_touch() -> None:
+def test_closing_fingers_stop_where_they_are_seen_to_touch():
     wide = {0: np.array([0.0, 0.0, 0.0]), 1: np.array([0.06, 0.0, 0.0])}
     inward = {0: np.array([1.0, 0.0, 0.0]), 1: np.array([-1.0, 0.0, 0.0])}
     closing = Closing(wide, inward, press=0.002)
@@ -230,7 +229,7 @@ def seen_touching(*fingers: int) -> Observation:
     return Observation(replace(state, force=force), None, tips, tips)
 
 
-def test_strokes_turn_towards_the_goal_and_no_further() -> None:
+def test_strokes_turn_towards_the_goal_and_no_further():
     hand = load_hand("mimic_p050", "right")
     scene = scene_for("cube", hand)
     reach, centre = GripReach(hand, scene), scene.start[0] + np.array([0.0, 0.0, 0.01])
@@ -272,7 +271,7 @@ def exact_person() -> Familiar:
     return Familiar(person, retargeter, body, ExactMap(body, retargeter.hand))  # type: ignore[arg-type]
 
 
-def test_a_person_without_errors_does_the_tasks() -> None:
+def test_a_person_without_errors_does_the_tasks():
     person = exact_person()
     cube = simulate_trial(person, TASKS["cube"], rate_hz=30.0, seconds=40.0)
     assert cube.outcome.score == 1.0, cube
@@ -282,14 +281,14 @@ def test_a_person_without_errors_does_the_tasks() -> None:
     assert screwdriver.outcome.ended in ("finished", "success")
 
 
-def test_a_person_who_misjudges_by_centimetres_does_not() -> None:
+def test_a_person_who_misjudges_by_centimetres_does_not():
     person = exact_person()
     lost = replace(person, person=replace(person.person, map_error=np.full((5, 3), 0.03)))
     trial = simulate_trial(lost, TASKS["cube"], rate_hz=30.0, seconds=8.0)
     assert trial.outcome.score == 0.0
 
 
-def test_an_operator_is_granted_one_reset_and_may_stop() -> None:
+def test_an_operator_is_granted_one_reset_and_may_stop():
     hand = load_hand("mimic_p050", "right")
     wishes = iter(["reset", None, "reset", None, "finish"])
     physics = ScenePhysics(hand, CARD_SCENE)
@@ -302,7 +301,6 @@ def test_an_operator_is_granted_one_reset_and_may_stop() -> None:
     assert [moment.run.resets for moment in moments] == [1] * 5
     assert physics.starts == 2
     outcome = moments[-1].run.outcome
-    assert outcome is not None
     assert outcome.ended == "finished"
     assert outcome.resets == 1
 
@@ -315,7 +313,7 @@ def small_plan(**changes: object) -> Plan:
     return make_plan(Protocol("small", conditions, (task,), "geort", **settings))  # type: ignore[arg-type]
 
 
-def test_the_plan_is_done_by_so_many(tmp_path: Path) -> None:
+def test_the_plan_is_done_by_so_many(tmp_path):
     plan = small_plan()
     assert plan_for(plan, None) is plan
     assert len(plan_for(plan, 6).codes) == 6
@@ -336,18 +334,14 @@ def test_the_plan_is_done_by_so_many(tmp_path: Path) -> None:
         (("sbr", "geort"), "peel", "task 'peel' of the plan can't be simulated"),
     ],
 )
-def test_what_cannot_be_simulated_is_named(
-    conditions: tuple[str, ...], task: str, message: str
-) -> None:
+def test_what_cannot_be_simulated_is_named(conditions, task, message):
     made = tuple(Condition.of(text) for text in conditions)
     plan = make_plan(Protocol("wrong", made, (Task(task, trials=3),), "geort", operators=2))
     with pytest.raises(StudyError, match=message):
         SimulationSettings(plan)
 
 
-def test_a_stopped_simulation_goes_on_and_analyze_reads_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_stopped_simulation_goes_on_and_analyze_reads_it(tmp_path, monkeypatch):
     settings = SimulationSettings(small_plan())
     calls = []
 
@@ -385,7 +379,7 @@ def test_a_stopped_simulation_goes_on_and_analyze_reads_it(
     assert any("8 of 8 questionnaires have an answer left out" in note for note in data.notes)
 
 
-def test_the_command_says_what_it_is_and_what_is_wrong(tmp_path: Path) -> None:
+def test_the_command_says_what_it_is_and_what_is_wrong(tmp_path):
     def command(*words: str) -> subprocess.CompletedProcess[str]:
         line = [sys.executable, "-m", "smooth_operator", "study", "simulate", *words]
         return subprocess.run(line, capture_output=True, text=True, timeout=240, check=False)

@@ -35,7 +35,6 @@ def output_error(path: str | os.PathLike[str], cause: OSError) -> OutputError:
 
     Args:
         path: the file that was to be written.
-        cause: what the operating system said.
 
     Returns:
         The error to raise (``from cause``); it carries the cause's ``errno``.

@@ -164,7 +164,6 @@ def plan(recording: HandRecording, request: RetargetRequest) -> Plan:
 
     Args:
         recording: the human hand, with the requested side, rate and frames.
-        request: the request.
 
     Raises:
         UnknownNameError: there is no such hand, or it has no such finger.
@@ -184,8 +183,6 @@ def resolve(
     """The requested hand, and its configuration with scale and operator.
 
     Args:
-        request: the request.
-        side: side of the hand.
         recording: recording for the calibration of a scale; None in live use.
 
     Raises:
@@ -229,9 +226,7 @@ def configuration(command: str, todo: Plan, **more: Any) -> dict[str, Any]:
     """The resolved configuration, to be written with a result.
 
     Args:
-        command: name of the command.
         todo: its plan; the operator is in the configuration's alignment.
-        more: further entries.
     """
     recording = todo.recording
     return {
@@ -262,10 +257,7 @@ def live_configuration(
     """The resolved configuration of a run without a recording.
 
     Args:
-        command: name of the command.
-        request: the request.
         configs: side -> configuration of the method, from ``resolve``.
-        more: further entries.
     """
     return {
         "program": PROGRAM,

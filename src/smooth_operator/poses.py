@@ -33,8 +33,6 @@ def axes(x: str, y: str, z: str) -> Float[np.ndarray, "3 3"]:
 
     Args:
         x: name of our x there: ``x``, ``y`` or ``z``, with a minus sign for the reversed axis.
-        y: name of our y.
-        z: name of our z.
 
     Returns:
         (3, 3) matrix M with ours = M @ theirs; its determinant is -1 for a left-handed tracker.
@@ -119,16 +117,10 @@ def points_to_ours(
 def wrist_from_landmarks(
     landmarks: Float[np.ndarray, "*n 21 3"], side: Side
 ) -> Float[np.ndarray, "*n 7"]:
-    """The wrist frame of a hand without tracked orientation, from its palm's landmarks.
-
-    Args:
-        landmarks: (..., 21, 3) landmarks in a z-up, right-handed world [m].
-        side: side of the hand.
-
-    Returns:
-        (..., 7) poses; NaN if wrist, or index, middle or pinky MCP are missing or in line.
-    """
-    from smooth_operator.human.operator import palm_axes  # here: it imports JAX
+    """(..., 7) wrist frames of a hand without tracked orientation, from its palm's landmarks in a
+    z-up, right-handed world [m]; NaN if wrist, or index, middle or pinky MCP are missing or in
+    line."""
+    from smooth_operator.geometry import palm_axes  # here: it imports JAX
 
     distal, _, palmar = palm_axes(np.asarray(landmarks, np.float64), side)
     rotation = np.stack([distal, np.cross(-palmar, distal), -palmar], axis=-1)

@@ -27,6 +27,17 @@ def is_off(setting: object) -> bool:
     return isinstance(setting, int | float) and setting == 0
 
 
+def check_choice(config: object, name: str, options: Iterable[str]) -> None:
+    """Check that a field of a configuration is one of some words.
+
+    Raises:
+        ConfigError: it is another; the message names the field and the words.
+    """
+    value, words = getattr(config, name), [repr(option) for option in options]
+    if repr(value) not in words:
+        raise ConfigError(f"{name} must be {' or '.join(words)}, not {value!r}")
+
+
 def check_numbers(
     config: object,
     prefix: str = "",
@@ -37,7 +48,6 @@ def check_numbers(
     """Check fields of a configuration; traced values pass.
 
     Args:
-        config: the configuration.
         prefix: prefix of a field's name in the message.
         positive: names of fields that must be positive.
         not_negative: names of fields that must not be negative.

@@ -17,7 +17,6 @@ def code_digest(*names: str, home: Path = HOME) -> str:
 
     Args:
         names: paths relative to ``home``; a folder stands for all files below it, data included.
-        home: folder of the package.
 
     Returns:
         the digest, hexadecimal.

@@ -34,11 +34,7 @@ def print_note(text: str) -> None:
 
 
 def open_console(*, stderr: bool = False) -> Console:
-    """A rich console that takes no text for markup and passes no control character on.
-
-    Args:
-        stderr: write to standard error.
-    """
+    """A rich console that takes no text for markup and passes no control character on."""
     return _console_class()(
         file=sys.stderr if stderr else None, highlight=False, markup=False, emoji=False
     )

@@ -24,7 +24,7 @@ SIZE = 0.03  # half a cube's edge [m]
 
 
 @pytest.fixture
-def cube(tmp_path: Path) -> Path:
+def cube(tmp_path) -> Path:
     """A cube of 2 x SIZE, in millimetres."""
     corners = [(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]
     faces = ["1 2 4 3", "5 7 8 6", "1 5 6 2", "3 4 8 7", "1 3 7 5", "2 6 8 4"]
@@ -93,7 +93,7 @@ def vertices(path: Path) -> np.ndarray:
     return np.array(rows, float)
 
 
-def test_spider_reads_both_hands_and_their_objects(tmp_path: Path, cube: Path) -> None:
+def test_spider_reads_both_hands_and_their_objects(tmp_path, cube):
     clip = with_mesh(robot_clip(0, frames=61, objects=2), cube)
     out = tmp_path / "out"
     write("spider", out, [clip, robot_clip(1, frames=30, sides=("left",))], name="my set")
@@ -104,7 +104,6 @@ def test_spider_reads_both_hands_and_their_objects(tmp_path: Path, cube: Path) -
     lifts = []
     for side in ("right", "left"):
         hand = exact.clip.hands[side]
-        assert hand.T_world_wrist is not None
         wrist, finger = data[f"qpos_wrist_{side}"], data[f"qpos_finger_{side}"]
         assert wrist.shape == (101, 7)
         assert finger.shape == (101, 5, 7)
@@ -132,7 +131,7 @@ def test_spider_reads_both_hands_and_their_objects(tmp_path: Path, cube: Path) -
     assert np.ptp(one["qpos_wrist_left"][:, 0]) > 0.01
 
 
-def test_one_object_of_both_hands_is_the_right_ones(tmp_path: Path, cube: Path) -> None:
+def test_one_object_of_both_hands_is_the_right_ones(tmp_path, cube):
     out = tmp_path / "out"
     write("spider", out, [with_mesh(robot_clip(0), cube)], loose=True)
     assert not (out / "shards").exists()
@@ -143,7 +142,7 @@ def test_one_object_of_both_hands_is_the_right_ones(tmp_path: Path, cube: Path) 
     assert json.loads(info.read_text())["left_object_mesh_dir"] is None
 
 
-def test_landmarks_of_a_trackers_own_frame_are_carried_to_the_wrist(tmp_path: Path) -> None:
+def test_landmarks_of_a_trackers_own_frame_are_carried_to_the_wrist(tmp_path):
     clip = robot_clip(0, objects=0, rate=50.0)
     moved = {}
     for side, hand in clip.clip.hands.items():
@@ -195,7 +194,7 @@ def read_flashdex(folder: Path) -> dict[str, dict[str, np.ndarray]]:
     return found
 
 
-def test_flashdex_reads_hands_and_objects(tmp_path: Path, cube: Path) -> None:
+def test_flashdex_reads_hands_and_objects(tmp_path, cube):
     clips = [with_mesh(robot_clip(i, frames=40, objects=1 + i), cube) for i in range(2)]
     clips.append(with_mesh(robot_clip(2, frames=25, rate=15.0), cube))
     out = tmp_path / "out"
@@ -207,7 +206,6 @@ def test_flashdex_reads_hands_and_objects(tmp_path: Path, cube: Path) -> None:
     exact = robot_clip(0, frames=79, rate=60.0)
     for side in ("right", "left"):
         hand = exact.clip.hands[side]
-        assert hand.T_world_wrist is not None
         axes = rotation(hand.T_world_wrist[:, 3:])
         np.testing.assert_allclose(first[f"mano_{side}_wrist_rot"], axes, atol=1e-4)
         # x to the fingers, z out of the back: the middle base is ahead, fingers bend against z
@@ -218,12 +216,11 @@ def test_flashdex_reads_hands_and_objects(tmp_path: Path, cube: Path) -> None:
         assert first[f"obj_{side}_id"] == first["obj_right_id"]  # one object for both hands
 
 
-def test_short_gaps_are_filled_and_long_ones_refused(tmp_path: Path, cube: Path) -> None:
+def test_short_gaps_are_filled_and_long_ones_refused(tmp_path, cube):
     whole = with_mesh(robot_clip(0, frames=40, rate=50.0), cube)
 
     def lost(frames: slice) -> RobotClip:
         hand = whole.clip.hands["right"]
-        assert hand.T_world_wrist is not None
         wrist = hand.T_world_wrist.copy()
         wrist[frames] = np.nan
         hands = {**whole.clip.hands, "right": replace(hand, T_world_wrist=wrist)}
@@ -233,7 +230,6 @@ def test_short_gaps_are_filled_and_long_ones_refused(tmp_path: Path, cube: Path)
     assert notes == ["1 clip: short gaps of the tracker were filled by interpolation"]
     data = read_spider(tmp_path / "out", "smooth_operator", "bimanual")["part1/pick/0"]
     truth = whole.clip.hands["right"].T_world_wrist
-    assert truth is not None
     np.testing.assert_allclose(data["qpos_wrist_right"][:, :2], truth[:, :2], atol=2e-3)
     with pytest.raises(RecordingError, match="right hand is not known in 25% of the frames"):
         write("spider", tmp_path / "none", [lost(slice(5, 15))])
@@ -249,14 +245,12 @@ def test_short_gaps_are_filled_and_long_ones_refused(tmp_path: Path, cube: Path)
         ({"mesh": Path("none.obj")}, "can't be read as the mesh"),
     ],
 )
-def test_flashdex_says_what_a_clip_lacks(
-    change: dict[str, object], said: str, tmp_path: Path
-) -> None:
+def test_flashdex_says_what_a_clip_lacks(change, said, tmp_path):
     with pytest.raises(RecordingError, match=said):
         write("flashdex", tmp_path / "out", [robot_clip(0, **change)])  # type: ignore[arg-type]
 
 
-def test_flashdex_keeps_to_the_hands_of_its_first_clip(tmp_path: Path, cube: Path) -> None:
+def test_flashdex_keeps_to_the_hands_of_its_first_clip(tmp_path, cube):
     both, one = (
         with_mesh(robot_clip(i, sides=s), cube)
         for i, s in enumerate([("right", "left"), ("left",)])
@@ -270,7 +264,7 @@ def test_flashdex_keeps_to_the_hands_of_its_first_clip(tmp_path: Path, cube: Pat
     )
 
 
-def test_a_flat_object_without_a_hull_is_refused(tmp_path: Path) -> None:
+def test_a_flat_object_without_a_hull_is_refused(tmp_path):
     path = tmp_path / "flat.obj"
     path.write_text("v 0 0 0\nv 1 0 0\n")
     clip = robot_clip(0, objects=0)

@@ -82,7 +82,7 @@ FORMS: dict[str, tuple[str, Write, dict[str, list[int]]]] = {
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_forms(tmp_path: Path, form: str) -> None:
+def test_forms(tmp_path, form):
     name, write, gone = FORMS[form]
     write(tmp_path / name)
     assert layout_of(tmp_path / name) == "predictions"
@@ -93,7 +93,7 @@ def test_forms(tmp_path: Path, form: str) -> None:
         clip_of(tmp_path / name, ReadingOptions())
 
 
-def test_the_video_and_how_sure_the_model_is(tmp_path: Path) -> None:
+def test_the_video_and_how_sure_the_model_is(tmp_path):
     frames = files.wilor_frames()
     for k, frame in enumerate(frames):
         frame[0]["hand_bbox"] = [1.0, 2.0, 3.0, 4.0, 0.5 + 0.01 * k]
@@ -111,7 +111,7 @@ def test_the_video_and_how_sure_the_model_is(tmp_path: Path) -> None:
     assert found.meta["more_hands"] == 1
 
 
-def test_hands_without_a_place_have_no_wrist(tmp_path: Path) -> None:
+def test_hands_without_a_place_have_no_wrist(tmp_path):
     frames = files.wilor_frames()
     for frame in frames:
         for hand in frame:
@@ -122,7 +122,7 @@ def test_hands_without_a_place_have_no_wrist(tmp_path: Path) -> None:
     assert all(hand.T_world_wrist is None for hand in found.hands.values())
 
 
-def test_a_frame_that_calls_a_right_hand_a_left_one_does_not_count(tmp_path: Path) -> None:
+def test_a_frame_that_calls_a_right_hand_a_left_one_does_not_count(tmp_path):
     frames = files.wilor_frames()
     for hand in frames[12]:
         hand["is_right"] = 1.0 - hand["is_right"]
@@ -132,7 +132,7 @@ def test_a_frame_that_calls_a_right_hand_a_left_one_does_not_count(tmp_path: Pat
     assert all(hand.meta["other_side_frames"] == 1 for hand in found.hands.values())
 
 
-def test_what_the_network_gives_of_a_mirrored_picture_is_refused(tmp_path: Path) -> None:
+def test_what_the_network_gives_of_a_mirrored_picture_is_refused(tmp_path):
     """HaMeR and WiLoR see a left hand in a mirrored picture, as a right one."""
     frames = files.wilor_frames()
     for frame in frames:
@@ -142,7 +142,7 @@ def test_what_the_network_gives_of_a_mirrored_picture_is_refused(tmp_path: Path)
         clip_of(tmp_path / "a.pkl")
 
 
-def test_exchanged_hands_are_refused(tmp_path: Path) -> None:
+def test_exchanged_hands_are_refused(tmp_path):
     (tmp_path / "a.pkl").write_bytes(files.pickled(files.wilor_frames(exchanged=True)))
     (tmp_path / "wilor_hands.json").write_text(files.egotouch_lines(exchanged=True))
     (tmp_path / "b.json").write_text(json.dumps(files.hawor_tags(exchanged=True)))
@@ -169,14 +169,13 @@ class Evil:
         ([["pred_keypoints_3d", Evil()]], "which is no data"),
     ],
 )
-def test_what_differs_is_refused_by_name(tmp_path: Path, value: Any, said: str) -> None:
+def test_what_differs_is_refused_by_name(tmp_path, value, said):
     (tmp_path / "a.pkl").write_bytes(pickle.dumps(value))
     with pytest.raises(RecordingError, match=said):
         clip_of(tmp_path / "a.pkl")
 
 
-def test_damaged_files_are_read_soundly_or_refused(tmp_path: Path) -> None:
-    """A short form of ``python tests/hostile_datasets.py 300 0 predictions``."""
+def test_damaged_files_are_read_soundly_or_refused(tmp_path):
     for library in ("h5py", "pyarrow"):
         pytest.importorskip(library, reason="needs extras")
     import hostile_datasets

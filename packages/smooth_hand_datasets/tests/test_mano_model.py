@@ -20,7 +20,7 @@ SIDES: tuple[Side, ...] = ("right", "left")
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory) -> Path:
     made = tmp_path_factory.mktemp("mano")
     mano_files.write_models(made)
     return made
@@ -41,9 +41,7 @@ def placed(model: ManoModel, seed: int = 3, count: int = 4, **options: Any) -> t
 
 @pytest.mark.parametrize("side", SIDES)
 @pytest.mark.parametrize("tips", ["smplx", "manopth"])
-def test_landmarks_are_those_of_loops_over_vertices(
-    folder: Path, arrays: Any, side: Side, tips: Any
-) -> None:
+def test_landmarks_are_those_of_loops_over_vertices(folder, arrays, side, tips):
     model = load_model(folder, side)
     for moves in ("model", "wrist"):
         found, root, pose, betas, at = placed(model, tips=tips, moves=moves)
@@ -56,7 +54,7 @@ def test_landmarks_are_those_of_loops_over_vertices(
 
 
 @pytest.mark.parametrize("side", SIDES)
-def test_components_and_the_mean_pose(folder: Path, arrays: Any, side: Side) -> None:
+def test_components_and_the_mean_pose(folder, arrays, side):
     model = load_model(folder, side)
     rng = np.random.default_rng(0)
     few, root, at = 0.3 * rng.normal(size=(2, 15)), rng.normal(size=(2, 3)), np.zeros((2, 3))
@@ -76,7 +74,7 @@ def test_components_and_the_mean_pose(folder: Path, arrays: Any, side: Side) -> 
 
 
 @pytest.mark.parametrize("side", SIDES)
-def test_the_wrist_has_the_axes_of_the_project(folder: Path, side: Side) -> None:
+def test_the_wrist_has_the_axes_of_the_project(folder, side):
     model = load_model(folder, side)
     found, *_ = placed(model)
     points, wrist = found.landmarks, found.T_world_wrist
@@ -93,7 +91,7 @@ def test_the_wrist_has_the_axes_of_the_project(folder: Path, side: Side) -> None
     np.testing.assert_allclose(wrist, poses.wrist_from_landmarks(points, side), atol=1e-9)
 
 
-def test_the_left_hand_mirrors_the_right_one(tmp_path: Path) -> None:
+def test_the_left_hand_mirrors_the_right_one(tmp_path):
     # Its shape directions mirrored as well, unlike the published ones.
     for side in SIDES:
         made = mano_files.model_arrays(side, same_x=False)
@@ -110,7 +108,7 @@ def test_the_left_hand_mirrors_the_right_one(tmp_path: Path) -> None:
     np.testing.assert_allclose(b.landmarks, a.landmarks * [-1.0, 1.0, 1.0], atol=1e-12)
 
 
-def test_the_published_shape_of_the_left_hand_is_mended_where_asked(folder: Path) -> None:
+def test_the_published_shape_of_the_left_hand_is_mended_where_asked(folder):
     published, mended = load_model(folder, "left"), load_model(folder, "left", mirrored_shape=True)
     right = load_model(folder, "right")
     np.testing.assert_array_equal(published.shape_directions, right.shape_directions)
@@ -121,7 +119,7 @@ def test_the_published_shape_of_the_left_hand_is_mended_where_asked(folder: Path
     np.testing.assert_array_equal(again.shape_directions, right.shape_directions)
 
 
-def test_an_npz_is_read_like_the_pickle(folder: Path, tmp_path: Path, arrays: Any) -> None:
+def test_an_npz_is_read_like_the_pickle(folder, tmp_path, arrays):
     for side in SIDES:
         np.savez(tmp_path / f"MANO_{side.upper()}.npz", **arrays[side])
         a, b = load_model(folder, side), load_model(tmp_path, side)
@@ -129,7 +127,7 @@ def test_an_npz_is_read_like_the_pickle(folder: Path, tmp_path: Path, arrays: An
         np.testing.assert_allclose(a.regressor, b.regressor)
 
 
-def test_missing_numbers_stay_missing(folder: Path) -> None:
+def test_missing_numbers_stay_missing(folder):
     model = load_model(folder, "right")
     pose, root = poses_of("right", 5)
     pose[1], root[2] = np.nan, np.nan
@@ -149,7 +147,7 @@ def test_missing_numbers_stay_missing(folder: Path) -> None:
     np.testing.assert_allclose(moved.landmarks[0, 0], found.landmarks[0, 0] + 0.01)
 
 
-def test_rotations_of_small_and_large_angles() -> None:
+def test_rotations_of_small_and_large_angles():
     vectors = np.array([[0, 0, 0], [1e-9, 0, 0], [0, np.pi, 0], [0, 0, 7.0], [1e-4, 2e-4, 0]])
     for vector, found in zip(vectors, from_axis_angle(vectors), strict=True):
         np.testing.assert_allclose(found, mano_files._rodrigues(vector), atol=1e-9)
@@ -166,7 +164,7 @@ def refused(folder: Path, held: dict[str, Any], side: Side = "right", **changed:
     return str(caught.value)
 
 
-def test_what_differs_is_said(tmp_path: Path, arrays: Any) -> None:
+def test_what_differs_is_said(tmp_path, arrays):
     held = arrays["right"]
     cases: dict[str, tuple[dict[str, Any], str]] = {
         "a": ({"v_template": held["v_template"] * 1000}, "a hand in metres has"),
@@ -183,7 +181,7 @@ def test_what_differs_is_said(tmp_path: Path, arrays: Any) -> None:
     assert "it lacks posedirs" in refused(tmp_path / "h", short)
 
 
-def test_where_the_model_comes_from_is_said(tmp_path: Path, folder: Path) -> None:
+def test_where_the_model_comes_from_is_said(tmp_path, folder):
     with pytest.raises(RecordingError, match=r"MANO_RIGHT\.pkl.*https://mano\.is\.tue\.mpg\.de"):
         load_model(None, "right")
     with pytest.raises(RecordingError, match="no MANO_LEFT"):

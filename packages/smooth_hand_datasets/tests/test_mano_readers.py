@@ -21,7 +21,7 @@ from smooth_operator.lab.datasets.sources import find_items
 
 
 @pytest.fixture(scope="module")
-def models(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def models(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("mano")
     mano_files.write_models(folder)
     return folder
@@ -36,7 +36,7 @@ def read(layout: str, path: Path, models: Path, **options: Any) -> Clip:
 
 
 @pytest.mark.parametrize("case", layouts.CASES)
-def test_a_clip_is_what_was_written(tmp_path: Path, models: Path, case: str) -> None:
+def test_a_clip_is_what_was_written(tmp_path, models, case):
     layout, write = layouts.CASES[case]
     made = write(tmp_path)
     found = read(layout, made.path, models)
@@ -46,7 +46,6 @@ def test_a_clip_is_what_was_written(tmp_path: Path, models: Path, case: str) -> 
         for frame, points in frames.items():
             np.testing.assert_allclose(hand.landmarks[frame], points, atol=2e-6)
             axes = poses.wrist_from_landmarks(points, side)  # type: ignore[arg-type]
-            assert hand.T_world_wrist is not None
             apart = poses.separation(hand.T_world_wrist[frame], axes)
             np.testing.assert_allclose(apart, 0.0, atol=5e-5)
         if made.shape.get(side) is not None:
@@ -70,7 +69,7 @@ def test_a_clip_is_what_was_written(tmp_path: Path, models: Path, case: str) -> 
     assert (found.world == CAMERA) == (case in ("ho3d", "ho3d two hands", "mano pickle"))
 
 
-def test_a_folder_of_all_has_each_clip_once(tmp_path: Path) -> None:
+def test_a_folder_of_all_has_each_clip_once(tmp_path):
     for case, (_, write) in layouts.CASES.items():
         write(tmp_path / case.replace(" ", "_"))
     (tmp_path / "ho3d" / "manual_annotations").mkdir()
@@ -93,20 +92,16 @@ def test_a_folder_of_all_has_each_clip_once(tmp_path: Path) -> None:
     ]
 
 
-def test_frames_without_a_hand_are_missing(tmp_path: Path, models: Path) -> None:
+def test_frames_without_a_hand_are_missing(tmp_path, models):
     for case, side in (("dexycb", "right"), ("ho3d", "right"), ("hot3d", "left")):
         made = layouts.WRITERS[case](tmp_path / case)
         hand = read(case, made.path, models).hands[side]  # type: ignore[index]
-        assert hand.valid is not None
         assert hand.valid.all(axis=1).tolist() == [f != 2 for f in range(layouts.FRAMES)]
-        assert hand.T_world_wrist is not None
         assert np.isnan(hand.T_world_wrist[2]).all()
 
 
 @pytest.mark.parametrize("layout", layouts.WRITERS)
-def test_exchanged_models_and_a_missing_one_are_refused(
-    tmp_path: Path, models: Path, layout: str
-) -> None:
+def test_exchanged_models_and_a_missing_one_are_refused(tmp_path, models, layout):
     made = layouts.WRITERS[layout](tmp_path / "data")
     with pytest.raises(RecordingError, match=r"mano\.is\.tue\.mpg\.de"):
         read(layout, made.path, None)  # type: ignore[arg-type]
@@ -118,7 +113,7 @@ def test_exchanged_models_and_a_missing_one_are_refused(
         read(layout, made.path, wrong)
 
 
-def test_another_rate(tmp_path: Path, models: Path) -> None:
+def test_another_rate(tmp_path, models):
     for layout in ("arctic", "taco"):
         made = layouts.WRITERS[layout](tmp_path / layout)
         found = read(layout, made.path, models, rate=60.0)
@@ -134,7 +129,7 @@ def refused(layout: str, path: Path, models: Path) -> str:
     return str(caught.value)
 
 
-def test_what_is_missing_is_named(tmp_path: Path, models: Path) -> None:
+def test_what_is_missing_is_named(tmp_path, models):
     made = layouts.dexycb(tmp_path / "a")
     np.savez(made.path / "pose.npz", pose_m=np.zeros((8, 1, 51)))
     assert "lacks pose_y" in refused("dexycb", made.path, models)
@@ -178,7 +173,7 @@ def changed(folder: Path, **values: Any) -> Path:
     return folder / "a.npz"
 
 
-def test_ambiguous_parameters_are_refused(tmp_path: Path, models: Path) -> None:
+def test_ambiguous_parameters_are_refused(tmp_path, models):
     pose = layouts.MOTION["right"][0]
     for values, said in (
         ({"side": None}, "does not say which hand it is"),
@@ -198,7 +193,7 @@ def test_ambiguous_parameters_are_refused(tmp_path: Path, models: Path) -> None:
         assert said in refused("mano", changed(tmp_path, **values), models), values
 
 
-def test_other_names_and_forms_give_the_same_hand(tmp_path: Path, models: Path) -> None:
+def test_other_names_and_forms_give_the_same_hand(tmp_path, models):
     pose, root = layouts.MOTION["right"]
     plain = read("mano", changed(tmp_path / "0"), models).hands["right"].landmarks
     mean = layouts.ARRAYS["right"]["hands_mean"]
@@ -216,11 +211,10 @@ def test_other_names_and_forms_give_the_same_hand(tmp_path: Path, models: Path) 
         np.testing.assert_allclose(other.hands["right"].landmarks, plain, atol=1e-9)
     seen = changed(tmp_path / "seen", valid=np.arange(8) != 3)
     valid = read("mano", seen, models).hands["right"].valid
-    assert valid is not None
     assert valid[:, 9].tolist() == [f != 3 for f in range(8)]
 
 
-def test_a_left_hand_from_a_mirrored_picture(tmp_path: Path, models: Path) -> None:
+def test_a_left_hand_from_a_mirrored_picture(tmp_path, models):
     """As HaMeR and WiLoR have it: parameters of a right hand, mirrored before it is moved."""
     right = read("mano", changed(tmp_path / "a"), models).hands["right"].landmarks
     at = layouts.PLACE["right"][:, None]
@@ -228,11 +222,10 @@ def test_a_left_hand_from_a_mirrored_picture(tmp_path: Path, models: Path) -> No
     left = read("mano", path, models).hands["left"]
     np.testing.assert_allclose(left.landmarks, (right - at) * [-1.0, 1.0, 1.0] + at, atol=1e-9)
     wrist = poses.wrist_from_landmarks(left.landmarks, "left")
-    assert left.T_world_wrist is not None
     np.testing.assert_allclose(left.T_world_wrist, wrist, atol=1e-9)
 
 
-def test_hands_of_the_other_side_are_refused(tmp_path: Path, models: Path) -> None:
+def test_hands_of_the_other_side_are_refused(tmp_path, models):
     made = layouts.arctic(tmp_path)
     held = {}
     for side, other in (("right", "left"), ("left", "right")):
@@ -245,9 +238,7 @@ def test_hands_of_the_other_side_are_refused(tmp_path: Path, models: Path) -> No
 
 
 @pytest.mark.parametrize("layout", layouts.WRITERS)
-def test_damaged_files_are_read_soundly_or_refused(
-    tmp_path: Path, models: Path, layout: str
-) -> None:
+def test_damaged_files_are_read_soundly_or_refused(tmp_path, models, layout):
     (tmp_path / "mano_models").symlink_to(models)
     made = layouts.WRITERS[layout](tmp_path / "data")
     for number in range(5):
@@ -261,7 +252,7 @@ def test_damaged_files_are_read_soundly_or_refused(
     hostile_mano.read_soundly(layout, made.path)
 
 
-def test_a_time_that_no_clock_has_is_refused(tmp_path: Path, models: Path) -> None:
+def test_a_time_that_no_clock_has_is_refused(tmp_path, models):
     made = layouts.hot3d(tmp_path)
     table = made.path / "dynamic_objects.csv"
     table.write_text(table.read_text().replace("56752108188860", "9999999999999999999"))

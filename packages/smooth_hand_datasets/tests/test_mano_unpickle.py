@@ -34,7 +34,7 @@ def load(folder: Path, data: bytes, name: str = "a.pkl") -> Any:
 
 
 @pytest.mark.parametrize("protocol", range(pickle.HIGHEST_PROTOCOL + 1))
-def test_plain_values_of_every_protocol(tmp_path: Path, protocol: int) -> None:
+def test_plain_values_of_every_protocol(tmp_path, protocol):
     shared = [1, 2]
     value = {
         "text": "é\u20ac", "bytes": b"\x00\xff", "numbers": [0, -1, 255, 70_000, -(2**40), 2**70],
@@ -46,13 +46,13 @@ def test_plain_values_of_every_protocol(tmp_path: Path, protocol: int) -> None:
     assert found["nested"]["a"][0] is found["nested"]["a"][1]
 
 
-def test_a_large_number_of_the_memo_takes_no_memory(tmp_path: Path) -> None:
+def test_a_large_number_of_the_memo_takes_no_memory(tmp_path):
     with pytest.raises(RecordingError, match="damaged"):
         load(tmp_path, b"\x80\x02]r\xff\xff\xff\x7f.")
 
 
 @pytest.mark.parametrize("protocol", range(pickle.HIGHEST_PROTOCOL + 1))
-def test_arrays_of_every_protocol(tmp_path: Path, protocol: int) -> None:
+def test_arrays_of_every_protocol(tmp_path, protocol):
     rng = np.random.default_rng(0)
     value = {
         "f4": rng.normal(size=(3, 4)).astype(np.float32), "fortran": np.asfortranarray(np.eye(3)),
@@ -66,7 +66,7 @@ def test_arrays_of_every_protocol(tmp_path: Path, protocol: int) -> None:
     assert list(found["text"]) == ["ab", "é"]
 
 
-def test_what_python_2_chumpy_scipy_and_torch_wrote(tmp_path: Path) -> None:
+def test_what_python_2_chumpy_scipy_and_torch_wrote(tmp_path):
     rng = np.random.default_rng(0)
     a, dense = rng.normal(size=(4, 5)), rng.normal(size=(3, 6)) * (rng.random((3, 6)) > 0.5)
     value = {
@@ -85,7 +85,7 @@ def test_what_python_2_chumpy_scipy_and_torch_wrote(tmp_path: Path) -> None:
         np.testing.assert_array_equal(numbers(load(tmp_path, pickle.dumps(form(dense), 2))), dense)
 
 
-def test_numpy_files_with_tables_in_them(tmp_path: Path) -> None:
+def test_numpy_files_with_tables_in_them(tmp_path):
     table_ = {"right": {"rot": np.ones((2, 3))}, "name": "box"}
     np.save(tmp_path / "a.npy", table_, allow_pickle=True)  # type: ignore[arg-type]
     np.savez(tmp_path / "a.npz", body=table_, plain=np.arange(3))  # type: ignore[arg-type]
@@ -99,7 +99,7 @@ def test_numpy_files_with_tables_in_them(tmp_path: Path) -> None:
     np.testing.assert_array_equal(by_hand["x"], np.eye(2))
 
 
-def test_what_is_expected_is_said(tmp_path: Path) -> None:
+def test_what_is_expected_is_said(tmp_path):
     with pytest.raises(RecordingError, match="f: it lacks poses; it has a, so"):
         table({"a": 1}, "f", ["poses"])
     with pytest.raises(RecordingError, match="a table was expected there, not a list"):
@@ -244,7 +244,7 @@ NAMES = sorted(attacks(Path("x")))
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_an_attack_is_refused(tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_attack_is_refused(tmp_path, name, monkeypatch):
     monkeypatch.setattr(unpickle, "FREE_BYTES", 1 << 20)  # the same refusals, sooner
     data = attacks(tmp_path)[name]
     with pytest.raises(RecordingError) as caught:
@@ -255,7 +255,7 @@ def test_an_attack_is_refused(tmp_path: Path, name: str, monkeypatch: pytest.Mon
         assert "which is no data" in str(caught.value)
 
 
-def test_what_is_asked_for_is_named(tmp_path: Path) -> None:
+def test_what_is_asked_for_is_named(tmp_path):
     for data, name in (
         (pickle.dumps(Evil(os.system, ("true",)), 2), f"{os.system.__module__}.system"),
         (pickle.dumps(Evil(eval, ("1",)), 4), "builtins.eval"),
@@ -266,7 +266,7 @@ def test_what_is_asked_for_is_named(tmp_path: Path) -> None:
         assert caught
 
 
-def test_the_reader_imports_nothing_that_a_file_names(tmp_path: Path) -> None:
+def test_the_reader_imports_nothing_that_a_file_names(tmp_path):
     (tmp_path / "trap.py").write_text(f"open({str(_ran(tmp_path))!r}, 'w').close()\n")
     (tmp_path / "a.pkl").write_bytes(b"ctrap\nx\n.")
     code = (
@@ -287,7 +287,7 @@ def test_the_reader_imports_nothing_that_a_file_names(tmp_path: Path) -> None:
     assert not _ran(tmp_path).exists()
 
 
-def test_attacks_within_numpy_files(tmp_path: Path) -> None:
+def test_attacks_within_numpy_files(tmp_path):
     evil = np.empty((), dtype=object)
     evil[()] = Evil(os.system, (f"touch {_ran(tmp_path)}",))
     np.save(tmp_path / "a.npy", evil, allow_pickle=True)
@@ -305,7 +305,7 @@ def test_attacks_within_numpy_files(tmp_path: Path) -> None:
         load_restricted(tmp_path / "d.npy")
 
 
-def test_a_zip_that_unpacks_to_too_much(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_zip_that_unpacks_to_too_much(tmp_path, monkeypatch):
 
     monkeypatch.setattr(unpickle, "FREE_BYTES", 1 << 16)
     np.savez_compressed(tmp_path / "a.npz", a=np.array({"x": bytes(8 << 20)}, dtype=object))
@@ -313,7 +313,7 @@ def test_a_zip_that_unpacks_to_too_much(tmp_path: Path, monkeypatch: pytest.Monk
         load_restricted(tmp_path / "a.npz")
 
 
-def test_files_that_are_none(tmp_path: Path) -> None:
+def test_files_that_are_none(tmp_path):
     for data in (b"", b".", b"N", b"\x80", b"\x80\x09N.", b"hello", b"\x93NUMPY", b"PK\x03\x04xx"):
         with pytest.raises(RecordingError, match=r"a\.pkl: "):
             load(tmp_path, data)
@@ -323,14 +323,14 @@ def test_files_that_are_none(tmp_path: Path) -> None:
         load_restricted(tmp_path)
 
 
-def test_too_many_instructions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_too_many_instructions(tmp_path, monkeypatch):
     monkeypatch.setattr(unpickle, "MOST_STEPS", 1000)
     assert load(tmp_path, pickle.dumps(list(range(200)))) == list(range(200))
     with pytest.raises(RecordingError, match="instructions"):
         load(tmp_path, pickle.dumps(list(range(2000))))
 
 
-def test_mutants_are_read_or_refused(tmp_path: Path) -> None:
+def test_mutants_are_read_or_refused(tmp_path):
     stream = io.BytesIO()
     np.savez(stream, a=np.array({"x": np.eye(2)}, dtype=object), b=np.arange(4.0))
     good = [

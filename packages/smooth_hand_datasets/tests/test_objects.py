@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -95,7 +94,7 @@ def test_nearest_point_and_normal_of_a_box():
 
 
 @needs_libigl
-def test_a_mesh_is_measured_exactly_and_its_grid_nearly(tmp_path: Path):
+def test_a_mesh_is_measured_exactly_and_its_grid_nearly(tmp_path):
     trimesh = pytest.importorskip("trimesh")
     half = np.array([0.02, 0.03, 0.04])
     file = tmp_path / "box.ply"
@@ -120,7 +119,7 @@ def test_the_sign_holds_for_a_mesh_with_a_hole():
     assert open_one.nearest(inside)[0][0] < -0.01 < 0.01 < open_one.nearest(outside)[0][0]
 
 
-def test_what_is_no_mesh_is_refused(tmp_path: Path):
+def test_what_is_no_mesh_is_refused(tmp_path):
     (tmp_path / "mug.obj").write_text("nothing\n", encoding="utf-8")
     for name in ("mug.obj", "none.obj"):
         with pytest.raises((RecordingError, ImportError), match=name):
@@ -279,6 +278,7 @@ LIGHT = TrajectoryMethodConfig(
 """Compiles in less time than ``smooth:offline``."""
 
 
+@pytest.mark.usefixtures("optimised")
 def test_contacts_are_kept_and_the_surface_is_respected():
     hand = load_hand("mimic_p050")
     aware, rows = ObjectAwareRetargeter(hand, LIGHT), []
@@ -307,7 +307,8 @@ def test_contacts_are_kept_and_the_surface_is_respected():
 
 
 @needs_libigl
-def test_a_data_set_keeps_contacts_where_a_clip_has_an_object(tmp_path: Path):
+@pytest.mark.usefixtures("optimised")
+def test_a_data_set_keeps_contacts_where_a_clip_has_an_object(tmp_path):
     trimesh = pytest.importorskip("trimesh")
     made = make_clip(SceneSpec("pinch", "box", rate=20.0))
     recording, (track,) = made.clip.hands["right"], made.clip.objects

@@ -185,14 +185,9 @@ class Weights(NamedTuple):
 
 
 def forward(weights: Weights, inputs: Float[Array, "F 3 *batch"]) -> Float[Array, "F J *batch"]:
-    """Outputs of the networks: joint positions scaled so that the limits are -1 and 1.
-
-    The hidden layers are smooth (SiLU), because the robot would follow each kink of the map.
-
-    Args:
-        weights: weights of the networks.
-        inputs: normalised fingertips.
-    """
+    """Outputs of the networks for normalised fingertips: joint positions scaled so that the limits
+    are -1 and 1. The hidden layers are smooth (SiLU), because the robot would follow each kink of
+    the map."""
 
     def layer(w: Array, b: Array, x: Array) -> Array:
         bias = b.reshape(*b.shape, *[1] * (x.ndim - 2))

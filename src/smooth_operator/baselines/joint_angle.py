@@ -49,11 +49,10 @@ import numpy as np
 from jaxtyping import Array, Float, UInt32
 
 from smooth_operator.errors import HandModelError, UnknownNameError
-from smooth_operator.geometry import AnyArray, AnyKind, array_namespace
+from smooth_operator.geometry import AnyArray, AnyKind, PalmAxes, array_namespace, unit_vectors
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.spec import JointMap
 from smooth_operator.human.alignment import AlignmentConfig, human_palm_axes
-from smooth_operator.human.operator import PalmAxes, unit_vectors
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS, NUM_LANDMARKS, WRIST
 from smooth_operator.methods.method import Method, MethodConfig, MethodOutput
 from smooth_operator.objective.goal import FrameGoal
@@ -237,16 +236,8 @@ def joint_map(hand: Hand) -> tuple[JointMap, ...]:
 def robot_joint_angles(
     hand: Hand, q: Float[np.ndarray, "*batch m"], axes: PalmAxes[np.ndarray]
 ) -> Float[np.ndarray, "*batch 20"]:
-    """The angles ``JOINT_ANGLES`` of a robot hand.
-
-    Args:
-        hand: the robot hand.
-        q: (..., m) actuated joint positions [rad].
-        axes: axes of the palm, from ``human_palm_axes``.
-
-    Returns:
-        (..., 20) angles [rad], NaN for fingers without all four landmarks.
-    """
+    """(..., 20) the angles ``JOINT_ANGLES`` of a robot hand [rad] at positions of its actuated
+    joints [rad], by the axes of ``human_palm_axes``; NaN for fingers without all four landmarks."""
     landmarks = np.full((*q.shape[:-1], NUM_LANDMARKS, 3), np.nan)
     landmarks[..., [LANDMARKS.index(n) for n in hand.tree.names], :] = hand.landmark_positions(q)
     return joint_angles(landmarks, axes)
@@ -460,14 +451,8 @@ class PublishedAngles:
         return set(hand.actuated_names) == set(_MAP)
 
     def positions(self, aligned: Float[Array, "21 3"]) -> Float[Array, " m"]:
-        """Joint positions for landmarks; traceable.
-
-        Args:
-            aligned: (21, 3) finite landmarks in any frame [m].
-
-        Returns:
-            (m,) positions of the actuated joints [rad], within their limits.
-        """
+        """(m,) positions of the actuated joints within their limits [rad], for (21, 3) finite
+        landmarks in any frame [m]; traceable."""
         angles = _chain_angles(aligned)
         rows = [_MAP[name] for name in self.hand.actuated_names]
         picked = [

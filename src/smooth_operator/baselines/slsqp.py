@@ -92,14 +92,8 @@ def slsqp_minimise(
     limits: Float[np.ndarray, "m 2"],
     config: SlsqpConfig,
 ) -> SlsqpResult:
-    """Minimise within bounds by NLopt's SLSQP; the result is the best evaluated point.
-
-    Args:
-        objective: value and gradient at a point, not finite where undefined.
-        start: (m,) start of the search; clipped to the bounds.
-        limits: (m, 2) bounds.
-        config: stopping conditions.
-    """
+    """Minimise within (m, 2) bounds by NLopt's SLSQP from a start, which is clipped to them; the
+    result is the best evaluated point. The objective is not finite where it is undefined."""
     low, high = limits[:, 0], limits[:, 1]
     best = np.clip(np.asarray(start, np.float64), low, high)
     lowest, evaluations = math.inf, 0
@@ -182,16 +176,8 @@ def scipy_slsqp_minimise(
     limits: Float[np.ndarray, "m 2"],
     config: ScipySlsqpConfig,
 ) -> SlsqpResult:
-    """Minimise within bounds by SciPy's SLSQP; the result is the last point, as in published code.
-
-    ``stopped_by`` is ``evaluations`` after the limit of iterations.
-
-    Args:
-        objective: value and gradient at a point.
-        start: (m,) start of the search; clipped to the bounds.
-        limits: (m, 2) bounds.
-        config: stopping conditions.
-    """
+    """Minimise as ``slsqp_minimise`` by SciPy's SLSQP; the result is the last point, as in
+    published code. ``stopped_by`` is ``evaluations`` after the limit of iterations."""
     from scipy.optimize import minimize  # here, since the import takes half a second
 
     low, high = limits[:, 0], limits[:, 1]

@@ -44,6 +44,7 @@ from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.keyvectors import VectorLayout, tips_of
 from smooth_operator.objective.loss import Objective, ObjectiveConfig
 from smooth_operator.objective.targets import StatelessTargets, Targets
+from smooth_operator.settings import check_choice
 from smooth_operator.solvers.newton import NewtonConfig, newton_minimise
 
 
@@ -71,10 +72,7 @@ class SlsqpMethodConfig(ObjectiveMethodConfig):
     approach: NewtonConfig = field(default_factory=lambda: NewtonConfig(iterations=5))
 
     def __post_init__(self) -> None:
-        if self.start not in ("previous", "joint_angle", "published_angles"):
-            raise ConfigError(
-                f"start must be 'previous', 'joint_angle' or 'published_angles', not {self.start!r}"
-            )
+        check_choice(self, "start", ("previous", "joint_angle", "published_angles"))
 
     def build(self, hand: Hand) -> SlsqpMethod:
         """The method for one hand.

@@ -12,6 +12,7 @@ from jaxtyping import Float
 from smooth_operator.calibration.features import Features, measure_features
 from smooth_operator.calibration.segments import Segment, find_segments, poses
 from smooth_operator.errors import ConfigError, RecordingError
+from smooth_operator.geometry import PalmAxes
 from smooth_operator.hands.hand import Hand, StraightPose, open_rays, straight_pose
 from smooth_operator.human.alignment import MIN_CONDITION, human_palm_axes, palm_alignment
 from smooth_operator.human.operator import (
@@ -19,7 +20,6 @@ from smooth_operator.human.operator import (
     Component,
     FingerProfile,
     OperatorProfile,
-    PalmAxes,
     tip_frames,
 )
 from smooth_operator.landmarks import BASES, FINGERS, TIPS
@@ -244,13 +244,8 @@ def _fingers(
 
 
 def _project(gaps: dict[str, np.ndarray], scale: float, corrected: int) -> float | None:
-    """Distance at which the latch closes, above the corrected gaps of nearly all pinches [m].
-
-    Args:
-        gaps: as in ``Calibration.gaps``.
-        scale: scale of the palm.
-        corrected: column of ``gaps``: 1 with the correction of tips, 0 without.
-    """
+    """Distance at which the latch closes, above the corrected gaps of nearly all pinches [m];
+    ``corrected`` is the column of gaps: 1 with the correction of tips, 0 without."""
     if not gaps:
         return None
     # the correction of pinches removes the median gap, so only the spread above it remains

@@ -15,12 +15,7 @@ FEWEST: Final = 10
 
 
 def report(calibration: Calibration, recording: HandRecording) -> dict[str, Any]:
-    """Content of ``OPERATOR.report.json``.
-
-    Args:
-        calibration: calibration from the recording.
-        recording: recording of the operator's hand.
-    """
+    """Content of ``OPERATOR.report.json``."""
     operator, features = calibration.operator, calibration.features
     stamps = recording.stamps - recording.stamps[0]
     return {

@@ -58,15 +58,7 @@ def poses(fingers: Sequence[str] = FINGERS) -> tuple[str, ...]:
 
 
 def find_segments(features: Features, stamps: Float[np.ndarray, " T"]) -> list[Segment]:
-    """Search for poses in a recording.
-
-    Args:
-        features: features of the recording.
-        stamps: (T,) stamps of its frames [s].
-
-    Returns:
-        the segments, by time.
-    """
+    """Poses in a recording with (T,) stamps [s], by time."""
     segments = [*_flat_and_spread(features, stamps), *_fists(features, stamps)]
     for i, finger in enumerate(FINGERS[1:]):
         segments += _pinches(features, stamps, i, f"pinch_{finger}")

@@ -207,9 +207,6 @@ def plain_table(
     """A table with a line below its head and no frame.
 
     Args:
-        title: title above it.
-        headers: head of each column.
-        rows: cells of each row.
         left: number of columns that are aligned to the left, the others to the right; None for all.
         options: options of rich for all columns.
     """
@@ -226,7 +223,6 @@ def print_summary(title: str, metrics: Mapping[str, object], following: Sequence
     """Prints the figures of ``SUMMARY`` with their verdicts, and what to do next.
 
     Args:
-        title: printed above the figures.
         metrics: result of ``evaluate``.
         following: commands that a user may try next, each with an explanation.
     """
@@ -258,7 +254,6 @@ def print_metrics(title: str, metrics: Mapping[str, object]) -> None:
     """A table of what was measured, on standard output.
 
     Args:
-        title: above it.
         metrics: result of ``evaluate``.
     """
     from smooth_operator.metrics.metric import GROUPS

@@ -26,7 +26,6 @@ def ask(
     Args:
         source: where frames come from; started and stopped here.
         hand: the robot hand, whose side and fingers are asked for.
-        progress: what is shown, and whether.
 
     Returns:
         what was seen, and where each pose was held.

@@ -254,7 +254,6 @@ def summarise(entries: Iterable[Entry], seconds: float) -> dict[str, Any]:
     """Counts, speed, and each recording by name.
 
     Args:
-        entries: result of each.
         seconds: how long those of this run took together, the start of workers included [s].
     """
     by_name = sorted(entries, key=lambda entry: entry.name)

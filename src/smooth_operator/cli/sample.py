@@ -71,7 +71,6 @@ def synthetic_operator(options: Synthetic, seed: int, side: Side = "right") -> S
     """Synthetic operator with the side, rate and tracker of the options.
 
     Args:
-        options: options of the command.
         seed: random seed of its movements and its tracker's errors.
         side: side to use if the options name none.
 

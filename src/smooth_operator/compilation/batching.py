@@ -30,9 +30,10 @@ from jaxtyping import Array, Bool, Float
 
 from smooth_operator.compilation.compiled_program import CompiledProgram
 from smooth_operator.human.alignment import AlignmentConfig
+from smooth_operator.landmarks import NUM_LANDMARKS
 from smooth_operator.methods.method import Method, MethodConfig
-from smooth_operator.methods.program import FrameState, RetargetState, align_frame
-from smooth_operator.types import Status
+from smooth_operator.methods.program import FrameState, RetargetState, align_frame, ticks_of
+from smooth_operator.types import HandRecording, Status
 
 LANES: Final = 8
 """Lanes on a CPU. More save little, and a step takes as long as the lane that takes longest."""
@@ -78,6 +79,20 @@ class Tracks:
     ticks: np.ndarray
     lengths: Sequence[int]
 
+    @classmethod
+    def of(
+        cls, recordings: Sequence[HandRecording], landmarks: Callable[[np.ndarray], np.ndarray]
+    ) -> Tracks:
+        """Recordings one after the other; ``landmarks`` gives them in the program's form."""
+        if not recordings:
+            none = np.empty((0, NUM_LANDMARKS, 3), np.float32)
+            return cls(none, none[..., 0] > 0, np.empty(0, np.uint32), [])
+        points, valid, stamps = (
+            np.concatenate([getattr(recording, name) for recording in recordings], dtype=kind)
+            for name, kind in (("landmarks", None), ("valid", bool), ("stamps", float))
+        )
+        return cls(landmarks(points), valid, ticks_of(stamps), list(map(len, recordings)))
+
     @cached_property
     def starts(self) -> np.ndarray:
         """(S,) which frames are the first of a recording."""
@@ -109,12 +124,7 @@ class BatchArrays:
 
 
 def progressing(total: int, track: Progress | None) -> Callable[[int], None]:
-    """A function that moves a progress bar by so many frames.
-
-    Args:
-        total: number of steps.
-        track: wraps the iteration over them; None for no bar.
-    """
+    """A function that moves a progress bar of ``total`` frames by so many; None for no bar."""
     steps, left = iter(range(total) if track is None else track(range(total))), total
 
     def advance(count: int) -> None:
@@ -199,16 +209,9 @@ class LaneProgram:
         )
 
     def run(self, initial: RetargetState, tracks: Tracks, track: Progress | None = None) -> Answers:
-        """Every recording, each from the same state.
-
+        """Every recording, each from the same state; ``track`` wraps the iteration over all frames.
         While the device works on a block, a thread lays out the inputs of the next, and puts the
-        results of the last in their places.
-
-        Args:
-            initial: the state before a first frame.
-            tracks: the recordings.
-            track: wraps the iteration over all frames, for a progress bar.
-        """
+        results of the last in their places."""
         frames = _frames_of_lanes(tracks, self.lanes)
         total = len(tracks.ticks)
         advance = progressing(total, track)

@@ -59,7 +59,6 @@ def compiled(function: Callable[..., Any], *, wide: bool = False) -> Callable[..
     """``jax.jit`` with the options that suit programs of one frame.
 
     Args:
-        function: traceable.
         wide: most of its time goes to long loops over many numbers, which a processor with vectors
             of 512 bits is to run in such vectors; XLA prefers 256.
     """
@@ -95,18 +94,9 @@ def _options(wide: bool, graphs: bool = False) -> list[dict[str, Any]]:
 def program_key(
     hand: Hand, config: MethodConfig, *more: object, constants: Any = None
 ) -> str | None:
-    """A digest of all that a program of a hand and a configuration depends on, but its arguments.
-
-    Args:
-        hand: the robot hand that the method was built for.
-        config: the method's settings.
-        more: anything else, as JSON.
-        constants: ``Method.constants``.
-
-    Returns:
-        the digest; None if it can't be known, as the configuration has code or a file of the
-        user's.
-    """
+    """A digest of all that a program of a hand and a configuration depends on, but its arguments;
+    ``more`` is anything else, as JSON. None if it can't be known, as the configuration has code or
+    a file of the user's."""
     shareable = config.shareable or constants is not None
     if not shareable or not _is_data(config, paths=constants is not None):
         return None

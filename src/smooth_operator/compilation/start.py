@@ -41,11 +41,6 @@ def dispatch_here(*, one_thread: bool = False) -> None:
 def build_retargeter(hand: Hand, config: MethodConfig, seed: int) -> tuple[Retargeter, float]:
     """A compiled retargeter, and the time that it took [s].
 
-    Args:
-        hand: the robot hand.
-        config: the method's settings.
-        seed: seed of the method's random numbers.
-
     Raises:
         ConfigError: the preset needs the whole recording.
     """

@@ -374,8 +374,6 @@ def _write_array(group: Group, name: str, value: np.ndarray, units: str | None) 
 
     Args:
         group: group of an open h5py file.
-        name: name of the array.
-        value: the array.
         units: its attribute; None for none.
     """
     # Shuffled bytes of neighbouring samples compress far better than the samples themselves.

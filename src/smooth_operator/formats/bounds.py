@@ -56,11 +56,8 @@ class Allowance:
         return cls(path, max(FREE_BYTES, ratio * size))
 
     def take(self, part: str, count: int) -> None:
-        """Counts a part before it is unpacked; one that is unpacked again counts once.
-
-        Args:
-            part: its name.
-            count: size [bytes].
+        """Counts a part of some bytes before it is unpacked; one that is unpacked again counts
+        once.
 
         Raises:
             TooLargeError: that would be more than is allowed.

@@ -35,16 +35,11 @@ _TIME_UNITS = {"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9, 
 
 
 def check_recording(recording: HandRecording, where: str) -> None:
-    """Refuse a recording that is empty, has no valid landmark, bad stamps or wrong units.
-
-    Landmarks missing here and there are no fault; they stay flagged invalid.
-
-    Args:
-        recording: recording that was read.
-        where: the file, for the message.
+    """Refuse a recording that is empty, has no valid landmark, bad stamps or wrong units. Landmarks
+    missing here and there are no fault; they stay flagged invalid.
 
     Raises:
-        RecordingError: with the reason.
+        RecordingError: with the reason; it names the file, ``where``.
     """
     if not len(recording):
         raise RecordingError(f"{where}: the recording holds no frames")
@@ -186,12 +181,8 @@ def reading_notes(recording: HandRecording, where: str) -> list[str]:
 def check_stamps(stamps: Float[np.ndarray, " T"], where: str) -> None:
     """Refuse stamps that are not finite, not strictly increasing, or not in seconds.
 
-    Args:
-        stamps: (T,) times.
-        where: the file, for the message.
-
     Raises:
-        RecordingError: with the first offending frame, or the likely unit and factor.
+        RecordingError: with the file, the first offending frame, or the likely unit and factor.
     """
     finite = np.isfinite(stamps)
     if not finite.all():
@@ -270,7 +261,6 @@ def check_side(labels: Iterable[str], requested: Side | None, where: str) -> tup
 
     Args:
         labels: the chirality labels in the file, none if it has none.
-        requested: the caller's side, if any.
         where: the file, for the message.
 
     Returns:

@@ -19,7 +19,6 @@ def csv_text(columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> str:
     before it, which ``plain_cell`` takes away again. Numbers stay as they are.
 
     Args:
-        columns: names, in their order.
         rows: values by column; other keys are left out, and missing ones empty.
     """
     lines = [columns, *([row.get(name) for name in columns] for row in rows)]

@@ -291,10 +291,6 @@ class Episode:
     def joined(self, other: Episode, where: str) -> Episode:
         """This recording with the commands of another file.
 
-        Args:
-            other: episode with the commands.
-            where: its name, for messages.
-
         Raises:
             RecordingError: ``other`` holds no commands, this episode has some already or no hand,
                 or a command answers none of the frames.

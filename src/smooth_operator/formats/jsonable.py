@@ -23,7 +23,6 @@ def to_json(value: Any, *, indent: int | None = None) -> str:
     ``"-inf"``, which ``float`` reads back. Enums become their names, tuples and arrays lists.
 
     Args:
-        value: value to write.
         indent: spaces per level; None for one line.
 
     Returns:

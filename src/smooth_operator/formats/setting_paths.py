@@ -51,7 +51,6 @@ def with_settings(config: C, values: Mapping[str, float | int]) -> C:
     """A configuration with other values.
 
     Args:
-        config: stays as it is.
         values: path -> value; one for a whole number is rounded.
 
     Raises:

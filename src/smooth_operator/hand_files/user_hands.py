@@ -64,7 +64,6 @@ def remove_hand(name: str, side: Side | None = None) -> tuple[Path, ...]:
     """Remove a hand from the user's folder.
 
     Args:
-        name: name of the hand.
         side: its side; by default both.
 
     Returns:

@@ -177,7 +177,6 @@ def hand_with_meshes(hand: Hand, model: str | Path | None = None) -> Hand | None
     """Load a hand on a model with its real meshes; without ``model``, nothing is downloaded.
 
     Args:
-        hand: the robot hand.
         model: MJCF or URDF file of that hand, or ``MENAGERIE``, which may be downloaded; by
             default the hand's own model if it has meshes, else the package's local copy.
 

@@ -20,13 +20,13 @@ from smooth_operator.hands.collision import (
     PALM,
     Capsule,
     colliding_shapes,
+    lacking_parts,
     owners,
     shape_capsules,
     solid_shapes,
 )
 from smooth_operator.hands.hand import Hand, tree_with
 from smooth_operator.hands.kinematics import KinematicTree
-from smooth_operator.hands.stand_ins import stand_ins
 
 _POSES = 4000
 _MANY = 2000
@@ -65,27 +65,27 @@ class CapsulePairs:
 def capsule_pairs(hand: Hand) -> CapsulePairs:
     """Pairs of capsules whose contact is a self-collision and that some pose brings together.
 
-    Candidates are the pairs of ``penetration_depths``: on two fingers, or on a finger and the palm,
-    not joined, and not touching in the neutral pose. Of more than ``MOST`` candidates, those stay
-    that are in most random poses the nearest pair of their two links, with at least one pair for
-    any two links that meet, up to ``MOST``. A mesh becomes one capsule of about its thickness; a
-    pair whose capsules overlap in the neutral pose is left out if its shapes do not. Links whose
-    shapes can't be read have estimated capsules (``smooth_operator.hands.stand_ins``).
-
-    Args:
-        hand: the robot hand.
+    Candidates are the pairs of ``penetration_depths``. Of more than ``MOST``, those stay that are
+    in most random poses the nearest pair of their two links, at least one for any two links that
+    meet. A pair whose capsules overlap in the neutral pose is left out if its shapes do not. Links
+    whose shapes can't be read have estimated capsules (``smooth_operator.hands.stand_ins``).
     """
-    counts, estimated = colliding_shapes(hand), stand_ins(hand)
+    counts, estimated, replaced = colliding_shapes(hand), list[Capsule](), list[int]()
+    if lacking_parts(hand):
+        from smooth_operator.hands.stand_ins import stand_ins  # few hands need them
+
+        own = stand_ins(hand)
+        estimated, replaced = list(own.capsules), list(own.replaced)
     # without those of an arm, or of a second hand
-    shapes = solid_shapes(hand) if estimated.capsules else counts.any(axis=1)
+    shapes = solid_shapes(hand) if estimated else counts.any(axis=1)
     part = hand.model.body_weldid[hand.model.geom_bodyid]
-    shapes &= ~np.isin(part, list(estimated.replaced))
+    shapes &= ~np.isin(part, replaced)
     capsules = [
         _on_palm(capsule, hand)
         for geom in np.flatnonzero(shapes)
         for capsule in shape_capsules(hand.model, int(geom))
     ]
-    capsules += estimated.capsules
+    capsules += estimated
     owner = owners(hand)
     some = [
         (i, j)
@@ -128,15 +128,10 @@ def _may_meet(
 def segment_parameters(
     first: tuple[AnyKind, AnyKind], second: tuple[AnyKind, AnyKind]
 ) -> tuple[AnyKind, AnyKind]:
-    """Nearest points of two line segments, as shares of the segments' lengths.
+    """Nearest points of two line segments of (..., 3) ends, as (...) shares of their lengths in [0,
+    1]; NumPy or JAX. Parallel segments have many nearest points; these are two.
 
     Source: Ericson, "Real-Time Collision Detection" (2005), 5.1.9, without branches.
-
-    Args:
-        first, second: (..., 3) ends of a segment; NumPy or JAX.
-
-    Returns:
-        (...) shares s, t in [0, 1]. Parallel segments have many nearest points; these are two.
     """
     xp = array_namespace(first[0])
     along, across = first[1] - first[0], second[1] - second[0]
@@ -153,15 +148,8 @@ def segment_parameters(
 def segments_apart(
     first: tuple[AnyKind, AnyKind], second: tuple[AnyKind, AnyKind]
 ) -> tuple[AnyKind, AnyKind, AnyKind]:
-    """Vector between the nearest points of two line segments.
-
-    Args:
-        first, second: (..., 3) ends of a segment; NumPy or JAX.
-
-    Returns:
-        (..., 3) vector from the second segment to the first, and the (...) shares of
-        ``segment_parameters``.
-    """
+    """(..., 3) vector between the nearest points of two line segments, from the second to the
+    first, and the (...) shares of ``segment_parameters``."""
     s, t = segment_parameters(first, second)
     apart = (
         first[0]

@@ -28,7 +28,6 @@ def penetration_depths(hand: Hand, joint_positions: ArrayLike) -> Float[np.ndarr
     the model itself excludes from collision do not count, either.
 
     Args:
-        hand: the robot hand.
         joint_positions: (T, n) positions of all joints [rad].
 
     Returns:
@@ -160,6 +159,15 @@ def solid_shapes(hand: Hand) -> Bool[np.ndarray, " g"]:
     model = hand.model
     solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     return np.asarray(solid & hand.bodies[model.geom_bodyid])
+
+
+def lacking_parts(hand: Hand) -> set[int]:
+    """Parts that lost shapes; all parts of a hand without any colliding shape."""
+    model = hand.model
+    part = np.asarray(model.body_weldid)
+    if solid_shapes(hand).any():
+        return {int(part[model.body(name).id]) for name in hand.unreadable}
+    return {int(p) for p in part[hand.bodies]}
 
 
 def owners(hand: Hand) -> Int[np.ndarray, " bodies"]:

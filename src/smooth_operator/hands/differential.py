@@ -101,11 +101,7 @@ class PointKinematics:
         return rows
 
     def __call__(self, q: Float[Array, " n"]) -> PointMotion:
-        """Points and their motion.
-
-        Args:
-            q: (n,) positions of all joints [rad].
-        """
+        """Points and their motion at (n,) positions of all joints [rad]."""
         joints, flat = self.tree.joints, [i for level in self.levels for i in level]
         angle = q[np.array([joints[i].source for i in flat])][:, None]
         slide = np.array([joints[i].slide for i in flat])[:, None]
@@ -144,24 +140,16 @@ class PointKinematics:
         return jnp.where(jnp.asarray(self.moves[of])[:, :, None], result, 0.0)
 
     def moments(self, motion: PointMotion, gradient: Float[Array, "F 3"]) -> Float[Array, "F 12"]:
-        """Moments p g^T and g of each point, from which ``derivatives`` follow.
-
-        Args:
-            motion: motion at the pose.
-            gradient: (F, 3) gradient of a cost with respect to the points, taken as constant.
-        """
+        """Moments p g^T and g of each point, from which ``derivatives`` follow, of a gradient with
+        respect to the points that is taken as constant."""
         moments = (motion.points[:, :, None] * gradient[:, None, :]).reshape(-1, 9)
         return jnp.concatenate([moments, gradient], axis=1)
 
     def derivatives(
         self, motion: PointMotion, total: Float[Array, "J 12"]
     ) -> tuple[Float[Array, " J"], Float[Array, "J J"]]:
-        """First and second derivatives of sum_f gradient_f . p_f with respect to the J joints.
-
-        Args:
-            motion: motion at the pose.
-            total: (J, 12) ``moves.T @ moments``.
-        """
+        """First and second derivatives of sum_f gradient_f . p_f with respect to the J joints, from
+        (J, 12) ``moves.T @ moments``."""
         # With w_fj = a_j x p_f + o_j, they are sums of g . w_fj, and of g . (a_i x w_fj) for i
         # above j. Points enter only by their moments p g^T and g, summed over the points of j.
         axes, speeds = motion.hinge_axes, motion.origin_speeds

@@ -139,14 +139,8 @@ class Hand:
         return self.tree.limits
 
     def full_configuration(self, q: ArrayLike) -> Float[np.ndarray, "*batch n"]:
-        """Positions of all joints from those of the actuated joints.
-
-        Args:
-            q: (..., m) actuated joint positions [rad].
-
-        Returns:
-            (..., n) positions of all joints [rad], in the order of ``joint_names``.
-        """
+        """(..., n) positions of all joints [rad] in the order of ``joint_names``, from those of the
+        actuated joints, (..., m) [rad]."""
         full: np.ndarray = np.asarray(q, float) @ self.coupling_matrix.T + self.coupling_offset
         return full
 
@@ -163,25 +157,13 @@ class Hand:
         return rows
 
     def landmark_positions(self, q: ArrayLike) -> Float[np.ndarray, "*batch k 3"]:
-        """Landmark positions in the palm frame, on the host in float64.
-
-        Args:
-            q: (..., m) actuated joint positions [rad].
-
-        Returns:
-            (..., k, 3) [m], in the order of ``tree.names``.
-        """
+        """(..., k, 3) landmarks in the palm frame [m] in the order of ``tree.names``, at (..., m)
+        positions of the actuated joints [rad]; on the host in float64."""
         return np.asarray(self.tree.positions(self.full_configuration(q)))
 
     def tips(self, q_all: ArrayLike) -> Float[np.ndarray, "*batch f 3"]:
-        """Fingertip positions in the palm frame.
-
-        Args:
-            q_all: (..., n) positions of all joints [rad].
-
-        Returns:
-            (..., f, 3) [m], thumb first.
-        """
+        """(..., f, 3) fingertips in the palm frame [m], thumb first, at (..., n) positions of all
+        joints [rad]."""
         points = np.asarray(self.tree.positions(np.asarray(q_all, float)))
         return points[..., [self.tree.names.index(name) for name in self.tip_names], :]
 
@@ -277,12 +259,8 @@ def fingerprint(hand: Hand) -> str:
 
 
 def tree_with(hand: Hand, points: Mapping[str, tuple[int, np.ndarray]]) -> KinematicTree:
-    """Kinematics of a hand's landmarks and of further points on its bodies.
-
-    Args:
-        hand: the robot hand.
-        points: name -> (body of the model, (3,) position in it [m]).
-    """
+    """Kinematics of a hand's landmarks and of further points: name -> (body of the model, (3,)
+    position in it [m])."""
     palm = _body(hand.model, hand.spec.palm)
     every = {**points, **landmark_points(hand.model, hand.spec)}
     return build_tree(hand.model, palm, every, own_joints(hand.model, palm))
@@ -383,12 +361,8 @@ def _at(model: mujoco.MjModel, point: Point) -> tuple[int, np.ndarray]:
 
 
 def own_joints(model: mujoco.MjModel, palm: int) -> tuple[int, ...]:
-    """Hinges and slides below the palm, in the model's own order.
-
-    Args:
-        model: the compiled model.
-        palm: body of the palm; its own joints, such as a wrist's, are not the hand's.
-    """
+    """Hinges and slides below the palm, in the model's own order; the palm's own joints, such as a
+    wrist's, are not the hand's."""
     own = _below(model, palm)
     own[palm] = False
     kinds = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))

@@ -112,7 +112,6 @@ class KinematicTree:
 
         Args:
             q: n arrays of one common shape, the positions of all joints [rad].
-            names: names of the keypoints.
             within_limits: promise that q respects the limits; sine and cosine are then polynomials
                 over each joint's range (to 1e-6), several times cheaper than the general
                 functions.
@@ -167,7 +166,6 @@ def build_tree(
     """Unroll a MuJoCo model into a ``KinematicTree``.
 
     Args:
-        model: the compiled model.
         palm: body in whose frame positions are computed; joints at or above it are held at zero.
         keypoints: name -> (body id, (3,) position in that body's frame [m]).
         own: all joints of the hand in the model, including those between palm and keypoints; by

@@ -190,10 +190,6 @@ def _refused(what: str, path: Path, error: Exception) -> HandModelError:
 def load_spec(path: Path, *, mirror: bool = False) -> mujoco.MjSpec:
     """The model that ``load_model`` compiles, to be edited further, perhaps without its meshes.
 
-    Args:
-        path: MJCF or URDF file.
-        mirror: as for ``load_model``.
-
     Raises:
         HandModelError: MuJoCo can't compile it.
     """
@@ -404,16 +400,8 @@ def _possible(model: mujoco.MjModel, coupling: Coupling) -> Coupling:
 def shared_range(
     coupling: Coupling, own: Float[np.ndarray, "2"], leader: Float[np.ndarray, "2"]
 ) -> float:
-    """Overlap of the ranges of a coupled joint and of its leader, over the smaller range.
-
-    Args:
-        coupling: the coupling.
-        own: (2,) limits of the joint [rad].
-        leader: (2,) limits of its leader [rad].
-
-    Returns:
-        at most 1; negative if the ranges do not meet, 1 if one is a point inside the other.
-    """
+    """Overlap of the ranges of a coupled joint and of its leader [rad], over the smaller range: at
+    most 1; negative if the ranges do not meet, 1 if one is a point inside the other."""
     led = np.sort(coupling.multiplier * leader + coupling.offset)
     overlap = min(own[1], led[1]) - max(own[0], led[0])
     smaller = min(np.ptp(own), np.ptp(led))

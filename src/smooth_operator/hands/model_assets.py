@@ -63,10 +63,7 @@ class ModelFiles:
 
 
 def read_model_files(path: Path) -> ModelFiles:
-    """Read a model file and find the files that it names.
-
-    Args:
-        path: MJCF or URDF file.
+    """Read a model file, MJCF or URDF, and find the files that it names.
 
     Raises:
         HandModelError: it is no such file, it names a pipe or a device, or it expands to more than
@@ -294,9 +291,6 @@ def is_file(path: Path) -> bool:
 def read_model_xml(path: Path) -> ElementTree.Element:
     """The root element of a model file.
 
-    Args:
-        path: MJCF or URDF file.
-
     Raises:
         HandModelError: there is no such file, it can't be read, or it is no MJCF or URDF.
     """
@@ -338,12 +332,8 @@ def read_model_xml(path: Path) -> ElementTree.Element:
 def decode_xml(data: bytes, path: Path) -> str:
     """The text of an XML file without its declaration, by the encoding that it declares.
 
-    Args:
-        data: the file's bytes.
-        path: the file's path, for messages.
-
     Raises:
-        HandModelError: the encoding is unknown, or the bytes are not of it.
+        HandModelError: the encoding is unknown, or the bytes are not of it; it names the path.
     """
     declared = _DECLARED.match(data)
     encoding = declared.group(1).decode("ascii") if declared else "utf-8"

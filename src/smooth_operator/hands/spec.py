@@ -201,7 +201,6 @@ def select_fingers(spec: HandSpec, fingers: FingerChoice) -> HandSpec:
     and last of the other fingers, or, with two fingers, these and the wrist.
 
     Args:
-        spec: the hand.
         fingers: the fingers; the thumb must be among them, driven by the human thumb.
 
     Raises:

@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.hands.collision import Capsule, shape_capsules, solid_shapes
+from smooth_operator.hands.collision import Capsule, lacking_parts, shape_capsules, solid_shapes
 from smooth_operator.hands.hand import Hand, landmark_points
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS, WRIST
 
@@ -80,7 +80,7 @@ def stand_ins(hand: Hand) -> StandIns:
     (docs/how-to/hands.md). A hand without any colliding shape gets stand-ins for the palm and for
     all links from it to a fingertip.
     """
-    lacking = _lacking(hand)
+    lacking = lacking_parts(hand)
     if not lacking:
         return StandIns()
     model, data = hand.model, mujoco.MjData(hand.model)
@@ -122,15 +122,6 @@ def stand_ins(hand: Hand) -> StandIns:
 
 def _palm_part(hand: Hand) -> int:
     return int(hand.model.body_weldid[hand.model.body(hand.spec.palm).id])
-
-
-def _lacking(hand: Hand) -> set[int]:
-    """Parts that lost shapes; all parts of a hand without any colliding shape."""
-    model = hand.model
-    part = np.asarray(model.body_weldid)
-    if solid_shapes(hand).any():
-        return {int(part[model.body(name).id]) for name in hand.unreadable}
-    return {int(p) for p in part[hand.bodies]}
 
 
 def _covers(hand: Hand, replaced: frozenset[int]) -> dict[int, list[Capsule]]:

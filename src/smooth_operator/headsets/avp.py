@@ -53,8 +53,6 @@ def avp_frame(
 
     Args:
         joints: transforms from joint to wrist [m]; NaN where missing.
-        wrist: transform from wrist to world.
-        side: side of the hand.
         stamp: stamp of the frame [s], or None.
 
     Returns:

@@ -138,7 +138,6 @@ class HtsHands:
         """Add a line.
 
         Args:
-            line: the next line.
             received: time of receipt [s].
 
         Returns:
@@ -175,7 +174,6 @@ def hts_frame(
     Args:
         points: landmarks from the app, in Unity's wrist axes [m].
         wrist: x y z [m] and quaternion x y z w in Unity's world; None if lost.
-        side: side of the hand.
         stamp: stamp of the frame [s], or None.
 
     Returns:

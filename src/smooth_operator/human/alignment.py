@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from smooth_operator.errors import ConfigError, RecordingError
-from smooth_operator.geometry import AnyKind, Similarity, umeyama
+from smooth_operator.geometry import AnyKind, PalmAxes, Similarity, palm_axes, umeyama
 from smooth_operator.hands.hand import Hand, open_rays
-from smooth_operator.human.operator import OperatorProfile, PalmAxes, palm_axes
 from smooth_operator.io.anatomy import PALM_RANGE_M
 from smooth_operator.landmarks import BASES, LANDMARKS
 from smooth_operator.types import HandRecording
+
+if TYPE_CHECKING:
+    from smooth_operator.human.operator import OperatorProfile
 
 MIN_CONDITION = 0.02
 """Palm triangles flatter than this have no usable orientation.
@@ -56,17 +58,8 @@ class AlignmentConfig:
 def palm_alignment(
     landmarks: AnyKind, hand: Hand, config: AlignmentConfig = AlignmentConfig()
 ) -> Similarity[AnyKind]:
-    """The similarity that takes a human hand onto the robot's palm.
-
-    Args:
-        landmarks: (..., 21, 3) human landmarks [m]; NumPy or JAX.
-        hand: the robot hand.
-        config: scale policy.
-
-    Returns:
-        the transform into the palm frame; its ``condition`` shows a degenerate palm
-        (below ``MIN_CONDITION``).
-    """
+    """The similarity that takes (..., 21, 3) human landmarks [m] onto the robot's palm; NumPy or
+    JAX. Its ``condition`` shows a degenerate palm (below ``MIN_CONDITION``)."""
     source = landmarks[..., list(hand.align_indices), :]
     target = hand.align_points.astype(source.dtype)
     return umeyama(source, np.broadcast_to(target, source.shape), config.fixed_scale)

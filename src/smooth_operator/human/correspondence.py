@@ -1,13 +1,10 @@
 """Correspondence of human and robot fingers: places of the robot's fingertips.
 
 Aligned palms do not make hands correspond: wrists and knuckles lie centimetres apart, and a robot's
-fingers are up to twice as long as the human's, each by another factor. So each fingertip is placed
-from the robot's own knuckle, as far out as the human's is from his, in units of the length of the
-finger. A straight finger is then straight and a bent one as bent. Thumb and finger that come near
-each other move together until the vector between them is the human's own.
-
-What is needed of the human, the bases of the fingers and their lengths, is measured while the hand
-is in use: constants of the operator that settle within a second.
+fingers are up to twice as long as the human's. So each fingertip is placed from the robot's own
+knuckle, as far out as the human's is from his, in units of the length of the finger. Thumb and
+finger that come near each other move together until the vector between them is the human's own.
+The bases of the human's fingers and their lengths are measured while the hand is in use.
 """
 
 from __future__ import annotations
@@ -197,7 +194,6 @@ class Correspondence:
         """One frame; traceable.
 
         Args:
-            before: after the last frame.
             aligned: (21, 3) landmarks in the palm frame [m]; NaN where one is not known.
             tips: (F, 3) the human's fingertips in the palm frame without noise, thumb first [m].
             steps: (F, 3) their steps in this frame [m].

@@ -1,21 +1,15 @@
 """Landmark filter and removal of a tracker's noise.
 
-*The filter* is a low-pass that limits outliers and hardly delays ordinary motion. A point moves
-from where it was towards the measurement: nearly all the way while the step is small, less of it as
-the step grows, so a tracker's jump of centimetres is spread over several frames. What is a jump
-depends on the tracker: the threshold grows with its noise, measured by what the points usually do
-between three frames beyond steady motion.
+*The filter* is a low-pass that limits outliers and hardly delays ordinary motion: the larger a step
+of a point, the smaller the share of it that is followed. The threshold of a jump grows with the
+tracker's noise, measured by what points do between three frames beyond steady motion.
 
-*The noise* of a tracker is removed as far as the palm shows it. A rigid palm keeps its shape: what
-its landmarks move against each other is noise, however the hand moves, and tells how much noise
-there is, and how long it lasts. The alignment turns and scales the whole hand by that noise; a fit
-of the palm to its mean shape takes most of it away without delay. The rest is filtered with the
-gains of a steady-state Kalman filter for constant velocity. Three tests, all of the recording
-itself, tell noise from motion, and nothing is removed where one fails. Noise changes its sign from
-frame to frame; a palm that bends goes on the same way. Noise averages out over a quarter of a
-second; a bend lasts. And there are enough frames a second: at 60 and fewer, of cameras and
-headsets, a hand's own motion changes its sign from frame to frame, too. Where the palm is rigid, as
-that of trackers that fit a model of a hand, nothing is changed.
+*The noise* is removed as far as the palm shows it. A rigid palm keeps its shape, so what its
+landmarks move against each other is noise. A fit of the palm to its mean shape takes most of it
+away without delay; the rest is filtered with the gains of a steady-state Kalman filter for constant
+velocity. Nothing is removed where the palm goes on bending the same way, where the difference lasts
+over a quarter of a second, or at 60 frames a second and fewer, where a hand's own motion changes
+its sign from frame to frame, too.
 """
 
 from __future__ import annotations
@@ -103,18 +97,9 @@ def filter_landmarks(
     config: LandmarkFilterConfig,
     restart: Bool[Array, ""] | bool = False,
 ) -> tuple[FilterState, Float[Array, "n 3"]]:
-    """One frame.
-
-    Args:
-        before: state after the last frame.
-        measured: (n, 3) where the points are now [m].
-        dt: time between the two [s].
-        config: settings.
-        restart: the last frame was too long ago to count; the noise estimate is kept.
-
-    Returns:
-        The state after this frame, and (n, 3) the step of the filtered points in it [m].
-    """
+    """The state after a frame of (n, 3) measured points [m], a time ``dt`` [s] after the last, and
+    (n, 3) the step of the filtered points in it [m]. After a ``restart`` the last frame was too
+    long ago to count; the noise estimate is kept."""
     last = jnp.where(restart, measured, before.measured)
     start = jnp.where(restart, measured, before.points)
     step = measured - last
@@ -273,18 +258,13 @@ def remove_noise(
     config: NoiseConfig,
     restart: Bool[Array, ""] | bool = False,
 ) -> tuple[NoiseState, Float[Array, "n 3"]]:
-    """One frame.
+    """The state after a frame, and (n, 3) the wanted landmarks [m].
 
     Args:
-        before: state after the last frame.
         aligned: (21, 3) landmarks in the palm frame [m]; NaN where one is not known.
-        needs: mask of the landmarks to clean, fingertips and wrist; they are known in every frame.
+        needs: indices of the landmarks to clean, fingertips and wrist; known in every frame.
         dt: time between the two frames [s].
-        config: settings.
         restart: the last frame was too long ago to count.
-
-    Returns:
-        The state after this frame, and (n, 3) the wanted landmarks [m].
     """
     if is_off(config.acceleration):
         return before, aligned[np.array(needs)]

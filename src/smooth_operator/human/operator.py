@@ -11,56 +11,18 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from types import ModuleType
-from typing import Any, Final, Generic, Literal, NamedTuple, TypeAlias, TypeVar, get_args
+from typing import Any, Final, Literal, TypeAlias, get_args
 
 import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError, UnknownNameError
-from smooth_operator.geometry import AnyArray, AnyKind, array_namespace
+from smooth_operator.geometry import AnyArray, AnyKind, PalmAxes, array_namespace, unit_vectors
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import BASES, FINGERS, TIPS
 from smooth_operator.types import Side
 
 _TINY: Final = 1e-9
-_Held = TypeVar("_Held", bound=AnyArray)  # a named tuple can't be generic over alternatives
-
-
-class PalmAxes(NamedTuple, Generic[_Held]):
-    """Orthonormal directions of a palm.
-
-    Attributes:
-        distal: (..., 3) to the fingers.
-        radial: (..., 3) to the side of the thumb.
-        palmar: (..., 3) out of the palm.
-    """
-
-    distal: _Held
-    radial: _Held
-    palmar: _Held
-
-
-def palm_axes(landmarks: AnyKind, side: Side) -> PalmAxes[AnyKind]:
-    """The directions of a palm: distal from wrist to middle MCP, palmar square to that and to the
-    line of the index and pinky MCPs.
-
-    Args:
-        landmarks: (..., 21, 3) [m].
-        side: side of the hand; the mirror image of a hand has the mirror image of its axes.
-    """
-    xp = array_namespace(landmarks)
-    distal = unit_vectors(landmarks[..., 9, :] - landmarks[..., 0, :], xp)
-    across = landmarks[..., 5, :] - landmarks[..., 17, :]
-    handed = 1.0 if side == "right" else -1.0
-    palmar = handed * unit_vectors(xp.cross(across, distal), xp)
-    return PalmAxes(distal, handed * xp.cross(distal, palmar), palmar)
-
-
-def unit_vectors(vector: AnyKind, xp: ModuleType) -> AnyKind:
-    """Unit vectors; zero of a zero vector."""
-    length = xp.sqrt((vector * vector).sum(axis=-1, keepdims=True))
-    out: AnyKind = vector / xp.maximum(length, _TINY)
-    return out
 
 
 Component: TypeAlias = Literal["scale", "tips", "pinch", "fingers", "palm"]
@@ -237,18 +199,9 @@ class OperatorProfile:
     def correct(
         self, aligned: AnyKind, scale: AnyArray, hand: Hand, axes: PalmAxes[np.ndarray]
     ) -> AnyKind:
-        """Landmarks as the robot should see them.
-
-        Args:
-            aligned: (..., 21, 3) in the palm frame [m]; NumPy or JAX, traceable.
-            scale: (...) of the alignment.
-            hand: the robot hand.
-            axes: axes of the human palm in the palm frame, as
-                ``human_palm_axes`` gives them.
-
-        Returns:
-            (..., 21, 3) [m]. The palm's own landmarks move by ``palm`` only.
-        """
+        """(..., 21, 3) landmarks as the robot should see them [m], from those in the palm frame
+        [m], for (...) scales of the alignment and the axes of ``human_palm_axes``; NumPy or JAX,
+        traceable. The palm's own landmarks move by ``palm`` only."""
         xp = array_namespace(aligned)
         out: Any = aligned
         if self.has("palm"):
@@ -370,13 +323,8 @@ def tip_frames(
 
 
 def pinch_nearness(distance: Any, xp: ModuleType) -> Any:
-    """Weight of a thumb-to-tip distance as a pinch: 1 under 10 mm, 0 over 45 mm, smooth in
-    between.
-
-    Args:
-        distance: (...) [m].
-        xp: NumPy or JAX.
-    """
+    """Weight of a thumb-to-tip distance [m] as a pinch: 1 under 10 mm, 0 over 45 mm, smooth in
+    between; ``xp`` is NumPy or JAX."""
     share = xp.clip((_FAR - distance) / (_FAR - _NEAR), 0, 1)
     return share * share * (3 - 2 * share)
 

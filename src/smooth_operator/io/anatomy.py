@@ -259,14 +259,8 @@ def doubt(
     *,
     layout: str | None = None,
 ) -> Doubt | None:
-    """Problem with the shape, order or side of points; None if there is none.
-
-    Args:
-        points: (T, 21, 3) positions [m] as they came.
-        side: declared side of the hand.
-        valid: (T, 21) which of them count; the finite ones if left out.
-        layout: the order they are said to be in; None for the project's own, which is judged.
-            ``mediapipe`` (or ``openpose``) is the same, and its order is not checked.
+    """Problem with the shape, order or side of points; None if there is none. Arguments are those
+    of ``check_hand``.
 
     Raises:
         UnknownNameError: there is no such layout.
@@ -349,12 +343,8 @@ class HandCheck:
     def see(
         self, landmarks: Float[np.ndarray, "21 3"], valid: Bool[np.ndarray, "21"]
     ) -> Doubt | None:
-        """Problem with the last frames; None if there is none, or too few have come.
-
-        Args:
-            landmarks: (21, 3) of the next frame [m], in the project's order.
-            valid: (21,) which of them count; a frame that is not whole is left out.
-        """
+        """Problem with the last frames, after another [m]; None if there is none, or too few have
+        come. Frames that are not whole are left out."""
         if not valid.all():
             return self._found
         self._window[self.judged % self.WINDOW] = landmarks

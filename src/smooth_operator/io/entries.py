@@ -68,9 +68,7 @@ class Entries:
         """A text.
 
         Args:
-            name: name of the entry.
             default: value of a missing entry; None if the entry is required.
-            empty: accept an empty text.
             lines: accept several lines and other control characters.
         """
         value = self._get(name, default, "a text")

@@ -12,7 +12,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Final, NamedTuple, NoReturn, TypeAlias, TypeVar, cast
+from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple, NoReturn, TypeVar, cast
 
 import jax.numpy as jnp
 import numpy as np
@@ -21,10 +21,12 @@ from jaxtyping import Array, Bool, Float, UInt32
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import AlignmentConfig
-from smooth_operator.human.operator import Component, OperatorProfile
 from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.loss import Objective, ObjectiveConfig
 from smooth_operator.solvers.trajectory import TrajectoryConfig
+
+if TYPE_CHECKING:
+    from smooth_operator.human.operator import Component, OperatorProfile
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,15 +47,8 @@ class FrameGoals:
         return self.objective.config.targets.init(self.objective.layout)
 
     def follow(self, memory: Any, aligned: Float[Array, "21 3"]) -> tuple[Any, FrameGoal]:
-        """The goal of a frame, without velocity and motion of fingertips; traceable.
-
-        Args:
-            memory: from ``begin`` or the frame before.
-            aligned: (21, 3) landmarks in the palm frame [m].
-
-        Returns:
-            what is remembered after the frame, and the goal.
-        """
+        """The state after a frame, and its goal without velocity and motion of fingertips, for
+        (21, 3) landmarks in the palm frame [m]; traceable."""
         objective, hand = self.objective, self.objective.hand
         layout = objective.layout
         targets, memory = objective.config.targets(memory, layout, layout.human(aligned))
@@ -66,7 +61,7 @@ class FrameGoals:
 
 C = TypeVar("C", bound="MethodConfig")
 
-Compiling: TypeAlias = Callable[[Callable[..., Any], str], Callable[..., Any]]
+Compiling = Callable[[Callable[..., Any], str], Callable[..., Any]]
 """Compiles a traceable function under a name that is its own among the method's functions."""
 
 _FAINT = 1e-4
@@ -141,21 +136,13 @@ class Method(ABC):
         return None
 
     def latched(self, state: Any) -> Bool[Array, " P"] | None:
-        """(F - 1,) which fingers are latched to the thumb; None for a method without latches.
-
-        Args:
-            state: from ``init`` or a step.
-        """
+        """(F - 1,) which fingers are latched to the thumb; None for a method without latches."""
         del state
         return None
 
     def fingertip_targets(self, state: Any) -> Float[Array, "F 3"] | None:
         """(F, 3) places of the fingertips that the last frame asks for, in the palm frame [m];
-        None for a method that does not place them, and before the first frame.
-
-        Args:
-            state: from ``init`` or a step.
-        """
+        None for a method that does not place them, and before the first frame."""
         del state
         return None
 
@@ -172,20 +159,12 @@ class HostMethod(Method):
 
     @abstractmethod
     def prepare(self, state: Any, aligned: Float[Array, "21 3"], ticks: UInt32[Array, ""]) -> Any:
-        """The problem of one frame, as a pytree; traceable, without side effects.
-
-        Args:
-            state, aligned, ticks: as for ``step``.
-        """
+        """The problem of one frame, as a pytree, for the arguments of ``step``; traceable."""
 
     @abstractmethod
     def solve(self, state: Any, problem: Any) -> tuple[Any, MethodOutput]:
-        """Solves the problem; NumPy in and out, without side effects.
-
-        Args:
-            state: the one that the problem was prepared from.
-            problem: from ``prepare``.
-        """
+        """Solves a problem of ``prepare``, with the state that it was made from; NumPy in and out,
+        without side effects."""
 
     def step(
         self, state: Any, aligned: Float[Array, "21 3"], ticks: UInt32[Array, ""]
@@ -237,10 +216,7 @@ class MethodConfig(ABC):
         return None
 
     def with_alignment(self: C, **changes: Any) -> C:
-        """These settings with another alignment.
-
-        Args:
-            changes: fields of ``AlignmentConfig``.
+        """These settings with other fields of ``AlignmentConfig``.
 
         Raises:
             ConfigError: a value is out of range.
@@ -248,11 +224,7 @@ class MethodConfig(ABC):
         return _replaced(self, alignment=dataclasses.replace(self.alignment, **changes))
 
     def with_operator(self: C, operator: OperatorProfile) -> C:
-        """These settings for a calibrated operator.
-
-        Args:
-            operator: the calibration; ``unused_components`` of it have no effect.
-        """
+        """These settings for a calibrated operator, whose ``unused_components`` have no effect."""
         return self.with_alignment(operator=operator)
 
     def unused_components(self, operator: OperatorProfile) -> tuple[Component, ...]:
@@ -325,12 +297,9 @@ class TrajectoryMethodConfig(MethodConfig):
     noise: float = 0.0
 
     def __post_init__(self) -> None:
-        if not 0 <= self.jump < float("inf"):
-            raise ConfigError(f"jump must be a step of 0 m or more, not {self.jump}")
-        if not 0 <= self.noise < float("inf"):
-            raise ConfigError(f"noise must be a factor of 0 or more, not {self.noise}")
-        if not 0 <= self.bridge < float("inf"):
-            raise ConfigError(f"bridge must be a time of 0 s or more, not {self.bridge}")
+        for name, unit in (("jump", "a step [m]"), ("noise", "a factor"), ("bridge", "a time [s]")):
+            if not 0 <= getattr(self, name) < float("inf"):
+                raise ConfigError(f"{name} must be {unit} of 0 or more, not {getattr(self, name)}")
 
     @property
     def alignment(self) -> AlignmentConfig:  # type: ignore[override]

@@ -1,103 +1,20 @@
-"""Methods and their presets, as Python objects."""
+"""Look-up of methods and their presets; the presets stand with their methods."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
 from smooth_operator.errors import ConfigError, UnknownNameError, brief
-from smooth_operator.human.correspondence import CorrespondenceConfig
 from smooth_operator.methods.default import DEFAULT_METHOD
-from smooth_operator.methods.method import MethodConfig, TrajectoryMethodConfig
+from smooth_operator.methods.method import MethodConfig
 from smooth_operator.methods.registry import METHODS, as_presets
-from smooth_operator.methods.sbr import SbrConfig
-from smooth_operator.methods.smooth import SmoothConfig
-from smooth_operator.objective.loss import ObjectiveConfig
-from smooth_operator.objective.smooth_terms import SelfCollisionConfig
-from smooth_operator.objective.targets import CloseTargets, DexPilotTargets
 from smooth_operator.plugins import Entry
-from smooth_operator.solvers.newton import NewtonConfig
-from smooth_operator.solvers.sampling import SamplingConfig
-from smooth_operator.solvers.trajectory import TrajectoryConfig
 
 _PRESET_FILE = Entry("smooth_operator.formats.preset_file:read_preset_file")
 _WITH_SETTINGS = Entry("smooth_operator.formats.setting_paths:with_settings")
 _FILE: Final = ".toml"
-
-SBR_PAPER: Final = SbrConfig()
-"""The paper's table of hyper-parameters, fresh normals in every cycle."""
-
-SBR_REALTIME: Final = SbrConfig(
-    objective=ObjectiveConfig(
-        targets=DexPilotTargets(w_thumb=1.4, w_between=0.85, blend=0.4),
-        pose_weight=0.049,
-        velocity_weight=0.107,
-    ),
-    sampling=SamplingConfig(samples=256, elites=24, cycles=5, draws="quasi"),
-    polish=NewtonConfig(iterations=3, damping=(0.0, 1.0)),
-    settle_rounds=10,
-)
-"""For an ordinary CPU: few quasi-random base samples find the basin, Newton steps its floor.
-
-The optimum that the paper's sampler only approaches follows jumps of the pinch latches more
-closely; so a latch moves over 2.5 frames, and weight goes from the finger-to-finger keyvectors to
-the thumb's. docs/reference/benchmarks.md says what the weights were tuned on.
-"""
-
-SMOOTH_TELEOP: Final = SmoothConfig()
-"""For a live loop: causal, no frame later than the human's; open when the human's hand is open,
-closed when it is closed, whatever the lengths of either's fingers."""
-
-SMOOTH_PRECISE: Final = replace(
-    SMOOTH_TELEOP,
-    correspondence=CorrespondenceConfig(share=0.0),
-    objective=replace(
-        SMOOTH_TELEOP.objective, targets=CloseTargets(w_wrist=1.0, w_thumb=20.0, focus=0.5)
-    ),
-    motion_weight=1300.0,
-    pinch_damping=0.0,
-    self_collision=SelfCollisionConfig(),
-)
-"""For the paper's metrics: the human's fingertips as the palms are aligned, and of them first the
-directions from the thumb. Fingers of other lengths than the human's stay bent in an open hand."""
-
-SMOOTH_GRASP: Final = replace(SMOOTH_TELEOP, pinch_damping=1000.0)
-"""For a live loop that handles objects: fingers that pinch hardly follow a slow motion of the
-human's, so that they do not roll out what they hold (docs/explanation/smooth.md)."""
-
-_FUTURE: Final = TrajectoryConfig(
-    acceleration_weight=2e-8, motion_weight=0.07, motion_speed=0.6, speed_limit=28.0
-)
-
-SBR_OFFLINE: Final = TrajectoryMethodConfig(
-    replace(SBR_REALTIME, objective=replace(SBR_REALTIME.objective, pose_weight=0.02)),
-    _FUTURE,
-    jump=0.03,
-)
-"""For recordings: Eq. (1) for all frames together, with a cost of acceleration, and of fingertips
-that move otherwise than the human's.
-
-With the future known, velocity need not cost anything, and the pull to the neutral pose can be
-weaker for the same smoothness.
-"""
-
-SMOOTH_OFFLINE: Final = TrajectoryMethodConfig(
-    SMOOTH_PRECISE,
-    replace(_FUTURE, acceleration_weight=3e-8, motion_weight=0.35, motion_speed=0.15),
-    jump=0.02,
-    noise=50.0,
-)
-"""For recordings: ``smooth:precise`` for all frames together, without its filters."""
-
-SBR: Final = {"realtime": SBR_REALTIME, "paper": SBR_PAPER, "offline": SBR_OFFLINE}
-SMOOTH: Final = {
-    "teleop": SMOOTH_TELEOP,
-    "precise": SMOOTH_PRECISE,
-    "grasp": SMOOTH_GRASP,
-    "offline": SMOOTH_OFFLINE,
-}
 
 
 class _Presets(Mapping[str, Mapping[str, MethodConfig]]):

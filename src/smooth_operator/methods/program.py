@@ -5,9 +5,8 @@ takes and returns in a third of the time of twenty.
 
 Retargeters that would compile the same program share one (``shared_program``): those of one hand
 and configuration, and those of a hand and of its mirror image, which is served by the other's
-program with the landmarks reflected, so that its joint positions are equal bit for bit. Hands of
-one structure but other figures, such as left and right as published, have their own: with 1,900 to
-5,900 figures as arguments instead of constants, a frame took 2.1 to 3.5 times as long.
+program with the landmarks reflected. Figures of a hand are constants of its program: as arguments,
+a frame took 2.1 to 3.5 times as long.
 """
 
 from __future__ import annotations
@@ -135,13 +134,8 @@ class RetargetState:
 
     @classmethod
     def of(cls, state: FrameState, joined: bool = True) -> RetargetState:
-        """A state from its trees.
-
-        Args:
-            state: the trees.
-            joined: arrays of 32 bits become one on the host; otherwise all arrays stay as they are,
-                which is faster for a method whose solver runs on the host.
-        """
+        """A state from its trees. Unless ``joined`` all arrays stay as they are, which is faster
+        for a method whose solver runs on the host."""
         if not joined:
             leaves, structure = jax.tree.flatten(state)
             count = len(leaves)
@@ -244,13 +238,8 @@ def frame_step(method: Method, alignment: AlignmentConfig) -> Step:
 
 
 def frame_program(method: Method, config: MethodConfig, cached: bool = True) -> Program:
-    """The program of one frame; it compiles when it is first called.
-
-    Args:
-        method: the method for one hand.
-        config: its settings.
-        cached: compiled programs are read from the user's cache, and written there.
-    """
+    """The program of one frame; it compiles when it is first called, or is read from the user's
+    cache if ``cached``."""
     compiling = functools.partial(
         CompiledProgram,
         hand=method.hand,
@@ -398,12 +387,8 @@ class SharedProgram(NamedTuple):
 
 
 def shared_program(hand: Hand, config: MethodConfig, cache: bool = True) -> SharedProgram:
-    """The program of a frame for a hand, or for its mirror image if it is described as one.
-
-    Args:
-        hand: the robot hand.
-        config: the method's settings.
-        cache: True to read it from the user's cache, and to store it there.
+    """The program of a frame for a hand, or for its mirror image if it is described as one; with
+    ``cache`` it is read from the user's cache, and stored there.
 
     Raises:
         SmoothOperatorError: the method can't serve the hand.

@@ -13,14 +13,18 @@ from typing import Any, Final
 from smooth_operator.errors import SmoothOperatorError
 from smooth_operator.plugins import Entry, Registry
 
-_HERE: Final = "smooth_operator.methods.presets"
 _BASELINES: Final = "smooth_operator.baselines"
 
 METHODS: Final = Registry(
     "method",
     {
-        "sbr": Entry(f"{_HERE}:SBR", "realtime, paper, or offline for recordings"),
-        "smooth": Entry(f"{_HERE}:SMOOTH", "teleop, precise, grasp for objects, or offline"),
+        "sbr": Entry(
+            "smooth_operator.methods.sbr:SBR", "realtime, paper, or offline for recordings"
+        ),
+        "smooth": Entry(
+            "smooth_operator.methods.smooth:SMOOTH",
+            "teleop, precise, grasp for objects, or offline",
+        ),
         "joint_angle": Entry(f"{_BASELINES}.joint_angle:JOINT_ANGLE_PRESETS", "default"),
         "keyvector": Entry(
             f"{_BASELINES}.slsqp_presets:KEYVECTOR_PRESETS",

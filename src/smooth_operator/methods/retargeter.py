@@ -6,12 +6,12 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from smooth_operator.compilation.batching import BatchArrays, Tracks, lane_program, progressing
 from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
@@ -38,6 +38,9 @@ from smooth_operator.types import (
     Result,
     Status,
 )
+
+if TYPE_CHECKING:
+    from smooth_operator.compilation.batching import BatchArrays
 
 _REFLECTION = np.array([-1, 1, 1], np.float32)
 
@@ -289,7 +292,6 @@ class Retargeter:
         """A whole recording from a fresh state, frame by frame, as a live loop would.
 
         Args:
-            recording: the human hand.
             seed: seed of the random numbers; None for the retargeter's own.
             track: wraps the iteration over frames, for a progress bar.
 
@@ -332,6 +334,8 @@ class Retargeter:
             track: wraps the iteration over all frames, for a progress bar.
             lanes: recordings side by side; None for 8 on a CPU, 1024 on a GPU.
         """
+        from smooth_operator.compilation.batching import Tracks, lane_program, progressing
+
         for recording in recordings:
             self.check_side(recording.side)
         method = self.shared.method
@@ -345,7 +349,7 @@ class Retargeter:
                 advance(len(recording))
             return results
         program = lane_program(method, self.config, lanes, self.cache)
-        tracks = self._tracks(recordings)
+        tracks = Tracks.of(recordings, self.program_landmarks)
         answers = program.run(self.init(seed), tracks, track)
         q = np.clip(answers.q.astype(float), *self.hand.limits.T)
         loss = np.where(answers.status == Status.OK, answers.loss.astype(float), np.nan)
@@ -356,17 +360,6 @@ class Retargeter:
             commands = CommandTrajectory(full(q[part]), names, recording.stamps, none, status)
             batch.append((commands, loss[part]))
         return batch
-
-    def _tracks(self, recordings: Sequence[HandRecording]) -> Tracks:
-        if not recordings:
-            none = np.empty((0, NUM_LANDMARKS, 3), np.float32)
-            return Tracks(none, none[..., 0] > 0, np.empty(0, np.uint32), [])
-        landmarks, valid, stamps = (
-            np.concatenate([getattr(recording, name) for recording in recordings], dtype=kind)
-            for name, kind in (("landmarks", None), ("valid", bool), ("stamps", float))
-        )
-        lengths = [len(recording) for recording in recordings]
-        return Tracks(self.program_landmarks(landmarks), valid, ticks_of(stamps), lengths)
 
     def batch_arrays(
         self,
@@ -395,6 +388,8 @@ class Retargeter:
             RecordingError: an array has another shape.
             ConfigError: the method's solver runs on the host.
         """
+        from smooth_operator.compilation.batching import BatchArrays, Tracks, lane_program
+
         count, length = np.shape(landmarks)[:2] if np.ndim(landmarks) == 4 else (-1, -1)
         if np.shape(landmarks) != (count, length, NUM_LANDMARKS, 3):
             raise RecordingError(f"landmarks must be (R, T, 21, 3), not {np.shape(landmarks)}")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Final, NamedTuple
 
@@ -27,14 +27,17 @@ from smooth_operator.methods.method import (
     Method,
     MethodOutput,
     ObjectiveMethodConfig,
+    TrajectoryMethodConfig,
 )
 from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.keyvectors import tips_of
 from smooth_operator.objective.loss import Objective, ObjectiveConfig
+from smooth_operator.objective.targets import DexPilotTargets
 from smooth_operator.settings import is_off
 from smooth_operator.solvers.newton import NewtonConfig, newton_minimise
 from smooth_operator.solvers.normals import frame_key, seed_words
 from smooth_operator.solvers.sampling import SamplingConfig, sample_minimise
+from smooth_operator.solvers.trajectory import FUTURE
 
 _RATE: Final = 100.0
 """Rate that is assumed where stamps stand still [Hz]."""
@@ -230,3 +233,38 @@ class Sbr(Method):
         wrist = jnp.asarray(self.hand.wrist, aligned.dtype)
         placed = aligned.at[at].set(places.tips).at[WRIST].set(wrist)
         return placed, OperatorState(fingers, tips, now, clock.period)
+
+
+SBR_PAPER: Final = SbrConfig()
+"""The paper's table of hyper-parameters, fresh normals in every cycle."""
+
+SBR_REALTIME: Final = SbrConfig(
+    objective=ObjectiveConfig(
+        targets=DexPilotTargets(w_thumb=1.4, w_between=0.85, blend=0.4),
+        pose_weight=0.049,
+        velocity_weight=0.107,
+    ),
+    sampling=SamplingConfig(samples=256, elites=24, cycles=5, draws="quasi"),
+    polish=NewtonConfig(iterations=3, damping=(0.0, 1.0)),
+    settle_rounds=10,
+)
+"""For an ordinary CPU: few quasi-random base samples find the basin, Newton steps its floor.
+
+The optimum that the paper's sampler only approaches follows jumps of the pinch latches more
+closely; so a latch moves over 2.5 frames, and weight goes from the finger-to-finger keyvectors to
+the thumb's. docs/reference/benchmarks.md says what the weights were tuned on.
+"""
+
+SBR_OFFLINE: Final = TrajectoryMethodConfig(
+    replace(SBR_REALTIME, objective=replace(SBR_REALTIME.objective, pose_weight=0.02)),
+    FUTURE,
+    jump=0.03,
+)
+"""For recordings: Eq. (1) for all frames together, with a cost of acceleration, and of fingertips
+that move otherwise than the human's.
+
+With the future known, velocity need not cost anything, and the pull to the neutral pose can be
+weaker for the same smoothness.
+"""
+
+SBR: Final = {"realtime": SBR_REALTIME, "paper": SBR_PAPER, "offline": SBR_OFFLINE}

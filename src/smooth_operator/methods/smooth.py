@@ -9,7 +9,7 @@ jumps of the tracker. docs/explanation/smooth.md has equations, smooth-appendix.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Final, NamedTuple
 
@@ -20,7 +20,6 @@ from jaxtyping import Array, Bool, Float, UInt32
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
-from smooth_operator.hands.stand_ins import stand_in_note
 from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.human.correspondence import (
     Correspondence,
@@ -43,6 +42,7 @@ from smooth_operator.methods.method import (
     Method,
     MethodOutput,
     ObjectiveMethodConfig,
+    TrajectoryMethodConfig,
 )
 from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.loss import Objective, ObjectiveConfig
@@ -61,6 +61,7 @@ from smooth_operator.settings import check_numbers, is_off
 from smooth_operator.solvers.newton import NewtonConfig, damped_newton, settled
 from smooth_operator.solvers.normals import frame_key, seed_words
 from smooth_operator.solvers.sampling import SamplingConfig, sample_minimise
+from smooth_operator.solvers.trajectory import FUTURE
 
 REFERENCE: Final = 0.01
 """Time between frames for which weights of change are given [s]. They scale with 1 / dt, so that an
@@ -156,6 +157,8 @@ class SmoothConfig(ObjectiveMethodConfig):
 
     def notes(self, hand: Hand) -> tuple[str, ...]:
         """Note on estimated collision shapes."""
+        from smooth_operator.hands.stand_ins import stand_in_note
+
         note = stand_in_note(hand) if self.self_collision.weight else None
         return (note,) if note else ()
 
@@ -475,3 +478,40 @@ class Smooth(Method):
         rounds = jnp.where(clock.restart, config.settle_rounds, jnp.where(searches, 2, 0))
         first = jnp.clip(state.solved, limits[:, 0], limits[:, 1])
         return settled(sampled, descended, first, rounds, searches)
+
+
+SMOOTH_TELEOP: Final = SmoothConfig()
+"""For a live loop: causal, no frame later than the human's; open when the human's hand is open,
+closed when it is closed, whatever the lengths of either's fingers."""
+
+SMOOTH_PRECISE: Final = replace(
+    SMOOTH_TELEOP,
+    correspondence=CorrespondenceConfig(share=0.0),
+    objective=replace(
+        SMOOTH_TELEOP.objective, targets=CloseTargets(w_wrist=1.0, w_thumb=20.0, focus=0.5)
+    ),
+    motion_weight=1300.0,
+    pinch_damping=0.0,
+    self_collision=SelfCollisionConfig(),
+)
+"""For the paper's metrics: the human's fingertips as the palms are aligned, and of them first the
+directions from the thumb. Fingers of other lengths than the human's stay bent in an open hand."""
+
+SMOOTH_GRASP: Final = replace(SMOOTH_TELEOP, pinch_damping=1000.0)
+"""For a live loop that handles objects: fingers that pinch hardly follow a slow motion of the
+human's, so that they do not roll out what they hold (docs/explanation/smooth.md)."""
+
+SMOOTH_OFFLINE: Final = TrajectoryMethodConfig(
+    SMOOTH_PRECISE,
+    replace(FUTURE, acceleration_weight=3e-8, motion_weight=0.35, motion_speed=0.15),
+    jump=0.02,
+    noise=50.0,
+)
+"""For recordings: ``smooth:precise`` for all frames together, without its filters."""
+
+SMOOTH: Final = {
+    "teleop": SMOOTH_TELEOP,
+    "precise": SMOOTH_PRECISE,
+    "grasp": SMOOTH_GRASP,
+    "offline": SMOOTH_OFFLINE,
+}

@@ -22,16 +22,10 @@ _LENGTH_FLOOR: Final = 1e-9  # [m]
 def cosines(
     human: Float[np.ndarray, "T K 3"], robot: Float[np.ndarray, "T K 3"]
 ) -> Float[np.ndarray, "T K"]:
-    """Cosine similarity of each keyvector, v_H . v_R / (|v_H| |v_R|); towards 1.
+    """(T, K) cosine similarity of each keyvector [m], v_H . v_R / (|v_H| |v_R|); towards 1, NaN
+    where the human vector is unknown.
 
     Source: the paper's accuracy metrics (supplement, sim-to-real analysis).
-
-    Args:
-        human: (T, K, 3) aligned human keyvectors [m], NaN where unknown.
-        robot: (T, K, 3) robot keyvectors [m].
-
-    Returns:
-        (T, K) in [-1, 1], NaN where the human vector is unknown.
     """
     product = np.linalg.norm(human, axis=-1) * np.linalg.norm(robot, axis=-1)
     return np.asarray(np.sum(human * robot, axis=-1) / np.maximum(product, _AREA_FLOOR))
@@ -40,17 +34,11 @@ def cosines(
 def length_ratios(
     human: Float[np.ndarray, "T K 3"], robot: Float[np.ndarray, "T K 3"]
 ) -> Float[np.ndarray, "T K"]:
-    """Scale ratio of each keyvector, |v_R| / |v_H|; towards 1.
+    """(T, K) scale ratio of each keyvector [m], |v_R| / |v_H|; towards 1, NaN where the human
+    vector is unknown.
 
     Source: the paper's accuracy metrics. A human vector that all but vanishes (a pinch) makes the
     ratio large, and a mean over frames feels that; a median doesn't.
-
-    Args:
-        human: (T, K, 3) aligned human keyvectors [m], NaN where unknown.
-        robot: (T, K, 3) robot keyvectors [m].
-
-    Returns:
-        (T, K), NaN where the human vector is unknown.
     """
     length = np.linalg.norm(human, axis=-1)
     return np.asarray(np.linalg.norm(robot, axis=-1) / np.maximum(length, _LENGTH_FLOOR))

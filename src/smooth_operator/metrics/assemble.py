@@ -82,16 +82,8 @@ def assemble_trace(
 def sample_reach(
     hand: Hand, samples: int = REACH_SAMPLES, seed: int = 0
 ) -> Float[np.ndarray, "S F 3"]:
-    """Fingertips of random poses, uniform over the limits of the actuated joints.
-
-    Args:
-        hand: the robot hand.
-        samples: S.
-        seed: the same seed gives the same poses.
-
-    Returns:
-        (S, F, 3) fingertips in the palm frame [m], thumb first.
-    """
+    """(S, F, 3) fingertips of random poses in the palm frame [m], thumb first, uniform over the
+    limits of the actuated joints."""
     low, high = hand.limits.T
     q = np.random.default_rng(seed).uniform(low, high, (samples, len(low)))
     columns = list(np.ascontiguousarray(hand.full_configuration(q).T))

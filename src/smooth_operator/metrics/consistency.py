@@ -24,17 +24,11 @@ MIN_LAG_OVERLAP: Final = 5
 def motion_preservation(
     human: Float[np.ndarray, "T F 3"], robot: Float[np.ndarray, "T F 3"]
 ) -> float | None:
-    """Mean cosine of the fingertips' steps, human against robot; towards 1.
+    """Mean cosine of the steps of the (T, F, 3) wrist to tip vectors [m], human against robot;
+    towards 1. None if the two never move together.
 
     Source: the paper's consistency metrics. Steps in which either rests (``HUMAN_STILL``,
     ``ROBOT_STILL``) have no direction worth comparing and are left out.
-
-    Args:
-        human: (T, F, 3) human wrist to tip vectors [m], NaN where unknown.
-        robot: (T, F, 3) robot wrist to tip vectors [m].
-
-    Returns:
-        In [-1, 1], or None if the two never move together.
     """
     dh, dr = np.diff(human, axis=0), np.diff(robot, axis=0)
     lh, lr = np.linalg.norm(dh, axis=-1), np.linalg.norm(dr, axis=-1)
@@ -43,16 +37,11 @@ def motion_preservation(
 
 
 def flatness(tips: Float[np.ndarray, "T F 3"]) -> float | None:
-    """Mean |p(t+1) + p(t-1) - 2 p(t)|^2 over frames and fingertips [m^2]; down.
+    """Mean |p(t+1) + p(t-1) - 2 p(t)|^2 over frames and fingertips [m^2]; down. None for fewer than
+    three frames.
 
     Source: the paper's consistency metrics. It grows with the fourth power of the frame's duration:
     compare at one rate only, or use ``fingertip_acceleration``.
-
-    Args:
-        tips: (T, F, 3) robot fingertips [m].
-
-    Returns:
-        [m^2], or None for fewer than three frames.
     """
     return summary.mean(np.sum(_second_difference(tips) ** 2, axis=-1))
 
@@ -60,17 +49,11 @@ def flatness(tips: Float[np.ndarray, "T F 3"]) -> float | None:
 def fingertip_acceleration(
     tips: Float[np.ndarray, "T F 3"], stamps: Float[np.ndarray, " T"]
 ) -> float | None:
-    """Mean magnitude of fingertip acceleration [m/s^2], by the real stamps; down.
+    """Mean magnitude of fingertip acceleration [m/s^2], by the real stamps [s]; down. None for
+    fewer than three frames.
 
     The companion of ``flatness`` that does not depend on the frame rate; exact for motion of
     constant acceleration, evenly sampled or not.
-
-    Args:
-        tips: (T, F, 3) robot fingertips [m].
-        stamps: (T,) strictly increasing times [s].
-
-    Returns:
-        [m/s^2], or None for fewer than three frames.
     """
     return summary.mean(np.linalg.norm(second_derivative(tips, stamps), axis=-1))
 
@@ -116,17 +99,11 @@ def lag(
 def frozen_share(
     human: Float[np.ndarray, "T F 3"], joint_positions: Float[np.ndarray, "T n"]
 ) -> float | None:
-    """Share of the frames with a moving human in which no robot joint moves; down.
+    """Share of the frames with a moving human in which no robot joint moves; down. None if the
+    human never moves.
 
     The human moves if any fingertip goes further than ``HUMAN_STILL`` in a frame; the robot is
     frozen if no joint goes further than ``JOINTS_STILL``.
-
-    Args:
-        human: (T, F, 3) human wrist to tip vectors [m], NaN where unknown.
-        joint_positions: (T, n) [rad].
-
-    Returns:
-        In [0, 1], or None if the human never moves.
     """
     moving = (np.linalg.norm(np.diff(human, axis=0), axis=-1) > HUMAN_STILL).any(axis=-1)
     frozen = np.all(np.abs(np.diff(joint_positions, axis=0)) <= JOINTS_STILL, axis=-1)
@@ -136,15 +113,8 @@ def frozen_share(
 def second_derivative(
     values: Float[np.ndarray, "T ..."], stamps: Float[np.ndarray, " T"]
 ) -> Float[np.ndarray, "S ..."]:
-    """Second derivative over time at the inner frames of unevenly sampled values.
-
-    Args:
-        values: (T, ...).
-        stamps: (T,) strictly increasing times [s].
-
-    Returns:
-        (T - 2, ...) [unit/s^2], empty for fewer than three frames.
-    """
+    """(T - 2, ...) second derivative over time [unit/s^2] at the inner frames of unevenly sampled
+    values; empty for fewer than three frames."""
     h = np.diff(stamps).reshape(-1, *[1] * (values.ndim - 1))
     slope = np.diff(values, axis=0) / h
     return np.asarray(2.0 * np.diff(slope, axis=0) / (h[1:] + h[:-1]))

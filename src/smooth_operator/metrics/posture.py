@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.human.operator import unit_vectors
+from smooth_operator.geometry import unit_vectors
 from smooth_operator.metrics import summary
 
 FLAT: Final = 0.92
@@ -41,12 +41,8 @@ def human_extensions(fingers: Float[np.ndarray, "T L 4 3"]) -> Float[np.ndarray,
 def robot_extensions(
     fingers: Float[np.ndarray, "T L 4 3"], straight: Float[np.ndarray, " L"]
 ) -> Float[np.ndarray, "T L"]:
-    """Extension of robot fingers, 1 for a straight one.
-
-    Args:
-        fingers: (T, L, 4, 3) points of L fingers, base to tip [m].
-        straight: (L,) base to tip of the straight fingers [m].
-    """
+    """Extension of robot fingers, of four points each [m], over the (L,) base to tip of the
+    straight ones [m]."""
     return np.asarray(_lengths(fingers) / straight)
 
 
@@ -82,12 +78,7 @@ def fist_extension_excess(
 def direction_errors(
     human: Float[np.ndarray, "T F 4 3"], robot: Float[np.ndarray, "T F 4 3"]
 ) -> Float[np.ndarray, "T F"]:
-    """Angle between the base-to-tip vectors of human and robot [degrees].
-
-    Args:
-        human: (T, F, 4, 3) landmarks of F fingers, base to tip, aligned to the palm [m].
-        robot: (T, F, 4, 3) the robot's points [m].
-    """
+    """Angle between the base-to-tip vectors of human, aligned to the palm, and robot [degrees]."""
     h, r = (unit_vectors(x[:, :, 3] - x[:, :, 0], np) for x in (human, robot))
     return np.asarray(np.degrees(np.arccos(np.clip((h * r).sum(axis=-1), -1, 1))))
 
@@ -106,12 +97,8 @@ def curls(fingers: Float[np.ndarray, "T F 4 3"]) -> Float[np.ndarray, "T F"]:
 def spreads(
     fingers: Float[np.ndarray, "T L 4 3"], across: Float[np.ndarray, "T 3"]
 ) -> Float[np.ndarray, "T N"]:
-    """By how much neighbouring fingers point apart, to the sides of the palm only [degrees].
-
-    Args:
-        fingers: (T, L, 4, 3) points of L fingers, base to tip [m].
-        across: (T, 3) direction across the palm.
-    """
+    """By how much neighbouring fingers point apart, to the sides of the palm only [degrees];
+    ``across`` is the direction across the palm."""
     directions = unit_vectors(fingers[:, :, 3] - fingers[:, :, 0], np)
     sideways = (directions * unit_vectors(across, np)[:, None]).sum(axis=-1)
     return np.asarray(np.diff(np.degrees(np.arcsin(np.clip(sideways, -1, 1))), axis=1))
@@ -125,12 +112,7 @@ def steps(tips: Float[np.ndarray, "T F 3"]) -> Float[np.ndarray, "S F"]:
 def jumps_per_1000(
     human: Float[np.ndarray, "S F"], robot: Float[np.ndarray, "S F"]
 ) -> float | None:
-    """Frames in a thousand in which a fingertip jumps (``JUMP``); down.
-
-    Args:
-        human: (S, F) steps of the human's fingertips [m].
-        robot: (S, F) of the robot's [m].
-    """
+    """Frames in a thousand in which a fingertip jumps (``JUMP``), by (S, F) steps [m]; down."""
     finite = np.isfinite(human).all(axis=-1)
     return summary.scaled(summary.mean((robot - human > JUMP).any(axis=-1)[finite]), 1e3)
 
@@ -151,12 +133,8 @@ def stalled_share(gains: Float[np.ndarray, "S F"]) -> float | None:
 def common_shift(
     human: Float[np.ndarray, "T F 3"], robot: Float[np.ndarray, "T F 3"]
 ) -> float | None:
-    """Length of the mean error of the wrist-to-tip vectors over fingers, mean over frames [m].
-
-    Args:
-        human: (T, F, 3) human wrist-to-tip vectors, aligned [m].
-        robot: (T, F, 3) the robot's [m].
-    """
+    """Length of the mean error of the aligned wrist-to-tip vectors over fingers, mean over frames
+    [m]."""
     return summary.mean(np.linalg.norm((robot - human).mean(axis=1), axis=-1))
 
 

@@ -31,24 +31,14 @@ _EPSILON: Final = 1e-8  # [m] or [m^2], as published
 def cosine_similarity(
     human: Float[np.ndarray, "T K 3"], robot: Float[np.ndarray, "T K 3"]
 ) -> float | None:
-    """Median over frames and keyvectors of v_H . v_R / (|v_H| |v_R| + 1e-8); towards 1.
-
-    Args:
-        human: (T, K, 3) human keyvectors [m], NaN where unknown.
-        robot: (T, K, 3) robot keyvectors [m].
-    """
+    """Median over frames and keyvectors of v_H . v_R / (|v_H| |v_R| + 1e-8); towards 1."""
     return summary.median(_cosines(human, robot))
 
 
 def scale_ratio(
     human: Float[np.ndarray, "T K 3"], robot: Float[np.ndarray, "T K 3"]
 ) -> float | None:
-    """Median over frames and keyvectors of |v_R| / (|v_H| + 1e-8); towards 1.
-
-    Args:
-        human: (T, K, 3) human keyvectors [m], NaN where unknown.
-        robot: (T, K, 3) robot keyvectors [m].
-    """
+    """Median over frames and keyvectors of |v_R| / (|v_H| + 1e-8); towards 1."""
     length = np.linalg.norm(human, axis=-1)
     return summary.median(np.linalg.norm(robot, axis=-1) / (length + _EPSILON))
 
@@ -56,24 +46,13 @@ def scale_ratio(
 def motion_preservation(
     human_tips: Float[np.ndarray, "T F 3"], robot_tips: Float[np.ndarray, "T F 3"]
 ) -> float | None:
-    """Mean over frames and tips of dp_H . dp_R / (|dp_H| |dp_R| + 1e-8), nothing left out; up.
-
-    Args:
-        human_tips: (T, F, 3) fitted human fingertips [m], NaN where unknown.
-        robot_tips: (T, F, 3) robot fingertips [m].
-    """
+    """Mean over frames and tips of dp_H . dp_R / (|dp_H| |dp_R| + 1e-8), nothing left out; up."""
     return summary.mean(_cosines(np.diff(human_tips, axis=0), np.diff(robot_tips, axis=0)))
 
 
 def fit_landmarks(fingers: Sequence[str], palm: Sequence[int]) -> tuple[int, ...]:
-    """Indices of the landmarks that the published fit uses.
-
-    Wrist, palm landmarks, last joint and tip of each finger, in the order of the schema.
-
-    Args:
-        fingers: human finger names that the robot answers to.
-        palm: indices of the landmarks that align the two palms.
-    """
+    """Indices of the landmarks that the published fit uses: wrist, palm landmarks, last joint and
+    tip of each finger, in the order of the schema."""
     tips = [TIPS[FINGERS.index(name)] for name in fingers]
     return tuple(sorted({WRIST, *palm, *tips, *(tip - 1 for tip in tips)}))
 

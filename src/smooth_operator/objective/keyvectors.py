@@ -30,25 +30,11 @@ class VectorLayout(ABC):
         return tuple(dict.fromkeys(i for pair in self.vectors for i in pair if i is not None))
 
     def human(self, landmarks: AnyKind) -> AnyKind:
-        """The human's vectors.
-
-        Args:
-            landmarks: (..., 21, 3) aligned landmarks [m].
-
-        Returns:
-            (..., K, 3) [m].
-        """
+        """(..., K, 3) the human's vectors [m], of (..., 21, 3) aligned landmarks [m]."""
         return self.among([landmarks[..., i, :] for i in self.landmarks])
 
     def among(self, points: Sequence[AnyKind]) -> AnyKind:
-        """The vectors among points.
-
-        Args:
-            points: one (..., 3) array for each of ``landmarks`` [m].
-
-        Returns:
-            (..., K, 3) [m].
-        """
+        """(..., K, 3) the vectors among points [m], an array (..., 3) for each of ``landmarks``."""
         xp = array_namespace(points[0])
         stacked = xp.stack([*points, xp.zeros_like(points[0])], axis=-2)  # the last: the origin
         at = {landmark: i for i, landmark in enumerate(self.landmarks)}
@@ -98,15 +84,7 @@ class KeyvectorLayout(VectorLayout):
         return tuple((k, i - 2, j - 2) for k, (i, j) in enumerate(self.pairs) if i >= 2)
 
     def robot(self, tips: AnyKind, wrist: AnyArray) -> AnyKind:
-        """Robot keyvectors.
-
-        Args:
-            tips: (..., F, 3) fingertips [m].
-            wrist: (3,) wrist [m].
-
-        Returns:
-            (..., K, 3) [m].
-        """
+        """(..., K, 3) robot keyvectors [m], of (..., F, 3) fingertips and the (3,) wrist [m]."""
         xp = array_namespace(tips)
         base = xp.broadcast_to(wrist, (*tips.shape[:-2], 3))
         points = [base, *(tips[..., i, :] for i in range(len(self.fingers)))]

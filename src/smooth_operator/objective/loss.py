@@ -42,6 +42,7 @@ from smooth_operator.objective.terms import (
     TermConfig,
     Velocity,
 )
+from smooth_operator.settings import check_choice, check_numbers
 
 
 @dataclass(frozen=True)
@@ -73,23 +74,11 @@ class ObjectiveConfig:
     terms: tuple[TermConfig, ...] = ()
 
     def __post_init__(self) -> None:
-        if self.loss not in get_args(Loss):
-            raise ConfigError(
-                f"loss must be 'smooth_l1', 'squared' or 'smooth_l1_norm', not {self.loss!r}"
-            )
-        if self.pose_centre not in ("neutral", "zero"):
-            raise ConfigError(f"pose_centre must be 'neutral' or 'zero', not {self.pose_centre!r}")
-        if self.velocity_loss not in ("squared", "smooth_l1"):
-            raise ConfigError(
-                f"velocity_loss must be 'squared' or 'smooth_l1', not {self.velocity_loss!r}"
-            )
-        if self.transition <= 0:
-            raise ConfigError(f"transition must be positive [m], not {self.transition}")
-        if self.pose_weight < 0 or self.velocity_weight < 0:
-            raise ConfigError(
-                f"weights must not be negative, not pose_weight={self.pose_weight}, "
-                f"velocity_weight={self.velocity_weight}"
-            )
+        check_choice(self, "loss", get_args(Loss))
+        check_choice(self, "pose_centre", ("neutral", "zero"))
+        check_choice(self, "velocity_loss", ("squared", "smooth_l1"))
+        weights = ("pose_weight", "velocity_weight")
+        check_numbers(self, positive=("transition",), not_negative=weights)
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,7 +151,6 @@ class Objective:
 
         Args:
             q: m arrays of a common shape, actuated joint positions [rad].
-            goal: targets of the frame.
             within_limits: promise that q respects the limits, for speed.
         """
         return self._point_costs([self.keyvectors], q, goal, within_limits)
@@ -172,7 +160,6 @@ class Objective:
 
         Args:
             q: m arrays of a common shape, actuated joint positions [rad].
-            goal: targets of the frame.
             within_limits: promise that q respects the limits, for speed.
 
         Returns:
@@ -208,7 +195,6 @@ class Objective:
 
         Args:
             q: (..., m) actuated joint positions [rad]; NumPy or JAX.
-            goal: with what was commanded before.
 
         Returns:
             (...) cost.

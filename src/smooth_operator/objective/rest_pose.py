@@ -237,7 +237,6 @@ class StraightFingers:
         """(m, 2) joint limits of a frame [rad].
 
         Args:
-            limits: the hand's.
             tips: (F, 3) where the human's fingertips are, from the robot's wrist [m].
         """
         if not self.found:

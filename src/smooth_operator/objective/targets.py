@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -12,9 +12,11 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.human.operator import Component, OperatorProfile, pinch_nearness
 from smooth_operator.objective.keyvectors import KeyvectorLayout, VectorLayout
 from smooth_operator.settings import check_numbers
+
+if TYPE_CHECKING:
+    from smooth_operator.human.operator import Component, OperatorProfile
 
 
 class Targets(NamedTuple):
@@ -52,16 +54,8 @@ class TargetPolicy(ABC, Generic[LayoutT, StateT]):
     def __call__(
         self, state: StateT, layout: LayoutT, human: Float[Array, "K 3"]
     ) -> tuple[Targets, StateT]:
-        """Targets of one frame; traceable.
-
-        Args:
-            state: from ``init`` or the last call.
-            layout: the policy's own layout of the hand.
-            human: (K, 3) the human's vectors [m].
-
-        Returns:
-            the targets, and the state after this frame.
-        """
+        """Targets of one frame for the human's (K, 3) vectors [m], and the state after it;
+        traceable."""
 
     def latched(self, state: StateT) -> Bool[Array, " P"] | None:
         """(F - 1,) which fingers are latched to the thumb; None for a policy without latches."""
@@ -71,15 +65,8 @@ class TargetPolicy(ABC, Generic[LayoutT, StateT]):
     def with_operator(
         self, operator: OperatorProfile
     ) -> tuple[TargetPolicy[LayoutT, StateT], OperatorProfile]:
-        """The policy for a calibrated operator.
-
-        Args:
-            operator: the calibration.
-
-        Returns:
-            the policy, and the calibration with those components that remain for the alignment to
-            correct.
-        """
+        """The policy for a calibrated operator, and the calibration with those components that
+        remain for the alignment to correct."""
         return self, operator
 
     def unused_components(self, operator: OperatorProfile) -> tuple[Component, ...]:
@@ -331,7 +318,9 @@ class CloseTargets(TargetPolicy[KeyvectorLayout, Any]):
         near = length[layout.thumb]
         if self.latches:
             state = jnp.where(state, near <= self.escape, near < self.project)
-        if self.pinch_gaps:
+        if self.pinch_gaps:  # of an operator
+            from smooth_operator.human.operator import pinch_nearness
+
             gaps = dict(self.pinch_gaps)
             left = jnp.asarray([gaps.get(name, 0.0) for name in layout.fingers[1:]], human.dtype)
             near = near - jnp.minimum(pinch_nearness(near, jnp) * left, near)

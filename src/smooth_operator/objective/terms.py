@@ -96,7 +96,6 @@ class PointTerm(Term, ABC):
         Args:
             points: (P, 3) the term's points [m].
             jacobian: (P, J, 3) their derivatives with respect to the J joints [m/rad].
-            goal: targets of the frame.
         """
 
     def cost(self, points: Sequence[Vector], goal: FrameGoal) -> Array:
@@ -104,10 +103,6 @@ class PointTerm(Term, ABC):
 
         Args:
             points: (x, y, z) of each point [m]: arrays of a common shape, the batch, or floats.
-            goal: targets of the frame.
-
-        Returns:
-            costs, of that shape.
         """
         shape = jnp.broadcast_shapes(*(jnp.shape(c) for point in points for c in point))
         rows = [[jnp.broadcast_to(jnp.asarray(c), shape).ravel() for c in p] for p in points]
@@ -427,12 +422,7 @@ class Keyvectors(VectorTerm):
     transition: float
 
     def price(self, error: Sequence[Array], weight: Array) -> Array:
-        """lambda_k l(v_R - v_H): the cost of one vector's error.
-
-        Args:
-            error: its three components [m], arrays of a common shape.
-            weight: lambda_k, of a shape that fits.
-        """
+        """lambda_k l(v_R - v_H): the cost of one vector's error, of three components [m]."""
         x, y, z = error
         if self.loss == "smooth_l1_norm":
             length = jnp.sqrt(x * x + y * y + z * z + TINY_AREA)

@@ -51,9 +51,6 @@ def run_on_cluster(
 ) -> Generator[TaskResult[R]]:
     """Results of tasks from a cluster; see ``run_tasks``.
 
-    Args:
-        function, tasks, cluster, workers, retries: as in ``run_tasks``.
-
     Raises:
         ConfigError: a number of workers is not valid.
         MissingExtraError: Ray or Ray Data is not installed.

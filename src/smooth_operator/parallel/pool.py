@@ -114,17 +114,8 @@ def run_groups(
     cluster: str | None = None,
     retries: int = 2,
 ) -> Generator[tuple[T, TaskResult[R]]]:
-    """Run groups of work; a group whose workers die is split, and its parts run one by one.
-
-    Args:
-        function: as in ``run_tasks``.
-        groups: tasks that may consist of several parts.
-        split: returns the parts of a group, each a group of its own.
-        workers, cluster, retries: as in ``run_tasks``.
-
-    Yields:
-        groups, or parts of them, each with its result.
-    """
+    """Run groups of work as ``run_tasks``; a group whose workers die is split, and its parts run
+    one by one. Yields groups, or parts of them, each with its result."""
     parts: list[T] = []
     options: dict[str, Any] = {"workers": workers, "cluster": cluster, "retries": retries}
     with contextlib.closing(run_tasks(function, groups, **options)) as results:

@@ -89,7 +89,6 @@ def series(name: str, label: str = "") -> str:
 
     Args:
         name: name of the series, as in ``data-series`` of the page's tables.
-        label: text at the pointer.
     """
     return f"series|{name.replace('|', ' ')}|{label}"
 
@@ -103,7 +102,6 @@ def name_points(
     """Write a name next to each point, in free space; limits and layout must be final.
 
     Args:
-        ax: axes of the points.
         points: name -> x and y of the data.
         avoid: other points that names must not cover.
         size: size of the letters [points].

@@ -143,7 +143,6 @@ def paint(
     """A square parallel projection of a surface on white paper, with outlines.
 
     Args:
-        surface: surface to draw.
         view: rows right, up and toward the viewer.
         centre: right and up of the picture's middle [m].
         half: half of the picture's width [m].

@@ -48,7 +48,6 @@ def table(
     Args:
         headers: headers of the columns, either bare HTML or whole ``<th>`` elements.
         rows: cells, either bare HTML or whole ``<td>`` elements.
-        class_: class of the table.
     """
 
     def row(cells: Iterable[Html]) -> str:

@@ -63,11 +63,8 @@ def write_report_page(
     """Writes a report. It needs no other file, and nothing from the network.
 
     Args:
-        path: where to.
-        title: title of the window.
         header: HTML above the sections: a heading, and what comes first.
         sections: parts in their order; the navigation has a link to each.
-        footer: one line of text.
         styles: files or texts of CSS after that of every report.
         scripts: files of JavaScript at the end of the page.
         without_scripts: CSS for browsers that run no scripts.

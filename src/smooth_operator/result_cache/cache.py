@@ -75,16 +75,8 @@ class ResultCache:
         return self.folder / f"{name}{self.suffix}"
 
     def find(self, name: str, key: object, code: str) -> Any | None:
-        """A stored result.
-
-        Args:
-            name: name of its file, without the suffix.
-            key: all that the result depends on besides code; any value with a JSON form.
-            code: digest of the code that computes it.
-
-        Returns:
-            the value; None if there is no undamaged one of this key and this code.
-        """
+        """A stored result of a key (all that it depends on besides code, with a JSON form) and a
+        digest of code; None if there is no undamaged one."""
         path = self.path(name)
         try:
             record, value = self._read(path)
@@ -103,13 +95,8 @@ class ResultCache:
         return value
 
     def keep(self, name: str, key: object, code: str, value: Any) -> None:
-        """Write a result, with a flush to the disk.
-
-        Args:
-            name: name of its file, without the suffix.
-            key: as in ``find``.
-            code: as in ``find``.
-            value: a value of this kind of store.
+        """Write a result, with a flush to the disk, under the name of a file without suffix; key
+        and code as in ``find``.
 
         Raises:
             OutputError: the file can't be written.
@@ -165,13 +152,7 @@ class ResultLog:
             note(f"{path} holds {lines} no result: not used")
 
     def find(self, name: str, key: object, code: str) -> dict[str, Any] | None:
-        """A stored result; None if there is none of this key and this code.
-
-        Args:
-            name: not used; for the interface of ``ResultCache``.
-            key: all that the result depends on besides code; any value with a JSON form.
-            code: digest of the code that computes it.
-        """
+        """The stored result of this key and this code, or None. The name is not used."""
         digest = key_digest(key)
         value = self._results.get((digest, code))
         self._outdated += value is None and digest in self._keys
@@ -291,8 +272,6 @@ def compute_results(
 
     Args:
         jobs: computations in the order of their starts.
-        cache: store of the results.
-        execute: computes their tasks.
         value: converts the result of a task to the value to store; None stores nothing.
 
     Raises:

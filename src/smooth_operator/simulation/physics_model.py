@@ -74,7 +74,6 @@ def build_physics(
     Neighbouring bodies do not collide, nor bodies whose shapes overlap at rest.
 
     Args:
-        hand: the robot hand.
         timestep: time step of the physics [s].
         bandwidth: bandwidth of the servos [Hz].
         gravity: pull along -z of the model's world.

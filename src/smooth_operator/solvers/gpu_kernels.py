@@ -52,13 +52,8 @@ def _pallas() -> tuple[Any, Any]:
 
 
 def cholesky_rows(matrix: Sequence[Sequence[Array]]) -> list[list[Array]]:
-    """The lower Cholesky factor, row by row, of a matrix whose entries are arrays of one shape.
-
-    A matrix that is not positive definite has NaN in its factor.
-
-    Args:
-        matrix: n rows; those above the diagonal are not read.
-    """
+    """The lower Cholesky factor, row by row, of a matrix whose entries are arrays of one shape;
+    those above the diagonal are not read. A matrix that is not positive definite has NaN in it."""
     rows: list[list[Array]] = []
     inverse: list[Array] = []
     for i, entries in enumerate(matrix):
@@ -99,7 +94,6 @@ def solve_positive_definite(
 
     Args:
         matrices: (c, m, m); only the lower triangles are read.
-        right: (c, m).
         interpret: run the kernel's operations one by one, on any device; for tests.
 
     Returns:
@@ -147,14 +141,12 @@ def next_gaussian(
 
     Args:
         costs: (n,), n up to ``MOST_SAMPLES``.
-        mean, chol: of this cycle's Gaussian.
         words: the key of this cycle's normals.
         following: the frame's key, and the number of the next cycle: see ``random_words_at``.
         base: (m, n) the normals, if they are fixed; None for those of the key.
         limits: (m, 2) bounds that draws are clipped to.
         elites: number of elites.
         temperature: temperature of the softmax over the elites.
-        jitter: added to the covariance's diagonal.
         interpret: run the kernel's operations one by one, on any device; for tests.
     """
     count, size = len(costs), len(mean)

@@ -94,18 +94,11 @@ def newton_candidates(
     limits: Float[np.ndarray, "m 2"] | Float[Array, "m 2"],
     config: NewtonConfig,
 ) -> Float[Array, "c m"]:
-    """Ends of damped Newton steps from a point, within bounds; one candidate per damping.
+    """(c, m) ends of damped Newton steps from a point within (m, 2) bounds, clipped to them; one
+    candidate per damping.
 
-    Variables at a bound that the gradient pushes outwards are held; the others take the step, and
-    are clipped to the bounds. An indefinite damped Hessian has no Cholesky factor: its candidate
-    is NaN, and so is its cost.
-
-    Args:
-        q: (m,) a point within the bounds.
-        gradient: (m,) there.
-        hessian: (m, m) there.
-        limits: (m, 2) bounds.
-        config: with the c dampings.
+    Variables at a bound that the gradient pushes outwards are held; the others take the step. An
+    indefinite damped Hessian has no Cholesky factor: its candidate is NaN, and so is its cost.
     """
 
     low, high = (jnp.asarray(limits[:, i], q.dtype) for i in (0, 1))

@@ -11,32 +11,20 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from statistics import NormalDist
-from typing import Final, Literal
+from typing import Final
 
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, UInt32
 
-from smooth_operator.errors import ConfigError
-
 
 def counter_normals(
     index: UInt32[Array, "*n"], words: UInt32[Array, "2"], count: int
 ) -> list[Float[Array, "*n"]]:
-    """Independent standard normals, addressed by index.
-
-    A 32-bit mixer with full avalanche over the keyed counter gives one word for two normals, Box
-    and Muller's transform makes them of it.
-
-    Args:
-        index: indices of the candidates.
-        words: two random words, the key of the cycle.
-        count: number of normals of each candidate.
-
-    Returns:
-        ``count`` arrays of index's shape.
-    """
+    """``count`` arrays of independent standard normals, addressed by the index of a candidate and
+    two random words, the key of the cycle. A 32-bit mixer with full avalanche over the keyed
+    counter gives one word for two normals, Box and Muller's transform makes them of it."""
     pairs = (count + 1) // 2
     both = [pair_of_normals(index * jnp.uint32(pairs) + jnp.uint32(k), words) for k in range(pairs)]
     return [pair[half] for half in (0, 1) for pair in both][:count]
@@ -107,32 +95,11 @@ def mix(x: UInt32[Array, "*n"], word: Array | int = 0) -> UInt32[Array, "*n"]:
     return x ^ (x >> 16)
 
 
-def fixed_normals(
-    count: int, samples: int, kind: Literal["quasi", "pseudo"], seed: int
-) -> Float[np.ndarray, "count samples"]:
-    """A set of standard normals to use again in every frame.
-
-    Sampling noise is then a smooth function of the input, which a command that is compared with the
-    last one wants.
-
-    Args:
-        count: normals per candidate.
-        samples: number of candidates.
-        kind: ``quasi`` (low discrepancy: the additive recurrence of Roberts' generalised golden
-            ratio, randomly shifted) or ``pseudo`` (random).
-        seed: seed of the shift or the draws.
-
-    Returns:
-        (count, samples) float32.
-
-    Raises:
-        ConfigError: for another kind.
-    """
-    rng = np.random.default_rng(seed)
-    if kind == "pseudo":
-        return _whitened(rng.standard_normal((count, samples)))
-    if kind != "quasi":
-        raise ConfigError(f"base samples must be 'quasi' or 'pseudo', not {kind!r}")
+def quasi_normals(count: int, samples: int) -> Float[np.ndarray, "count samples"]:
+    """(count, samples) standard normals of low discrepancy, to use again in every frame: the
+    additive recurrence of Roberts' generalised golden ratio, shifted. Sampling noise is then a
+    smooth function of the input, which a command that is compared with the last one wants."""
+    rng = np.random.default_rng(0)
     ratio = 2.0
     for _ in range(64):  # the root of x^(count + 1) = x + 1
         ratio = (1 + ratio) ** (1 / (count + 1))

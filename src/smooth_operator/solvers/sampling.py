@@ -21,10 +21,11 @@ from jaxtyping import Array, Float, Int, UInt32
 from smooth_operator.errors import ConfigError
 from smooth_operator.geometry import on_gpu
 from smooth_operator.plugins import Entry
+from smooth_operator.settings import check_choice
 from smooth_operator.solvers.normals import (
     counter_normal_matrix,
     counter_normals,
-    fixed_normals,
+    quasi_normals,
     random_words,
 )
 
@@ -107,9 +108,8 @@ class SamplingConfig:
         sigma: initial standard deviation [rad].
         temperature: lambda of the softmax over elites.
         jitter: epsilon, added to the diagonal of the covariance.
-        draws: ``fresh`` normals in every cycle, as published, or the same base normals always:
-            ``quasi`` (low discrepancy) or ``pseudo``.
-        base_seed: seed of fixed base normals.
+        draws: ``fresh`` normals in every cycle, as published; or ``quasi``, always the same base
+            normals, of low discrepancy.
     """
 
     samples: int = 8192
@@ -118,8 +118,7 @@ class SamplingConfig:
     sigma: float = 0.2
     temperature: float = 0.1
     jitter: float = 1e-6
-    draws: Literal["fresh", "quasi", "pseudo"] = "fresh"
-    base_seed: int = 0
+    draws: Literal["fresh", "quasi"] = "fresh"
 
     def __post_init__(self) -> None:
         if self.samples < 1 or self.cycles < 1 or not 1 <= self.elites <= self.samples:
@@ -137,8 +136,7 @@ class SamplingConfig:
                 "sigma, temperature and jitter must be positive, not "
                 f"sigma={self.sigma}, temperature={self.temperature}, jitter={self.jitter}"
             )
-        if self.draws not in ("fresh", "quasi", "pseudo"):
-            raise ConfigError(f"draws must be 'fresh', 'quasi' or 'pseudo', not {self.draws!r}")
+        check_choice(self, "draws", ("fresh", "quasi"))
 
 
 def sample_minimise(
@@ -237,13 +235,8 @@ class _ClippedGaussian:
     def __init__(self, low: Array, high: Array, config: SamplingConfig) -> None:
         self.low, self.high, self.size = low, high, len(low)
         self.everyone = jnp.arange(config.samples, dtype=jnp.uint32)
-        self.base = (
-            None
-            if config.draws == "fresh"
-            else jnp.asarray(
-                fixed_normals(self.size, config.samples, config.draws, config.base_seed)
-            )
-        )
+        quasi = config.draws == "quasi"
+        self.base = jnp.asarray(quasi_normals(self.size, config.samples)) if quasi else None
 
     def draw(self, mean: Array, chol: Array, words: Array, index: Array) -> Array:
         """(m, len(index)) the draws with these indices."""

@@ -17,9 +17,7 @@ class TrajectoryConfig:
     """Weights of the motion's cost, against a frame's cost of one.
 
     Attributes:
-        velocity_weight: weight of squared joint velocity [s^2/rad^2].
         acceleration_weight: weight of squared joint acceleration [s^4/rad^2].
-        jerk_weight: weight of squared joint jerk [s^6/rad^2].
         motion_weight: weight of the difference of fingertip velocities to the human's [s^2], in
             units of a keyvector's weight.
         motion_speed: human fingertip speed at which that weight is halved [m/s]; it goes on to fall
@@ -31,9 +29,7 @@ class TrajectoryConfig:
         tolerance: a step that moves no joint further ends it [rad].
     """
 
-    velocity_weight: float = 0.0
-    acceleration_weight: float = 0.0
-    jerk_weight: float = 0.0
+    acceleration_weight: float
     motion_weight: float = 0.0
     motion_speed: float = 0.0
     speed_limit: float = math.inf
@@ -41,12 +37,9 @@ class TrajectoryConfig:
     tolerance: float = 1e-4
 
     def __post_init__(self) -> None:
-        weights = (self.velocity_weight, self.acceleration_weight, self.jerk_weight)
-        if not all(math.isfinite(w) and w >= 0 for w in weights) or not any(weights):
+        if not 0 < self.acceleration_weight < math.inf:
             raise ConfigError(
-                "weights of a trajectory must not be negative, and one of them must be positive: "
-                f"not velocity_weight={weights[0]}, acceleration_weight={weights[1]}, "
-                f"jerk_weight={weights[2]}"
+                f"acceleration_weight must be positive, not {self.acceleration_weight}"
             )
         for name in ("motion_weight", "motion_speed"):
             if not 0 <= getattr(self, name) < math.inf:
@@ -58,3 +51,9 @@ class TrajectoryConfig:
                 "a trajectory needs iterations >= 1 and tolerance > 0, not "
                 f"iterations={self.iterations}, tolerance={self.tolerance}"
             )
+
+
+FUTURE: Final = TrajectoryConfig(
+    acceleration_weight=2e-8, motion_weight=0.07, motion_speed=0.6, speed_limit=28.0
+)
+"""Costs of motion in the presets ``offline``."""

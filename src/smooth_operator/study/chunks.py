@@ -27,8 +27,6 @@ def chunk_values(
     """Yields each chunk with its value.
 
     Args:
-        jobs: chunks to compute.
-        log: log of the values.
         work: function that computes the value of a chunk, in a worker.
         field: name of the value in the log.
         count: function that returns the size of a chunk, for ``report``.

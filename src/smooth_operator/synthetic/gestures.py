@@ -233,7 +233,6 @@ def draw_wander(
     The four PIPs and MCPs share part of their motion, as fingers of a hand do.
 
     Args:
-        rng: random number generator.
         centre: (16,) posture [rad].
         reach: (16,) largest excursion of each joint [rad].
         speed: 1 is a natural tempo, 0.15 to 0.75 Hz.

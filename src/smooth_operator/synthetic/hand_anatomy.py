@@ -140,15 +140,8 @@ class HandAnatomy:
 
 
 def draw_anatomy(hand_length: float, seed: int) -> HandAnatomy:
-    """Draw the hand of a person: the published proportions, varied by a few percent per bone.
-
-    Args:
-        hand_length: distance from wrist to middle fingertip [m].
-        seed: seed of the person; the proportions don't depend on ``hand_length``.
-
-    Returns:
-        The anatomy, exactly proportional to ``hand_length``.
-    """
+    """The hand of a person of some length, wrist to middle fingertip [m]: the published
+    proportions, varied by a few percent per bone by the seed, whatever the length."""
     unit = _unit_anatomy(seed)
     return HandAnatomy(
         hand_length,

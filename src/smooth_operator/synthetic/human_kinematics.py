@@ -40,15 +40,8 @@ class HandPoses:
 
 
 def pose_hand(anatomy: HandAnatomy, angles: Float[np.ndarray, "T 20"]) -> HandPoses:
-    """Pose a right hand.
-
-    Args:
-        anatomy: anatomy of the hand.
-        angles: (T, 20) joint angles [rad], in the order of ``JOINTS``.
-
-    Returns:
-        The poses, wrist at the origin.
-    """
+    """Poses of a right hand, wrist at the origin, at (T, 20) joint angles [rad] in the order of
+    ``JOINTS``."""
     count = len(angles)
     landmarks = np.zeros((count, 21, 3))
     orientations = np.empty((count, 21, 4))
@@ -98,13 +91,8 @@ def move(
     translation: Float[np.ndarray, "T 3"],
     rotation_vector: Float[np.ndarray, "T 3"],
 ) -> HandPoses:
-    """Move whole hands in the world.
-
-    Args:
-        poses: hands with the wrist at the origin.
-        translation: (T, 3) translation of the wrist [m].
-        rotation_vector: (T, 3) rotation about the wrist, axis times angle [rad].
-    """
+    """Move whole hands with the wrist at the origin: (T, 3) translation [m] and rotation about the
+    wrist, axis times angle [rad]."""
     angle = np.linalg.norm(rotation_vector, axis=-1, keepdims=True)
     # sinc keeps the limit at no rotation: sin(a/2)/a = sinc(a/2pi)/2
     quaternion = np.concatenate(

@@ -20,7 +20,6 @@ def human_landmarks(hand: Hand, q: Float[np.ndarray, "T m"]) -> Float[np.ndarray
     unless the hand's description makes a joint follow them.
 
     Args:
-        hand: the robot hand.
         q: (T, m) positions of the actuated joints [rad].
 
     Returns:

@@ -22,9 +22,6 @@ def open_page(url: str) -> None:
 
     Any user of this machine can see the arguments of a browser's process. An address with a token
     is therefore passed in a file that only its owner can read, and that redirects to the page.
-
-    Args:
-        url: address of the page.
     """
     if not has_desktop():
         return
@@ -37,9 +34,6 @@ def open_page(url: str) -> None:
 
 def leading_to(url: str) -> Path:
     """Write a file that redirects to a page; only its owner can read it, for a minute.
-
-    Args:
-        url: address of the page.
 
     Raises:
         OSError: the file can't be written.

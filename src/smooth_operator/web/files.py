@@ -30,12 +30,7 @@ _BARE: Final = "default-src 'none'; frame-ancestors 'none'"
 
 
 def page_files(package: str, folder: str = "page") -> dict[str, tuple[bytes, str]]:
-    """Path -> (content, type) of all files of a page.
-
-    Args:
-        package: dotted name of the package.
-        folder: folder in the package.
-    """
+    """Path -> (content, type) of all files of a page."""
     return {
         f"/{file.name}": (file.read_bytes(), _TYPES[f".{file.name.rsplit('.')[-1]}"])
         for file in (resources.files(package) / folder).iterdir()
@@ -54,11 +49,7 @@ def answer_with(
     """Response with a file, under a policy that lets the page load nothing from other servers.
 
     Args:
-        connection: connection of the request.
-        body: content.
-        kind: content type.
         links: schemes of WebSockets, which older Safaris don't count as ``'self'``.
-        more: further headers.
     """
     response = connection.respond(http.HTTPStatus.OK, "")
     response.body = body

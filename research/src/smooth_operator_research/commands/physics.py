@@ -19,7 +19,7 @@ from smooth_operator.lab.offline.finished import claimed
 from smooth_operator_research.commands.options import Physics
 from smooth_operator_research.physics.files import write_files
 from smooth_operator_research.physics.measure import PhysicsSettings
-from smooth_operator_research.physics.results import Figure, Line, MeasureResults, best_of
+from smooth_operator_research.physics.results import Figure, Line, MeasureResults, table_rows
 from smooth_operator_research.physics.suite import (
     MeasureOutcome,
     failed_rows,
@@ -116,15 +116,8 @@ def _table(
     for figure in figures:
         below = " ".join(filter(None, (figure.unit, figure.sign)))
         table.add_column(f"{figure.heading}\n{below}", justify="right", no_wrap=True)
-    tops = {figure.name: best_of(lines, figure) for figure in figures}
-    for line in lines:
-        cells = []
-        for figure in figures:
-            summary = line.summaries[figure.name]
-            text = summary.text() if intervals else summary.text().partition(" ")[0]
-            best = tops[figure.name] == line.method
-            cells.append(Text(f"{text}*", "bold green") if best else Text(f"{text} "))
-        table.add_row(Text(line.method), *cells)
+    for name, *cells in table_rows(lines, figures, intervals=intervals):
+        table.add_row(Text(name), *(Text(c, "bold green" if "*" in c else "") for c in cells))
     return table
 
 

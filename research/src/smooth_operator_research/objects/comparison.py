@@ -57,15 +57,9 @@ REPORTED_HANDS: Final = ("shadow_hand", "allegro_hand", "sharpa_wave", "inspire_
 REPORTED_SEEDS: Final = (100,)
 
 COLUMNS: Final = (
-    "contact_precision",
-    "contact_recall",
-    "contact_f1",
-    "contact_error_mm",
-    "contact_place_mm",
-    "penetration_max_mm",
-    "penetration_mean_mm",
-    "cosine",
-)
+    "contact_precision", "contact_recall", "contact_f1", "contact_error_mm", "contact_place_mm",
+    "penetration_max_mm", "penetration_mean_mm", "cosine",
+)  # fmt: skip
 """Figures of a clip that are compared."""
 
 Answer: TypeAlias = Callable[[MadeClip], tuple[CommandTrajectory, Float[np.ndarray, "T 7"]]]

@@ -9,7 +9,7 @@ import numpy as np
 
 from smooth_operator.baselines.slsqp import ScipySlsqpConfig
 from smooth_operator.baselines.slsqp_presets import DEXPILOT_PUBLISHED
-from smooth_operator.methods.presets import SBR_PAPER
+from smooth_operator.methods.sbr import SBR_PAPER
 from smooth_operator_research.paper.compared_solvers import Slsqp
 from smooth_operator_research.paper.experiment import (
     Drawing,

@@ -15,8 +15,8 @@ EXPERIMENTS: Final[dict[str, tuple[str, str]]] = {
     "velocity": ("velocity", "VelocityTerm"),
     "hessian": ("hessian", "HessianDirections"),
     "table": ("table", "BenchmarkTable"),
-    "noise": ("noise", "TrackerNoise"),
-    "rate": ("rate", "FrameRate"),
+    "noise": ("sweeps", "TrackerNoise"),
+    "rate": ("sweeps", "FrameRate"),
 }
 """Name -> module of this package and class in it, in the order of the report. A new experiment is a
 file and a line here."""

@@ -15,14 +15,11 @@ from smooth_operator.hands.registry import load_hand
 from smooth_operator.lab.benchmark.benchmark_folder import PLOTS, REPORT
 from smooth_operator.lab.benchmark.page.report import facts_table, header, player
 from smooth_operator.lab.benchmark.panels import Panel, Run, make_clip, robot_landmarks
-from smooth_operator.methods.default import DEFAULT_METHOD
 from smooth_operator.reporting.drawing import colors_of, styled
 from smooth_operator.reporting.html import (
     Html,
-    details,
     element,
     escape,
-    failed_cell,
     join,
     name_cell,
     paragraph,
@@ -32,7 +29,7 @@ from smooth_operator.reporting.html import (
 from smooth_operator.reporting.report_page import SORTING, Plots, write_report_page
 from smooth_operator.types import as_side
 from smooth_operator_research.physics.measure import Clip, Drawing, PhysicsSettings
-from smooth_operator_research.physics.results import Figure, Line, MeasureResults, Summary, best_of
+from smooth_operator_research.physics.results import Figure, Line, MeasureResults, table_rows
 from smooth_operator_research.physics.suite import COMMAND, MeasureOutcome, failed_rows
 
 if TYPE_CHECKING:
@@ -162,18 +159,14 @@ def _section(outcome: MeasureOutcome, plots: Plots, colors: Mapping[str, str], h
     summary = (
         f"Figures are means or shares over {count} independent {measure.unit}"
         f"{'s' if count != 1 else ''}, with 95 % intervals: Student's t for means, Wilson's for "
-        f"shares. The definition in full: research/{measure.page}."
+        f"shares; * is the best. Differences of methods: differences.csv. The definition in full: "
+        f"research/{measure.page}."
     )
     parts = [paragraph(measure.definition), paragraph(summary, "soft")]
     for panel in results.panels:
         hand, side, condition = panel
         title = f"{hand} {side}" + (f", {condition}" if condition else "")
-        lines = results.lines(panel)
-        inside = [_table(outcome, lines, colors, main=True)]
-        if not all(figure.main for figure in measure.figures):
-            inside.append(details("All figures", _table(outcome, lines, colors, main=False)))
-        if len(lines) > 1:
-            inside.append(_differences(outcome, panel, colors))
+        inside = [_table(outcome, results.lines(panel), colors)]
         clips = outcome.clips.get(panel, {})
         if clips:
             inside.append(player(make_clip(_panel(panel, clips), colors, hands)))
@@ -184,54 +177,14 @@ def _section(outcome: MeasureOutcome, plots: Plots, colors: Mapping[str, str], h
     return join(parts)
 
 
-def _table(
-    outcome: MeasureOutcome, lines: Sequence[Line], colors: Mapping[str, str], *, main: bool
-) -> Html:
-    """A line for each method; the best of each column marked."""
-    figures = [f for f in outcome.measure.figures if f.main or not main]
-    tops = {figure.name: best_of(lines, figure) for figure in figures}
-    body = []
-    for line in lines:
-        name = name_cell(line.method, colors[line.method])
-        if len(line.failed) and all(s.value is None for s in line.summaries.values()):
-            body.append([name, failed_cell("; ".join(line.failed), len(figures))])
-            continue
-        cells = [name]
-        for figure in figures:
-            text = escape(line.summaries[figure.name].text())
-            best = tops[figure.name] == line.method
-            cells.append(element("td", element("b", text)) if best else text)
-        body.append(cells)
-    heads = [Html("method"), *(header(figure) for figure in figures)]
-    return table(heads, body, "sortable")
-
-
-def _differences(
-    outcome: MeasureOutcome, panel: tuple[str, str, str], colors: Mapping[str, str]
-) -> Html:
-    """By how much the other methods exceed the default one, or the first."""
-    results, figures = outcome.results, [f for f in outcome.measure.figures if f.main]
-    methods = [line.method for line in results.lines(panel)]
-    against = DEFAULT_METHOD if DEFAULT_METHOD in methods else methods[0]
-    body = [
-        [name_cell(method, colors[method]), *(_difference(own[f.name]) for f in figures)]
-        for method, own in results.differences(panel, against).items()
-        if method in methods
+def _table(outcome: MeasureOutcome, lines: Sequence[Line], colors: Mapping[str, str]) -> Html:
+    """A row for each method with all figures; the best of each column has a star."""
+    figures = outcome.measure.figures
+    rows = [
+        [name_cell(name, colors[name], "; ".join(line.failed)), *map(escape, cells)]
+        for line, (name, *cells) in zip(lines, table_rows(lines, figures), strict=True)
     ]
-    words = (
-        f"Figure of the method less that of {against}, unit by unit, with Student's t interval "
-        "(95 %). Bold: the interval excludes 0."
-    )
-    heads = [Html("method"), *(header(figure) for figure in figures)]
-    inside = join([table(heads, body), paragraph(words, "soft")])
-    return details(f"Difference from {against}", inside)
-
-
-def _difference(summary: Summary) -> Html:
-    text = escape(summary.text())
-    if summary.low is None or summary.high is None or summary.low <= 0 <= summary.high:
-        return text
-    return element("b", text)
+    return table([Html("method"), *(header(figure) for figure in figures)], rows, "sortable")
 
 
 def _panel(key: tuple[str, str, str], clips: Mapping[str, Clip]) -> Panel:

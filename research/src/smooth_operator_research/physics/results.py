@@ -226,6 +226,20 @@ def best_of(lines: Sequence[Line], figure: Figure) -> str | None:
     return max(finite, key=finite.__getitem__)
 
 
+def table_rows(
+    lines: Sequence[Line], figures: Sequence[Figure], *, intervals: bool = True
+) -> list[list[str]]:
+    """A row of text for each method: its name and its figures, ``*`` behind the best of each."""
+    best = [best_of(lines, figure) for figure in figures]
+    rows = []
+    for line in lines:
+        texts = [line.summaries[figure.name].text() for figure in figures]
+        shown = texts if intervals else [text.partition(" ")[0] for text in texts]
+        marks = ["*" if line.method == one else " " for one in best]
+        rows.append([line.method, *map("".join, zip(shown, marks, strict=True))])
+    return rows
+
+
 def row_method(row: Mapping[str, Any]) -> str:
     """What the method of a row is called in tables."""
     return method_label(str(row["method"]), str(row["preset"]))

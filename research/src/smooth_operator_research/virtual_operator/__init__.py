@@ -10,11 +10,6 @@ from smooth_operator_research.virtual_operator.trial import (
 )
 
 __all__ = [
-    "Familiar",
-    "OperatorTrial",
-    "Person",
-    "VirtualOperator",
-    "draw_person",
-    "make_familiar",
+    "Familiar", "OperatorTrial", "Person", "VirtualOperator", "draw_person", "make_familiar",
     "simulate_trial",
-]
+]  # fmt: skip

@@ -94,7 +94,6 @@ def index_columns(
         number: ``episode_index``.
         first: ``index`` of its first frame.
         task: ``task_index``.
-        fps: frames a second.
     """
     frames = np.arange(count)
     return {
@@ -180,7 +179,6 @@ class Layout:
         """Layout that serves both.
 
         Args:
-            other: layout of another episode.
             names: names of the two, for the message.
 
         Raises:
@@ -284,12 +282,9 @@ def episode_columns(
     """The columns of an episode.
 
     Args:
-        episode: episode to write.
-        layout: layout of the dataset.
         number: ``episode_index``.
         first: ``index`` of its first frame.
         task: ``task_index``.
-        fps: frames a second.
 
     Returns:
         (T,) or (T, k) of each of the layout's features, in its type.

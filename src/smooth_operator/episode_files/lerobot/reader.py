@@ -150,7 +150,6 @@ def read_dataset_episode(
     units, side and order of landmarks are checked as ``read_recording`` checks them.
 
     Args:
-        dataset: that holds it.
         number: number of the episode.
         rate: frames a second [Hz]; the stamps of the episode must agree.
         side: side of the hand; needed where the dataset does not say and it is a left one.

@@ -66,8 +66,6 @@ class RobotLayout:
         """The columns of an episode.
 
         Args:
-            episode: with commands and measured joints.
-            wrist: with the commanded wrist.
             environment_state: with the positions of all joints.
 
         Raises:

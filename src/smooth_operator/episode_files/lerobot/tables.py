@@ -302,7 +302,6 @@ def episode_row(
         number: ``episode_index``.
         first: ``index`` of its first frame.
         count: number of its frames.
-        task: its task.
         place: numbers of the chunk and of the file in it that hold its frames.
     """
     return {
@@ -383,8 +382,6 @@ def dataset_card(title: str, text: str, columns: Iterable[tuple[str, str, str]])
     """The README of a dataset, whose head the dataset hub reads to show the frames as a table.
 
     Args:
-        title: its title.
-        text: a paragraph about it.
         columns: name, type, and unit or meaning of each column.
     """
     rows = [f"| `{name}` | {kind} | {unit} |" for name, kind, unit in columns]

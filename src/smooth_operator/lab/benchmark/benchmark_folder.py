@@ -42,7 +42,6 @@ def check_folder(
     """Looks whether results may be written into a folder; writes nothing.
 
     Args:
-        folder: where to.
         command: whose results may stand there already.
         former: origin of those, for the message.
 

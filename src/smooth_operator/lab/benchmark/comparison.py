@@ -90,8 +90,6 @@ def compare(rows: Iterable[Row], others: Iterable[Row], name: str) -> Comparison
     """Compares an earlier benchmark with one.
 
     Args:
-        rows: rows of this one.
-        others: rows of the other one.
         name: name of the other, for a person.
     """
     here = {row_key(row): row for row in rows if row.get("metrics")}

@@ -134,8 +134,6 @@ def contact_sheet(
     hands are drawn equally long.
 
     Args:
-        panels: recordings on one robot hand.
-        shape: gives the robot's shape.
         names: poses to draw, in this order; all if left out.
 
     Returns:
@@ -263,7 +261,6 @@ def from_thumb(palm: Float[np.ndarray, "3 3"], side: Side) -> Float[np.ndarray, 
 
     Args:
         palm: rows right, up and toward a viewer who looks at the palm.
-        side: side of the hand.
     """
     turn = _TURN if side == "right" else -_TURN
     right, up, toward = palm

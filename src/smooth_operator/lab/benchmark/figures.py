@@ -196,8 +196,6 @@ def save_plots(todo: Plan, commands: CommandTrajectory, folder: Path) -> None:
     """Writes the plots of one run: fingertips, joints and, where it was measured, latency.
 
     Args:
-        todo: the plan.
-        commands: its result.
         folder: folder of the ``.png`` and ``.svg``; made if it is not there.
 
     Raises:

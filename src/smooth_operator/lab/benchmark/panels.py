@@ -166,7 +166,6 @@ def make_clip(panel: Panel, colors: Mapping[str, str], hands: int) -> dict[str, 
     """Clip of one panel for the player, ready for JSON.
 
     Args:
-        panel: one recording on one hand.
         colors: method -> colour.
         hands: number of hands in all clips of the page, which share the budget.
 

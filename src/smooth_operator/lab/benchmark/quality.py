@@ -101,7 +101,6 @@ def finger_metrics(trace: Trace, metrics: Mapping[str, Any]) -> dict[str, dict[s
     """Metrics of each finger.
 
     Args:
-        trace: the run.
         metrics: result of ``evaluate``.
 
     Returns:

@@ -91,9 +91,7 @@ def run_suite(
     that it was at. A cell that fails has a reason in place of figures, and the rest goes on.
 
     Args:
-        settings: settings of the benchmark.
         cells: result of ``plan_cells``.
-        track: shows the progress.
         note: called with kept cells that can't be used.
 
     Returns:

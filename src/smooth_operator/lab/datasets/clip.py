@@ -224,7 +224,6 @@ def in_frame(clip: Clip, frame: Frame | None) -> Clip:
     """A clip whose wrists and objects are given in a frame.
 
     Args:
-        clip: the clip.
         frame: ``world`` for one that is fixed to the scene, ``camera`` for the camera's; None for
             the clip's own, which ``Clip.world`` names.
 

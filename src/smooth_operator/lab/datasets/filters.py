@@ -94,12 +94,7 @@ class Dropped:
 
 
 def select(whole: RobotClip, limits: Limits) -> Iterator[RobotClip | Dropped]:
-    """The episodes of a clip, in the order of time: kept, with their figures, or dropped.
-
-    Args:
-        whole: the clip, with tracks.
-        limits: limits of quality.
-    """
+    """The episodes of a clip, in the order of time: kept, with their figures, or dropped."""
     if not whole.commands:  # packed alone
         yield whole
         return

@@ -131,9 +131,7 @@ def entries_of_gpu(
     While a batch is retargeted and packed by a thread, the next is read.
 
     Args:
-        jobs: the work.
         split: parts of a job whose worker died.
-        use: receives frames and times.
         options: options of ``run_tasks``.
 
     Raises:

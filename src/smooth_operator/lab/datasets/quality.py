@@ -84,10 +84,6 @@ def quality_tracks(
     The recordings are measured together, as most of the time is spent between arrays.
 
     Args:
-        recordings: the human hand.
-        commands: commands of each hand.
-        losses: (T,) tracking loss of each.
-        hand: the robot hand.
         alignment: the method's own, so that the human is measured as the method saw it.
 
     Returns:

@@ -75,9 +75,7 @@ def write_report(output: Path, content: Mapping[str, Any], figures: FigureTable)
     Without matplotlib there are no histograms.
 
     Args:
-        output: folder of the results.
         content: content of ``report.json``.
-        figures: figures of the episodes.
 
     Raises:
         OutputError: a file can't be written.

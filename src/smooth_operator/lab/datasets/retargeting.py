@@ -150,8 +150,6 @@ def retarget_clips(
     Retargeters are built once in a process and kept.
 
     Args:
-        clips: the human hands.
-        recipe: settings of the retargeting.
         files: source files of each clip, for its ``meta``.
         keys: keys of each; its digest if left out.
 
@@ -190,10 +188,7 @@ def clip_key(
     """Digest of all that a clip's commands depend on: files, reader, hand, method and settings.
 
     Args:
-        recipe: settings of the retargeting.
-        layout: name of the reader.
         part: name of the clip in its file.
-        selection: digest of the list's entry.
         files: source files.
     """
     content = [(file.bytes, file.sha256) for file in files]

@@ -133,7 +133,6 @@ def unchanged(item: Item, files: Sequence[SourceFile]) -> bool:
     """True if an item has the files that were read before; digests count only if dates differ.
 
     Args:
-        item: the item.
         files: files that were read before.
     """
     if item.ref is None:

@@ -98,7 +98,6 @@ class Branches:
         """The hand of a palm that is given.
 
         Args:
-            palm: body name.
             fingers: bodies or joints of fingers, to choose from more than five.
 
         Raises:

@@ -382,10 +382,6 @@ def find_couplings(
 
     A coupling is doubted that would leave its follower no room: in such a file a sign is wrong, and
     has been turned where that mends it.
-
-    Args:
-        skeleton: the model.
-        joints: those of the hand.
     """
     names = {skeleton.joint_names[j] for j in joints}
     tendons = _on_tendons(skeleton)
@@ -460,9 +456,7 @@ def _palm_finding(
     """Finding about the palm.
 
     Args:
-        analysis: analysis of the palm.
         names: chain -> human finger.
-        overrules: facts from a person.
         hands: number of hands in the file.
     """
     skeleton, tree = analysis.skeleton, analysis.tree

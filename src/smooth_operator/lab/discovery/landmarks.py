@@ -30,12 +30,7 @@ def finger_points(
     put on the axis level with the tip.
 
     Args:
-        skeleton: the model.
-        chain: the finger.
-        bend: bending of the finger.
-        tip: its tip.
         is_thumb: a thumb's first landmark is its first joint of all, a finger's is its knuckle.
-        at: the reference pose.
     """
     body = int(skeleton.model.body(tip.body).id)
     end = at.world(body, np.array(tip.offset))
@@ -164,11 +159,7 @@ def fix_bases(
     swings with its finger, spreading the fingers would turn the whole hand.
 
     Args:
-        skeleton: the model.
-        palm: the palm's body.
-        fingers: as found.
         reach: poses to see in which a base moves.
-        neutral: the neutral pose.
 
     Returns:
         the fingers; and of those whose base was moved, by how much joints move it [m].

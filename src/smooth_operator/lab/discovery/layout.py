@@ -65,10 +65,7 @@ def find_layout(
     its thumb on the side of w.
 
     Args:
-        chains: the fingers.
-        bends: bending of each finger.
         reach: places that the fingers can reach.
-        thumb: index of the thumb.
         labels: the human finger that each one's names speak of.
         side_said: the side that names speak of.
         side_given: the side that a person gave.

@@ -89,8 +89,6 @@ class Reach:
         many for a thumb and a finger, next to none for two neighbours, which close side by side.
 
         Args:
-            i: one finger.
-            j: the other.
             length: length of a finger [m], the unit of near and far.
         """
         gaps = self.gaps(i, j)
@@ -266,8 +264,6 @@ def find_thumb(
     """Finds the thumb by opposition, by the direction in which it closes, by where its base is.
 
     Args:
-        chains: the fingers.
-        bends: bending of each finger.
         reach: places that they can reach together.
         labels: the human finger that each one's names speak of; weak evidence.
     """

@@ -32,10 +32,6 @@ def find_neutral(
     their knuckles.
 
     Args:
-        skeleton: the model.
-        chains: the fingers.
-        bends: bending of the fingers.
-        reach: places that they can reach.
         order: chains, thumb first, then from its side.
 
     Returns:
@@ -80,10 +76,7 @@ def _opened(
     """The pose with its knuckles opened no farther than needed, and the overlap that is left [m].
 
     Args:
-        skeleton: the model.
-        chains: the fingers.
         knuckles: joint -> sign of the motion that closes its finger.
-        q: the pose.
     """
     best, least = q, finger_overlap(skeleton, chains, skeleton.coupled(q))
     for share in _OPENED:
@@ -120,8 +113,6 @@ def finger_overlap(
     Meshes count as their convex hulls, and what the model takes out of collision stays out.
 
     Args:
-        skeleton: the model.
-        chains: the fingers.
         q: positions of all joints [rad].
     """
     model = skeleton.model

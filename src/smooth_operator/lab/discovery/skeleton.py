@@ -367,7 +367,6 @@ def urdf_mesh_points(
     """Points of the meshes of a URDF that MuJoCo could not load itself.
 
     Args:
-        root: root element of the URDF.
         files: its mesh files, by the names that it has for them.
 
     Returns:

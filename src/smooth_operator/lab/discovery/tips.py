@@ -35,11 +35,6 @@ def find_tip(skeleton: Skeleton, chain: Chain, at: Placement) -> Tip:
 
     Frames fixed to the last link (sites and links without joints) are taken if they lie well along
     it; a frame at its joint, as the last link's own origin is, never is one.
-
-    Args:
-        skeleton: the model.
-        chain: the finger.
-        at: the reference pose.
     """
     rigid = skeleton.rigid(chain.last)
     joint = chain.joints[-1]
@@ -186,7 +181,6 @@ def far_end(
     Args:
         clouds: points on each shape, world [m].
         anchor: a point of the joint's axis [m].
-        axis: unit vector of the joint.
         scale: length of the rest of the finger [m], to tell what is small and what is far.
 
     Returns:

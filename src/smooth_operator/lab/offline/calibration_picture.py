@@ -27,8 +27,6 @@ def draw_calibration(calibration: Calibration, recording: HandRecording, path: P
     """Draws the report of a calibration.
 
     Args:
-        calibration: calibration of the recording.
-        recording: the operator's hand.
         path: the ``.png`` to write.
 
     Raises:

@@ -80,7 +80,6 @@ def execute(
     """Retargets the recording from a fresh state.
 
     Args:
-        todo: the plan.
         built: result of ``build`` for it, or for another plan of the same hand,
             configuration and seed; None to build now.
         track: wraps the iteration over frames, for a progress bar.

@@ -65,7 +65,6 @@ def finished(output: Path, source: Path, request: Mapping[str, Any]) -> dict[str
 
     Args:
         output: ``OUT.npz``.
-        source: the recording.
         request: settings of the retargeting, as JSON has them.
 
     Returns:

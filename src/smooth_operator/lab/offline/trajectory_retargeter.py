@@ -27,7 +27,7 @@ from smooth_operator.errors import ConfigError
 from smooth_operator.hands.differential import PointKinematics
 from smooth_operator.hands.hand import Hand
 from smooth_operator.lab.offline.trajectory_solver import (
-    ORDERS,
+    JOINED,
     ExtraTerms,
     FrameBlocks,
     Led,
@@ -137,7 +137,6 @@ class TrajectoryRetargeter:
         """A whole recording.
 
         Args:
-            recording: the human hand.
             seed: seed of the random numbers; None for the retargeter's own.
             track: wraps the iteration over frames, for a progress bar.
             extra: more costs and variables of each frame.
@@ -259,7 +258,7 @@ class TrajectoryRetargeter:
         goals, reaches = problem
         joints, more = len(self.hand.limits), len(limits) - len(self.hand.limits)
         for begin, keep, end in windows(len(stamps), WINDOW, ahead):
-            previous = settled[-ORDERS:]
+            previous = settled[-JOINED:]
             before = begin - len(previous)
             part = slice(stretch.start + before, stretch.start + end)
             window_goals = jax.tree.map(lambda values, part=part: values[part], goals)

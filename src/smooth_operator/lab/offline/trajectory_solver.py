@@ -2,12 +2,11 @@
 
 What is minimised over q(1) .. q(T) is::
 
-    sum_t f_t(q(t)) + w_v sum |q'|^2 + w_a sum |q''|^2 + w_j sum |q'''|^2
-        + sum_t s(t)/2 |p(q(t)) - p(q(t-1)) - d(t)|^2
+    sum_t f_t(q(t)) + w_a sum |q''|^2 + sum_t s(t)/2 |p(q(t)) - p(q(t-1)) - d(t)|^2
 
 with derivatives by finite differences, points p of a pose that are to move by d from frame to
 frame, and a high cost on joints faster than a limit. The Hessian (of the points' motion Gauss and
-Newton's) is banded, since a difference joins four frames at most, so a Newton step takes time and
+Newton's) is banded, since a difference joins three frames at most, so a Newton step takes time and
 memory in proportion to T (a banded Cholesky factor). It is the fixed-interval smoother of control
 theory with any cost in place of a measurement's: the past and the future count alike, and so
 nothing lags.
@@ -29,8 +28,8 @@ from jaxtyping import Bool, Float
 
 from smooth_operator.solvers.trajectory import SPEEDING, TrajectoryConfig
 
-ORDERS: Final = 3
-"""Highest derivative that has a cost; a frame is joined to so many before and after it."""
+JOINED: Final = 2
+"""Frames before and after a frame that its acceleration joins it to."""
 
 FrameBlocks: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]
 """Each frame's cost (T,), gradient (T, m) and Hessian (T, m, m)."""
@@ -107,7 +106,6 @@ def smooth_trajectory(
         start: (T, m) poses [rad].
         stamps: (T,) strictly increasing times [s].
         limits: (m, 2) bounds [rad].
-        config: costs.
         fixed: so many frames at the beginning stay as they are: the end of what was solved before.
         led: points that are to move as others do; None for none.
     """
@@ -167,27 +165,26 @@ def smooth_trajectory(
 
 def motion_price(
     stamps: Float[np.ndarray, " T"], config: TrajectoryConfig
-) -> Float[np.ndarray, "4 T"]:
+) -> Float[np.ndarray, "3 T"]:
     """The cost of motion as a quadratic form over the frames, alike for every joint.
 
     Returns:
-        (4, T) its lower diagonals: [k, t] couples the frames t and t + k; twice the weighted sum of
+        (3, T) its lower diagonals: [k, t] couples the frames t and t + k; twice the weighted sum of
         products of the differences' coefficients.
     """
-    price = np.zeros((ORDERS + 1, len(stamps)))
-    weights = (config.velocity_weight, config.acceleration_weight, config.jerk_weight)
-    for order, weight in enumerate(weights, start=1):
-        rows = len(stamps) - order
-        if not weight or rows < 1:
-            continue
-        # order! times the divided difference: exact for polynomials of that degree.
-        at = np.stack([stamps[i : i + rows] for i in range(order + 1)])
-        apart = at[:, None] - at[None]
-        apart[np.arange(order + 1), np.arange(order + 1)] = 1.0
-        coefficients = math.factorial(order) / apart.prod(axis=1)
-        for i in range(order + 1):
-            for j in range(i, order + 1):
-                price[j - i, i : i + rows] += 2.0 * weight * coefficients[i] * coefficients[j]
+    price = np.zeros((JOINED + 1, len(stamps)))
+    rows = len(stamps) - JOINED
+    if rows < 1:
+        return price
+    # twice the divided difference: exact for polynomials of degree 2
+    at = np.stack([stamps[i : i + rows] for i in range(JOINED + 1)])
+    apart = at[:, None] - at[None]
+    apart[np.arange(JOINED + 1), np.arange(JOINED + 1)] = 1.0
+    coefficients = 2.0 / apart.prod(axis=1)
+    for i in range(JOINED + 1):
+        for j in range(i, JOINED + 1):
+            products = coefficients[i] * coefficients[j]
+            price[j - i, i : i + rows] += 2.0 * config.acceleration_weight * products
     return price
 
 
@@ -197,7 +194,7 @@ def _excess(q: Float[np.ndarray, "T m"], most: float) -> np.ndarray:
     return np.asarray(change - np.clip(change, -most, most))
 
 
-def _times(price: Float[np.ndarray, "4 T"], q: Float[np.ndarray, "T m"]) -> np.ndarray:
+def _times(price: Float[np.ndarray, "3 T"], q: Float[np.ndarray, "T m"]) -> np.ndarray:
     """The quadratic form's matrix times q."""
     out: np.ndarray = price[0][:, None] * q
     for k in range(1, min(len(price), len(q))):
@@ -220,7 +217,7 @@ def _convex(hessian: Float[np.ndarray, "T m m"]) -> Float[np.ndarray, "T m m"]:
 def _band(
     hessian: Float[np.ndarray, "T m m"],
     coupling: Float[np.ndarray, "S m m"] | None,
-    price: Float[np.ndarray, "4 T"],
+    price: Float[np.ndarray, "3 T"],
     speeding: Float[np.ndarray, "S m"],
     free: Bool[np.ndarray, "T m"],
     damping: float,
@@ -230,12 +227,12 @@ def _band(
     Variables are ordered frame by frame, so that the band is as wide as the frames joined.
     """
     count, size = free.shape
-    band = np.zeros(((ORDERS + 1) * size, count * size))
+    band = np.zeros(((JOINED + 1) * size, count * size))
     blocks = band.reshape(len(band), count, size)
     for i in range(size):
         for j in range(i + 1):
             blocks[i - j, :, j] = hessian[:, i, j] * free[:, i] * free[:, j]
-    for k in range(1, min(ORDERS + 1, count)):
+    for k in range(1, min(JOINED + 1, count)):
         both = free[k:] & free[:-k]
         blocks[k * size, :-k] += price[k, : count - k, None] * both
     if coupling is not None:

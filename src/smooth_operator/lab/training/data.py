@@ -84,7 +84,6 @@ def training_data(
 
     Args:
         recordings: recordings of the model's users, of the hand's side.
-        hand: the robot hand.
         settings: ``alignment``, ``validation``, ``pinch_distance``, ``margin`` and ``seed`` count
             here.
         held_out: recordings for validation alone; without them the end of each recording is kept
@@ -203,10 +202,6 @@ def synthetic_recordings(
     side: Side, seed: int = 0
 ) -> tuple[list[HandRecording], list[HandRecording]]:
     """Recordings of several people with hands of several sizes.
-
-    Args:
-        side: side of the hand.
-        seed: other seeds are other people.
 
     Returns:
         ``TRAINING_OPERATORS`` recordings to train on, and ``HELD_OUT_OPERATORS`` of other

@@ -88,8 +88,6 @@ class GeortLoss:
         """The losses of a batch.
 
         Args:
-            weights: weights of the networks.
-            batch: inputs of the networks.
             ramp: share of the weight of coverage that is in force.
 
         Returns:

@@ -40,10 +40,6 @@ def frame_words(recording: HandRecording) -> set[bytes]:
 def check_held_out(sources: Sequence[Source], held_out: Iterable[Source]) -> None:
     """Refuses to tune on what is held out.
 
-    Args:
-        sources: to be tuned on.
-        held_out: to be judged on.
-
     Raises:
         ConfigError: a recording holds frames of one that is held out.
     """

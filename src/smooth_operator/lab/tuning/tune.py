@@ -80,7 +80,6 @@ def tune(plan: Tuning, progress: Progress = lambda count, best, reason: None) ->
 
     Args:
         plan: plan of ``plan_tuning``.
-        progress: called after each new trial.
 
     Raises:
         ConfigError: the configuration that the search begins at can't be measured.

@@ -63,7 +63,6 @@ def find_flexion_axes(samples: Samples, sound: tuple[str, ...]) -> FlexionAxes |
     """Finds each finger's closing direction: the turn of its flexion joints that folds it.
 
     Args:
-        samples: the hand.
         sound: fingers whose tips can be relied upon.
 
     Returns:

@@ -27,9 +27,7 @@ def reachable_poses(hand: Hand, count: int, seed: int) -> Float[np.ndarray, "T m
     hand that has too few such poses gets those that come nearest to it.
 
     Args:
-        hand: the robot hand.
         count: number of poses.
-        seed: seed of the random numbers.
 
     Returns:
         (count, m) positions of the actuated joints [rad].

@@ -116,8 +116,6 @@ def part_distances(hand: Hand, body: int, point: Float[np.ndarray, "3"]) -> dict
     """Signed distances of a point that is fixed to a body, in the hand's neutral pose.
 
     Args:
-        hand: the hand.
-        body: body of the model.
         point: (3,) in the body's frame [m].
 
     Returns:

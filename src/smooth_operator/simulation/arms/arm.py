@@ -181,7 +181,6 @@ def attach_to_flange(
         world: a world with an arm, whose names begin with ``ARM_PREFIX``; it is changed.
         hand: the hand's model, which must not be used afterwards.
         flange_to_model: pose of the world of the hand's model in the flange's frame.
-        prefix: prefix of the hand's names.
     """
     for body in hand.bodies:
         if body.name != "world":

@@ -54,7 +54,6 @@ class CarriedHand:
         Args:
             world: the world; it is changed.
             hand: the hand's model, which must not be used afterwards.
-            prefix: prefix of the hand's names.
         """
         pose = pose_of(self.base)
         frame = world.worldbody.add_frame(pos=pose[:3], quat=pose[3:])

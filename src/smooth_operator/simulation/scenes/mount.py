@@ -57,7 +57,6 @@ def mount(hand: Hand, *, up: ArrayLike, forward: ArrayLike, wrist: ArrayLike = (
     """Place a hand in the world.
 
     Args:
-        hand: the robot hand.
         up: (3,) direction of the hand (distal, radial, palmar) that is the world's z.
         forward: (3,) direction of the hand that is the world's x; its part along ``up`` is ignored.
         wrist: (3,) position of the wrist in the world [m].

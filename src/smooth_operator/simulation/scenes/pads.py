@@ -44,8 +44,6 @@ def soften_pads(model: mujoco.MjModel, body: int, fingertips: list[int]) -> None
 
     Args:
         model: the scene; it is changed.
-        body: body of the object.
-        fingertips: bodies of the fingertips.
     """
     tips = float(np.median(model.body_invweight0[fingertips, 0]))
     low, high = pad_impedance(float(model.body_invweight0[body, 0]) + tips)

@@ -63,7 +63,6 @@ class Scene(ABC):
         """Build the world with the hand in it, see ``build_physics``.
 
         Args:
-            hand: the hand's model.
             carried: the arm that carries the hand, at its place in the scene; None for a fixture.
         """
         hand.option.gravity = (0.0, 0.0, -9.81)
@@ -106,15 +105,11 @@ def add_shape(
 
     Args:
         body: the body that gets the shape.
-        name: name of the shape.
-        kind: MuJoCo's type of shape.
         size: half lengths [m], or radius and half length [m].
         mass: mass [kg].
         friction: coefficient of sliding friction, and of torsional friction [m], as of a soft
             fingertip.
-        color: red, green, blue, opacity.
         at: centre in the body's frame [m].
-        turn: quaternion in the body's frame.
         priority: in a contact, the shape with the higher priority sets the parameters.
     """
     body.add_geom(

@@ -71,7 +71,6 @@ def draw_variation(rng: np.random.Generator, scale: float = 1.0) -> ObjectVariat
     """A random variation, uniform within the benchmark's limits.
 
     Args:
-        rng: source of random numbers.
         scale: factor of all limits; 0 for the nominal object.
     """
     unit = scale * rng.uniform(-1.0, 1.0, 5)

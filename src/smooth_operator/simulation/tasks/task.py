@@ -85,7 +85,6 @@ class RubricLine:
 
         Args:
             resets: number of resets; a line whose name ends in ``after-reset`` needs one.
-            cap: highest score after a reset.
         """
         return self.score <= cap if resets else not self.name.endswith("after-reset")
 

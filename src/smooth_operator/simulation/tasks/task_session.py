@@ -260,7 +260,6 @@ class TaskSession:
         """Follow a state of the simulation, which calls this after each step.
 
         Args:
-            state: state of the scene.
             positions: (n,) joint positions of the hand [rad].
         """
         with self._lock:

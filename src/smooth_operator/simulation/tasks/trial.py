@@ -157,8 +157,6 @@ def rescore(
     """Score a recorded trial again.
 
     Args:
-        task: the task.
-        scene: the scene.
         states: recorded states of the scene, in order.
         events: (time, ``go``, ``reset`` or ``finish``) in order. An event applies after the state
             of the same time.

@@ -110,7 +110,6 @@ class TrialRunner:
         Args:
             when_clear: start each clock when the hand is clear of its object; see TaskSession.
             limit_s: time limit [s]; None for the task's own.
-            about: further entries of the records.
 
         Raises:
             StudyError: a trial runs, or there is no task.

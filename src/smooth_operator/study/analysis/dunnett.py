@@ -108,7 +108,6 @@ def dunnett(
 
     Args:
         statistics: estimate over standard error of each comparison.
-        correlation: correlation matrix of the estimates.
         freedom: degrees of freedom of each comparison; infinite for normal ones.
         level: confidence level of the intervals; None for no intervals, which is faster.
         decide: significance level. A p-value whose bounds lie on one side of it is then replaced by
@@ -158,8 +157,6 @@ def outside(
     """Computes P(max |T_j| > limit) of correlated t or normal variables.
 
     Args:
-        limit: zero or more.
-        correlation: correlation matrix of the variables.
         freedom: degrees of freedom of the t; infinite for normal variables.
 
     Returns:

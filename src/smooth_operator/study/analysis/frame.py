@@ -117,10 +117,6 @@ def make_frame(
 
     Args:
         outcome: outcome y, without NaN (n,).
-        retargeter: names of retargeters (n,).
-        task: names of tasks (n,).
-        operator: codes of operators (n,).
-        index: numbers of trials (n,).
         baseline: retargeter that comes first, if it occurs.
     """
     names = sorted({str(name) for name in retargeter}, key=lambda name: (name != baseline, name))
@@ -156,7 +152,6 @@ def check_frame(frame: Frame, *, retargeters: int = 2) -> None:
     """Refuses rows that can't be analysed.
 
     Args:
-        frame: rows of the analysis.
         retargeters: smallest number of retargeters.
 
     Raises:

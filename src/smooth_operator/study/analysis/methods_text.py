@@ -47,9 +47,6 @@ def cited(text: str) -> list[Citation]:
 def methods_paragraph(analysis: Analysis) -> str:
     """Describes how the study was done and analysed, in mode small-sample.
 
-    Args:
-        analysis: analysis of the study.
-
     Returns:
         One paragraph. A refused test is reported as refused. Facts that only the authors know are
         [square brackets], and citations are keys of ``CITATIONS``.

@@ -110,7 +110,6 @@ def fit_mixed(
 
     Args:
         design: fixed effects, of full column rank.
-        outcome: y.
         levels: name of each level -> group of each row, codes from 0; coarse to fine. A level that
             can't be separated from the one before, or from the residual, is left out of the model.
 

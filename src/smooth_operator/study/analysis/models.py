@@ -141,10 +141,7 @@ def compare(
     """Computes means with intervals, Dunnett against the baseline, and Holm over all pairs.
 
     Args:
-        means: means of the retargeters.
-        of_coefficients: covariance of the coefficients.
         freedom: degrees of freedom of a combination of coefficients; infinite for normal tests.
-        effect: effect size of two means.
         baseline: retargeter that the others are compared with, if it is among the means.
         limits: whether to compute simultaneous intervals against the baseline, the slowest part.
         decide: significance level. A Dunnett p-value whose bounds lie on one side of it is then
@@ -323,9 +320,7 @@ def fit_modes(
     """Fits retargeter, task, the index and further columns.
 
     Args:
-        outcome: outcome of the model.
         frame: rows that passed ``check_frame``; those of success have no separation.
-        modes: modes of the result.
         more: further columns, centred so that means are at their mean.
 
     Raises:
@@ -427,9 +422,6 @@ def model_wald(
     """Tests that all values are zero by F with Satterthwaite's denominators (Fai, Cornelius 1996).
 
     Args:
-        values: combinations of the coefficients.
-        covariance: covariance of the values.
-        contrasts: coefficients of each combination.
         freedom: degrees of freedom of one combination.
 
     Raises:

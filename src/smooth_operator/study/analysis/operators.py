@@ -136,9 +136,6 @@ class OperatorMean:
 def operator_means(data: StudyData) -> list[OperatorMean]:
     """Computes success rate, mean time of successes [s] and mean workload of each operator.
 
-    Args:
-        data: data of the study.
-
     Returns:
         The means, sorted by outcome, task, retargeter and operator.
     """

@@ -65,10 +65,7 @@ def analyze(
     """Fits the models of an outcome and compares the retargeters.
 
     Args:
-        outcome: outcome of the model.
         frame: rows of the model; success has an outcome of 0 and 1.
-        missing: warnings on missing rows.
-        modes: modes of the result.
         limits: whether to compute simultaneous intervals against the baseline.
 
     Returns:

@@ -41,8 +41,6 @@ def write_analysis(analysis: Analysis, folder: Path, *, report: bool = True) -> 
     """Writes results, tables, methods, R script and report.
 
     Args:
-        analysis: analysis of the study.
-        folder: existing folder.
         report: whether to draw figures and write the page, which takes longest.
 
     Returns:
@@ -69,10 +67,6 @@ def write_analysis(analysis: Analysis, folder: Path, *, report: bool = True) -> 
 
 def write_tables(analysis: Analysis, folder: Path) -> list[str]:
     """Writes the CSV tables.
-
-    Args:
-        analysis: analysis of the study.
-        folder: existing folder.
 
     Returns:
         Names of the files. A table without rows is not written; an older one is removed.
@@ -166,7 +160,6 @@ def write_r_script(analysis: Analysis, folder: Path) -> list[str]:
     """Writes ``analysis.R``, which fits the same models in R, and the rows that it reads.
 
     Args:
-        analysis: analysis of the study.
         folder: folder with the tables of the analysis.
 
     Returns:

@@ -77,8 +77,6 @@ def preference(
 
     Args:
         rankings: operator -> retargeters, the best first.
-        retargeters: retargeters of the study.
-        seed: seed of the permutations.
 
     Raises:
         StudyError: fewer than two operators ranked all retargeters; returned as ``Refused``.
@@ -159,12 +157,7 @@ class Interaction:
 
 @refusable
 def joint_interaction(outcome: Outcome, frame: Frame) -> Interaction:
-    """Tests retargeter x task.
-
-    Args:
-        outcome: outcome of the model.
-        frame: rows of all tasks.
-    """
+    """Tests retargeter x task."""
     check_frame(frame)
     if len(frame.tasks) < 2:
         raise StudyError("the study has one task")
@@ -215,7 +208,6 @@ def equivalences(
     """Tests the equivalence of every pair of a scope.
 
     Args:
-        result: result in mode small-sample.
         baseline: retargeter that the others are compared with.
         margin: margin of the plan in the outcome's unit; None without one.
 
@@ -282,12 +274,9 @@ def read_further(
     """Computes all readings.
 
     Args:
-        data: data of the study.
         retargeters: names of the retargeters, the baseline first.
         scopes: ``pooled`` and the tasks.
-        results: results of mode small-sample.
         interaction: result of ``interactions``.
-        seed: seed of the permutations.
     """
     trials, baseline = data.trials, retargeters[0]
     margins = data.plan.margins if data.plan else {}
@@ -310,7 +299,6 @@ def interactions(data: StudyData, baseline: str) -> dict[Outcome, Interaction | 
     """Tests retargeter x task for every outcome.
 
     Args:
-        data: data of the study.
         baseline: retargeter that the others are compared with.
     """
     frames = _frames(data, baseline)

@@ -189,7 +189,6 @@ def operator_weights(operators: int, *, seed: int, draws: int = DRAWS) -> Float[
 
     Args:
         operators: number of operators.
-        seed: seed of the draws.
         draws: number of samples after the first.
     """
     rng = np.random.default_rng(seed)
@@ -205,7 +204,6 @@ def operator_signs(operators: int, *, seed: int, draws: int) -> Float[np.ndarray
 
     Args:
         operators: number of operators.
-        seed: seed of the draws.
         draws: number of samples.
     """
     return np.random.default_rng(seed).choice([-1.0, 1.0], (draws, operators))

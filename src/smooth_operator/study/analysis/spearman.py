@@ -33,8 +33,6 @@ def correlations(data: StudyData, *, seed: int = 11, draws: int = DRAWS) -> dict
     """Computes Spearman's ρ of each metric with each outcome.
 
     Args:
-        data: data of the study.
-        seed: seed of the bootstrap.
         draws: number of samples of the bootstrap.
 
     Returns:

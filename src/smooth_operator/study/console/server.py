@@ -204,13 +204,7 @@ class Console:
     async def serve(
         self, listening: socket.socket, stop: asyncio.Event, ready: Callable[[], None]
     ) -> None:
-        """Serves the pages until ``stop`` is set.
-
-        Args:
-            listening: listening socket.
-            stop: event that ends the server.
-            ready: called once requests are answered.
-        """
+        """Serves the pages until ``stop`` is set."""
         from websockets.asyncio.server import serve
 
         self._loop = asyncio.get_running_loop()

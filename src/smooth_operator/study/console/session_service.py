@@ -98,8 +98,6 @@ def event_for(
     """Makes the event of a command. Facts that the protocol decides are not taken from the page.
 
     Args:
-        command: request of the page.
-        progress: progress of its operator.
         elapsed_s: time from the start of the trial to the command [s]; None without a trial.
         measured_s: time of the trial by a simulation [s]; None without one.
         more: fields that the console knows and the page does not send.
@@ -157,7 +155,6 @@ def trial_time(
     killed server nor a lost connection changes it. A trial whose score was undone keeps its time.
 
     Args:
-        progress: progress of the operator.
         elapsed_s: time from the start of the trial until now [s].
         waited_s: time since the page stopped the clock [s].
         measured_s: time by the clock of a simulation, without pauses [s].

@@ -265,7 +265,6 @@ class SceneTrials:
         """Loads the scene of a block, unless the simulation has it.
 
         Args:
-            block: the current block.
             with_object: whether the scene is to have its object; None leaves it unchanged.
 
         Raises:
@@ -312,12 +311,7 @@ class SceneTrials:
             self._switch.look_at_trial()
 
     def along(self, do: str, progress: Progress) -> None:
-        """Lets the simulation follow a trial that was reset, paused, scored, undone or void.
-
-        Args:
-            do: the command.
-            progress: progress before the command.
-        """
+        """Lets the simulation follow a trial that was reset, paused, scored, undone or void."""
         running, undone = progress.running, progress.undoable
         if running is None or not self.in_scene(running.block):
             return
@@ -342,7 +336,6 @@ class SceneTrials:
         """Status of the running trial, if the simulation knows all of its resets.
 
         Args:
-            progress: progress of the operator.
             fresh: whether to ask the simulation again.
         """
         running = progress.running

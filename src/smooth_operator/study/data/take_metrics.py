@@ -104,10 +104,6 @@ def trial_spans(progress: Progress) -> Iterator[TrialSpan]:
 def take_metrics(pieces: Sequence[tuple[TrialSpan, Trace]], hand: Hand) -> list[dict[str, object]]:
     """Computes the metrics of each operator with each retargeter.
 
-    Args:
-        pieces: trials and their frames.
-        hand: robot hand of all trials.
-
     Returns:
         One row for each operator and retargeter.
 

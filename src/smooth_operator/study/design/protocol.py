@@ -29,8 +29,6 @@ def check_primary(primary: str, tasks: Sequence[str], *, workload: bool) -> None
 
     Args:
         primary: ``OUTCOME/SCOPE``; empty for none.
-        tasks: names of the tasks.
-        workload: whether the study has questionnaires.
 
     Raises:
         StudyError: it is not of that form, or workload without questionnaires.

@@ -126,10 +126,8 @@ def run_power(
     """Simulates and analyses studies; continues an earlier run in the same folder.
 
     Args:
-        settings: settings of the simulation.
         folder: existing folder for the finished chunks.
         workers: number of processes; None for one for each core, 0 for this process.
-        report: called after every chunk.
         note: called with a text on each entry of the folder that can't be used.
 
     Returns:

@@ -117,7 +117,6 @@ def assumptions_for(
     """Makes assumptions for all conditions, with the paper's values as defaults.
 
     Args:
-        conditions: names of the study's conditions.
         success: condition -> probability of success.
         time_s: condition -> mean time [s].
         workload: condition -> mean workload [points].

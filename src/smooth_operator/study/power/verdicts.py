@@ -76,7 +76,6 @@ def verdicts(
     """Yields the verdicts on all outcomes of a study, in both modes.
 
     Args:
-        study: data of the study.
         baseline: retargeter that the others are compared with.
         scopes: ``pooled`` and tasks.
     """
@@ -198,8 +197,6 @@ def count(
     """Counts the right and wrong decisions of a verdict.
 
     Args:
-        verdict: verdict on one outcome.
-        truth: assumptions of the simulated study.
         baseline: condition that the others are compared with.
         margins: outcome -> margin of equivalence in its unit.
 

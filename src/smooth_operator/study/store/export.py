@@ -46,7 +46,6 @@ def export_study(
     """Writes the files into a folder; replaces those of an earlier export.
 
     Args:
-        store: store of the study.
         folder: folder of the files, created if missing.
         operators: operators to export; None for all.
 
@@ -80,7 +79,6 @@ def study_json(store: StudyStore, operators: Sequence[str] | None = None) -> dic
     """Returns everything that is stored, as plain values.
 
     Args:
-        store: store of the study.
         operators: operators to export; None for all.
     """
     plan = store.plan

@@ -345,8 +345,6 @@ class StudyStore(Database):
         """Writes an event.
 
         Args:
-            operator: pseudonym.
-            event: the event.
             author: one of ``AUTHORS``.
             token: unique text of this event. An event that is sent again with its token, because
                 the answer got lost, is not written twice.
@@ -537,8 +535,6 @@ def _check_revision(before: Plan, plan: Plan, begun: Sequence[Row]) -> None:
     """Refuses a new plan that changes the part of an operator who has begun.
 
     Args:
-        before: stored plan.
-        plan: new plan.
         begun: rows of the table of participants.
 
     Raises:

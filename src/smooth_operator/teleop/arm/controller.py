@@ -379,7 +379,6 @@ def build_arms(settings: ArmSettings, hands: Mapping[Side, Hand]) -> dict[Side, 
     """An arm for each hand; between two there is a wall.
 
     Args:
-        settings: settings of all arms.
         hands: side -> robot hand.
 
     Raises:

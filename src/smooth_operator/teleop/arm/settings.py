@@ -72,7 +72,6 @@ def place_arms(settings: ArmSettings, hands: Mapping[Side, Hand]) -> dict[Side, 
     """Place each hand on its arm, in the arm's nominal posture; two arms stand side by side.
 
     Args:
-        settings: settings of all arms.
         hands: side -> robot hand.
     """
     arm = arm_named(settings.name)

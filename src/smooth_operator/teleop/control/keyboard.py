@@ -28,9 +28,7 @@ def actions(
     is always requested, and the other keys ask the supervisors.
 
     Args:
-        loop: the running loop.
         say: shows a line to the person at the keys.
-        more: further keys.
     """
     controls = loop.controls
     supervisors = [pipeline.supervisor for pipeline in loop.pipelines.values()]
@@ -82,10 +80,7 @@ def keyboard(
     """Listens to the keys while the loop runs, where there is a terminal.
 
     Args:
-        loop: the running loop.
         reporter: shows lines to the person at the keys.
-        more: further keys.
-        words: description of the further keys.
     """
     with keys(actions(loop, lambda text: reporter.note(text, matters=True), more)) as there:
         if there:

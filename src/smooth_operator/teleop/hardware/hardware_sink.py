@@ -127,7 +127,6 @@ class HardwareSink(Sink):
         """The table of its hand, with this sink's settings.
 
         Args:
-            side: which hand.
             hand: name of the run's hand, of a driver that has a table for each of several.
 
         Raises:

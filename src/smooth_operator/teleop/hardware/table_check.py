@@ -180,10 +180,6 @@ def blank_table(
     """A table for a hand that has none: every id with the first joint of the model, to be checked.
 
     Args:
-        driver: name of the driver.
-        hand: the hand's model.
-        ids: ids of the actuators.
-        unit: unit of the commands.
         ends: range in which an actuator may be moved.
         limit: limit of current or force, in the driver's unit; None for that of the device.
     """

@@ -64,8 +64,6 @@ def find_table(request: str, driver: str, side: Side) -> Path:
     Args:
         request: a path, ending in ``.toml``; or a name; or empty for the driver's name. A user's
             table of that name goes before the built-in one.
-        driver: name of the driver.
-        side: side of the hand.
 
     Raises:
         ConfigError: there is none.

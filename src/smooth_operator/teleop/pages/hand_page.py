@@ -70,7 +70,6 @@ class HandPage(PageServer):
         """Moves an actuated joint, within its limits.
 
         Args:
-            index: among the actuated joints.
             position: [rad].
         """
         with self._lock:
@@ -224,7 +223,6 @@ def serve_hand(
     """Show a hand in the browser.
 
     Args:
-        hand: the robot hand.
         notes: a line of text to put first in the panel.
         drawn: the same hand on a model with its meshes; simple shapes if left out.
         host: address to listen on; this machine only by default.

@@ -33,7 +33,6 @@ def hand_figure(hand: Hand, *, simple: bool = False) -> Figure:
     """Draws a hand from the palm and from the thumb's side, and a list of its joints.
 
     Args:
-        hand: the robot hand.
         simple: draw simple shapes, though the model may have meshes.
     """
     from matplotlib.figure import Figure
@@ -68,7 +67,6 @@ def save_hand_picture(hand: Hand, path: str | Path, *, simple: bool = False) -> 
     """Writes ``hand_figure`` as a PNG with few colours.
 
     Args:
-        hand: the robot hand.
         path: the file.
         simple: draw simple shapes, though the model may have meshes.
 

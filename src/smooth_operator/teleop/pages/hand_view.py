@@ -135,9 +135,6 @@ def simple_meshes(hand: Hand) -> dict[int, trimesh.Trimesh]:
     A model without meshes gets tapered fingers on a rounded palm, by the measures of its
     kinematics. Of one with meshes, as a user's own, or with links that lack shapes, the capsules
     are drawn that self-collision is judged by; each mesh is about one capsule.
-
-    Args:
-        hand: the robot hand.
     """
     estimated = stand_ins(hand)
     if not has_meshes(hand) and not estimated.capsules:
@@ -273,7 +270,6 @@ def body_meshes(
     are split along sharp edges, so that averaged vertex normals shade both curves and corners.
 
     Args:
-        model: the compiled model.
         bodies: (nbody,) which to look at; all if left out.
 
     Returns:
@@ -320,7 +316,6 @@ def finger_of_body(
     the tip moves least; the finger is its chain up to the first body that other fingers share.
 
     Args:
-        model: the robot hand.
         qpos: (T, nq) joint positions [rad].
         tips: (T, F, 3) fingertips in the world frame [m].
         samples: number of frames to look at.

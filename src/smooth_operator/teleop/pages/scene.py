@@ -171,13 +171,10 @@ def add_body(
     """Adds a rigid surface; ``put`` moves it.
 
     Args:
-        scene: where to draw.
-        name: name of the node.
         mesh: the surface in its own frame [m].
         color: sRGB, 0 to 255.
         opacity: 0 to 1; None for solid.
         scale: scale of the surface and of its positions.
-        size: scale of the surface alone.
         flat: shade each face by itself.
     """
     return scene.add_batched_meshes_simple(
@@ -205,9 +202,7 @@ def put(
     """Moves a node of ``add_body``; what has not moved is not sent again.
 
     Args:
-        node: the node.
         position: [m].
-        wxyz: unit quaternion.
         pose: position and quaternion of the frame that these are in; None for the node's parent.
     """
     if pose is not None:

@@ -39,7 +39,6 @@ def open_server(host: str, port: int) -> viser.ViserServer:
     Where other machines can reach it, it wants the token that is in ``page_url``.
 
     Args:
-        host: address to listen on.
         port: first port to try; 0 for any free one.
 
     Raises:
@@ -73,7 +72,6 @@ def run_script(server: viser.ViserServer, source: str) -> None:
 
     Args:
         server: result of ``open_server``.
-        source: JavaScript.
     """
     interface: Any = server.gui
     interface._websock_interface.queue_message(_messages.RunJavascriptMessage(source=source))
@@ -95,7 +93,6 @@ def name_tab(server: viser.ViserServer, title: str) -> None:
 
     Args:
         server: result of ``open_server``.
-        title: any text.
     """
     script = (
         f"document.title = {json.dumps(title)};"
@@ -347,7 +344,6 @@ def serve_page(page: _Page, doing: str, *, open_browser: bool, block: bool) -> _
     """Prints the address of a page that was started, opens it, and serves it.
 
     Args:
-        page: that was started.
         doing: text before the address in the printed line.
         open_browser: open the page, where there is a desktop to open it on.
         block: return only after Ctrl-C; otherwise immediately, and the caller stops the page.

@@ -124,7 +124,6 @@ def write_episode(path: str | os.PathLike[str], episode: Episode, to: Format | N
 
     Args:
         path: the file; its folder must exist.
-        episode: the episode.
         to: format of the file; None for that of the suffix. ``write_dataset`` writes LeRobot
             datasets.
 

@@ -85,7 +85,6 @@ class FoxgloveMessages:
         """Add a hand frame, if the rate allows.
 
         Args:
-            frame: the hand.
             at: time of the frame [ns].
         """
         assert frame.valid is not None  # filled in by HandFrame
@@ -114,7 +113,6 @@ class FoxgloveMessages:
         """Add a command; see ``hand``.
 
         Args:
-            names: joint names.
             positions: joint positions [rad].
             at: its time [ns].
         """
@@ -237,9 +235,6 @@ def landmark_keypoints(hand: Hand) -> Keypoints:
     """Positions of a hand's landmarks, by MuJoCo: one pose takes some 10 us.
 
     ``hand.tree`` gives the same, and is made for thousands of poses in one call.
-
-    Args:
-        hand: the robot hand.
     """
     model, data = hand.model, mujoco.MjData(hand.model)
     points = {

@@ -141,7 +141,6 @@ class LogWriter:
         """Append a hand frame.
 
         Args:
-            frame: the hand.
             stamp: stamp in the log [s]; None for that of the frame.
 
         Raises:
@@ -182,8 +181,6 @@ class LogWriter:
         """Append a command and how long it took.
 
         Args:
-            command: the command.
-            status: its status.
             latency_ms: time from landmarks to command [ms].
             stages: name of a stage -> its part of that time [ms].
             loop: state of the live loop, if one sent the command.
@@ -277,9 +274,6 @@ class LogWriter:
 
         Args:
             stamp: stamp of its first command [s].
-            method: name of the method.
-            preset: name of its preset.
-            config: its configuration.
 
         Raises:
             ConfigError: the configuration has no JSON form.

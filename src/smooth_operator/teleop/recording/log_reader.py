@@ -401,7 +401,6 @@ class _Table:
         """The values of a field that is a list of numbers; what is not finite is NaN.
 
         Args:
-            name: name of the field.
             shape: shape of each message's numbers; rows of messages that have none are NaN.
         """
         rows, size = self.column(name), math.prod(shape)
@@ -425,12 +424,7 @@ class _Table:
         return self.matrix(name, *shape)
 
     def same(self, name: str, what: str) -> Any:
-        """The value of a field that all messages have alike.
-
-        Args:
-            name: name of the field.
-            what: its description, for the error.
-        """
+        """The value of a field that all messages have alike."""
         values = self.column(name)
         other = next((value for value in values if value != values[0]), None)
         if other is not None:
@@ -451,7 +445,6 @@ def _spread(values: np.ndarray, places: Int[np.ndarray, " C"], absent: Any) -> n
     """Rows of a table for each command.
 
     Args:
-        values: values of the rows.
         places: the row of each command; see ``_Table.places``.
         absent: value for a command that has none.
     """
@@ -545,7 +538,6 @@ def _read_wrist_track(commands: Sequence[int], table: _Table) -> WristTrack | No
     """The commanded wrist at each command; None where there is no message.
 
     Args:
-        commands: sequence numbers of the commands.
         table: table of the topic ``/wrist``.
     """
     if not table:
@@ -599,10 +591,6 @@ def _read_states(table: _Table) -> StateTrajectory | None:
 
 def _read_loop_track(commands: Sequence[int], table: _Table) -> LoopTrack | None:
     """Put together what the messages of ``/loop`` hold.
-
-    Args:
-        commands: sequence numbers of the commands.
-        table: the messages.
 
     Returns:
         None where there is no message: the log is not of a live loop.

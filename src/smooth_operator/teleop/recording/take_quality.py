@@ -51,7 +51,6 @@ def take_quality(path: Path, hand: Hand) -> TakeQuality:
     """Quality of the recording of one hand.
 
     Args:
-        path: the log.
         hand: the robot hand that it is of.
 
     Raises:

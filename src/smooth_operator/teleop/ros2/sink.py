@@ -62,9 +62,6 @@ def joint_message(
     """Message with a command to joints.
 
     Args:
-        kind: type of the message.
-        stamp: stamp of a joint state.
-        names: (k,) names of the joints.
         positions: (k,) positions in the driver's unit.
         velocities: (k,) velocities of a joint state; may be empty.
         duration: time from the start to the point of a trajectory [s].
@@ -105,7 +102,6 @@ def table_layout(hand: Hand, table: str) -> Layout:
     """The layout of a table for a hand, whose actuators keep within their ends.
 
     Args:
-        hand: the hand.
         table: a file, ``{side}`` in its name stands for the side; or the name of a table.
 
     Raises:
@@ -132,10 +128,8 @@ def joint_layout(hand: Hand, joints: str, prefix: str = "") -> Layout:
     """The layout for a hand.
 
     Args:
-        hand: the hand.
         joints: ``all``, ``actuated`` (those without couplings to another), or names with ``*`` for
             any letters, separated by blanks, in the order in which they are sent.
-        prefix: put before each name.
 
     Raises:
         UnknownNameError: the hand has no joint of a name.

@@ -99,7 +99,6 @@ class Clutch:
         """The next command.
 
         Args:
-            mode: mode of the loop.
             at: time of the command [s].
             dt: time since the last one [s].
             arrival: the frame that the command answers, if any.

@@ -260,7 +260,6 @@ class PoseLimiter:
             dt: time since the last command [s].
             moving: velocity [m/s] and angular velocity [rad/s] of the target; None if it stands. It
                 is followed without lag where the limits allow.
-            share: share of the velocity limits.
 
         Returns:
             (7,) command.
@@ -333,9 +332,7 @@ def _towards(
 
     Args:
         way: to where the target is after the step.
-        going: velocity of the target.
         dt: length of the step [s].
-        acceleration: limit.
     """
     behind = way - going * dt
     left = float(np.sqrt(behind @ behind))
@@ -360,7 +357,6 @@ def _nearest(
     to the same within the speed limit, and on to the one wanted; as far as the acceleration goes.
 
     Args:
-        before: the last velocity.
         target: the one that is asked for.
         top: largest speed; it may be lower than the last one.
         change: largest length of the change.

@@ -86,7 +86,6 @@ def finger_curl(landmarks: Float[np.ndarray, "21 3"], side: Side) -> float:
 
     Args:
         landmarks: positions in the project's order, in any right-handed frame.
-        side: declared side of the hand.
 
     Returns:
         mean over the four fingers: 0 for a flat hand, towards 1 for a fist, negative for fingers

@@ -235,7 +235,6 @@ def remote(
     """Listen for commands of other programs while the loop runs.
 
     Args:
-        loop: the loop.
         address: address on which to listen, such as ``tcp://127.0.0.1:5558``;
             ``tcp://127.0.0.1:*`` uses any free port.
         handlers: further command -> its handler, which runs on a thread of its own.

@@ -75,7 +75,6 @@ def stopped_by(loop: TeleopLoop, stop: str | Callable[[], bool] | None) -> Itera
     After the input is released, the loop stays stopped until a release by page, key or message.
 
     Args:
-        loop: the loop.
         stop: text of a ``StopInput``, or a function that returns True while the stop is pressed;
             None for no input.
 

@@ -98,7 +98,6 @@ class Mailbox:
         """Post a frame.
 
         Args:
-            frame: the hand.
             received: time of reception [s]; by default now.
             session: number of the tracker's start, as far as the source knows.
             speed: see ``Arrival``.
@@ -344,7 +343,6 @@ def on_time(
     Args:
         due: (time since the start [s], item), times not decreasing.
         clock: monotonic clock [s]. The start is the time of the first item, which may take a while.
-        stopping: event that ends the iteration.
 
     Yields:
         delay of the item [s], and the item.

@@ -117,10 +117,8 @@ def read_payload(
     """Reads a message.
 
     Args:
-        data: the message.
         side: side of a message without one; None refuses such a message.
         received: time of receipt [s], the stamp of a message without one.
-        forms: format of the message.
 
     Raises:
         RecordingError: the message can't be read: it is too long or of an unknown size, has broken
@@ -192,7 +190,6 @@ def hand_frame(
         points: (n, 3) positions [m], n being 21, 25, 26 or 27; NaN for a missing one. All zeros
             are a tracker's "no hand".
         stamp: stamp of the frame [s].
-        side: side of the hand.
         valid: flags of the points, or of the 21 landmarks.
         orientations: quaternions wxyz of the points, of any length.
         metacarpals: metacarpal bases, if they are not among the points.
@@ -365,7 +362,6 @@ def read_points(
             numbers each; or all numbers of x y z in one row. A row that is null is missing.
         what: name of the value, for messages.
         quaternion: order of the quaternion in rows of 7.
-        matrix: order of matrices.
 
     Returns:
         (n, 3) positions [m], NaN for a missing one, and (n, 4) quaternions wxyz or None.
@@ -493,7 +489,6 @@ def read_stamp(message: Mapping[str, Any], unit: StampUnit = "s") -> float | Non
 
     Args:
         message: the message, with ``stamp`` or ``timestamp``.
-        unit: unit of the stamp.
 
     Raises:
         RecordingError: the stamp is no finite number, or far above any clock in this unit; the
@@ -545,7 +540,6 @@ class StampPace:
         """Check a stamp.
 
         Args:
-            side: side of the hand.
             stamp: the stamp [s].
             received: time of receipt [s].
 

@@ -161,7 +161,6 @@ class MessageReceiver:
         """Reads a message and posts its hands.
 
         Args:
-            message: the received message.
             received: time of receipt, by the loop's clock [s].
         """
         if isinstance(message[0], RecordingError):
@@ -241,7 +240,6 @@ class OneSender:
         """Check the sender of a message.
 
         Args:
-            host: address of the sender.
             received: time of receipt [s].
 
         Raises:

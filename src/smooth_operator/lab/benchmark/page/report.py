@@ -121,8 +121,6 @@ def write_report(
     Args:
         finished: result of ``run_suite``.
         rows: result of ``make_rows``.
-        settings: settings of the benchmark.
-        comparison: with another benchmark.
         shape: gives the shape that a robot hand is drawn with.
 
     Returns:

@@ -36,7 +36,6 @@ def checked_hands(
     Args:
         hands: side -> what a file says of it, all with the same stamps.
         where: the file, for messages.
-        expects: expected content, for messages.
         each_frame: True if the side was decided frame by frame, as models do that look at single
             pictures; then frames that show the other hand are flagged invalid.
 
@@ -164,7 +163,6 @@ def wrist_of_points(points: Float[np.ndarray, "T 21 3"], side: Side) -> Float[np
 
     Args:
         points: (T, 21, 3) [m] in a right-handed frame; NaN where missing.
-        side: side of the hand.
 
     Returns:
         (T, 7) poses in that frame, NaN where the palm is not seen.

@@ -34,10 +34,6 @@ _SECTIONS: Final = (
 def write_report(analysis: Analysis, folder: Path) -> Path:
     """Writes the page and its figures.
 
-    Args:
-        analysis: analysis of the study.
-        folder: existing folder.
-
     Returns:
         The page. It needs no other file, and nothing from the network.
 

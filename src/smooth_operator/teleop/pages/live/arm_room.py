@@ -118,7 +118,6 @@ class ArmRoom:
         """Show where the object is.
 
         Args:
-            side: side of the hand.
             pose: pose of the object in the palm frame of the task's own fixture.
             fixture: pose of that frame in the arm's base.
 

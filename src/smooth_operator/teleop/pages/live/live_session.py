@@ -339,7 +339,6 @@ class Scenery:
         """The scenery to draw.
 
         Args:
-            sides: the hands.
             shown_number: the number of the scenes whose shapes the page has.
 
         Returns:

@@ -89,7 +89,6 @@ class PictureTracker:
         """Hands of a picture, at most one of each side.
 
         Args:
-            pixels: blue, green, red.
             time: time of the picture [s]; becomes the stamp.
 
         Raises:
@@ -123,7 +122,6 @@ def landmarks_of(hand: SeenHand, points: Points) -> Float[np.ndarray, "21 3"]:
     x points to the right in the picture, y down and z away from the camera.
 
     Args:
-        hand: the detected hand.
         points: see ``PictureConfig``. In the picture, fingertips are placed more precisely, so
             touching ones come closer; but depth is flattened, so bones change their length more.
     """
@@ -259,7 +257,6 @@ def assign_sides(
     """Assign sides to the hands of a picture.
 
     Args:
-        detections: the hands of one picture.
         tracks: last place of each hand; empty at the start.
         time: time of the picture [s]; if it goes back, the tracks are discarded.
 

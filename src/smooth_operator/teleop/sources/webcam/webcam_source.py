@@ -199,7 +199,6 @@ def track_video(
     """Track one hand through a video file.
 
     Args:
-        path: the video.
         side: which hand; the one that is seen more often if left out.
         config: how it is found; ``PictureConfig()`` if left out.
         progress: called with the pictures done and, as far as the file says, those there are.

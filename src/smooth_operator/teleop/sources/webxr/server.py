@@ -76,10 +76,7 @@ async def serve(
     """Serve the page and the link until ``watch`` returns False.
 
     Args:
-        listening: the socket.
         certificate: the certificate; its public part is offered for download.
-        context: TLS context with the certificate.
-        link: handler of the WebSocket.
         watch: called 20 times a second; False ends the serving.
 
     Raises:
@@ -180,7 +177,6 @@ def get_certificate(
     alternates between two networks.
 
     Args:
-        names: host names and addresses.
         folder: folder of the certificates; None for a folder of this run.
         now: time with time zone; by default the current one.
 
