@@ -597,5 +597,5 @@ def test_frame_slice_nonsense(text: str, match: str) -> None:
         frame_slice(text, 10)
     with pytest.raises(ConfigError):
         frame_slice(":", 0)
-    with pytest.raises(ConfigError, match=r"selects nothing: .* after A"):
+    with pytest.raises(ConfigError, match="which must be after A"):
         frame_slice("5:5", None)

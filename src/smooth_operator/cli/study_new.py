@@ -10,7 +10,8 @@ from rich.text import Text
 from smooth_operator.cli.console import output_console, plain_table
 from smooth_operator.cli.outputs import folder_for
 from smooth_operator.cli.study_options import Enrol, New
-from smooth_operator.errors import ConfigError
+from smooth_operator.errors import ConfigError, UnknownNameError
+from smooth_operator.methods.registry import METHODS
 from smooth_operator.simulation.tasks.task import PAPER_TASKS, TASKS
 from smooth_operator.study.design.forms import DEFAULT_FORMS
 from smooth_operator.study.design.plan import (
@@ -174,11 +175,17 @@ def _print(plan: Plan) -> None:
     run = ", ".join(" ".join(filter(None, (c.method, c.preset))) for c in protocol.conditions)
     rate = "" if protocol.rate_hz is None else f"; {protocol.rate_hz:g} commands a second"
     console.print(f"what is run: {run}{rate}", markup=False, soft_wrap=True)
-    if protocol.operators < FEW_OPERATORS:
-        console.print(
-            f"note: {protocol.operators} operators can show only very large differences; "
-            "smooth-operator study power says how many are needed",
-            soft_wrap=True,
+    notes = [
+        f"{UnknownNameError('method', c.method, METHODS)} The console can't start it."
+        for c in protocol.conditions
+        if c.method not in METHODS and ":" not in c.method
+    ]
+    count = protocol.operators
+    if count < FEW_OPERATORS:
+        few = f"{count} operators can show only very large differences"
+        notes.append(
+            f"{'one operator can show nothing' if count == 1 else few}; smooth-operator study "
+            "power says how many are needed"
         )
-    for note in imbalances(plan):
+    for note in (*notes, *imbalances(plan)):
         console.print(f"note: {note}", markup=False, soft_wrap=True)

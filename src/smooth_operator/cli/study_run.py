@@ -117,6 +117,8 @@ def _words(plan: Plan, folder: Path) -> TlxWords:
 
 def _folder(study: str) -> Path:
     path = Path(study)
+    if not path.exists():
+        raise ConfigError(f"there is no study at {study}; smooth-operator study new makes one")
     return path if path.is_dir() else path.parent
 
 

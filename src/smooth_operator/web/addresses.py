@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import ipaddress
+import re
 import socket
 from typing import Final
 
@@ -22,6 +23,11 @@ def is_local(host: str) -> bool:
     with contextlib.suppress(ValueError):
         return ipaddress.ip_address(host).is_loopback
     return False
+
+
+def is_zmq_address(text: str) -> bool:
+    """True for an address of ZeroMQ; one of TCP has a port: ``tcp://127.0.0.1:5556``."""
+    return re.fullmatch(r"(?!tcp:)\w+://.+|tcp://.+:[\d*!]+", text) is not None
 
 
 def lan_addresses(host: str = "0.0.0.0") -> tuple[str, ...]:

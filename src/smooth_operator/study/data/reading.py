@@ -445,6 +445,11 @@ def read_study(
                 raise StudyError(f"{name} and {tables[kind][0]} both hold {kind}; give one")
             tables[kind] = (name, rows, unit)
     if "trials" not in tables:
+        if exports:
+            raise StudyError(
+                f"no trial of {', '.join(exports)} is scored yet: smooth-operator study run leads "
+                "through them"
+            )
         raise StudyError(
             f"no trials in {', '.join(name for name, _ in read) or 'no files'}: expected a "
             f"table with the columns {', '.join(TRIAL_COLUMNS)}"

@@ -173,8 +173,8 @@ def imbalances(plan: Plan) -> Iterator[str]:
         elif spread and count:
             more = len(plan.orders) - count % len(plan.orders)
             yield (
-                f"task {task.name}: {count} operators can't be even over {len(plan.orders)} orders;"
-                f" {more} more would be"
+                f"task {task.name}: {len(plan.orders)} orders can't be spread evenly over {count} "
+                f"operator{'s' * (count > 1)}; {more} more would do"
             )
 
 

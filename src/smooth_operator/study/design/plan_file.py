@@ -75,7 +75,7 @@ def read_plan(path: str | Path) -> Plan:
     """
     path = Path(path)
     path = path / NAME if path.is_dir() else path
-    hint = f"; smooth-operator study new {path.parent} makes one"
+    hint = f"; smooth-operator study new {path.parent if path.name == NAME else path} makes one"
     return _plan(read_entries(path, "plan", StudyError, most_bytes=_MOST_BYTES, hint=hint))
 
 

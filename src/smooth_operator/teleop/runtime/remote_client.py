@@ -17,6 +17,7 @@ from typing import Any, Final
 
 from smooth_operator.errors import ConfigError, MissingExtraError, RemoteError, RemoteRefusedError
 from smooth_operator.io.documents import json_object
+from smooth_operator.web.addresses import is_zmq_address
 
 LONGEST_S: Final = 600.0
 """Longest time to wait for a busy teleoperation [s]."""
@@ -43,7 +44,7 @@ class RemoteTeleop:
     """
 
     def __init__(self, address: str, timeout_s: float = 5.0) -> None:
-        if "://" not in address:
+        if not is_zmq_address(address):
             raise ConfigError(
                 f"{address!r} is no ZeroMQ address; expected one such as tcp://127.0.0.1:5558, as "
                 "given to teleop --control"

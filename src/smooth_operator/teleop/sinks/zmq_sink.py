@@ -16,6 +16,7 @@ from smooth_operator.poses import is_valid
 from smooth_operator.teleop.sinks.sink import Link, ThreadedSink
 from smooth_operator.teleop.sinks.tick import ArmCommand, HandState, Tick
 from smooth_operator.types import Side
+from smooth_operator.web.addresses import is_zmq_address
 
 FORMAT: Final = 1
 """Version of the messages."""
@@ -46,7 +47,7 @@ class ZmqSink(ThreadedSink):
     valid_for_s: float = 0.2
 
     def __post_init__(self) -> None:
-        if "://" not in self.address:
+        if not is_zmq_address(self.address):
             raise ConfigError(
                 f"zmq: {self.address!r} is no ZeroMQ address; expected one such as "
                 "tcp://127.0.0.1:5556 or ipc:///run/hand"
