@@ -452,8 +452,8 @@ def test_turning_moving_and_scaling_the_human_hand_changes_nothing(usual, frames
     )
     plain = play(thorough, frames)
     other = play(thorough, 0.9 * frames @ random_rotations(rng).T + (2.0, -1.0, 0.5))
-    # a descent ends with a step of at most 0.3 mrad
-    np.testing.assert_allclose(positions(other), positions(plain), atol=2e-3)
+    # a descent ends with a step of at most 0.3 mrad, and a pinch keeps what earlier ones left
+    np.testing.assert_allclose(positions(other), positions(plain), atol=5e-3)
     np.testing.assert_allclose([r.scale for r in plain], 1 / 1.15, rtol=1e-4)
     np.testing.assert_allclose([r.scale for r in other], 1 / 1.15 / 0.9, rtol=1e-4)
 
