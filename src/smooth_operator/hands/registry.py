@@ -160,7 +160,9 @@ def find_hand(name: str) -> HandEntry:
         return HandEntry(name, own, builtin=False)
     if is_target(name):
         return _described(name, HANDS.load(name))
-    raise UnknownNameError("hand", name, hand_names())
+    model = name.endswith((".urdf", ".xml", ".xacro"))
+    more = f"A model becomes a hand by: smooth-operator hands add {name}" if model else ""
+    raise UnknownNameError("hand", name, hand_names(), more)
 
 
 def load_hand(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from datetime import datetime
 from typing import Any, Final
 
@@ -15,6 +15,7 @@ from smooth_operator.study.store.events import (
     BlockEnded,
     BreakStarted,
     Event,
+    FormAnswered,
     Naming,
     QuestionnaireAnswered,
     Recalibrated,
@@ -340,6 +341,9 @@ def log_view(progress: Progress, naming: Naming) -> list[dict[str, Any]]:
 def _text(progress: Progress, record: Record, naming: Naming) -> str:
     """Describes an event, without the workload of a block whose trials are still scored."""
     event = record.event
+    if isinstance(event, FormAnswered):
+        titles = {form.name: form.title for form in progress.plan.protocol.forms}
+        event = replace(event, form=titles.get(event.form) or event.form)
     workload = not isinstance(event, QuestionnaireAnswered) or any(
         block.task.name == event.task and block.number == event.block and progress.finished(block)
         for block in progress.blocks

@@ -64,6 +64,7 @@ class Step:
         point: initial, midpoint or final, for a questionnaire.
         since: start of the free movement, trial, pause or break.
         form: name of the form that is due.
+        title: title of the form.
     """
 
     what: StepKind
@@ -72,12 +73,13 @@ class Step:
     point: Point | None = None
     since: datetime | None = None
     form: str | None = None
+    title: str = ""
 
     def __str__(self) -> str:
         """Describes the step in a few words."""
         if self.block is None:
             texts = {"withdrawn": "withdrawn", "refused": "consent refused"}
-            return f"form {self.form}" if self.form else texts.get(self.what, "done")
+            return f"form: {self.title}" if self.what == "form" else texts.get(self.what, "done")
         where = f"{self.block.task.name}, block {self.block.number}"
         match self.what:
             case "calibrate":
@@ -345,12 +347,12 @@ class Progress:
         for form in self.plan.protocol.forms:
             _, answers = self.forms.get(form.name, (None, None))
             if form.when == when == "before" and answers is not None and form.refused(answers):
-                return Step("refused", form=form.name)
+                return Step("refused", form=form.name, title=form.title or form.name)
         if when == "before" and self.started:
             return None  # the plan may have gained a form since
         for form in self.plan.protocol.forms:
             if form.when == when and form.name not in self.forms:
-                return Step("form", form=form.name)
+                return Step("form", form=form.name, title=form.title or form.name)
         return None
 
     def _block(self) -> Block | None:

@@ -8,7 +8,7 @@ export function form(place, state, { name, sending, send }) {
   const draft = stored(name);
   const answers = draft?.key === state.key ? draft.answers : {};
   const { texts } = state;
-  const begun = new Set(); // incomplete rankings
+  const begun = new Set(); // incomplete rankings, numbers out of range
   const left = h('p', { class: 'soft', role: 'status' });
   const submit = h('button', { type: 'submit', class: 'main wide', 'data-key': 'submit' }, sending ? texts.sending : texts.send);
   const show = () => {
@@ -47,7 +47,8 @@ const DRAWN = {
   number(field, value, set, off) {
     const id = `field-${field.name}`;
     return [label(id, field), h('input', { id, type: 'number', inputMode: 'decimal', step: text(field.step) ?? 'any', disabled: off, min: text(field.least), max: text(field.most),
-      value: text(value) ?? '', oninput: ({ target }) => set(target.value === '' || !target.validity.valid ? null : Number(target.value)) })];
+      value: text(value) ?? '', oninput: ({ target }) => set(target.value === '' || !target.validity.valid ? null : Number(target.value), !target.validity.valid) }),
+    h('span', { class: 'soft' }, [field.least, field.most].map((bound) => text(bound) ?? '').join(' – '))];
   },
   choice(field, value, set, off) {
     return choices(field, field.choices.map((one) => [one, one]), value, set, off);
