@@ -95,10 +95,10 @@ is gone and still listed."""
 START = "methods.retargeter"
 """Module of ``Retargeter``, where the closure begins."""
 
-CLOSURE_LINES = 15_450
+CLOSURE_LINES = 15_200
 """Most lines of the modules that ``Retargeter`` can import: the core grows only on purpose."""
 
-LOADED_LINES = 11_950
+LOADED_LINES = 11_700
 """Most lines of the modules that a program has loaded when it has a default ``Retargeter``."""
 
 MAX_LINES = 700

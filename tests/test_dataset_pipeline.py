@@ -24,7 +24,7 @@ from smooth_operator.lab.datasets.clip import CAMERA, SIDES, Clip, RobotClip, in
 from smooth_operator.lab.datasets.filters import NO_LIMITS, Dropped, Limits, select
 from smooth_operator.lab.datasets.pipeline import DatasetRequest, Progress, make_dataset
 from smooth_operator.lab.datasets.registry import ClipRef, ReadingOptions
-from smooth_operator.lab.datasets.retargeting import Recipe, retarget_clip
+from smooth_operator.lab.datasets.retargeting import Recipe, retarget_clips
 from smooth_operator.lab.datasets.sources import (
     Found,
     find_items,
@@ -464,7 +464,9 @@ def test_wrists_in_the_frame_of_the_camera(folder):
 
 @pytest.fixture(scope="module")
 def answered(folder) -> RobotClip:
-    return retarget_clip(one_clip(folder, "deep/c"), RECIPE)
+    (clip,) = retarget_clips([one_clip(folder, "deep/c")], RECIPE)
+    assert isinstance(clip, RobotClip)
+    return clip
 
 
 def episodes(clip: RobotClip, **limits: Any) -> list[tuple[str, tuple[str, ...]]]:
@@ -481,7 +483,8 @@ def test_a_jump_of_the_tracker_cuts(answered):
     jumping = replace(
         answered.clip, hands={**answered.clip.hands, "left": replace(hand, T_world_wrist=moved)}
     )
-    clip = retarget_clip(jumping, RECIPE)
+    (clip,) = retarget_clips([jumping], RECIPE)
+    assert isinstance(clip, RobotClip)
     assert episodes(clip) == [("deep/c_000000-000030", ()), ("deep/c_000030-000064", ())]
     assert episodes(clip, cut=False) == [("deep/c", ("max_jump",))]
     parts = list(select(clip, LIMITS))

@@ -71,12 +71,6 @@ def text_table(
     return table([escape(header) for header in headers], body, class_)
 
 
-def failed_cell(reason: object, columns: int = 1) -> Html:
-    """A cell over some columns with the reason for missing figures."""
-    span = {"colspan": str(columns)} if columns > 1 else {}
-    return element("td", escape(reason), class_="failed", **span)
-
-
 def dot(color: str) -> Html:
     """The mark of a series, in the colour that the plots draw it in."""
     return Html(f"<i class='dot' style='background:{escape(color)}'></i>")

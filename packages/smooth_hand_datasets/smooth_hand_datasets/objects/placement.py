@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from smooth_operator import poses
 from smooth_operator.errors import RecordingError
@@ -97,8 +97,3 @@ def apply(
     """Points of each frame moved by its pose."""
     moved: np.ndarray = poses.rotate(transform[:, None, 3:], points) + transform[:, None, :3]
     return moved
-
-
-def is_known(transform: Float[np.ndarray, "T 7"]) -> Bool[np.ndarray, " T"]:
-    """Mask of the valid poses."""
-    return poses.is_valid(transform)

@@ -77,7 +77,6 @@ def contours(points: Sequence[Point], fewest: int = 3) -> list[list[Point]]:
 SAMPLING: Final = "sampling"
 TUNED: Final = "sampling, tuned"
 SLSQP: Final = "SLSQP"
-RMSPROP: Final = "RMSProp"
 NEWTON: Final = "Newton"
 
 

@@ -125,20 +125,6 @@ class Recipe:
         return replace(self, reading=reading, side=side)
 
 
-def retarget_clip(
-    clip: Clip, recipe: Recipe, files: Sequence[SourceFile] = (), key: str = ""
-) -> RobotClip:
-    """One clip with the commands of its robot hands; see ``retarget_clips``.
-
-    Raises:
-        SmoothOperatorError: with the reason.
-    """
-    (retargeted,) = retarget_clips([clip], recipe, [files], [key])
-    if isinstance(retargeted, SmoothOperatorError):
-        raise retargeted
-    return retargeted
-
-
 def retarget_clips(
     clips: Sequence[Clip],
     recipe: Recipe,

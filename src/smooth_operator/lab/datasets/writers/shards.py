@@ -60,7 +60,6 @@ class ShardedWriter(ABC):
     ) -> None:
         self.output = output
         self.options = options
-        self._format = name
         self._limit = int((options.shard_mb or shard_mb) * MB)
         self._written: set[str] = set()
         self._pending: list[dict[str, Any]] = []
