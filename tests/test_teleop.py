@@ -369,12 +369,20 @@ def test_teleop_on_the_command_line(capsys: pytest.CaptureFixture[str], tmp_path
     assert log.stat().st_size > 1000
 
 
+@dataclass(frozen=True)
+class Unfinished(Sink):
+    """A sink without a method."""
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
         (["--source", "gloves"], "unknown source 'gloves'"),
         (["--source", "replay:/nowhere.npz"], "/nowhere.npz"),
         (["--sink", "robot"], "unknown sink 'robot'"),
+        (["--sink", "zmq:tcp://127.0.0.1"], "is no ZeroMQ address"),
+        (["--sink", f"{__name__}:Unfinished"], "it lacks close, label, open, send"),
+        (["--hand", "my.urdf"], "hands add my.urdf"),
         (["--source", "synthetic:sped=2"], "Did you mean 'speed'"),
         (["--rate", "0"], "rate must be between"),
         (["--hand", "mimic_p05"], "Did you mean 'mimic_p050'"),
