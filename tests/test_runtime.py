@@ -132,6 +132,13 @@ def test_another_hand_and_another_unit_are_refused():
     assert implausible(missing) is None
 
 
+@pytest.mark.parametrize(("distance", "far"), [(0.48, False), (0.52, True)])
+def test_a_landmark_over_half_a_metre_from_the_wrist_is_refused(distance: float, far: bool) -> None:
+    landmarks = SyntheticOperator(seed=1).record(0.05).landmarks[0].copy()
+    landmarks[4] = landmarks[0] + [distance, 0.0, 0.0]  # the thumb's tip, which no curl counts
+    assert ("a landmark more than 0.5 m" in (implausible(HandFrame(landmarks)) or "")) == far
+
+
 @pytest.mark.shared
 def test_no_frame_of_a_real_hand_is_implausible(shared):
     recording = read_recording(
