@@ -139,7 +139,7 @@ def test_a_workflow_is_whole(name: str) -> None:
     workflow = parsed(f".github/workflows/{name}.yml")
     assert workflow["permissions"] == {"contents": "read"}
     for job in workflow["jobs"].values():
-        assert job["timeout-minutes"] <= 90
+        assert job["timeout-minutes"] <= 180
         assert job.get("needs", name) in {name, *workflow["jobs"]}
         for step in job["steps"]:
             assert ("uses" in step) != ("run" in step)
@@ -213,13 +213,22 @@ def test_a_tag_that_is_not_the_version_of_all_distributions_is_refused(tmp_path:
     for file in files:
         (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / file).write_text(read(str(file)))
-    (tmp_path / "CITATION.cff").write_text(read("CITATION.cff"))
+    citation = tmp_path / "CITATION.cff"
+    citation.write_text(read("CITATION.cff"))
+    assert "CITATION.cff lacks date-released" in run(f"v{version}")
+    citation.write_text(read("CITATION.cff") + "date-released: 2026-12-01\n")
+    assert "CITATION.cff lacks repository-code" in run(f"v{version}")
+    with citation.open("a") as file:
+        file.write("repository-code: https://a.example\n")
     assert "CHANGELOG.md has no date" in run(f"v{version}")
     (tmp_path / "CHANGELOG.md").write_text(f"## [{version}] - 2026-12-01\n")
-    assert "project.urls lacks Source" in run(f"v{version}")
+    assert "project.urls of pyproject.toml lacks Source" in run(f"v{version}")
     urls = 'Source = "https://a.example"\nIssues = "https://a.example/issues"\n'
-    text = read("pyproject.toml").replace("[project.urls]\n", f"[project.urls]\n{urls}")
-    (tmp_path / "pyproject.toml").write_text(text)
+    for file in files:
+        text = read(str(file))
+        text += "" if "[project.urls]\n" in text else "\n[project.urls]\n"
+        text = text.replace("[project.urls]\n", f"[project.urls]\n{urls}")
+        (tmp_path / file).write_text(text)
     assert run(f"v{version}") == ""
     (tmp_path / "CITATION.cff").write_text("version: 8.8.8\n")
     assert "CITATION.cff has another version" in run(f"v{version}")

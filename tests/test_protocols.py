@@ -48,7 +48,7 @@ def test_what_methods_say_of_themselves():
         "sbr", "smooth",
     }  # fmt: skip
     latches = {n for n, one in built.items() if one.latched(one.init(0)) is not None}
-    assert latches == {"sbr", "dexpilot"}
+    assert latches == {"sbr", "dexpilot", "smooth"}
     assert isinstance(built["ako"].host, HostMethod)
     for presets in PRESETS.values():
         for name, config in presets.items():

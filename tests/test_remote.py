@@ -572,7 +572,7 @@ def test_a_client_that_is_asked_the_impossible_says_so(monkeypatch):
     for make, words in (
         (lambda: RemoteTeleop("127.0.0.1:5558"), "no ZeroMQ address"),
         (lambda: RemoteTeleop("tcp://127.0.0.1:5558", 0.0), "timeout_s"),
-        (lambda: RemoteTeleop("tcp://nowhere").request("status"), "can't be connected to"),
+        (lambda: RemoteTeleop("tcp://no such:5558").request("x"), "can't be connected to"),
         (lambda: RemoteTeleop("tcp://127.0.0.1:1").request("x", y={1, 2}), "JSON can't hold"),
     ):
         with pytest.raises(ConfigError, match=words):
