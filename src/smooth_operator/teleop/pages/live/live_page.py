@@ -10,6 +10,7 @@ all that the loop's process knows of it. A page that hangs or dies harms nothing
 from __future__ import annotations
 
 import contextlib
+import os
 import subprocess
 import sys
 import threading
@@ -88,6 +89,9 @@ class LivePage:
             [sys.executable, "-P", "-m", _MODULE],  # -P: nothing from the working folder
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
+            # The page draws in the browser; MuJoCo's import would start a process to look for GLFW,
+            # which writes a traceback to the terminal if the page ends before it.
+            env={**os.environ, "MUJOCO_GL": "disable"},
         )
         assert self._process.stdin is not None
         assert self._process.stdout is not None
