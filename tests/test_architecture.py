@@ -547,8 +547,8 @@ def test_what_unpickles_has_moved_or_is_misshapen_is_found(tmp_path):
         "hands/utils.py": 'code_digest("types.py", "moved.py")' + "\n" * 701,
     }
     source = package(tmp_path, files)
-    found = [
+    offenders = [
         [line.split(":")[0].rpartition("/")[2] for line in check(source)]
         for check in (unpickling, missing_code, misshapen)
     ]
-    assert found == [["recording.py"] * 2, ["utils.py"], ["utils.py"] * 2]
+    assert offenders == [["recording.py"] * 2, ["utils.py"], ["utils.py"] * 2]

@@ -86,7 +86,7 @@ def operator_view(
             **view,
             "what": "form",
             "form": form.name,
-            "title": form.title or form.name,
+            "title": form.heading,
             "text": form.text,
             "fields": [_field(field, current) for field in form.fields],
         }
@@ -213,7 +213,7 @@ def step_view(progress: Progress, naming: Naming) -> dict[str, Any]:
         "since": _milliseconds(step.since),
         "after": progress.number,
         "words": str(step),
-        "form": next((f.title or f.name for f in protocol.forms if f.name == step.form), None),
+        "form": step.title or None,
         "break_possible": can_happen(progress, BreakStarted()),
         "break_due": break_is_due(progress),
         # counted from the last event, so that the page's clock runs
@@ -342,8 +342,8 @@ def _text(progress: Progress, record: Record, naming: Naming) -> str:
     """Describes an event, without the workload of a block whose trials are still scored."""
     event = record.event
     if isinstance(event, FormAnswered):
-        titles = {form.name: form.title for form in progress.plan.protocol.forms}
-        event = replace(event, form=titles.get(event.form) or event.form)
+        headings = {form.name: form.heading for form in progress.plan.protocol.forms}
+        event = replace(event, form=headings.get(event.form, event.form))
     workload = not isinstance(event, QuestionnaireAnswered) or any(
         block.task.name == event.task and block.number == event.block and progress.finished(block)
         for block in progress.blocks

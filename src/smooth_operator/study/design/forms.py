@@ -86,6 +86,11 @@ class Form:
     title: str = ""
     text: str = dataclasses.field(default="", metadata={"lines": True})
 
+    @property
+    def heading(self) -> str:
+        """Title on the page; the name where there is none."""
+        return self.title or self.name
+
     def __post_init__(self) -> None:
         check_name(self.name, "form")
         if self.when not in get_args(When):

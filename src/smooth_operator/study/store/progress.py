@@ -347,12 +347,12 @@ class Progress:
         for form in self.plan.protocol.forms:
             _, answers = self.forms.get(form.name, (None, None))
             if form.when == when == "before" and answers is not None and form.refused(answers):
-                return Step("refused", form=form.name, title=form.title or form.name)
+                return Step("refused", form=form.name, title=form.heading)
         if when == "before" and self.started:
             return None  # the plan may have gained a form since
         for form in self.plan.protocol.forms:
             if form.when == when and form.name not in self.forms:
-                return Step("form", form=form.name, title=form.title or form.name)
+                return Step("form", form=form.name, title=form.heading)
         return None
 
     def _block(self) -> Block | None:

@@ -13,7 +13,7 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.teleop.joint_rows import JointRow, joint_rows
 from smooth_operator.teleop.pages.hand_view import HandView, finger_colors
 from smooth_operator.teleop.pages.scene import RobotBodies, add_balls
-from smooth_operator.teleop.pages.viser_server import PageServer, plain, serve_page
+from smooth_operator.teleop.pages.viser_server import PageServer, name_panel, plain, serve_page
 
 _LANDMARK, _TIP = 0.003, 0.0045  # radii of the balls [m]
 _FRAME: Final = 0.03  # length of the palm frame's axes [m]
@@ -126,7 +126,7 @@ class HandPage(PageServer):
 
     def _build_panel(self, gui: viser.GuiApi) -> None:
         hand, spec = self.hand, self.hand.spec
-        gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
+        name_panel(gui, hand.name)
         gui.main_panel.dock_right()
         facts = [
             f"{spec.side} hand{', mirrored' if spec.mirror else ''}; {len(hand.fingers)} fingers; "
@@ -134,7 +134,6 @@ class HandPage(PageServer):
             *([spec.source] if spec.source else []),
             *([self._notes] if self._notes else []),
         ]
-        gui.set_panel_label(hand.name)
         gui.add_markdown("\n\n".join(map(plain, facts)))
         with gui.add_folder("Show"):
             self._shown = [gui.add_checkbox("shape", True)]

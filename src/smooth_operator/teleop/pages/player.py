@@ -22,6 +22,7 @@ from smooth_operator.teleop.pages.viser_server import (
     PageServer,
     add_hotkeys,
     from_person,
+    name_panel,
     serve_page,
 )
 from smooth_operator.types import Status
@@ -407,8 +408,7 @@ class Panel:
         self, gui: viser.GuiApi, runs: Sequence[Playback], controls: PlaybackServer, loop: bool
     ) -> None:
         self._runs = runs
-        gui.set_panel_label(runs[0].title)
-        gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
+        name_panel(gui, runs[0].title)
         self._status = gui.add_html(status_line(runs, 0))
         last = len(runs[0]) - 1
         self._slider: Any = gui.add_slider(

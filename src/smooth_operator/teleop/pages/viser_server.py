@@ -88,6 +88,12 @@ _ICON: Final = (
 """Five fingers in their colours."""
 
 
+def name_panel(gui: viser.GuiApi, name: str) -> None:
+    """Gives a page its dark theme, and its panel a name."""
+    gui.set_panel_label(name)
+    gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
+
+
 def name_tab(server: viser.ViserServer, title: str) -> None:
     """Gives a page its own title and icon in the browser's tab.
 

@@ -245,9 +245,9 @@ class _Entry:
         """Open it; errors reach the caller."""
         try:
             self.sink.open(hands, config)
+        except SmoothOperatorError:
+            raise
         except OSError as error:  # of a sink that does not word its errors itself
-            if isinstance(error, SmoothOperatorError):
-                raise
             raise SinkError(f"{self.sink.label} can't be opened: {error}") from error
         with self._change:
             self.state, self._closed = "open", False

@@ -15,7 +15,7 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.methods.default import DEFAULT_METHOD
 from smooth_operator.teleop.pages.live import live_texts
 from smooth_operator.teleop.pages.live.live_scene import LiveScene
-from smooth_operator.teleop.pages.viser_server import add_hotkeys, from_person, plain
+from smooth_operator.teleop.pages.viser_server import add_hotkeys, from_person, name_panel, plain
 from smooth_operator.teleop.recording.take_quality import TakeQuality, take_quality
 from smooth_operator.types import Side
 
@@ -51,8 +51,7 @@ class LivePanel:
         gui = server.gui
         hand = next(iter(hands.values()))
         self._fingers, self._hand_name = hand.fingers, hand.name
-        gui.set_panel_label(hand.name)
-        gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
+        name_panel(gui, hand.name)
         self._build_main(gui)
         panel = gui.add_panel()
         with panel.add_tab("Timing"):

@@ -12,7 +12,7 @@ from typing import Final
 from smooth_operator.errors import SmoothOperatorError
 from smooth_operator.signals import leave_to_parent
 from smooth_operator.teleop.pages.live.link import Link, LoopEnded
-from smooth_operator.teleop.pages.viser_server import name_tab, open_server, page_url
+from smooth_operator.teleop.pages.viser_server import name_panel, name_tab, open_server, page_url
 
 _NICE: Final = 5
 """The loop goes first; the page still gets its share on a busy machine."""
@@ -38,8 +38,7 @@ def main() -> None:
         # A browser that opens now waits for seconds: it gets its title and a note of that first.
         name = Path(setup["hand"]).stem
         name_tab(server, f"{name} live – smooth-operator")
-        server.gui.set_panel_label(name)
-        server.gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
+        name_panel(server.gui, name)
         server.gui.add_markdown("Reading the hand …")
         # After the address, which a person waits for: this reads the hand and more libraries.
         from smooth_operator.teleop.pages.live.drawing import LiveDrawing
