@@ -12,10 +12,15 @@ from hypothesis import strategies as st
 
 from smooth_operator.errors import ConfigError, UnknownNameError
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.teleop.hardware.actuator_map import Actuator, ActuatorMap
+from smooth_operator.teleop.hardware.actuator_map import (
+    Actuator,
+    ActuatorMap,
+    find_table,
+    read_table,
+    write_table,
+)
 from smooth_operator.teleop.hardware.device import Reading
 from smooth_operator.teleop.hardware.guard import CommandGuard, GuardSettings
-from smooth_operator.teleop.hardware.table_file import find_table, read_table, write_table
 
 
 def table_of(*actuators: Actuator, **more: object) -> ActuatorMap:

@@ -38,7 +38,7 @@ LIBRARIES = [
 ]  # fmt: skip
 """Modules of the extras."""
 AT_THE_TOP = (
-    "teleop/arm/", "teleop/isaac.py", "teleop/pages/", "teleop/recording/log_types.py",
+    "teleop/arm/", "teleop/isaac.py", "teleop/pages/", "teleop/recording/messages.py",
     "teleop/ros2/",
 )  # fmt: skip
 """Where they may be imported with the module: its package says first what is missing."""

@@ -31,9 +31,9 @@ from smooth_operator.lab.offline.finished import identity
 from smooth_operator.lab.offline.folder import find_recordings
 from smooth_operator.methods.presets import method_config
 from smooth_operator.study.data.reading import read_study
+from smooth_operator.teleop.control.rpc import _read
 from smooth_operator.teleop.recording import read_log
 from smooth_operator.teleop.recording.convert import read_episode, write_episode
-from smooth_operator.teleop.runtime.rpc_server import _read
 
 HERE = str(Path(__file__).parent)
 

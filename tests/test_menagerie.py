@@ -31,8 +31,7 @@ from smooth_operator.teleop.pages.hand_page import HandPage
 from smooth_operator.teleop.pages.hand_view import HandView, coarser
 from smooth_operator.teleop.pages.live.live_page import PageSetup
 from smooth_operator.teleop.pages.live.live_scene import LiveScene
-from smooth_operator.teleop.pages.playback import Playback
-from smooth_operator.teleop.pages.player import RobotView
+from smooth_operator.teleop.pages.player import Playback, RobotView
 from smooth_operator.teleop.pages.viser_server import close_server, open_server
 from smooth_operator.types import CommandTrajectory, Side
 

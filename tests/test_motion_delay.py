@@ -11,8 +11,7 @@ import pytest
 from ticks import make_tick
 
 from smooth_operator.hands.hand import Hand
-from smooth_operator.teleop.runtime.motion_delay import MotionDelay, _Track
-from smooth_operator.teleop.runtime.statistics import LoopStatistics
+from smooth_operator.teleop.runtime.statistics import LoopStatistics, MotionDelay, _Track
 from smooth_operator.teleop.sinks.tick import HandState
 from smooth_operator.types import JointCommand
 

@@ -27,11 +27,9 @@ from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop import run as run_module
 from smooth_operator.teleop.recording import read_log
 from smooth_operator.teleop.runtime.loop import TeleopLoop
-from smooth_operator.teleop.runtime.pipeline import HandPipeline
-from smooth_operator.teleop.runtime.plausible import implausible
+from smooth_operator.teleop.runtime.pipeline import HandPipeline, implausible
 from smooth_operator.teleop.runtime.settings import LoopConfig, SafetyConfig
-from smooth_operator.teleop.sinks.runner import SinkRunner
-from smooth_operator.teleop.sinks.sink import Sink
+from smooth_operator.teleop.sinks.sink import Sink, SinkRunner
 from smooth_operator.teleop.sinks.tick import Mode, Tick
 from smooth_operator.teleop.sources.live import Mailbox, Running, SourceHealth, ThreadedSource
 from smooth_operator.types import Side

@@ -30,15 +30,18 @@ from smooth_operator.metrics import Trace
 from smooth_operator.teleop.pages import Playback, PlaybackServer, player, serve
 from smooth_operator.teleop.pages.hand_view import (
     FINGER_COLORS,
+    FOV,
     HIGHLIGHT,
     HandView,
     body_meshes,
+    camera_for,
     finger_of_body,
     geom_mesh,
     linear,
+    plan,
+    view_axes,
 )
-from smooth_operator.teleop.pages.page_layout import FOV, camera_for, plan, view_axes
-from smooth_operator.teleop.pages.playback import PlaybackClock
+from smooth_operator.teleop.pages.player import PlaybackClock
 from smooth_operator.teleop.pages.scene import _turn_z, lit_tips
 from smooth_operator.teleop.pages.viser_server import plain
 from smooth_operator.types import Status

@@ -40,8 +40,7 @@ from smooth_operator.teleop.sources.webxr.link import (
     Pairing,
     read_packet,
 )
-from smooth_operator.teleop.sources.webxr.server import SWITCH, VALID, get_certificate
-from smooth_operator.teleop.sources.webxr.source import describe
+from smooth_operator.teleop.sources.webxr.source import SWITCH, VALID, describe, get_certificate
 from smooth_operator.types import Side
 from smooth_operator.web import addresses
 from smooth_operator.web.listening import LimitedListener, listen

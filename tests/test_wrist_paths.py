@@ -26,10 +26,9 @@ from smooth_operator.teleop.sinks.record import RecordSink
 from smooth_operator.teleop.sinks.tick import WristCommand
 from smooth_operator.teleop.sinks.zmq_sink import command_message, encode
 from smooth_operator.teleop.sources.live import Arrival, Mailbox
-from smooth_operator.teleop.sources.manus_gloves import read_manus
 from smooth_operator.teleop.sources.payload import read_payload
-from smooth_operator.teleop.sources.replay import Replay
-from smooth_operator.teleop.sources.synthetic_live import SyntheticSource
+from smooth_operator.teleop.sources.played import Replay, SyntheticSource
+from smooth_operator.teleop.sources.programs import read_manus
 from smooth_operator.teleop.sources.webxr.link import HEADER, read_packet
 from smooth_operator.types import CommandTrajectory, HandFrame, HandRecording
 from smooth_operator_research.paper.follow import led

@@ -24,9 +24,8 @@ from smooth_operator.landmarks import FINGERS, TIPS
 from smooth_operator.metrics import evaluate
 from smooth_operator.metrics.assemble import assemble_trace
 from smooth_operator.synthetic import SyntheticOperator
-from smooth_operator.teleop.opencv import opencv
 from smooth_operator.teleop.sources.live import Mailbox
-from smooth_operator.teleop.sources.webcam.camera import VideoFile
+from smooth_operator.teleop.sources.webcam.camera import VideoFile, opencv
 from smooth_operator.teleop.sources.webcam.picture_tracker import (
     OneEuroState,
     PictureConfig,

@@ -19,14 +19,14 @@ from smooth_operator.formats.jsonable import numbers
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.teleop.components import SINKS, build_sink
-from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
-from smooth_operator.teleop.hardware.bus_lock import serial_ports
-from smooth_operator.teleop.hardware.hardware_sink import HardwareSink, is_driver, real_hand
-from smooth_operator.teleop.hardware.table_file import (
+from smooth_operator.teleop.hardware.actuator_map import (
+    ActuatorMap,
     list_tables,
     read_table,
     user_tables_folder,
 )
+from smooth_operator.teleop.hardware.bus_lock import serial_ports
+from smooth_operator.teleop.hardware.hardware_sink import HardwareSink, is_driver, real_hand
 from smooth_operator.teleop.sinks.tick import HandState
 from smooth_operator.types import Side
 

@@ -9,11 +9,14 @@ from smooth_operator.cli.hardware_options import Check
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.teleop.components import build_sink
-from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
+from smooth_operator.teleop.hardware.actuator_map import (
+    ActuatorMap,
+    user_tables_folder,
+    write_table,
+)
 from smooth_operator.teleop.hardware.bus_lock import BusLock
 from smooth_operator.teleop.hardware.hardware_sink import real_hand
 from smooth_operator.teleop.hardware.table_check import HELP, ActuatorMover, TableCheck, blank_table
-from smooth_operator.teleop.hardware.table_file import user_tables_folder, write_table
 from smooth_operator.terminal import printable
 
 

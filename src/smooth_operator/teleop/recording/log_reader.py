@@ -22,7 +22,7 @@ from smooth_operator.formats.episode import ArmTrack, StateTrajectory, WristTrac
 from smooth_operator.formats.registry import file_kind, readable
 from smooth_operator.io.documents import parse_json
 from smooth_operator.landmarks import NUM_LANDMARKS
-from smooth_operator.teleop.recording.log_types import (
+from smooth_operator.teleop.recording.messages import (
     ARM,
     COMMAND,
     CONFIG,

@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError, SinkError, UnknownNameError
 from smooth_operator.hands.hand import Hand
-from smooth_operator.teleop.hardware.table_file import find_table, read_table
+from smooth_operator.teleop.hardware.actuator_map import find_table, read_table
 from smooth_operator.teleop.ros2.messages import (
     Duration,
     Float64MultiArray,

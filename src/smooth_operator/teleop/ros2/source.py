@@ -29,8 +29,8 @@ from smooth_operator.teleop.ros2.transport import (
 )
 from smooth_operator.teleop.sources.inboxes import NEWEST, Inbox
 from smooth_operator.teleop.sources.inboxes import Message as Received
-from smooth_operator.teleop.sources.manus_gloves import glove_sides, read_glove, read_manus
 from smooth_operator.teleop.sources.payload import Reading, hand_frame, read_payload
+from smooth_operator.teleop.sources.programs import glove_sides, read_glove, read_manus
 from smooth_operator.teleop.sources.stream import Hands, Reader, StreamSource, only_side
 from smooth_operator.types import HandFrame, Side
 
