@@ -262,7 +262,7 @@ class Recorded:
     def publisher(self, kind: type[Message], topic: str) -> Callable[[Any], None]:
         return self.sent.setdefault(topic, []).append
 
-    def now(self) -> ros.Time:
+    def now(self) -> Message:
         return ros.Time(7, 8)
 
     def close(self) -> None:
@@ -599,7 +599,7 @@ def test_a_wrist_that_is_old_or_unknown_is_not_valid():
     array = ros.PoseArray(poses=[ros.Pose(ros.Point(*row)) for row in points.tolist()])
 
     def wrist(received: float, stamp: float = 0.0) -> HandFrame:
-        message = replace(array, header=ros.Header(ros.Time.of(round(stamp * 1e9))))
+        message = replace(array, header=ros.Header(ros.time_of(round(stamp * 1e9))))
         (reading,) = reader.read("/x", message, received)
         return reading.frame
 
