@@ -17,16 +17,13 @@ from trimesh.graph import smooth_shade
 from smooth_operator import landmarks
 from smooth_operator.hand_files.vendor_model import has_meshes
 from smooth_operator.hands.collision import Capsule, shape_capsules, solid_shapes
-from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.hand import Hand, landmark_points
 from smooth_operator.hands.stand_ins import finger_bones, finger_radius, stand_ins
 from smooth_operator.human.alignment import human_palm_axes
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS
 
 if TYPE_CHECKING:
     import viser
-
-
-_POSES = 24  # in which the motion of its tip identifies the bodies of a finger
 
 
 class HandView:
@@ -46,7 +43,7 @@ class HandView:
             {} if simple else body_meshes(hand.model, hand.bodies)
         )
         self.meshes = self.meshes or simple_meshes(hand)
-        self.finger_of_body = self._owners()
+        self.finger_of_body = finger_of_body(hand)
 
     @property
     def axes(self) -> Float[np.ndarray, "3 3"]:
@@ -117,18 +114,6 @@ class HandView:
             at = [names.index(name) for name in chain if name in names]
             lines += [(number, a, b) for a, b in pairwise(at)]
         return lines
-
-    def _owners(self) -> Int[np.ndarray, " nbody"]:
-        hand = self.hand
-        low, high = hand.limits.T
-        poses = hand.full_configuration(
-            np.random.default_rng(0).uniform(low, high, (_POSES, len(low)))
-        )
-        qpos = hand.qpos(poses)
-        self._pose(poses[0])
-        palm = self._data.xmat.reshape(-1, 3, 3)[self._palm].copy()
-        tips = hand.tips(poses) @ palm.T + self._data.xpos[self._palm]
-        return finger_of_body(hand.model, qpos, tips, _POSES)
 
     def _pose(self, every: Float[np.ndarray, " n"]) -> None:
         self._data.qpos[:] = self.hand.qpos(every)
@@ -310,50 +295,29 @@ def body_meshes(
     return merged
 
 
-def finger_of_body(
-    model: mujoco.MjModel,
-    qpos: Float[np.ndarray, "T nq"],
-    tips: Float[np.ndarray, "T F 3"],
-    samples: int = 24,
-) -> Int[np.ndarray, " nbody"]:
-    """Finger of each body, by its motion, not by names.
+def finger_of_body(hand: Hand) -> Int[np.ndarray, " nbody"]:
+    """(nbody,) index of the finger of each body, -1 for the palm and everything else.
 
-    A fingertip is rigidly fixed to the last body of its finger, so that is the body in whose frame
-    the tip moves least; the finger is its chain up to the first body that other fingers share.
-
-    Args:
-        qpos: (T, nq) joint positions [rad].
-        tips: (T, F, 3) fingertips in the world frame [m].
-        samples: number of frames to look at.
-
-    Returns:
-        (nbody,) index of the finger, or -1 for the palm and everything else.
+    A finger is the chain from its tip's body up to the first body that others share, with all that
+    is fixed to it.
     """
-    frames = np.unique(np.linspace(0, len(qpos) - 1, samples).astype(int))
-    data = mujoco.MjData(model)
-    local = np.empty((len(frames), tips.shape[1], model.nbody, 3))
-    for row, frame in enumerate(frames):
-        data.qpos[:] = qpos[frame]
-        mujoco.mj_kinematics(model, data)
-        offset = tips[frame][:, None] - data.xpos[None]  # (F, nbody, 3)
-        local[row] = np.einsum("bji,fbj->fbi", data.xmat.reshape(-1, 3, 3), offset)
-    # spread first; where a whole chain is still, the nearest body wins
-    spread = np.ptp(local, axis=0).max(axis=-1) + 1e-3 * np.linalg.norm(local[0], axis=-1)
-    chains = [_chain(model, int(body)) for body in spread.argmin(axis=1)]
+    model, points = hand.model, landmark_points(hand.model, hand.spec)
+    chains = [_chain(model, points[name][0]) for name in hand.tip_names]
+    palm = _chain(model, int(model.body(hand.spec.palm).id))
     owner = np.full(model.nbody, -1)
     for finger, chain in enumerate(chains):
-        others = set().union(*(c for i, c in enumerate(chains) if i != finger))
-        owner[list(set(chain) - others)] = finger
+        owner[list(chain.difference(palm, *chains[:finger], *chains[finger + 1 :]))] = finger
     for body in range(1, model.nbody):  # parents first: what is fixed beyond the last joint, too
         if owner[body] < 0:
             owner[body] = owner[model.body_parentid[body]]
     return owner
 
 
-def _chain(model: mujoco.MjModel, body: int) -> list[int]:
-    chain = [0]  # the world is nobody's finger
+def _chain(model: mujoco.MjModel, body: int) -> set[int]:
+    """A body and those between it and the world, which is nobody's finger."""
+    chain = {0}
     while body:
-        chain.append(body)
+        chain.add(body)
         body = int(model.body_parentid[body])
     return chain
 
