@@ -17,10 +17,10 @@ from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.methods.method import HostMethod, Method, MethodConfig, MethodOutput
 from smooth_operator.methods.presets import PRESETS, method_config
-from smooth_operator.methods.registry import COLORS, METHODS
+from smooth_operator.methods.registry import METHODS
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.plugins import Entry
-from smooth_operator.reporting.drawing import colors_of
+from smooth_operator.reporting.drawing import COLORS, colors_of
 from smooth_operator.teleop.sinks.simulation import Simulation
 from smooth_operator.teleop.sinks.sink import Sink, simulated_hands
 from smooth_operator.teleop.sinks.table import TableSink
@@ -44,7 +44,7 @@ def test_what_methods_say_of_themselves():
     assert {name for name, one in built.items() if one.host is not None} == {
         "keyvector", "hybrid", "dexpilot", "ako",
     }  # fmt: skip
-    assert {name for name, one in built.items() if one.frame_goals() is not None} == {
+    assert {name for name, one in built.items() if one.trajectory_objective is not None} == {
         "sbr", "smooth",
     }  # fmt: skip
     latches = {n for n, one in built.items() if one.latched(one.init(0)) is not None}

@@ -21,42 +21,11 @@ from jaxtyping import Array, Bool, Float, UInt32
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import AlignmentConfig
-from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.loss import Objective, ObjectiveConfig
 from smooth_operator.solvers.trajectory import TrajectoryConfig
 
 if TYPE_CHECKING:
     from smooth_operator.human.operator import Component, OperatorProfile
-
-
-@dataclass(frozen=True, eq=False)
-class FrameGoals:
-    """Goals of the frames of a recording, without regard to the command before.
-
-    Trajectory optimisation solves all frames together: each has a goal, and motion between them
-    costs. What passes from frame to frame is in and out, never inside.
-
-    Attributes:
-        objective: the cost that the goals are for.
-    """
-
-    objective: Objective
-
-    def begin(self) -> Any:
-        """State before the first frame: the target policy's first state."""
-        return self.objective.config.targets.init(self.objective.layout)
-
-    def follow(self, memory: Any, aligned: Float[Array, "21 3"]) -> tuple[Any, FrameGoal]:
-        """The state after a frame, and its goal without velocity and motion of fingertips, for
-        (21, 3) landmarks in the palm frame [m]; traceable."""
-        objective, hand = self.objective, self.objective.hand
-        layout = objective.layout
-        targets, memory = objective.config.targets(memory, layout, layout.human(aligned))
-        neutral = jnp.asarray(hand.neutral, aligned.dtype)
-        none = jnp.zeros((), aligned.dtype)
-        tips = jnp.zeros((len(hand.fingers), 3), aligned.dtype)
-        goal = FrameGoal(targets.vectors, targets.weights, neutral, none, tips, tips[:, 0])
-        return memory, goal
 
 
 C = TypeVar("C", bound="MethodConfig")
@@ -146,11 +115,10 @@ class Method(ABC):
         del state
         return None
 
-    def frame_goals(self) -> FrameGoals | None:
-        """Targets of each frame of a recording, for trajectory optimisation over all its frames.
-
-        None for a method without an objective whose derivatives are known.
-        """
+    @property
+    def trajectory_objective(self) -> Objective | None:
+        """The cost of each frame in trajectory optimisation over a whole recording; None for a
+        method without an objective whose derivatives are known."""
         return None
 
 

@@ -34,7 +34,6 @@ from smooth_operator.hands.hand import Hand, fingerprint, load_hand_spec
 from smooth_operator.human.alignment import (
     MIN_CONDITION,
     AlignmentConfig,
-    human_palm_axes,
     palm_alignment,
     palm_range,
     reference_landmarks,
@@ -320,6 +319,8 @@ def align_frame(
     )
     aligned = palm.apply(safe)
     if operator is not None:
+        from smooth_operator.human.palm import human_palm_axes
+
         aligned = operator.correct(aligned, palm.scale, hand, human_palm_axes(hand))
     return AlignedFrame(aligned, status, palm.scale)
 

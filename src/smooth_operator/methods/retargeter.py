@@ -19,7 +19,6 @@ from smooth_operator.hands.spec import HandSpec
 from smooth_operator.human.alignment import reference_landmarks
 from smooth_operator.io.anatomy import HandCheck
 from smooth_operator.landmarks import NUM_LANDMARKS
-from smooth_operator.methods.default import DEFAULT_METHOD
 from smooth_operator.methods.method import Method, MethodConfig
 from smooth_operator.methods.presets import default_preset, method_config
 from smooth_operator.methods.program import (
@@ -29,6 +28,7 @@ from smooth_operator.methods.program import (
     tick_of,
     ticks_of,
 )
+from smooth_operator.methods.registry import DEFAULT_METHOD
 from smooth_operator.settings import check_frame_rate
 from smooth_operator.types import (
     CommandTrajectory,

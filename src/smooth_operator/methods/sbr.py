@@ -23,7 +23,6 @@ from smooth_operator.human.correspondence import (
 from smooth_operator.landmarks import WRIST
 from smooth_operator.methods.method import (
     FrameClock,
-    FrameGoals,
     Method,
     MethodOutput,
     ObjectiveMethodConfig,
@@ -171,9 +170,10 @@ class Sbr(Method):
         """(F - 1,) which fingers are latched to the thumb; None if the policy has no latches."""
         return self.config.objective.targets.latched(state.targets)
 
-    def frame_goals(self) -> FrameGoals:
-        """Eq. (1) without its velocity term."""
-        return FrameGoals(self.objective)
+    @property
+    def trajectory_objective(self) -> Objective:
+        """Eq. (1)."""
+        return self.objective
 
     def step(
         self, state: SbrState, aligned: Float[Array, "21 3"], ticks: UInt32[Array, ""]

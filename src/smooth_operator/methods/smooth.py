@@ -38,7 +38,6 @@ from smooth_operator.human.landmark_filter import (
 from smooth_operator.landmarks import FINGERS, NUM_LANDMARKS, TIPS, WRIST
 from smooth_operator.methods.method import (
     FrameClock,
-    FrameGoals,
     Method,
     MethodOutput,
     ObjectiveMethodConfig,
@@ -307,9 +306,10 @@ class Smooth(Method):
             return None
         return state.operator.places
 
-    def frame_goals(self) -> FrameGoals:
-        """The objective on landmarks without the filter, which a known future makes needless."""
-        return FrameGoals(self.objective)
+    @property
+    def trajectory_objective(self) -> Objective:
+        """The objective; a known future makes the landmark filter needless."""
+        return self.objective
 
     def step(
         self, state: SmoothState, aligned: Float[Array, "21 3"], ticks: UInt32[Array, ""]

@@ -12,7 +12,7 @@ import viser
 
 from smooth_operator.errors import SmoothOperatorError
 from smooth_operator.hands.hand import Hand
-from smooth_operator.methods.default import DEFAULT_METHOD
+from smooth_operator.methods.registry import DEFAULT_METHOD
 from smooth_operator.teleop.pages.live import live_texts
 from smooth_operator.teleop.pages.live.live_scene import LiveScene
 from smooth_operator.teleop.pages.viser_server import add_hotkeys, from_person, name_panel, plain
