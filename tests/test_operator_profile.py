@@ -27,7 +27,8 @@ from smooth_operator.human.operator import (
 )
 from smooth_operator.human.palm import human_palm_axes
 from smooth_operator.landmarks import BASES, TIPS
-from smooth_operator.objective.targets import CloseTargets, DexPilotTargets
+from smooth_operator.objective.published_targets import DexPilotTargets
+from smooth_operator.objective.targets import CloseTargets
 from smooth_operator.types import HandRecording
 
 PALM = (0, *BASES)

@@ -58,7 +58,7 @@ from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS, NUM_LANDMARKS, 
 from smooth_operator.methods.method import Method, MethodConfig, MethodOutput
 from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.loss import Objective, ObjectiveConfig
-from smooth_operator.objective.targets import PlainTargets
+from smooth_operator.objective.published_targets import PlainTargets
 
 
 class JointAngleMap:

@@ -59,6 +59,9 @@ class Method(ABC):
 
     hand: Hand
 
+    on_host: ClassVar[bool] = False
+    """True for a ``HostMethod``, whose solver runs on the host; else it is one compiled program."""
+
     @property
     @abstractmethod
     def needs(self) -> tuple[int, ...]:
@@ -94,11 +97,6 @@ class Method(ABC):
         """
 
     @property
-    def host(self) -> HostMethod | None:
-        """The method as one whose solver runs on the host; None if it is one compiled program."""
-        return None
-
-    @property
     def constants(self) -> Any:
         """A pytree of arrays that the program holds besides figures of the hand and settings, such
         as weights from a file; None where there are none, or they are not known."""
@@ -120,34 +118,6 @@ class Method(ABC):
         """The cost of each frame in trajectory optimisation over a whole recording; None for a
         method without an objective whose derivatives are known."""
         return None
-
-
-class HostMethod(Method):
-    """A method whose solver is a library on the host: compiled up to it, plain Python after it."""
-
-    @abstractmethod
-    def prepare(self, state: Any, aligned: Float[Array, "21 3"], ticks: UInt32[Array, ""]) -> Any:
-        """The problem of one frame, as a pytree, for the arguments of ``step``; traceable."""
-
-    @abstractmethod
-    def solve(self, state: Any, problem: Any) -> tuple[Any, MethodOutput]:
-        """Solves a problem of ``prepare``, with the state that it was made from; NumPy in and out,
-        without side effects."""
-
-    def step(
-        self, state: Any, aligned: Float[Array, "21 3"], ticks: UInt32[Array, ""]
-    ) -> tuple[Any, MethodOutput]:
-        """One frame, on the host; not traceable."""
-        return self.solve(state, self.prepare(state, aligned, ticks))
-
-    def compile_with(self, compiling: Compiling) -> None:
-        """Takes the compiler of the functions that ``solve`` calls, before the first frame."""
-        del compiling
-
-    @property
-    def host(self) -> HostMethod:
-        """The method itself."""
-        return self
 
 
 class MethodConfig(ABC):

@@ -58,7 +58,7 @@ from smooth_operator.objective.smooth_terms import (
 from smooth_operator.objective.targets import CloseTargets
 from smooth_operator.settings import check_numbers, is_off
 from smooth_operator.solvers.newton import NewtonConfig, damped_newton, settled
-from smooth_operator.solvers.normals import frame_key, seed_words
+from smooth_operator.solvers.random_words import frame_key, seed_words
 from smooth_operator.solvers.sampling import SamplingConfig, sample_minimise
 from smooth_operator.solvers.trajectory import FUTURE
 

@@ -28,7 +28,7 @@ from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.loss import Objective, ObjectiveConfig
 from smooth_operator.objective.targets import Targets
 from smooth_operator.solvers.newton import newton_minimise
-from smooth_operator.solvers.normals import frame_key, seed_words
+from smooth_operator.solvers.random_words import frame_key, seed_words
 from smooth_operator.solvers.sampling import SamplingConfig, sample_minimise
 from smooth_operator_research.paper.compared_solvers import NEWTON_CONFIG
 

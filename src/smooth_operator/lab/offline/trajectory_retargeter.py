@@ -34,8 +34,8 @@ from smooth_operator.lab.offline.trajectory_solver import (
     smooth_trajectory,
 )
 from smooth_operator.landmarks import FINGERS, TIPS, WRIST
+from smooth_operator.methods.frame import align_frame
 from smooth_operator.methods.method import Method, MethodConfig, TrajectoryMethodConfig
-from smooth_operator.methods.program import align_frame
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.loss import Objective
