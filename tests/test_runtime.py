@@ -15,7 +15,7 @@ from smooth_operator.formats.readers import read_recording
 from smooth_operator.hands.hand import Hand
 from smooth_operator.io.anatomy import FEWEST_FRAMES
 from smooth_operator.landmarks import LAYOUTS
-from smooth_operator.methods.program import RetargetState
+from smooth_operator.methods.frame import RetargetState
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.runtime import statistics as run_statistics
 from smooth_operator.teleop.runtime.limiter import Limiter

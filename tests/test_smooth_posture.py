@@ -8,7 +8,7 @@ import pytest
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import hand_names, load_hand
 from smooth_operator.landmarks import TIPS
-from smooth_operator.methods.program import FrameState, RetargetState
+from smooth_operator.methods.frame import FrameState, RetargetState
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.metrics.assemble import assemble_trace
 from smooth_operator.metrics.evaluation import evaluate

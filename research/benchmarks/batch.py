@@ -95,7 +95,7 @@ def side_by_side(report: Report, settings: Settings) -> None:
     rows: list[list[object]] = []
     for name in settings.methods:
         retargeter = retargeter_of(settings, name)
-        if retargeter.method.host is not None:
+        if retargeter.method.on_host:
             report.notes.append(f"{name}: its solver runs on the host, so a batch is a loop")
             continue
         size = max(settings.lanes)

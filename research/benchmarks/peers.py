@@ -33,7 +33,7 @@ from smooth_operator import HandRecording, load_hand
 from smooth_operator.formats.frames import frame_slice
 from smooth_operator.formats.readers import rated_if_unstamped, read_recording
 from smooth_operator.hands.hand import Hand
-from smooth_operator.human.alignment import align_recording
+from smooth_operator.human.aligned_recording import align_recording
 from smooth_operator.methods.presets import method_config
 from smooth_operator.metrics import Trace, evaluate
 from smooth_operator_research.run_report import BenchmarkError, Report, ReportSettings, run_program

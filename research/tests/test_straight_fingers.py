@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from smooth_operator import HandRecording, Retargeter, load_hand, method_config
-from smooth_operator.human.alignment import align_recording
+from smooth_operator.human.aligned_recording import align_recording
 from smooth_operator.landmarks import TIPS
 from smooth_operator.objective.rest_pose import StraightFingers
 from smooth_operator_research.demonstrations.demonstration import (

@@ -8,8 +8,7 @@ from typing import Annotated, ClassVar, Final, Literal, TypeAlias
 
 from tyro.conf import arg
 
-from smooth_operator.methods.default import DEFAULT_METHOD
-from smooth_operator.methods.registry import METHODS
+from smooth_operator.methods.registry import DEFAULT_METHOD, METHODS
 from smooth_operator.plugins import Entry
 
 HandSide: TypeAlias = Literal["right", "left"]

@@ -24,7 +24,6 @@ import jax
 import numpy as np
 
 from smooth_operator.compilation.cache import LOGGER, ProgramCache, jax_cache, program_cache
-from smooth_operator.formats.jsonable import to_json
 from smooth_operator.geometry import on_gpu
 from smooth_operator.hands.hand import Hand, fingerprint
 from smooth_operator.methods.method import MethodConfig
@@ -95,13 +94,12 @@ def program_key(
     hand: Hand, config: MethodConfig, *more: object, constants: Any = None
 ) -> str | None:
     """A digest of all that a program of a hand and a configuration depends on, but its arguments;
-    ``more`` is anything else, as JSON. None if it can't be known, as the configuration has code or
-    a file of the user's."""
+    ``more`` is anything else whose ``repr`` tells it apart. None if it can't be known, as the
+    configuration has code or a file of the user's."""
     shareable = config.shareable or constants is not None
     if not shareable or not _is_data(config, paths=constants is not None):
         return None
-    parts = [fingerprint(hand), type(config).__qualname__, config, *more]
-    digest = hashlib.sha256("\n".join(to_json(part) for part in parts).encode())
+    digest = hashlib.sha256(repr((fingerprint(hand), config, more)).encode())
     for array in jax.tree.leaves(constants):
         digest.update(str(np.shape(array)).encode() + np.asarray(array).tobytes())
     digest.update(code_digest(*_CODE).encode())
@@ -113,7 +111,7 @@ class CompiledProgram:
 
     Args:
         function: traceable; returns a tree of tuples, lists, dictionaries and named tuples.
-        name: name of the function, and what else it depends on, as JSON.
+        name: name of the function, and what else it depends on (``program_key``).
         hand: the robot hand that the method was built for.
         config: the method's settings.
         constants: ``Method.constants``.
@@ -267,17 +265,17 @@ def _own_class(name: str) -> type:
 
 
 def _is_data(value: object, paths: bool = False) -> bool:
-    """Numbers, texts and this package's own dataclasses, all the way down."""
+    """Numbers, texts and this package's own dataclasses, all the way down: ``repr`` shows all."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         own = type(value).__module__.partition(".")[0] == HOME.name
         fields = dataclasses.fields(value)
         return own and all(_is_data(getattr(value, field.name), paths) for field in fields)
     if isinstance(value, Mapping):
         return all(_is_data(each, paths) for pair in value.items() for each in pair)
-    if isinstance(value, (tuple, list, set, frozenset)):
+    if isinstance(value, (tuple, list)):
         return all(_is_data(each, paths) for each in value)
     if isinstance(value, str):
         return ":" not in value  # package.module:attribute
     if isinstance(value, os.PathLike):
         return paths
-    return value is None or isinstance(value, (int, float, enum.Enum, np.ndarray, np.generic))
+    return value is None or isinstance(value, (int, float, enum.Enum, np.generic))

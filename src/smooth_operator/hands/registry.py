@@ -16,7 +16,7 @@ from typing import Final
 from smooth_operator.errors import ConfigError, HandModelError, UnknownNameError, brief, listed
 from smooth_operator.hands.hand import Hand, load_hand_spec
 from smooth_operator.hands.model_assets import is_file
-from smooth_operator.hands.spec import FingerChoice, HandSpec, select_fingers
+from smooth_operator.hands.spec import FingerChoice, HandSpec
 from smooth_operator.hands.spec_file import read_hand_spec
 from smooth_operator.own_files import program_folder
 from smooth_operator.plugins import Entry, Registry, is_target
@@ -37,16 +37,6 @@ def user_hands_folder() -> Path:
     if path:
         return Path(path).expanduser()
     return program_folder("settings") / "hands"
-
-
-def spec_name(name: str, side: Side) -> str:
-    """File name of a hand's spec: ``NAME.SIDE.toml``."""
-    return f"{name}.{side}.toml"
-
-
-def model_folder(name: str, side: Side) -> Path:
-    """Folder of the copy of a hand's model that ``hands add`` makes."""
-    return user_hands_folder() / "models" / f"{name}.{side}"
 
 
 def find_specs(folder: Path) -> dict[str, dict[Side, Path]]:
@@ -197,7 +187,11 @@ def load_hand(
         if entry.builtin and fingers is None:
             return _load_builtin(hand, chosen)
         spec = entry.spec(chosen)
-    return load_hand_spec(spec if fingers is None else select_fingers(spec, fingers))
+    if fingers is not None:
+        from smooth_operator.hands.finger_choice import select_fingers  # few users choose fingers
+
+        spec = select_fingers(spec, fingers)
+    return load_hand_spec(spec)
 
 
 def default_side(hand: str | Path | HandSpec) -> Side:

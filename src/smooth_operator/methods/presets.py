@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import Final
 
 from smooth_operator.errors import ConfigError, UnknownNameError, brief
-from smooth_operator.methods.default import DEFAULT_METHOD
 from smooth_operator.methods.method import MethodConfig
-from smooth_operator.methods.registry import METHODS, as_presets
+from smooth_operator.methods.registry import DEFAULT_METHOD, METHODS, as_presets
 from smooth_operator.plugins import Entry
 
 _PRESET_FILE = Entry("smooth_operator.formats.preset_file:read_preset_file")

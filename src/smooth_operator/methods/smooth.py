@@ -38,7 +38,6 @@ from smooth_operator.human.landmark_filter import (
 from smooth_operator.landmarks import FINGERS, NUM_LANDMARKS, TIPS, WRIST
 from smooth_operator.methods.method import (
     FrameClock,
-    FrameGoals,
     Method,
     MethodOutput,
     ObjectiveMethodConfig,
@@ -59,7 +58,7 @@ from smooth_operator.objective.smooth_terms import (
 from smooth_operator.objective.targets import CloseTargets
 from smooth_operator.settings import check_numbers, is_off
 from smooth_operator.solvers.newton import NewtonConfig, damped_newton, settled
-from smooth_operator.solvers.normals import frame_key, seed_words
+from smooth_operator.solvers.random_words import frame_key, seed_words
 from smooth_operator.solvers.sampling import SamplingConfig, sample_minimise
 from smooth_operator.solvers.trajectory import FUTURE
 
@@ -307,9 +306,10 @@ class Smooth(Method):
             return None
         return state.operator.places
 
-    def frame_goals(self) -> FrameGoals:
-        """The objective on landmarks without the filter, which a known future makes needless."""
-        return FrameGoals(self.objective)
+    @property
+    def trajectory_objective(self) -> Objective:
+        """The objective; a known future makes the landmark filter needless."""
+        return self.objective
 
     def step(
         self, state: SmoothState, aligned: Float[Array, "21 3"], ticks: UInt32[Array, ""]

@@ -27,7 +27,7 @@ from smooth_operator.hands.kinematics import KinematicTree
 from smooth_operator.landmarks import LANDMARKS
 from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.keyvectors import VectorLayout
-from smooth_operator.objective.targets import DexPilotTargets, TargetPolicy
+from smooth_operator.objective.targets import TargetPolicy
 from smooth_operator.objective.terms import (
     JointTerm,
     Keyvectors,
@@ -45,12 +45,18 @@ from smooth_operator.objective.terms import (
 from smooth_operator.settings import check_choice, check_numbers
 
 
+def _published_targets() -> TargetPolicy[Any, Any]:
+    from smooth_operator.objective.published_targets import DexPilotTargets  # not of ``smooth``
+
+    return DexPilotTargets()
+
+
 @dataclass(frozen=True)
 class ObjectiveConfig:
     """Weights of Eq. (1).
 
     Attributes:
-        targets: the target policy.
+        targets: the target policy; by default DexPilot's, as the paper's table has it.
         loss: ``smooth_l1`` per component, as in the authors' released code and in the figures of
             the paper; ``squared``, as Eq. (1) is printed; or ``smooth_l1_norm``, smooth-L1 of the
             weight times the length of the error, as in "Analyzing Key Objectives" (AKO).
@@ -64,7 +70,7 @@ class ObjectiveConfig:
         terms: more terms: settings that build a term for a hand, or terms that need no hand.
     """
 
-    targets: TargetPolicy[Any, Any] = field(default_factory=DexPilotTargets)
+    targets: TargetPolicy[Any, Any] = field(default_factory=_published_targets)
     loss: Loss = "smooth_l1"
     transition: float = 0.02
     pose_weight: float = 0.05

@@ -19,9 +19,9 @@ from smooth_operator.hand_files.vendor_model import drawn_on
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import default_side, hand_names
 from smooth_operator.hands.spec import HandSpec
-from smooth_operator.methods.default import DEFAULT_METHOD
 from smooth_operator.methods.method import MethodConfig
 from smooth_operator.methods.presets import default_preset, method_config, method_names
+from smooth_operator.methods.registry import DEFAULT_METHOD
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.planning import (
     RetargetRequest,

@@ -24,7 +24,8 @@ from jaxtyping import Float
 
 from smooth_operator import SmoothOperatorError, load_hand
 from smooth_operator.hands.hand import Hand
-from smooth_operator.human.alignment import AlignmentConfig, align_recording
+from smooth_operator.human.aligned_recording import align_recording
+from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.lab.benchmark.recordings import load_sources, parse_request
 from smooth_operator.landmarks import FINGERS, TIPS, WRIST
 from smooth_operator.metrics.consistency import HUMAN_STILL

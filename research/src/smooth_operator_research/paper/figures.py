@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.methods.registry import COLORS
-from smooth_operator.reporting.drawing import GRID, INK, MARKERS
+from smooth_operator.reporting.drawing import COLORS, GRID, INK, MARKERS
 from smooth_operator_research.paper.compared_solvers import Newton, Rmsprop, Slsqp
 from smooth_operator_research.paper.comparison import Comparison
 from smooth_operator_research.paper.fk_libraries import LIBRARIES

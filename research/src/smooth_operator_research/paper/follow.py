@@ -14,7 +14,8 @@ from jaxtyping import Float, Int
 from smooth_operator.errors import ConfigError, RecordingError, SmoothOperatorError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.human.alignment import AlignmentConfig, align_recording
+from smooth_operator.human.aligned_recording import align_recording
+from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.lab.benchmark.cells import Cell, benchmark_code, fingerprint
 from smooth_operator.lab.benchmark.recordings import SYNTHETIC_SECONDS, Source
 from smooth_operator.lab.benchmark.settings import Choice, Settings, method_label, select_methods

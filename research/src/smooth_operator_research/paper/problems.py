@@ -20,14 +20,15 @@ from smooth_operator.compilation.compiled_program import compiled
 from smooth_operator.errors import RecordingError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.human.alignment import AlignmentConfig, align_recording
+from smooth_operator.human.aligned_recording import align_recording
+from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.lab.benchmark.recordings import Source
 from smooth_operator.landmarks import LANDMARKS
 from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.loss import Objective, ObjectiveConfig
 from smooth_operator.objective.targets import Targets
 from smooth_operator.solvers.newton import newton_minimise
-from smooth_operator.solvers.normals import frame_key, seed_words
+from smooth_operator.solvers.random_words import frame_key, seed_words
 from smooth_operator.solvers.sampling import SamplingConfig, sample_minimise
 from smooth_operator_research.paper.compared_solvers import NEWTON_CONFIG
 

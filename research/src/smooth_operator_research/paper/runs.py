@@ -18,7 +18,7 @@ from smooth_operator.lab.benchmark.latency import Watch
 from smooth_operator.metrics.joints import joint_acceleration, joint_jitter
 from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.loss import Objective
-from smooth_operator.solvers.normals import frame_key, seed_words
+from smooth_operator.solvers.random_words import frame_key, seed_words
 from smooth_operator_research.paper.compared_solvers import (
     CompiledSolver,
     Slsqp,

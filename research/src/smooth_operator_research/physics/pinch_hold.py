@@ -12,7 +12,7 @@ from jaxtyping import Float
 from smooth_operator.errors import RecordingError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.human.alignment import align_recording, calibrate_scale
+from smooth_operator.human.aligned_recording import align_recording, calibrate_scale
 from smooth_operator.types import Side
 from smooth_operator_research.physics.grasp_physics import GRASP_OBJECTS, GraspObject, PinchPhysics
 from smooth_operator_research.physics.grasp_trial import (

@@ -10,7 +10,7 @@ import numpy as np
 
 from smooth_operator.errors import RecordingError
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.human.alignment import align_recording
+from smooth_operator.human.aligned_recording import align_recording
 from smooth_operator.types import Side
 from smooth_operator_research.physics.grasp_physics import (
     POWER_GRASP_OBJECTS,

@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.human.alignment import align_recording
+from smooth_operator.human.aligned_recording import align_recording
 from smooth_operator.lab.benchmark.cells import Cell
 from smooth_operator.lab.benchmark.quality import Measured
 from smooth_operator.lab.benchmark.settings import method_label

@@ -10,9 +10,10 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator import poses
-from smooth_operator.hands.collision import penetration_depths
 from smooth_operator.hands.hand import Hand
-from smooth_operator.human.alignment import AlignmentConfig, align_recording
+from smooth_operator.hands.penetration import penetration_depths
+from smooth_operator.human.aligned_recording import align_recording
+from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.lab.datasets.clip import RobotClip
 from smooth_operator.landmarks import FINGERS, TIPS, WRIST
 from smooth_operator.metrics import summary

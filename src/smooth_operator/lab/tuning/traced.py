@@ -16,8 +16,9 @@ import numpy as np
 
 from smooth_operator.compilation.compiled_program import compiled
 from smooth_operator.formats.setting_paths import with_unchecked
+from smooth_operator.methods.frame import FrameState
 from smooth_operator.methods.method import MethodConfig
-from smooth_operator.methods.program import FrameState, frame_step, ticks_of
+from smooth_operator.methods.program import frame_step, ticks_of
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.types import CommandTrajectory, HandRecording
 
@@ -42,7 +43,7 @@ class TracedRun:
                 config, {path: values[i] for i, path in enumerate(self._paths)}
             )
             method = traced.build(served)
-            assert method.host is None  # looked at by can_trace
+            assert not method.on_host  # looked at by can_trace
             step = frame_step(method, traced.alignment)
             return jax.lax.scan(lambda carry, frame: step(carry, *frame), state, frames)
 
@@ -85,4 +86,4 @@ class TracedRun:
 def can_trace(retargeter: Retargeter, values: Mapping[str, float | int]) -> bool:
     """True if tracing may work: fractions only, and a method that is one program."""
     fractions = all(isinstance(value, float) for value in values.values())
-    return fractions and retargeter.method.host is None
+    return fractions and not retargeter.method.on_host

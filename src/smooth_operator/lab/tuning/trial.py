@@ -115,6 +115,6 @@ def _commands(task: TrialTask, config: MethodConfig, recording: HandRecording) -
 def _compiled(task: TrialTask, config: MethodConfig, recording: HandRecording) -> CommandTrajectory:
     """Compiled for these values."""
     retargeter = Retargeter(task.hand, side=recording.side, config=config, seed=task.seed)
-    if retargeter.method.host is not None:
+    if retargeter.method.on_host:
         return retargeter.run(recording)[0]
     return TracedRun(retargeter, ()).run(recording, {})

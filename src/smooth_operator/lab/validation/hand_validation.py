@@ -24,8 +24,8 @@ from smooth_operator.lab.validation.reachable import check_pinches
 from smooth_operator.lab.validation.round_trip import MEASURE, check_method
 from smooth_operator.lab.validation.samples import Samples
 from smooth_operator.lab.validation.tips import check_tips
-from smooth_operator.methods.default import DEFAULT_METHOD
 from smooth_operator.methods.presets import method_names
+from smooth_operator.methods.registry import DEFAULT_METHOD
 
 _POSES: Final = 20
 

@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.hands.collision import penetration_depths
 from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.penetration import penetration_depths
 from smooth_operator.lab.validation.checks import Check
 from smooth_operator.lab.validation.samples import Samples
 

@@ -14,8 +14,8 @@ from smooth_operator.errors import ConfigError, SmoothOperatorError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.lab.validation.checks import Check, Verdict
 from smooth_operator.lab.validation.reachable import reachable_poses
-from smooth_operator.methods.default import DEFAULT_METHOD
 from smooth_operator.methods.presets import method_config
+from smooth_operator.methods.registry import DEFAULT_METHOD
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.metrics.consistency import frozen_share
 from smooth_operator.synthetic.robot_landmarks import human_landmarks

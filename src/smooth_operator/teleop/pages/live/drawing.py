@@ -16,7 +16,7 @@ from smooth_operator.errors import SmoothOperatorError
 from smooth_operator.hand_files.vendor_model import hand_with_meshes
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.methods.default import DEFAULT_METHOD
+from smooth_operator.methods.registry import DEFAULT_METHOD
 from smooth_operator.teleop.arm.settings import ArmSettings
 from smooth_operator.teleop.pages.hand_view import HandView
 from smooth_operator.teleop.pages.live import live_texts

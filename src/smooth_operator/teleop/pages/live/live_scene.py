@@ -18,11 +18,11 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import (
     MIN_CONDITION,
     AlignmentConfig,
-    human_palm_axes,
     palm_alignment,
     reference_landmarks,
 )
 from smooth_operator.human.operator import FingerProfile, OperatorProfile
+from smooth_operator.human.palm import human_palm_axes
 from smooth_operator.landmarks import FINGERS, TIPS
 from smooth_operator.simulation.arms.arm import arm_spec
 from smooth_operator.simulation.arms.carried import CarriedHand, WristKinematics
