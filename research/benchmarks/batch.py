@@ -13,8 +13,6 @@ processes. What is compared takes turns in one run. JAX's compilation cache is f
 
 from __future__ import annotations
 
-import os
-import subprocess
 import tempfile
 import time
 from dataclasses import dataclass
@@ -23,17 +21,24 @@ from typing import Literal
 
 import jax
 import numpy as np
-from timing import peak_memory_mib
 
-from smooth_operator import HandRecording, Retargeter
+from smooth_operator import HandRecording
 from smooth_operator.lab.offline.folder import retarget_all, survey
 from smooth_operator.landmarks import BASES, WRIST
 from smooth_operator.parallel import usable_cores
 from smooth_operator.planning import make_request
-from smooth_operator.synthetic import SyntheticOperator
-from smooth_operator_research.run_report import BenchmarkError, Report, ReportSettings, run_program
+from smooth_operator_research.run_report import (
+    BenchmarkError,
+    Report,
+    ReportSettings,
+    child_json,
+    operator_frames,
+    peak_memory_mib,
+    retargeter_of,
+    run_program,
+)
 
-PEER = Path(__file__).with_name("dex_retargeting_folder.py")
+PEER = Path(__file__).with_name("peer_worker.py")
 _PEER = "dex-retargeting, LEAP hand"
 
 
@@ -86,21 +91,16 @@ def main(settings: Settings) -> None:
     report.finish(settings.output, settings.compare)
 
 
-def retargeter_of(settings: Settings, name: str) -> Retargeter:
-    method, _, preset = name.partition(":")
-    return Retargeter(settings.hand, method=method, preset=preset or None)
-
-
 def side_by_side(report: Report, settings: Settings) -> None:
     rows: list[list[object]] = []
     for name in settings.methods:
-        retargeter = retargeter_of(settings, name)
+        retargeter = retargeter_of(settings.hand, name)
         if retargeter.method.host is not None:
             report.notes.append(f"{name}: its solver runs on the host, so a batch is a loop")
             continue
         size = max(settings.lanes)
         # as many motions as a batch needs at most, each of its own; few where there are thousands
-        motions = [record(seed, settings.frames) for seed in range(min(size, 32))]
+        motions = [operator_frames(settings.frames, seed) for seed in range(min(size, 32))]
         recordings = [motions[i % len(motions)] for i in range(size)]
         single, _ = retargeter.run(motions[0])
         apart, memory = {}, {}
@@ -147,10 +147,6 @@ def side_by_side(report: Report, settings: Settings) -> None:
     )
 
 
-def record(seed: int, frames: int) -> HandRecording:
-    return SyntheticOperator(seed=seed).record((frames + 0.5) / 100)[:frames]
-
-
 def device_memory_mib() -> float | None:
     """Most that JAX has taken of the device's memory so far; None where it does not say."""
     stats = jax.devices()[0].memory_stats()
@@ -164,9 +160,9 @@ def folder(report: Report, settings: Settings, at: Path) -> None:
     for frames, source in sources.items():
         source.mkdir()
         for seed in range(settings.recordings):
-            recording = record(seed, frames)
+            recording = operator_frames(frames, seed)
             landmarks, path = in_wrist_axes(recording), source / f"{seed:03d}.npz"
-            np.savez(path, landmarks=landmarks, timestamps=recording.stamps, side="right")
+            np.savez(path, landmarks=landmarks, stamps=recording.stamps, side="right")
     total = settings.recordings * settings.folder_frames
 
     def ours(name: str, source: Path) -> None:
@@ -186,7 +182,10 @@ def folder(report: Report, settings: Settings, at: Path) -> None:
         for source in sources.values():
             started = time.perf_counter()
             if way == _PEER:
-                peer(settings, source, workers)
+                more = ("--method", "vector", "--urdf", settings.peer_urdf, "--workers", workers)
+                output = at / "peer"
+                command = (settings.peer_python, PEER, "dex-retargeting", source, output, *more)
+                child_json(command, {"OMP_NUM_THREADS": "1", "PYTHONPATH": ""})
             else:
                 ours(way, source)
             seconds.append(time.perf_counter() - started)
@@ -225,21 +224,6 @@ def in_wrist_axes(recording: HandRecording) -> np.ndarray:
     z = z / np.linalg.norm(z, axis=-1, keepdims=True)
     turned: np.ndarray = np.einsum("tij,tnj->tni", np.stack([x, np.cross(z, x), z], 1), landmarks)
     return turned
-
-
-def peer(settings: Settings, source: Path, workers: int) -> None:
-    """dex-retargeting over the same files."""
-    command = [settings.peer_python, PEER, source, "--urdf", settings.peer_urdf]
-    done = subprocess.run(
-        [*map(str, command), "--workers", str(workers)],
-        capture_output=True,
-        text=True,
-        env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": ""},
-    )
-    for file in source.glob("*.commands.npz"):
-        file.unlink()
-    if done.returncode:
-        raise BenchmarkError(f"dex-retargeting: {done.stderr.strip().splitlines()[-1]}")
 
 
 if __name__ == "__main__":

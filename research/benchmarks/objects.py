@@ -2,11 +2,10 @@
 
     python research/benchmarks/objects.py       # hands and seeds that nothing was tuned on
     python research/benchmarks/objects.py --hands mimic_p050 --seeds 0 1      # those of the tuning
-    python research/benchmarks/objects.py --picture docs/img/objects.png
 
 Clips are made by code (``smooth_operator_research.objects.scenes``), so contacts are known. Every
 method has the same wrist: the robot's palm lies on the human's. Intervals are of a bootstrap over
-clips. ``--picture`` draws one frame of one clip without and with the object.
+clips.
 """
 
 from __future__ import annotations
@@ -14,7 +13,6 @@ from __future__ import annotations
 import math
 import sys
 from dataclasses import dataclass
-from pathlib import Path
 
 from smooth_operator_research.objects.comparison import (
     AWARE,
@@ -31,7 +29,6 @@ from smooth_operator_research.objects.comparison import (
     table,
     targets,
 )
-from smooth_operator_research.objects.picture import draw_comparison
 from smooth_operator_research.objects.scenes import SceneSpec, make_clip
 from smooth_operator_research.run_report import Report, ReportSettings, run_program
 
@@ -42,13 +39,12 @@ class Settings(ReportSettings):
 
     Attributes:
         hands: robot hands.
-        seeds: of the clips; each makes one clip of every kind and form.
-        kinds: of clips; all unless given.
-        forms: of objects; all unless given.
-        methods: to compare.
-        noise: of the landmarks [mm], a standard deviation; the contacts of record are without.
-        side: of the hands.
-        picture: draw one clip into this file instead.
+        seeds: each makes one clip of every kind and form.
+        kinds: kinds of clips; all unless given.
+        forms: forms of objects; all unless given.
+        methods: compared methods.
+        noise: standard deviation of the landmarks' noise [mm]; the contacts of record are without.
+        side: which hand.
     """
 
     hands: tuple[str, ...] = REPORTED_HANDS
@@ -58,14 +54,9 @@ class Settings(ReportSettings):
     methods: tuple[str, ...] = (AWARE, FIXED_WRIST, BLIND, FITTED, *PUBLISHED)
     noise: float = 0.0
     side: str = "right"
-    picture: Path | None = None
 
 
 def main(settings: Settings) -> None:
-    if settings.picture is not None:
-        draw_comparison(settings.picture)
-        print(f"{settings.picture}: written")
-        return
     report = Report("objects", vars(settings))
     specs = [
         SceneSpec(kind, form, seed, settings.side, 1e-3 * settings.noise)
@@ -76,7 +67,8 @@ def main(settings: Settings) -> None:
     clips = [make_clip(spec) for spec in specs]
     rows: list[Judged] = []
     for hand in settings.hands:
-        rows += compare((hand,), clips, settings.methods, note=_note)
+        note = lambda line: print(line, file=sys.stderr, flush=True)  # noqa: E731
+        rows += compare((hand,), clips, settings.methods, note=note)
         print(f"\n{hand}, {len(clips)} clips\n\n{table(rows, hand)}", flush=True)
     if len(settings.hands) > 1:
         print(f"\nAll hands, {len(clips)} clips each\n\n{table(rows)}\n")
@@ -87,10 +79,6 @@ def main(settings: Settings) -> None:
         figures = {c: row.figures[c] for c in COLUMNS if math.isfinite(row.figures[c])}
         report.add(f"{row.hand}/{row.clip}/{row.method}", figures)
     report.finish(settings.output, settings.compare)
-
-
-def _note(line: str) -> None:
-    print(line, file=sys.stderr, flush=True)
 
 
 if __name__ == "__main__":

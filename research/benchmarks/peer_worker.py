@@ -1,40 +1,47 @@
-"""One retargeter over one recording, in an environment of its own; ``peers.py`` runs it.
+"""One retargeter over a recording or a folder of them, in an environment of its own.
 
     PYTHON research/benchmarks/peer_worker.py PROGRAM RECORDING.npz OUTPUT.npz
+    PYTHON research/benchmarks/peer_worker.py PROGRAM FOLDER OUTPUT_FOLDER --workers 2
 
-It needs NumPy and the package of the program only. The recording has ``landmarks`` (T, 21, 3) in
-the wrist's axes (x to the base of the middle finger, z out of the back of the hand) [m] and
-``stamps`` [s], all of a right hand. Commands, their joints' names and the time of each frame are
-written; a line of JSON says when the first command was there.
+``peers.py`` and ``batch.py`` run it. It needs NumPy and the package of the program only. A
+recording has ``landmarks`` (T, 21, 3) in the wrist's axes (x to the base of the middle finger, z
+out of the back of the hand) [m] and ``stamps`` [s], all of a right hand. Commands, their joints'
+names and the time of each frame are written; a line of JSON says when the first command was there.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import multiprocessing
 import time
 from collections.abc import Callable
+from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-Step = Callable[[int], Any]
-"""The command of a frame, by its number."""
+Prepare = Callable[[Any, Any], list[Any]]
+"""Landmarks and stamps of a recording -> what the program takes, frame by frame."""
 
 
-def smooth_operator(hand: str, method: str, landmarks: Any, stamps: Any) -> tuple[Step, Any]:
+@cache
+def smooth_operator(hand: str, method: str, _: str) -> tuple[Prepare, Callable[[Any], Any], Any]:
     from smooth_operator import HandFrame, Retargeter  # type: ignore[import-not-found,unused-ignore]
 
     name, _, preset = method.partition(":")
     retargeter = Retargeter(hand, method=name, preset=preset or None)
 
-    def step(i: int) -> Any:
-        return retargeter(HandFrame(landmarks[i], stamp=stamps[i])).command.positions
+    def prepare(landmarks: Any, stamps: Any) -> list[Any]:
+        retargeter.reset()
+        return [HandFrame(p, stamp=s) for p, s in zip(landmarks, stamps, strict=True)]
 
-    return step, retargeter.hand.joint_names
+    return prepare, lambda frame: retargeter(frame).command.positions, retargeter.hand.joint_names
 
 
-def wuji_sdk(landmarks: Any) -> tuple[Step, Any]:
+@cache
+def wuji_sdk(*_: str) -> tuple[Prepare, Callable[[Any], Any], Any]:
     from wuji_sdk import (  # type: ignore[import-not-found,unused-ignore]
         Handedness,
         HandModel,
@@ -42,12 +49,12 @@ def wuji_sdk(landmarks: Any) -> tuple[Step, Any]:
     )
 
     session = RetargetSession.for_hand(HandModel.WujiHand, Handedness.Right)
-    points = landmarks.astype(np.float32)
     names = [f"right_finger{1 + i // 4}_joint{1 + i % 4}" for i in range(20)]  # firmware order
-    return lambda i: session.step(points[i]), names
+    return lambda landmarks, _: list(landmarks.astype(np.float32)), session.step, names
 
 
-def dex_retargeting(kind: str, urdf: str, landmarks: Any) -> tuple[Step, Any]:
+@cache
+def dex_retargeting(_: str, kind: str, urdf: str) -> tuple[Prepare, Callable[[Any], Any], Any]:
     from dex_retargeting.constants import (  # type: ignore[import-not-found,unused-ignore]
         HandType,
         RetargetingType,
@@ -61,43 +68,63 @@ def dex_retargeting(kind: str, urdf: str, landmarks: Any) -> tuple[Step, Any]:
     RetargetingConfig.set_default_urdf_dir(urdf)
     path = get_default_config_path(RobotName.leap, RetargetingType[kind], HandType.right)
     retargeter = RetargetingConfig.load_from_file(path).build()
-    x, y, z = np.moveaxis(landmarks, -1, 0)
-    human = np.stack([-z, y, x], axis=-1)  # the axes of MANO's hand, which its settings expect
     origin, end = retargeter.optimizer.target_link_human_indices
 
-    def step(i: int) -> Any:
-        return retargeter.retarget(human[i][end] - human[i][origin])
+    def prepare(landmarks: Any, _: Any) -> list[Any]:
+        retargeter.reset()
+        x, y, z = np.moveaxis(landmarks, -1, 0)
+        return list(np.stack([-z, y, x], axis=-1))  # MANO's axes, which its settings expect
 
-    return step, retargeter.joint_names
+    step = lambda frame: retargeter.retarget(frame[end] - frame[origin])  # noqa: E731
+    return prepare, step, retargeter.joint_names
+
+
+PROGRAMS = {
+    "smooth-operator": smooth_operator,
+    "wuji-sdk": wuji_sdk,
+    "dex-retargeting": dex_retargeting,
+}
+
+
+def retarget(task: tuple[str, Path, Path, tuple[str, str, str]]) -> float:
+    """Writes the commands of a recording; the time of the first one [s since the epoch]."""
+    program, recording, output, settings = task
+    prepare, step, names = PROGRAMS[program](*settings)
+    with np.load(recording) as file:
+        frames = prepare(file["landmarks"], file["stamps"])
+    commands = [np.array(step(frames[0]), float)]
+    first = time.time()
+    seconds = []
+    for frame in frames[1:]:
+        before = time.perf_counter()
+        command = step(frame)
+        seconds.append(time.perf_counter() - before)
+        commands.append(np.array(command, float))
+    np.savez(output, q=np.stack(commands), names=list(names), ms=np.array(seconds) * 1e3)
+    return first
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("program", help="smooth-operator, wuji-sdk or dex-retargeting")
-    parser.add_argument("recording")
-    parser.add_argument("output")
-    parser.add_argument("--hand", default="", help="of smooth-operator")
-    parser.add_argument("--method", default="", help="of smooth-operator or dex-retargeting")
+    parser.add_argument("program", choices=list(PROGRAMS))
+    parser.add_argument("recording", type=Path, help=".npz file, or a folder of them")
+    parser.add_argument("output", type=Path)
+    parser.add_argument("--hand", default="", help="hand of smooth-operator")
+    parser.add_argument("--method", default="", help="method of smooth-operator or dex-retargeting")
     parser.add_argument("--urdf", default="", help="folder with leap_hand/leap_hand_right.urdf")
-    parser.add_argument("--frames", type=int, default=None, help="so many only")
+    parser.add_argument("--workers", type=int, default=1, help="processes for a folder")
     options = parser.parse_args()
-    with np.load(options.recording) as file:
-        landmarks, stamps = file["landmarks"], file["stamps"]
-    if options.program == "smooth-operator":
-        step, names = smooth_operator(options.hand, options.method, landmarks, stamps)
-    elif options.program == "wuji-sdk":
-        step, names = wuji_sdk(landmarks)
+    settings = (options.hand, options.method, options.urdf)
+    if options.recording.is_dir():
+        options.output.mkdir(exist_ok=True)
+        tasks = [
+            (options.program, path, options.output / path.name, settings)
+            for path in sorted(options.recording.glob("*.npz"))
+        ]
+        with multiprocessing.get_context("spawn").Pool(options.workers) as pool:
+            first = min(pool.imap_unordered(retarget, tasks))
     else:
-        step, names = dex_retargeting(options.method, options.urdf, landmarks)
-    commands = [np.array(step(0), float)]
-    first = time.time()
-    seconds = []
-    for i in range(1, len(landmarks) if options.frames is None else options.frames):
-        before = time.perf_counter()
-        command = step(i)
-        seconds.append(time.perf_counter() - before)
-        commands.append(np.array(command, float))
-    np.savez(options.output, q=np.stack(commands), names=list(names), ms=np.array(seconds) * 1e3)
+        first = retarget((options.program, options.recording, options.output, settings))
     print(json.dumps({"first": first}))
 
 

@@ -22,6 +22,10 @@ import tyro
 
 from smooth_operator.errors import SmoothOperatorError
 from smooth_operator.formats.environment import environment
+from smooth_operator.hands.hand import Hand
+from smooth_operator.methods.retargeter import Retargeter
+from smooth_operator.synthetic import SyntheticOperator
+from smooth_operator.types import HandRecording
 
 RESULTS: Final = Path("build") / "benchmarks"
 """Where results go by default; relative to the current folder, ignored by git."""
@@ -59,6 +63,58 @@ def run_program(main: Callable[[Any], None], settings: type, description: str | 
         main(tyro.cli(settings, description=description))
     except SmoothOperatorError as error:
         raise BenchmarkError(str(error)) from error
+
+
+def retargeter_of(hand: Hand | str, name: str) -> Retargeter:
+    """The retargeter METHOD or METHOD:PRESET for a hand."""
+    method, _, preset = name.partition(":")
+    return Retargeter(hand, method=method, preset=preset or None)
+
+
+def operator_frames(frames: int, seed: int = 0) -> HandRecording:
+    """So many frames of the built-in operator at 100 Hz."""
+    return SyntheticOperator(seed=seed).record((frames + 0.5) / 100)[:frames]
+
+
+def percentiles(samples_ms: Sequence[float] | np.ndarray) -> dict[str, float]:
+    """p50, p95, p99 and maximum of some times [ms]."""
+    names = ("p50_ms", "p95_ms", "p99_ms", "max_ms")
+    values = np.percentile(np.asarray(samples_ms, float), (50, 95, 99, 100))
+    return {name: float(value) for name, value in zip(names, values, strict=True)}
+
+
+def peak_memory_mib() -> float | None:
+    """Largest resident set of this program so far [MiB]; None where there is no ``/proc``."""
+    with contextlib.suppress(OSError, StopIteration):  # getrusage would hold that of the parent
+        lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
+        return next(int(line.split()[1]) / 1024 for line in lines if line.startswith("VmHWM"))
+    return None
+
+
+def child_json(
+    command: Sequence[object], environ: Mapping[str, str | None], text: str | None = None
+) -> Any:
+    """The JSON on the last line that a process prints.
+
+    Args:
+        command: program and arguments.
+        environ: variables of its environment, besides those of this process; None removes one.
+        text: its standard input.
+
+    Raises:
+        BenchmarkError: the process failed; with the end of its standard error.
+    """
+    env = {k: v for k, v in {**os.environ, **environ}.items() if v is not None}
+    words = list(map(str, command))
+    try:
+        child = subprocess.run(
+            words, input=text, capture_output=True, text=True, timeout=1200, env=env
+        )
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise BenchmarkError(str(error)) from error
+    if child.returncode:
+        raise BenchmarkError(f"a process failed: {child.stderr.strip()[-2000:] or 'no message'}")
+    return json.loads(child.stdout.splitlines()[-1])
 
 
 def _load() -> list[float] | None:

@@ -37,6 +37,7 @@ from smooth_operator_research.demonstrations.demonstration import (
     PERIOD_S,
     Demonstration,
     DemonstrationLandmarks,
+    own_commands,
     read_demonstration,
 )
 from smooth_operator_research.demonstrations.overlap import excess
@@ -315,20 +316,11 @@ def tried(
         errors: (t, m) by how much each actuated joint is off, period by period [rad]; the last
             holds on. None: not at all.
     """
-    hand, task = demonstration.robot, task_named(demonstration.task)
-    physics = _physics(demonstration.task, hand.name, demonstration.side, world.seed, world.number)
+    task = task_named(demonstration.task)
+    physics = _physics(task.name, demonstration.hand, demonstration.side, world.seed, world.number)
     physics.restart()
-    off = np.zeros((1, len(hand.actuated))) if errors is None else errors
-    moments = list(
-        perform(
-            physics,
-            task,
-            lambda time, state, physics: hand.full_configuration(
-                demonstration.pose(time + PERIOD_S) + off[min(round(time / PERIOD_S), len(off) - 1)]
-            ),
-            seconds=float(demonstration.times[-1]),
-        )
-    )
+    seconds = float(demonstration.times[-1])
+    moments = list(perform(physics, task, own_commands(demonstration, errors), seconds=seconds))
     return 0.0 if physics.resets else progress(task.name, moments)
 
 

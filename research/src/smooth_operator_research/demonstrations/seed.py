@@ -7,6 +7,7 @@ from typing import Final
 
 import numpy as np
 from jaxtyping import Float
+from scipy.optimize import least_squares
 
 from smooth_operator.hands.hand import Hand
 from smooth_operator.simulation.scenes import scene_for
@@ -16,8 +17,6 @@ FINGERS: Final = ("thumb", "index", "middle")
 """The fingers that do the tasks."""
 
 _REST: Final = 0.2  # of a radian from the pose before, against a millimetre of the tips
-_ITERATIONS: Final = 60
-_STEP: Final = 1e-5  # of numerical derivatives [rad]
 
 
 def transferred(demonstration: Demonstration, hand: Hand) -> Demonstration:
@@ -56,29 +55,11 @@ def _reach(
     goal: Float[np.ndarray, "f 3"],
     start: Float[np.ndarray, " m"],
 ) -> Float[np.ndarray, " m"]:
-    """The pose near ``start`` whose fingertips are nearest to a goal; Levenberg-Marquardt."""
+    """The pose near ``start`` whose fingertips are nearest to a goal."""
     index = [hand.fingers.index(name) for name in fingers]
-    low, high = hand.limits.T
-    eye = np.eye(len(start))
 
-    def residuals(poses: Float[np.ndarray, "k m"]) -> Float[np.ndarray, "k r"]:
-        tips = hand.tips(hand.full_configuration(poses))[:, index] - goal
-        return np.concatenate([1e3 * tips.reshape(len(poses), -1), _REST * (poses - start)], axis=1)
+    def residuals(pose: Float[np.ndarray, " m"]) -> Float[np.ndarray, " r"]:
+        tips = hand.tips(hand.full_configuration(pose))[index] - goal
+        return np.concatenate([1e3 * tips.ravel(), _REST * (pose - start)])
 
-    pose, damping = start, 0.1
-    now = residuals(pose[None])[0]
-    for _ in range(_ITERATIONS):
-        slope = ((residuals(pose + _STEP * eye) - now) / _STEP).T
-        step = np.linalg.solve(slope.T @ slope + damping * eye, -slope.T @ now)
-        moved = np.clip(pose + step, low, high)
-        then = residuals(moved[None])[0]
-        if then @ then >= now @ now:
-            if damping > 1e8:
-                break
-            damping *= 10.0
-            continue
-        settled = now @ now - then @ then < 1e-6 * (now @ now)
-        pose, now, damping = moved, then, max(damping / 4.0, 1e-4)
-        if settled:
-            break
-    return pose
+    return np.asarray(least_squares(residuals, start, bounds=hand.limits.T).x)

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final, Generic, TypeVar
+from functools import lru_cache
+from typing import Any, ClassVar, Final, Generic, TypeAlias, TypeVar
 
 import numpy as np
 from jaxtyping import Float
 
+from smooth_operator.errors import RecordingError
+from smooth_operator.hands.registry import load_hand
+from smooth_operator.human.alignment import align_recording
 from smooth_operator.lab.benchmark.recordings import SYNTHETIC, load_sources, parse_request
 from smooth_operator.types import HandRecording, Side
 from smooth_operator_research.physics.grasp_physics import (
@@ -17,9 +22,17 @@ from smooth_operator_research.physics.grasp_physics import (
     PinchPhysics,
     PowerGraspPhysics,
 )
-from smooth_operator_research.physics.human_pinches import HumanGrasp
-from smooth_operator_research.physics.measure import PhysicsSettings, Unit
-from smooth_operator_research.physics.results import Figure, Row
+from smooth_operator_research.physics.human_pinches import HumanGrasp, with_holds
+from smooth_operator_research.physics.measure import (
+    Case,
+    Clip,
+    Drawing,
+    Measured,
+    PhysicsSettings,
+    Unit,
+)
+from smooth_operator_research.physics.page import interval_drawings
+from smooth_operator_research.physics.results import Figure, MeasureResults, Row
 
 HOLD_S: Final = 1.0
 """How long the object must be held [s]."""
@@ -249,56 +262,159 @@ class _Run(Generic[_Physics]):
             yield physics.timestep
 
 
-LET_GO: Final = Figure(
-    "let_go", "", "up", "Of the objects that were held until the human opened, the share that was "
-    "free within 150 ms.", short="let go",
-)  # fmt: skip
-AT_LIMIT: Final = Figure(
-    "at_limit", "", "", "Share of the hold in which a motor is at its torque limit.",
-    short="at the limit",
-)  # fmt: skip
-"""Figures of both measures."""
+def grasp_figures(
+    grasps: str, owner: str, things: Sequence[GraspObject], *more: Figure
+) -> tuple[Figure, ...]:
+    """The figures of a measure of grasps.
+
+    Args:
+        grasps: noun of what a recording has.
+        owner: noun of what has the object.
+        things: the objects; each has its share held.
+        more: figures after the share that was dropped.
+    """
+    return (
+        Figure("held", "", "up", f"Share of {grasps} and objects in which the object was held for "
+               "1 s under gravity and pushes of 0.3 N."),
+        Figure("let_go", "", "up", "Of the objects that were held until the human opened, the "
+               "share that was free within 150 ms.", short="let go"),
+        Figure("dropped", "", "down", f"Share of {grasps} and objects in which {owner} had the "
+               "object and lost it while the human still held."),
+        *more,
+        Figure("at_limit", "", "", "Share of the hold in which a motor is at its torque limit.",
+               short="at the limit"),
+        *(
+            Figure(_column(thing.name), "", "up",
+                   f"The share held, {thing.kind} of {1e3 * thing.width:g} mm.",
+                   short=thing.name, main=False)
+            for thing in things
+        ),
+    )  # fmt: skip
+
 
 _UNITS, _QUICK_UNITS = 5, 1
 _GRASP_S: Final = 10.0  # about as much work as so much of a recording [s]
 
-
-def named_recordings(settings: PhysicsSettings) -> list[str]:
-    """The recordings asked for; built-in operators where none is named."""
-    if settings.recordings:
-        return list(settings.recordings)
-    count = settings.count(_UNITS, _QUICK_UNITS)
-    return [f"{SYNTHETIC}:{settings.seed + k}" for k in range(count)]
+Commanded: TypeAlias = Callable[[GraspObject], RobotGrasp | None]
+"""The robot's grasp with an object; None where the human could not take that."""
 
 
-def recording_units(
-    settings: PhysicsSettings, find: Callable[[HandRecording], Sequence[HumanGrasp]]
-) -> list[Unit]:
-    """The recordings in which there are such grasps.
+class GraspMeasure(ABC):
+    """A measure of the grasps that recordings have, each tried on objects in physics."""
 
-    Raises:
-        RecordingError: no recording can be read.
-    """
-    requests = [
-        parse_request(name, frames=settings.frames, rate=settings.rate, layout=settings.layout)
-        for name in named_recordings(settings)
-    ]
-    units = []
-    for source in load_sources(requests):
-        if source.recording is not None and (trials := find(source.recording)):
-            effort = source.recording.duration + _GRASP_S * len(trials)
-            units.append(Unit(source.name, source.digest, source.recording, effort))
-    return units
+    unit = "recording"
+    name: str
+    figures: tuple[Figure, ...]
+    things: ClassVar[tuple[GraspObject, ...]]
+    quick_things: ClassVar[tuple[str, ...]]
+    grasps: ClassVar[str]
+    """Column with the number of grasps."""
+    absent: ClassVar[str]
+    """The refusal of recordings without such grasps; ``{}`` are their names."""
+    drawn: ClassVar[int]
+    """How many of the figures the report draws."""
+    physics: ClassVar[type[GraspPhysics]]
+
+    def conditions(self, settings: PhysicsSettings) -> Sequence[str]:
+        """Nothing is varied."""
+        return ("",)
+
+    @abstractmethod
+    def find(self, recording: HandRecording) -> Sequence[HumanGrasp]:
+        """The human's grasps in a recording."""
+
+    def usable(self, case: Case, recording: HandRecording) -> Sequence[Any]:
+        """Those that the robot hand can try.
+
+        Raises:
+            RecordingError: there is none.
+        """
+        return self.find(recording)
+
+    @abstractmethod
+    def commanded(
+        self, case: Case, grasp: Any, stamps: Float[np.ndarray, " P"],
+        commands: Float[np.ndarray, "P n"], moments: Float[np.ndarray, " T"],
+    ) -> tuple[Commanded, dict[str, float]]:  # fmt: skip
+        """The robot's side of one grasp, and further figures, whose means are reported.
+
+        Args:
+            case: the case.
+            grasp: one of ``usable``.
+            stamps: (P,) times of the commands, of the recording with holds [s].
+            commands: (P, n) positions of all joints [rad].
+            moments: (T,) when each frame of the recording comes in that [s].
+        """
+
+    @abstractmethod
+    def attempt(self, physics: Any, grasp: Any) -> GraspResult:
+        """Tries a grasp on the object of a physics."""
+
+    def units(self, settings: PhysicsSettings) -> Sequence[Unit]:
+        """The recordings with such grasps; where none is named, built-in operators.
+
+        Raises:
+            RecordingError: no recording can be read, or none of them has such a grasp.
+        """
+        count = settings.count(_UNITS, _QUICK_UNITS)
+        names = settings.recordings or [f"{SYNTHETIC}:{settings.seed + k}" for k in range(count)]
+        requests = [
+            parse_request(name, frames=settings.frames, rate=settings.rate, layout=settings.layout)
+            for name in names
+        ]
+        units = []
+        for source in load_sources(requests):
+            if source.recording is not None and (grasps := self.find(source.recording)):
+                effort = source.recording.duration + _GRASP_S * len(grasps)
+                units.append(Unit(source.name, source.digest, source.recording, effort))
+        if not units:
+            raise RecordingError(self.absent.format(", ".join(names)))
+        return units
+
+    def run(self, case: Case) -> Measured:
+        """Tries all grasps of a recording on all objects."""
+        recording = of_side(case.unit.data, case.side)
+        grasps = self.usable(case, recording)
+        longer, moments = with_holds(recording, grasps, REST_S)
+        commands = case.commands(longer).joint_positions
+        things = [t for t in self.things if not case.quick or t.name in self.quick_things]
+        tried: dict[str, list[GraspResult]] = {thing.name: [] for thing in things}
+        more: dict[str, list[float]] = {}
+        diverged = 0
+        for grasp in grasps:
+            ends = np.searchsorted(longer.stamps, [moments[grasp.first], moments[grasp.last]])
+            part = slice(int(ends[0]), int(ends[1]) + 1)
+            commanded, figures = self.commanded(
+                case, grasp, longer.stamps[part], commands[part], moments
+            )
+            for name, value in figures.items():
+                more.setdefault(name, []).append(value)
+            for thing in things:
+                if (robot := commanded(thing)) is None:
+                    continue
+                physics = physics_with(self.physics, case.hand_name, case.side, thing)
+                before = physics.resets
+                tried[thing.name].append(self.attempt(physics, robot))
+                diverged += physics.resets > before
+        row = grasp_row(tried) | {name: float(np.mean(values)) for name, values in more.items()}
+        row[self.grasps] = len(grasps)
+        row["diverged"] = diverged  # trials in which the physics came apart; they measure nothing
+        if not case.clip:
+            return Measured(row)
+        human = align_recording(longer, case.hand, case.config.alignment)
+        return Measured(row, Clip(longer.stamps, human, commands))
+
+    def draw(self, results: MeasureResults, colors: Mapping[str, str]) -> Sequence[Drawing]:
+        """The first figures of each method."""
+        return interval_drawings(self.name, results, self.figures[: self.drawn], colors)
 
 
-def object_figures(things: Sequence[GraspObject]) -> Iterator[Figure]:
-    """The share held of each object."""
-    for thing in things:
-        yield Figure(
-            _column(thing.name), "", "up",
-            f"The share held, {thing.kind} of {1e3 * thing.width:g} mm.",
-            short=thing.name, main=False,
-        )  # fmt: skip
+@lru_cache(maxsize=16)
+def physics_with(
+    kind: type[GraspPhysics], hand_name: str, side: Side, thing: GraspObject
+) -> GraspPhysics:
+    """A hand and an object; the same for all recordings and methods."""
+    return kind(load_hand(hand_name, side), thing)
 
 
 def of_side(recording: HandRecording, side: Side) -> HandRecording:

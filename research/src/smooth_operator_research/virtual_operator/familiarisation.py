@@ -15,8 +15,8 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.landmarks import FINGERS, TIPS
+from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.types import HandFrame
-from smooth_operator_research.demonstrations.trial_loop import FrameRetargeter
 from smooth_operator_research.virtual_operator.hand_model import HandModel
 
 POSTURES: Final = 48
@@ -73,7 +73,7 @@ class InternalModel:
         return out
 
 
-def familiarise(model: HandModel, retargeter: FrameRetargeter, seed: int = 0) -> InternalModel:
+def familiarise(model: HandModel, retargeter: Retargeter, seed: int = 0) -> InternalModel:
     """Move freely with a retargeter, and learn.
 
     Args:

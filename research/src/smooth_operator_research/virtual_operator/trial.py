@@ -10,17 +10,14 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.hands.hand import Hand
+from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.simulation.scenes.physics import ScenePhysics
 from smooth_operator.simulation.scenes.scene import Scene, SceneState
 from smooth_operator.simulation.scenes.scene_registry import scene_for
 from smooth_operator.simulation.scenes.variation import ObjectVariation
 from smooth_operator.simulation.tasks.task import SimulatedTask
 from smooth_operator.simulation.tasks.trial import Outcome
-from smooth_operator_research.demonstrations.trial_loop import (
-    FrameRetargeter,
-    TrialTrace,
-    run_trial,
-)
+from smooth_operator_research.demonstrations.trial_loop import TrialTrace, run_trial
 from smooth_operator_research.virtual_operator.familiarisation import (
     InternalModel,
     familiarise,
@@ -56,13 +53,13 @@ class Familiar:
     """
 
     person: Person
-    retargeter: FrameRetargeter
+    retargeter: Retargeter
     body: HandModel
     model: InternalModel
 
 
 def make_familiar(
-    person: Person, retargeter: FrameRetargeter, body: Body = "matched", seed: int = 0
+    person: Person, retargeter: Retargeter, body: Body = "matched", seed: int = 0
 ) -> Familiar:
     """Have a person move freely with a retargeter.
 
