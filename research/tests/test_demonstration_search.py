@@ -18,18 +18,17 @@ from smooth_operator_research.demonstrations.demonstration import (
     play,
     read_demonstration,
 )
-from smooth_operator_research.demonstrations.evolution import Evolution
 from smooth_operator_research.demonstrations.judging import (
     Candidate,
     World,
+    excess,
     joint_errors,
     judge,
     tip_errors,
     tried,
 )
-from smooth_operator_research.demonstrations.overlap import excess
 from smooth_operator_research.demonstrations.perturbation import draw_perturbation
-from smooth_operator_research.demonstrations.seed import transferred
+from smooth_operator_research.demonstrations.search import Evolution, transferred
 
 pytestmark = pytest.mark.weekly
 

@@ -15,6 +15,7 @@ from smooth_operator.hands.registry import load_hand
 from smooth_operator.lab.offline.finished import claimed
 from smooth_operator_research.commands.options import Ablate, Experimenting, Paper
 from smooth_operator_research.paper.experiment import (
+    EXPERIMENTS,
     Advance,
     Outcome,
     Track,
@@ -22,7 +23,6 @@ from smooth_operator_research.paper.experiment import (
     trial_note,
 )
 from smooth_operator_research.paper.experiment_report import REPORT, verdict_lines
-from smooth_operator_research.paper.registry import EXPERIMENTS
 from smooth_operator_research.paper.suite import Settings, load_recordings, run_experiments
 
 

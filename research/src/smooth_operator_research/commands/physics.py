@@ -17,9 +17,14 @@ from smooth_operator.lab.benchmark.benchmark_folder import REPORT
 from smooth_operator.lab.benchmark.settings import only_side
 from smooth_operator.lab.offline.finished import claimed
 from smooth_operator_research.commands.options import Physics
-from smooth_operator_research.physics.files import write_files
 from smooth_operator_research.physics.measure import PhysicsSettings
-from smooth_operator_research.physics.results import Figure, Line, MeasureResults, table_rows
+from smooth_operator_research.physics.results import (
+    Figure,
+    Line,
+    MeasureResults,
+    table_rows,
+    write_files,
+)
 from smooth_operator_research.physics.suite import (
     MeasureOutcome,
     failed_rows,
@@ -76,8 +81,6 @@ def physics(options: Physics) -> None:
             raise
         written = [path.name for path in write_files(settings, outcomes)]
         if not options.no_report:
-            from smooth_operator_research.physics.page import write_report
-
             with progress.waiting("drawing the report"):
                 write_report(settings, outcomes)
             written.append(REPORT)

@@ -20,9 +20,8 @@ from typing import Annotated, Any, Final, TypeAlias
 import tyro
 
 from smooth_operator_research.paper import interval_coverage
-from smooth_operator_research.paper.experiment import RESULTS, Table
+from smooth_operator_research.paper.experiment import EXPERIMENTS, RESULTS, Table
 from smooth_operator_research.paper.experiment_report import markdown
-from smooth_operator_research.paper.registry import EXPERIMENTS
 
 ORDER: Final = ("solver", "velocity", "hessian", "compute", "fk", "table", "noise", "rate")
 """Experiments as the page has them."""

@@ -23,13 +23,13 @@ from smooth_operator.reporting.html import (
 )
 from smooth_operator.reporting.report_page import write_report_page
 from smooth_operator_research.paper.experiment import (
+    EXPERIMENTS,
     RESULTS,
     Experiment,
     ExperimentFolder,
     Outcome,
     Table,
 )
-from smooth_operator_research.paper.registry import EXPERIMENTS
 from smooth_operator_research.paper.verdicts import RULES
 
 REPORT: Final = "report.html"

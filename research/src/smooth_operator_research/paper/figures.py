@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -12,14 +12,14 @@ from jaxtyping import Float
 from smooth_operator.methods.registry import COLORS
 from smooth_operator.reporting.drawing import GRID, INK, MARKERS
 from smooth_operator_research.paper.compared_solvers import Newton, Rmsprop, Slsqp
-from smooth_operator_research.paper.comparison import Comparison
-from smooth_operator_research.paper.fk_libraries import LIBRARIES
-from smooth_operator_research.paper.intervals import Estimate
 from smooth_operator_research.paper.solver_grid import TUNED, Point
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from smooth_operator_research.paper.intervals import Estimate
+    from smooth_operator_research.paper.solver import Comparison
 
 FAMILY_COLORS: Final = {
     "sampling": "#0072b2",
@@ -119,10 +119,6 @@ def plain_log(axis: object) -> None:
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
 
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 _FLOOR: Final = 0.003
 """Less above the best cell than this is drawn as this [%]: differences there are chance."""
@@ -227,10 +223,6 @@ def _excess(mean: Estimate, best: float) -> float:
     return 100 * (mean.value / best - 1)
 
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-
 def hessian_figure(
     several: Sequence[Comparison],
     ranked: Sequence[dict[str, list[list[Float[np.ndarray, " m"]]]]],
@@ -291,10 +283,6 @@ def hessian_figure(
     return figure
 
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
 _LIBRARY_COLORS: Final = ("#0072b2", "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#7f8790")
 _SPARE: Final = ("#7a68c7", "#6b9c2f", "#7f8790")
 
@@ -339,6 +327,7 @@ def fk_figure(
     mean: Callable[[str, int], Estimate],
     names: Sequence[str],
     gaps: Mapping[str, str],
+    libraries: Sequence[str],
 ) -> Figure:
     """Time a pose over the size of the batch, a line for each library; gaps are named."""
     from matplotlib.figure import Figure
@@ -348,7 +337,7 @@ def fk_figure(
     ax = figure.add_axes((0.105, 0.2, 0.525, 0.775))
     handles = []
     for name in [*names, *gaps]:
-        i = LIBRARIES.index(name)  # a library looks alike whichever others are missing
+        i = libraries.index(name)  # a library looks alike whichever others are missing
         look = Look(
             _LIBRARY_COLORS[i % len(_LIBRARY_COLORS)] if name not in gaps else GRID,
             MARKERS[i], "," not in name,
@@ -409,7 +398,7 @@ class Column:
     marks: Sequence[str] = ()
 
 
-Mean = Callable[[str, Any, str], "Estimate | None"]
+Mean: TypeAlias = "Callable[[str, Any, str], Estimate | None]"
 
 
 def sweep_figure(

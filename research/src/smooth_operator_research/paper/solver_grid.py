@@ -12,13 +12,13 @@ from smooth_operator.baselines.slsqp import ScipySlsqpConfig
 from smooth_operator_research.paper.compared_solvers import (
     Newton,
     Rmsprop,
+    RmspropConfig,
     Sampling,
     Slsqp,
     Solver,
     Starts,
 )
 from smooth_operator_research.paper.experiment import ExperimentContext, Size
-from smooth_operator_research.paper.rmsprop import RmspropConfig
 from smooth_operator_research.paper.runs import measure_run
 
 

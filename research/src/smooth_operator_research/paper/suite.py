@@ -20,11 +20,11 @@ from smooth_operator_research.paper.experiment import (
     Outcome,
     Size,
     Track,
+    experiment,
     silent,
     trial_note,
 )
 from smooth_operator_research.paper.experiment_report import write_outcome, write_report
-from smooth_operator_research.paper.registry import experiment
 
 SIZES: Final = {size.name: size for size in (QUICK, DEFAULT, PUBLISHED)}
 

@@ -41,7 +41,6 @@ from smooth_operator_research.paper.follow import (
     recording_of,
 )
 from smooth_operator_research.paper.intervals import Estimate, Samples, contrast, mean_of, typical
-from smooth_operator_research.paper.more_sizes import more_size
 from smooth_operator_research.paper.verdicts import Direction, Verdict, judge
 
 
@@ -190,7 +189,7 @@ class BenchmarkTable:
 
     def run(self, context: ExperimentContext) -> Outcome:
         """See ``Experiment``."""
-        size, field = more_size(context), field_of(context, METHODS)
+        size, field = context.size, field_of(context, METHODS)
         benchmark = measure_benchmark(context, field)
         frames = sum(min(len(recording_of(s)), size.table_frames) for s in context.sources)
         papers = [label for label in PAPERS if label in benchmark.labels]
@@ -235,7 +234,7 @@ class BenchmarkTable:
 
 def measure_benchmark(context: ExperimentContext, field: Field) -> Benchmark:
     """Quality of all methods on all recordings, then their latency alone; what is missing of it."""
-    size = more_size(context)
+    size = context.size
     cells = {
         (source.name, label): Cell(
             _cut(source, size.table_frames),

@@ -48,8 +48,8 @@ from smooth_operator_research.physics.results import MeasureResults, Row
 MEASURES: Final[dict[str, tuple[str, str]]] = {
     "reachable": ("reachable_motion", "ReachableMotion"),
     "demonstrations": ("demonstrations", "Demonstrations"),
-    "pinch": ("pinch_hold", "PinchHold"),
-    "grasp": ("power_grasp", "PowerGrasp"),
+    "pinch": ("grasp_measures", "PinchHold"),
+    "grasp": ("grasp_measures", "PowerGrasp"),
     "operators": ("virtual_operators", "VirtualOperators"),
 }
 """Name -> module of this package and class in it, in the order of the report. A new measure is a

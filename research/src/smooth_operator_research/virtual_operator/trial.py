@@ -18,14 +18,12 @@ from smooth_operator.simulation.scenes.variation import ObjectVariation
 from smooth_operator.simulation.tasks.task import SimulatedTask
 from smooth_operator.simulation.tasks.trial import Outcome
 from smooth_operator_research.demonstrations.trial_loop import TrialTrace, run_trial
-from smooth_operator_research.virtual_operator.familiarisation import (
-    InternalModel,
-    familiarise,
-)
 from smooth_operator_research.virtual_operator.hand_model import (
     Body,
     GripReach,
     HandModel,
+    InternalModel,
+    familiarise,
     hand_model,
 )
 from smooth_operator_research.virtual_operator.operator import VirtualOperator
