@@ -1,22 +1,19 @@
-"""One retargeter over a recording or a folder of them, in an environment of its own.
+"""One retargeter over one recording, in an environment of its own; ``peers.py`` runs it.
 
     PYTHON research/benchmarks/peer_worker.py PROGRAM RECORDING.npz OUTPUT.npz
-    PYTHON research/benchmarks/peer_worker.py PROGRAM FOLDER OUTPUT_FOLDER --workers 2
 
-``peers.py`` and ``batch.py`` run it. It needs NumPy and the package of the program only. A
-recording has ``landmarks`` (T, 21, 3) in the wrist's axes (x to the base of the middle finger, z
-out of the back of the hand) [m] and ``stamps`` [s], all of a right hand. Commands, their joints'
-names and the time of each frame are written; a line of JSON says when the first command was there.
+It needs NumPy and the package of the program only. The recording has ``landmarks`` (T, 21, 3) in
+the wrist's axes (x to the base of the middle finger, z out of the back of the hand) [m] and
+``stamps`` [s], all of a right hand. Commands, their joints' names and the time of each frame are
+written; a line of JSON says when the first command was there.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import multiprocessing
 import time
 from collections.abc import Callable
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +23,6 @@ Prepare = Callable[[Any, Any], list[Any]]
 """Landmarks and stamps of a recording -> what the program takes, frame by frame."""
 
 
-@cache
 def smooth_operator(hand: str, method: str, _: str) -> tuple[Prepare, Callable[[Any], Any], Any]:
     from smooth_operator import HandFrame, Retargeter  # type: ignore[import-not-found,unused-ignore]
 
@@ -34,13 +30,11 @@ def smooth_operator(hand: str, method: str, _: str) -> tuple[Prepare, Callable[[
     retargeter = Retargeter(hand, method=name, preset=preset or None)
 
     def prepare(landmarks: Any, stamps: Any) -> list[Any]:
-        retargeter.reset()
         return [HandFrame(p, stamp=s) for p, s in zip(landmarks, stamps, strict=True)]
 
     return prepare, lambda frame: retargeter(frame).command.positions, retargeter.hand.joint_names
 
 
-@cache
 def wuji_sdk(*_: str) -> tuple[Prepare, Callable[[Any], Any], Any]:
     from wuji_sdk import (  # type: ignore[import-not-found,unused-ignore]
         Handedness,
@@ -53,7 +47,6 @@ def wuji_sdk(*_: str) -> tuple[Prepare, Callable[[Any], Any], Any]:
     return lambda landmarks, _: list(landmarks.astype(np.float32)), session.step, names
 
 
-@cache
 def dex_retargeting(_: str, kind: str, urdf: str) -> tuple[Prepare, Callable[[Any], Any], Any]:
     from dex_retargeting.constants import (  # type: ignore[import-not-found,unused-ignore]
         HandType,
@@ -71,7 +64,6 @@ def dex_retargeting(_: str, kind: str, urdf: str) -> tuple[Prepare, Callable[[An
     origin, end = retargeter.optimizer.target_link_human_indices
 
     def prepare(landmarks: Any, _: Any) -> list[Any]:
-        retargeter.reset()
         x, y, z = np.moveaxis(landmarks, -1, 0)
         return list(np.stack([-z, y, x], axis=-1))  # MANO's axes, which its settings expect
 
@@ -86,11 +78,18 @@ PROGRAMS = {
 }
 
 
-def retarget(task: tuple[str, Path, Path, tuple[str, str, str]]) -> float:
-    """Writes the commands of a recording; the time of the first one [s since the epoch]."""
-    program, recording, output, settings = task
-    prepare, step, names = PROGRAMS[program](*settings)
-    with np.load(recording) as file:
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("program", choices=list(PROGRAMS))
+    parser.add_argument("recording", type=Path)
+    parser.add_argument("output", type=Path)
+    parser.add_argument("--hand", default="", help="hand of smooth-operator")
+    parser.add_argument("--method", default="", help="method of smooth-operator or dex-retargeting")
+    parser.add_argument("--urdf", default="", help="folder with leap_hand/leap_hand_right.urdf")
+    options = parser.parse_args()
+    build = PROGRAMS[options.program]
+    prepare, step, names = build(options.hand, options.method, options.urdf)
+    with np.load(options.recording) as file:
         frames = prepare(file["landmarks"], file["stamps"])
     commands = [np.array(step(frames[0]), float)]
     first = time.time()
@@ -100,31 +99,7 @@ def retarget(task: tuple[str, Path, Path, tuple[str, str, str]]) -> float:
         command = step(frame)
         seconds.append(time.perf_counter() - before)
         commands.append(np.array(command, float))
-    np.savez(output, q=np.stack(commands), names=list(names), ms=np.array(seconds) * 1e3)
-    return first
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("program", choices=list(PROGRAMS))
-    parser.add_argument("recording", type=Path, help=".npz file, or a folder of them")
-    parser.add_argument("output", type=Path)
-    parser.add_argument("--hand", default="", help="hand of smooth-operator")
-    parser.add_argument("--method", default="", help="method of smooth-operator or dex-retargeting")
-    parser.add_argument("--urdf", default="", help="folder with leap_hand/leap_hand_right.urdf")
-    parser.add_argument("--workers", type=int, default=1, help="processes for a folder")
-    options = parser.parse_args()
-    settings = (options.hand, options.method, options.urdf)
-    if options.recording.is_dir():
-        options.output.mkdir(exist_ok=True)
-        tasks = [
-            (options.program, path, options.output / path.name, settings)
-            for path in sorted(options.recording.glob("*.npz"))
-        ]
-        with multiprocessing.get_context("spawn").Pool(options.workers) as pool:
-            first = min(pool.imap_unordered(retarget, tasks))
-    else:
-        first = retarget((options.program, options.recording, options.output, settings))
+    np.savez(options.output, q=np.stack(commands), names=list(names), ms=np.array(seconds) * 1e3)
     print(json.dumps({"first": first}))
 
 

@@ -23,13 +23,13 @@ from typing import Annotated
 
 import numpy as np
 import tyro
-from batch import in_wrist_axes
 
 from smooth_operator import HandRecording, load_hand
 from smooth_operator.formats.frames import frame_slice
 from smooth_operator.formats.readers import rated_if_unstamped, read_recording
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import align_recording
+from smooth_operator.landmarks import BASES, WRIST
 from smooth_operator.methods.presets import method_config
 from smooth_operator.metrics import Trace, evaluate
 from smooth_operator_research.run_report import (
@@ -216,6 +216,18 @@ def authors(settings: Settings, report: Report) -> list[tuple[Hand, str, np.ndar
     if not rows:
         report.notes.append(f"left out: {settings.authors} has no commands for these frames")
     return rows
+
+
+def in_wrist_axes(recording: HandRecording) -> np.ndarray:
+    """Landmarks from the wrist, x to the base of the middle finger, z out of the back [m]."""
+    landmarks = recording.landmarks - recording.landmarks[:, WRIST, None]
+    x = landmarks[:, BASES[2]]
+    x = x / np.linalg.norm(x, axis=-1, keepdims=True)
+    y = landmarks[:, BASES[1]] - landmarks[:, BASES[3]]
+    z = np.cross(x, y)
+    z = z / np.linalg.norm(z, axis=-1, keepdims=True)
+    turned: np.ndarray = np.einsum("tij,tnj->tni", np.stack([x, np.cross(z, x), z], 1), landmarks)
+    return turned
 
 
 def judged(hand: Hand, recording: HandRecording, q: np.ndarray) -> dict[str, float | None]:

@@ -99,7 +99,6 @@ def child_json(
     Args:
         command: program and arguments.
         environ: variables of its environment, besides those of this process; None removes one.
-        text: its standard input.
 
     Raises:
         BenchmarkError: the process failed; with the end of its standard error.

@@ -84,7 +84,6 @@ def load_demonstration(task: str, hand: str | None = None) -> Demonstration:
     """The demonstration of a task.
 
     Args:
-        task: which.
         hand: name of the robot hand; None for the default one.
 
     Raises:
@@ -138,7 +137,6 @@ def own_commands(
     """The demonstration's own joint positions as commands.
 
     Args:
-        demonstration: what is done.
         off: (t, m) by how much each actuated joint is off, period by period [rad]; the last holds
             on. None: not at all.
     """
@@ -159,7 +157,6 @@ def play(
     """Perform a demonstration in physics.
 
     Args:
-        demonstration: what is done.
         disturb: changes the scene before it starts, as to see how much it bears.
 
     Yields:
@@ -184,9 +181,6 @@ class DemonstrationLandmarks:
     The frame of a time is that of the pose one period later, since a command is where the joints
     are to be at the end of its period. Before the start and after the end the hand is still. A
     ``LandmarkSource``.
-
-    Args:
-        demonstration: what is done.
 
     Attributes:
         seconds: when it is at its end [s].

@@ -92,7 +92,6 @@ def tip_errors(
     too; so the alignment to the robot's palm, frame by frame, turns and scales the whole hand.
 
     Args:
-        demonstration: what the operator does.
         world: who the operator is, and the tracker; the object does not matter.
         filtered: see ``joint_errors``.
 
@@ -117,7 +116,6 @@ def joint_errors(
     """By how much each actuated joint is off if each fingertip goes where the operator's is.
 
     Args:
-        demonstration: what the operator does.
         world: see ``tip_errors``.
         filtered: as ``smooth`` removes a tracker's noise, which leaves less of it and adds lag.
 
@@ -344,8 +342,6 @@ def tried(
     """How far a demonstration gets in a world; see ``progress``.
 
     Args:
-        demonstration: what is done.
-        world: with which object.
         errors: (t, m) by how much each actuated joint is off, period by period [rad]; the last
             holds on. None: not at all.
     """

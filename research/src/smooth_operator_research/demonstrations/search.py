@@ -139,10 +139,6 @@ def transferred(demonstration: Demonstration, hand: Hand) -> Demonstration:
     Where, that is, against the object: each hand has its own scene, in which the object lies within
     its reach. Fingers besides thumb, index and middle stay in the neutral pose.
 
-    Args:
-        demonstration: of a hand that can do the task.
-        hand: the other one.
-
     Raises:
         HandModelError: the other hand's size does not allow the task.
     """
@@ -219,9 +215,7 @@ class Search:
     """A search for one demonstration.
 
     Args:
-        first: the first guess.
         worlds: perturbed worlds of a generation.
-        seed: of the random numbers.
         count: candidates in a generation.
         sigma: first standard deviation of a joint in a key pose [rad].
         share: of the operators' errors that counts.

@@ -37,7 +37,6 @@ class LandmarkSource(Protocol):
 
         Args:
             time: since 'go' [s]; negative in the lead-in.
-            state: the scene at that moment.
             physics: the hand and its scene, to look at and not to change.
 
         Returns:
@@ -133,9 +132,6 @@ def perform(
     commands begin ``lead_s`` before 'go', and the object is put to its start at 'go'.
 
     Args:
-        physics: the hand and its scene.
-        task: what is done.
-        commands: where the joints are to go.
         seconds: after which the trial is left [s], still running; None for the task's own limit.
         rate_hz: periods a second [Hz].
         lead_s: how long the commands run before 'go' [s].
@@ -206,10 +202,6 @@ def run_trial(
     Commands are sent as they are, kept within the joints' limits by the servos.
 
     Args:
-        retargeter: for the robot hand of the scene.
-        scene: around that hand.
-        task: what is done.
-        source: the human hand.
         rate_hz: frames, commands and looks of the scorer a second [Hz].
         seconds: when the source is at its end [s], and the trial is finished as it stands; None for
             the task's own limit.

@@ -97,7 +97,6 @@ def rmsprop_minimise(
     iteration changes its cost by less than the tolerance.
 
     Args:
-        value_and_gradient: the objective.
         starts: (m, N) points within the bounds.
         limits: (m, 2) bounds.
         config: settings.

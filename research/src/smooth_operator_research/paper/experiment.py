@@ -144,7 +144,6 @@ def synthetic_operators(count: int, frames: int) -> tuple[str, ...]:
     tempo of 0.8 to 1.3, and another part of the round of gestures.
 
     Args:
-        count: how many.
         frames: of each.
     """
     names = []
@@ -218,7 +217,6 @@ class ExperimentFolder:
 
     Args:
         folder: made if need be.
-        settings: what was asked for, as JSON has it.
         note: called with cells that can't be used.
 
     Attributes:
@@ -410,7 +408,6 @@ def cell_job(
     """A cell to be computed, unless it is there already.
 
     Args:
-        label: for a person.
         key: what its content depends on, but for code; its ``kind`` begins the name of the file.
         effort: about how long it takes [ms]; only the proportions matter.
         compute: makes it.

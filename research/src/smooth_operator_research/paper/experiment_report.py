@@ -54,13 +54,6 @@ def write_outcome(
 ) -> Path:
     """Writes the outcome of an experiment.
 
-    Args:
-        store: the folder.
-        name: of the experiment.
-        experiment: the experiment.
-        outcome: of the experiment.
-        warning: what a reader must know before the verdicts.
-
     Returns:
         ``results.json``, written last: where it stands, the figures do.
 

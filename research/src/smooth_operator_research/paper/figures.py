@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -46,6 +46,7 @@ def comparison_figure(several: Sequence[Comparison]) -> Figure:
         several: one, or the one without and the one with a velocity term.
     """
     from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
 
     labels = list(dict.fromkeys(label for comparison in several for label in comparison.runs))
     height = 1.25 + 0.36 * len(labels)
@@ -57,51 +58,56 @@ def comparison_figure(several: Sequence[Comparison]) -> Figure:
     for ax, (metric, factor, title) in zip(axes, _PANELS, strict=True):
         for k, comparison in enumerate(several):
             offset = 0.0 if len(several) == 1 else (-0.17, 0.17)[k]
+            filled = k == len(several) - 1
             for row, label in enumerate(labels):
-                if label not in comparison.runs:
-                    continue
-                _dot(ax, comparison, label, metric, factor, row + offset, k == len(several) - 1)
+                if label in comparison.runs:
+                    family = comparison.solver_grid.solvers[label].family
+                    color = FAMILY_COLORS[family]
+                    style = {
+                        "marker": FAMILY_MARKERS[family], "color": color, "markersize": 6.5,
+                        "markerfacecolor": color if filled else "white", "markeredgewidth": 1.3,
+                    }  # fmt: skip
+                    mean, each = comparison.mean(label, metric), comparison.samples(label, metric)
+                    bar = metric != "frame_ms"
+                    _dot(ax, row + offset, mean, each.means, factor, style, bar=bar)
         ax.set_xscale("log")
         plain_log(ax.xaxis)
         ax.set_xlabel(title)
-        ax.set_ylim(len(labels) - 0.5, -0.5)
-        ax.set_yticks(range(len(labels)), labels)
-        ax.tick_params(axis="y", length=0)
-        ax.grid(visible=False, axis="y")
-        for row in range(1, len(labels), 2):
-            ax.axhspan(row - 0.5, row + 0.5, color=INK, alpha=0.045, linewidth=0)
+        _name_rows(ax, labels)
     if len(several) > 1:
-        from matplotlib.lines import Line2D
-
         empty: dict[str, Any] = {"color": INK, "linestyle": "", "marker": "o"}
-        entries = [("without velocity term", "white"),
-                (f"with w_v = {several[-1].velocity_weight:g}", INK)]  # fmt: skip
+        texts = ("without velocity term", f"with w_v = {several[-1].velocity_weight:g}")
+        handles = [
+            Line2D([], [], markerfacecolor=face, label=text, **empty)
+            for text, face in zip(texts, ("white", INK), strict=True)
+        ]
         figure.legend(
-            handles=[
-                Line2D([], [], markerfacecolor=face, label=text, **empty)
-                for text, face in entries
-            ],
-            loc="lower left", bbox_to_anchor=(0.01, 0.0), ncols=1, fontsize=8,
-        )  # fmt: skip
+            handles=handles, loc="lower left", bbox_to_anchor=(0.01, 0.0), ncols=1, fontsize=8
+        )
     return figure
 
 
 def _dot(
-    ax: Axes, comparison: Comparison, label: str, metric: str, factor: float, y: float, filled: bool
-) -> None:
-    family = comparison.solver_grid.solvers[label].family
-    color = FAMILY_COLORS[family]
-    mean = comparison.mean(label, metric)
-    each = factor * comparison.samples(label, metric).means
-    ax.plot(each, [y] * len(each), "|", color=color, markersize=6, alpha=0.55, zorder=2)
-    if mean.low is not None and mean.high is not None and metric != "frame_ms":
-        ax.plot(
-            [factor * mean.low, factor * mean.high], [y, y], color=color, linewidth=1.4, zorder=3
-        )
-    ax.plot(
-        factor * mean.value, y, FAMILY_MARKERS[family], color=color, markersize=6.5, zorder=4,
-        markerfacecolor=color if filled else "white", markeredgewidth=1.3,
-    )  # fmt: skip
+    ax: Axes, y: float, mean: Estimate, each: Sequence[float] | np.ndarray, factor: float,
+    style: Mapping[str, Any], *, bar: bool = True,
+) -> None:  # fmt: skip
+    """A mean with its interval, and a tick for each recording."""
+    color, own = style["color"], factor * np.asarray(each)
+    ax.plot(own, [y] * len(own), "|", color=color, markersize=6, alpha=0.55, zorder=2)
+    if bar and mean.low is not None and mean.high is not None:
+        ax.plot([factor * mean.low, factor * mean.high], [y, y], color=color, linewidth=1.4,
+                zorder=3)  # fmt: skip
+    ax.plot(factor * mean.value, y, zorder=4, **{"linestyle": "", **style})
+
+
+def _name_rows(ax: Axes, labels: Sequence[str]) -> None:
+    """Names on the vertical axis, every other row shaded."""
+    ax.set_ylim(len(labels) - 0.5, -0.5)
+    ax.set_yticks(range(len(labels)), labels)
+    ax.tick_params(axis="y", length=0)
+    ax.grid(visible=False, axis="y")
+    for row in range(1, len(labels), 2):
+        ax.axhspan(row - 0.5, row + 0.5, color=INK, alpha=0.045, linewidth=0)
 
 
 def plain_log(axis: object) -> None:
@@ -231,7 +237,6 @@ def hessian_figure(
     """Jitter by rank, without and with the velocity term, and the spectrum.
 
     Args:
-        several: the solvers without and with the term.
         ranked: for each, label -> recording -> seed -> (m,) jitter along each rank [rad].
         spectra: (T, m) eigenvalues of each recording, ascending.
     """
@@ -360,17 +365,9 @@ def fk_figure(
     return figure
 
 
-@dataclass(frozen=True)
-class Row:
-    """A row of panels.
-
-    Attributes:
-        metric: which figure.
-        factor: to the unit of the axis.
-        title: of the axis.
-        log: is it logarithmic?
-        human: name -> figure of the human that is drawn with the methods.
-    """
+class Row(NamedTuple):
+    """A row of panels: a metric, its factor to the unit of the axis, the axis; and name -> figure
+    of the human that is drawn with the methods."""
 
     metric: str
     factor: float
@@ -379,17 +376,9 @@ class Row:
     human: Mapping[str, str] | None = None
 
 
-@dataclass(frozen=True)
-class Column:
-    """A column of panels.
-
-    Attributes:
-        title: of the axis.
-        places: where each condition stands on it.
-        conditions: as the sweep knows them.
-        log: is it logarithmic?
-        marks: what stands at each place; its number where there are none.
-    """
+class Column(NamedTuple):
+    """A column of panels: the axis, the place of each condition on it, the conditions as the sweep
+    knows them, and marks at the places if their numbers won't do."""
 
     title: str
     places: Sequence[float]
@@ -497,17 +486,16 @@ def _line(
     ax.plot([x for x, _ in points], [factor * e.value for _, e in points], zorder=3, **look.line)
 
 
-@dataclass(frozen=True)
-class Panel:
+class Panel(NamedTuple):
     """One metric of the benchmark's table.
 
     Attributes:
-        title: of the axis.
+        title: title of the axis.
         log: is it logarithmic?
         factor: to the unit of the axis.
         means: method -> our figure.
-        each: method -> those of the recordings.
-        paper: method -> the paper's.
+        each: method -> figures of the recordings.
+        paper: method -> figure of the paper.
         goal: where the best is, or None.
     """
 
@@ -537,31 +525,19 @@ def table_figure(panels: Sequence[Panel], labels: Sequence[str]) -> Figure:
     )  # fmt: skip
     for ax, panel in zip(axes.flat, panels, strict=False):
         for y, label in enumerate(labels):
-            mean, look = panel.means[label], looks[label]
             if label in panel.paper:
                 ax.plot(panel.factor * panel.paper[label], y, "D", color=INK, markersize=8,
                         markerfacecolor="none", markeredgewidth=1.0, zorder=2)  # fmt: skip
-            if mean is None:
-                continue
-            own = [panel.factor * value for value in panel.each[label]]
-            ax.plot(own, [y] * len(own), "|", color=look.color, markersize=6, alpha=0.55)
-            if mean.low is not None and mean.high is not None:
-                ends = [panel.factor * mean.low, panel.factor * mean.high]
-                ax.plot(ends, [y, y], color=look.color, linewidth=1.4, zorder=3)
-            dot = {**look.line, "linestyle": "", "markersize": 6.0}
-            ax.plot(panel.factor * mean.value, y, zorder=4, **dot)
+            if (mean := panel.means[label]) is not None:
+                style = {**looks[label].line, "linestyle": "", "markersize": 6.0}
+                _dot(ax, y, mean, panel.each[label], panel.factor, style)
         if panel.log:
             ax.set_xscale("log")
             plain_log(ax.xaxis)
         if panel.goal is not None:
             ax.axvline(panel.goal, color=GRID, linewidth=1.0, linestyle=(0, (4, 3)))
         ax.set_xlabel(panel.title)
-        ax.set_ylim(len(labels) - 0.4, -0.6)
-        ax.set_yticks(range(len(labels)), labels)
-        ax.tick_params(axis="y", length=0)
-        ax.grid(visible=False, axis="y")
-        for y in range(1, len(labels), 2):
-            ax.axhspan(y - 0.5, y + 0.5, color=INK, alpha=0.045, linewidth=0)
+        _name_rows(ax, labels)
     keys = [
         Line2D([], [], color=INK, linestyle="", marker="o", label="here, mean of recordings"),
         Line2D([], [], color=INK, linestyle="", marker="|", label="here, each recording"),

@@ -76,11 +76,7 @@ class Urdf:
 
 
 def write_urdf(hand: Hand) -> Urdf:
-    """The hand's joints below the palm; coupled ones are joints like any other.
-
-    Args:
-        hand: the robot hand.
-    """
+    """The hand's joints below the palm; coupled ones are joints like any other."""
     model, parts = hand.model, [f'<link name="{ROOT}"/>']
     palm = int(model.body(hand.spec.palm).id)
     at: dict[int, tuple[str, np.ndarray]] = {palm: (ROOT, np.eye(4))}
@@ -234,7 +230,6 @@ def make_library(name: str, hand: Hand) -> Library:
 
     Args:
         name: one of ``LIBRARIES``, for which ``missing`` found nothing.
-        hand: the robot hand.
     """
     if name in (OURS, BOUNDED):
         return _own_program(hand, name)

@@ -126,7 +126,6 @@ def hessians(
     """Exact Hessians of the loss, without velocity term, and how far finite differences are off.
 
     Args:
-        problem: the recording.
         q: (T, m) where [rad].
 
     Returns:

@@ -66,9 +66,7 @@ def coverage(draw: Draw, count: int, draws: int, windows: int = 1, alone: bool =
     """Judges draws without any effect.
 
     Args:
-        draw: of the log ratios.
         count: independent recordings.
-        draws: how many.
         windows: parts that each recording is cut into, which share its log ratio.
         alone: count the parts as independent recordings, which they are not.
     """

@@ -140,7 +140,6 @@ def make_problems(
     Args:
         sources: recordings.
         hand: name of the robot hand.
-        config: what is minimised.
         frames: the most of each recording.
 
     Raises:
@@ -308,10 +307,7 @@ def run_solver(
     """A solver over a recording.
 
     Args:
-        problem: the recording.
-        solver: the solver.
         velocity_weight: w_v; the objective's own is not looked at.
-        seed: of its random numbers, where it has any.
         advance: called with the share that was done.
     """
     watch = Watch()

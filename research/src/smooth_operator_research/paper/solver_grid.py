@@ -62,7 +62,6 @@ def contours(points: Sequence[Point], fewest: int = 3) -> list[list[Point]]:
     """Cells of equal N x L, from the widest (largest N) to the deepest (largest L).
 
     Args:
-        points: of the grid.
         fewest: contours with fewer cells have no middle, and are left out.
 
     Returns:

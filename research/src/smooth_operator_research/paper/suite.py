@@ -94,7 +94,6 @@ def run_experiments(
     """Runs the experiments one after the other, and writes each as soon as it is done.
 
     Args:
-        settings: what is asked for.
         sources: of ``load_recordings``.
         track: shows the progress.
         done: called after each.

@@ -174,8 +174,6 @@ class _Run(Generic[_Physics]):
     """One trial, stage after stage.
 
     Args:
-        physics: the hand and the object.
-        grasp: what is commanded.
         waits: the object is handed over when the time is up, not when both sides press on it.
     """
 
@@ -348,7 +346,6 @@ class GraspMeasure(ABC):
         """The robot's side of one grasp, and further figures, whose means are reported.
 
         Args:
-            case: the case.
             grasp: one of ``usable``.
             stamps: (P,) times of the commands, of the recording with holds [s].
             commands: (P, n) positions of all joints [rad].

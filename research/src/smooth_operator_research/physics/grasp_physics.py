@@ -172,8 +172,6 @@ class GraspPhysics(HandPhysics, ABC):
     """A hand and an object that a person hands over to it.
 
     Args:
-        hand: the robot hand.
-        thing: the object.
         timestep: of the physics [s].
         bandwidth: of the servos [Hz].
     """
@@ -274,8 +272,6 @@ class PinchPhysics(GraspPhysics):
     Only these two fingers and the floor can touch it.
 
     Args:
-        hand: the robot hand.
-        thing: the object.
         timestep: of the physics [s].
         bandwidth: of the servos [Hz].
 
@@ -390,8 +386,6 @@ class PowerGraspPhysics(GraspPhysics):
     """A hand and an object that a person lays into its palm; all of the hand can touch it.
 
     Args:
-        hand: the robot hand.
-        thing: the object.
         timestep: of the physics [s].
         bandwidth: of the servos [Hz].
     """

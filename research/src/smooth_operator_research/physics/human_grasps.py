@@ -118,8 +118,6 @@ def with_holds(
     """A recording in which the hand rests at each grasp's tightest moment.
 
     Args:
-        recording: the frames.
-        grasps: of this recording.
         seconds: how long it rests; the frame is repeated at the recording's rate.
 
     Returns:

@@ -50,7 +50,6 @@ def interval_drawings(
     Args:
         name: of the measure; the files begin with it.
         results: all rows.
-        figures: which figures.
         colors: method -> colour.
     """
     conditions = list(dict.fromkeys(condition for _, _, condition in results.panels))

@@ -146,7 +146,6 @@ def run_cases(
     loses only the cases that it was at.
 
     Args:
-        settings: what was asked for.
         planned: of ``plan_cases``.
         track: shows the progress.
         note: called with kept results that can't be used.

@@ -203,7 +203,6 @@ def simulate_study(
     """Simulates every trial; goes on where an earlier run in the same folder stopped.
 
     Args:
-        settings: what to simulate.
         folder: keeps what is done, and gets the tables; must exist.
         workers: processes; None for as many as there are cores, 0 for none.
         report: called after each chunk of trials.

@@ -32,11 +32,7 @@ from smooth_operator_research.virtual_operator.person import Person
 
 
 class SeenTips:
-    """The fingertips of a hand in a scene.
-
-    Args:
-        physics: the scene.
-    """
+    """The fingertips of a hand in a scene."""
 
     def __init__(self, physics: ScenePhysics) -> None:
         hand, model = physics.hand, physics.model
@@ -55,12 +51,7 @@ class SeenTips:
 
 
 class HandPoints:
-    """Landmarks of a robot hand in a pose, and their derivatives.
-
-    Args:
-        hand: the robot hand.
-        names: of the landmarks.
-    """
+    """Landmarks of a robot hand in a pose, and their derivatives."""
 
     def __init__(self, hand: Hand, names: Sequence[str]) -> None:
         places = landmark_points(hand.model, hand.spec)
@@ -129,23 +120,12 @@ class HandModel(ABC):
 
 
 def hand_model(person: Person, hand: Hand, body: Body = "matched") -> HandModel:
-    """The hand of a person who drives a robot hand.
-
-    Args:
-        person: who.
-        hand: the robot hand.
-        body: whose kinematics.
-    """
+    """The hand of a person who drives a robot hand."""
     return HumanHand(person, hand.spec.side) if body == "human" else MatchedHand(person, hand)
 
 
 class HumanHand(HandModel):
-    """Published anatomy with a person's bones.
-
-    Args:
-        person: whose.
-        side: which hand.
-    """
+    """Published anatomy with a person's bones."""
 
     def __init__(self, person: Person, side: Side) -> None:
         self.lower, self.upper, self.relaxed = LOWER[list(FREE)], UPPER[list(FREE)], RELAXED
@@ -164,12 +144,7 @@ class HumanHand(HandModel):
 
 
 class MatchedHand(HandModel):
-    """The robot hand's kinematics at the size of a person, with the person's bones.
-
-    Args:
-        person: whose.
-        hand: the robot hand.
-    """
+    """The robot hand's kinematics at the size of a person, with the person's bones."""
 
     def __init__(self, person: Person, hand: Hand) -> None:
         self.lower, self.upper = hand.limits.T
@@ -215,9 +190,6 @@ def _length(hand: Hand, points: Float[np.ndarray, "21 3"]) -> float:
 
 class ReachingHand:
     """A hand whose fingertips go where they are wanted, as far as joints and their speed allow.
-
-    Args:
-        model: its kinematics.
 
     Attributes:
         angles: (m,) joint angles [rad].
@@ -306,12 +278,7 @@ class _RobotTips(HandModel):
 
 
 class GripReach:
-    """What the fingertips of a hand in a scene reach.
-
-    Args:
-        hand: the robot hand.
-        scene: where it stands.
-    """
+    """What the fingertips of a hand in a scene reach."""
 
     def __init__(self, hand: Hand, scene: Scene) -> None:
         self._hand, self._model = hand, _RobotTips(hand)
@@ -525,13 +492,7 @@ class InternalModel:
 
 
 def familiarise(model: HandModel, retargeter: Retargeter, seed: int = 0) -> InternalModel:
-    """Move freely with a retargeter, and learn.
-
-    Args:
-        model: the person's hand.
-        retargeter: with which.
-        seed: of the movements.
-    """
+    """Move freely with a retargeter, and learn."""
     hand, rng = retargeter.hand, np.random.default_rng([seed, 0xFA])
     reach = rng.uniform(0.02, 0.98, (POSTURES, len(model.relaxed)))
     postures = np.concatenate([[model.relaxed], model.lower + (model.upper - model.lower) * reach])

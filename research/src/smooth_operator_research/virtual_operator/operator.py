@@ -136,17 +136,9 @@ class VirtualOperator:
     """The hand of a person who does a trial; a ``LandmarkSource``.
 
     Args:
-        person: who.
-        hand: the robot hand.
-        body: the person's hand.
-        model: what the person has learnt of the retargeter.
-        task: what is to be done: the person knows the instruction.
-        scene: of the trial.
-        reach: what the robot's fingertips reach in it.
         practised: trials of the task before this one, with any retargeter.
         practised_here: trials before this one with this retargeter.
         lag_s: from the hand to the robot's motion [s], which slows a person down.
-        seed: of the noise.
 
     Attributes:
         gave_up: the person can do no more.
@@ -202,8 +194,6 @@ class VirtualOperator:
 
         Args:
             time: since 'go' [s].
-            state: the scene.
-            physics: the hand in it.
         """
         if self._tips is None:
             self._tips = SeenTips(physics)

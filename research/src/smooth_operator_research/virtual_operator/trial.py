@@ -59,14 +59,7 @@ class Familiar:
 def make_familiar(
     person: Person, retargeter: Retargeter, body: Body = "matched", seed: int = 0
 ) -> Familiar:
-    """Have a person move freely with a retargeter.
-
-    Args:
-        person: who.
-        retargeter: for the robot hand.
-        body: whose kinematics the person's hand has.
-        seed: of the movements.
-    """
+    """Have a person move freely with a retargeter."""
     model = hand_model(person, retargeter.hand, body)
     learnt = familiarise(model, retargeter, seed)
     return Familiar(person, retargeter, model, learnt)
@@ -107,14 +100,11 @@ def simulate_trial(
     """Have a person do a trial with a retargeter.
 
     Args:
-        familiar: the person, and the retargeter.
-        task: what is done.
         rate_hz: frames of the tracker and commands a second [Hz].
         practised: trials of the task before this one, with any retargeter.
         practised_here: trials before this one with this retargeter.
         resets: how often the object may be put back: 0 or 1.
         seconds: time limit [s]; None for the task's own.
-        seed: of all noise of this trial.
         variation: of the object; None for the nominal one.
         trace: keep what happened.
 
