@@ -18,13 +18,8 @@ from smooth_operator.lab.benchmark.settings import only_side
 from smooth_operator.lab.offline.finished import claimed
 from smooth_operator_research.commands.options import Physics
 from smooth_operator_research.physics.measure import PhysicsSettings
-from smooth_operator_research.physics.results import (
-    Figure,
-    Line,
-    MeasureResults,
-    table_rows,
-    write_files,
-)
+from smooth_operator_research.physics.page import write_files, write_report
+from smooth_operator_research.physics.results import Figure, Line, MeasureResults, table_rows
 from smooth_operator_research.physics.suite import (
     MeasureOutcome,
     failed_rows,

@@ -71,11 +71,6 @@ class GraspObject:
             "ball": _HOLLOW * np.pi / 6 * w**3,
         }[self.kind]
 
-    @property
-    def long(self) -> bool:
-        """Whether it is longer along z than across."""
-        return self.kind in ("card", "pen")
-
     def add_to(self, body: mujoco.MjsBody) -> None:
         """Give a body the object's shape."""
         half, geom = self.width / 2, mujoco.mjtGeom

@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 from jaxtyping import Float
+from object_scenes import MadeClip
 
 from smooth_hand_datasets.objects.hand_surface import HandSurface
 from smooth_hand_datasets.objects.interaction_metrics import interaction_figures, interaction_tracks
@@ -15,8 +16,6 @@ from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.metrics.accuracy import cosine_similarity
 from smooth_operator.metrics.assemble import assemble_trace
 from smooth_operator.types import CommandTrajectory
-from smooth_operator_research.objects.scenes import MadeClip
-from smooth_operator_research.run_report import markdown
 
 AWARE: Final = "object-aware"
 BLIND: Final = "smooth:offline"
@@ -95,7 +94,8 @@ def table(rows: Sequence[Judged]) -> str:
                 cell += f", {np.nanmax(values):.2f}"
             cells.append(cell)
         lines.append(cells)
-    return markdown(("method", *COLUMNS), lines)
+    head = ["method", *COLUMNS]
+    return "\n".join("| " + " | ".join(c) + " |" for c in (head, ["---"] * len(head), *lines))
 
 
 def targets(rows: Sequence[Judged]) -> dict[str, tuple[float, float, float]]:
