@@ -107,7 +107,6 @@ def side_by_side(report: Report, settings: Settings) -> None:
         f"One process, recordings of {settings.frames} frames side by side",
         (*header, "apart max [mm]", "device memory [MiB]"),
         rows,
-        2,
     )
     report.notes.append(
         "live: the median latency of a frame alone. apart: fingertips of the batch's first "

@@ -90,7 +90,7 @@ def main(settings: Settings) -> None:
     report.table(title, header, [["ours", *p.values(), loss]])
     p = percentiles(answers(Retargeter(settings.hand), frames)[2])
     report.add("smooth", p)
-    report.table("`smooth`, one frame", tuple(p), [list(p.values())], 0)
+    report.table("`smooth`, one frame", tuple(p), [list(p.values())])
     batches(report, settings)
     if jax.devices()[0].platform != "cpu":
         against_cpu(report, settings, q[:COMPARED])
@@ -150,7 +150,7 @@ def batches(report: Report, settings: Settings) -> None:
         "method", "recordings", "arrays [frames/s]", "objects [frames/s]",
         "arrays, best [frames/s]", "GPU busy", "first call [s]",
     )  # fmt: skip
-    report.table("Recordings side by side", header, rows, 2)
+    report.table("Recordings side by side", header, rows)
 
 
 def busy_share(run: Callable[[], Any], least_s: float = 3.0) -> float | None:

@@ -395,7 +395,7 @@ def main(settings: Settings) -> None:
         "Policies by the retargeter of their demonstrations",
         ("task", "method", "trials", "operators' success [%]", "demonstrations", "median [s]",
          "policy's success [%]", "score", f"minus {settings.methods[0]} [%]"),
-        rows, texts=2,
+        rows,
     )  # fmt: skip
     report.notes.append(
         f"ACT {POLICY['dim_model']} wide, {settings.steps} steps of {settings.batch}, "

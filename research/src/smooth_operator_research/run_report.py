@@ -33,7 +33,7 @@ RESULTS: Final = Path("build") / "benchmarks"
 _CHECKOUT: Final = Path(__file__).resolve().parents[3]
 """Where the package lies in a checkout; installed from a wheel it is no repository."""
 
-_Table = tuple[str, tuple[str, ...], list[list[object]], int]
+_Table = tuple[str, tuple[str, ...], list[list[object]]]
 
 
 class BenchmarkError(SystemExit):
@@ -141,17 +141,14 @@ class Report:
     load_average: list[float] | None = field(default_factory=_load)
     _tables: list[_Table] = field(default_factory=list)
 
-    def table(
-        self, title: str, header: Sequence[str], rows: Iterable[Sequence[object]], texts: int = 1
-    ) -> None:
-        """Add a table to be printed; the first ``texts`` columns are text, the others figures."""
-        self._tables.append((title, tuple(header), [list(row) for row in rows], texts))
+    def table(self, title: str, header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+        """Add a table to be printed."""
+        self._tables.append((title, tuple(header), [list(row) for row in rows]))
 
     def tables(self) -> str:
         """All tables so far, as Markdown."""
         return "\n\n".join(
-            f"**{title}**\n\n{markdown(header, rows, texts)}"
-            for title, header, rows, texts in self._tables
+            f"**{title}**\n\n{markdown(header, rows)}" for title, header, rows in self._tables
         )
 
     def add(self, prefix: str, values: Mapping[str, float | None]) -> None:
@@ -185,7 +182,7 @@ class Report:
             "notes": self.notes,
             "tables": [
                 {"title": title, "header": header, "rows": [[_plain(c) for c in r] for r in rows]}
-                for title, header, rows, _ in self._tables
+                for title, header, rows in self._tables
             ],
         }
         print(f"\n{self.tables()}\n")
@@ -209,14 +206,19 @@ class Report:
             raise failure
 
 
-def markdown(header: Sequence[str], rows: Iterable[Sequence[object]], texts: int = 1) -> str:
-    """A Markdown table; numbers are given four significant digits, ``texts`` columns are text."""
-    lines = [_line(header), "|---" * texts + "|---:" * (len(header) - texts) + "|"]
-    return "\n".join([*lines, *(_line([cell(c) for c in row]) for row in rows)])
-
-
-def _line(cells: Sequence[str]) -> str:
-    return "|" + "|".join(f" {text} " if text else " " for text in cells) + "|"
+def markdown(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """A Markdown table; numbers have four significant digits, and columns of figures but the first
+    are to the right."""
+    lines = [[cell(value) for value in row] for row in rows]
+    figures = [
+        i > 0 and all(not t or t == "–" or t.lstrip("*−-+÷×<~ ")[:1].isdigit() for t in column)
+        for i, column in enumerate(zip(*lines, strict=True))
+    ] or [False] * len(header)
+    ruler = "|" + "|".join("---:" if right else "---" for right in figures) + "|"
+    head, *body = (
+        "|" + "|".join(f" {t} " if t else " " for t in line) + "|" for line in (header, *lines)
+    )
+    return "\n".join([head, ruler, *body])
 
 
 def cell(value: object) -> str:

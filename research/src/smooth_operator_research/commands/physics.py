@@ -27,6 +27,12 @@ from smooth_operator_research.physics.suite import (
     run_cases,
 )
 
+_SAME: Final = (
+    "output", "recordings", "frames", "rate", "layout", "units", "quick", "seed", "workers",
+    "cluster",
+)  # fmt: skip
+"""Options that are settings of the same name."""
+
 _WIDTH_OF_INTERVALS: Final = 120
 """Of a terminal that has room for the intervals [characters]."""
 
@@ -45,20 +51,11 @@ def physics(options: Physics) -> None:
     dispatch_here()  # before planning, which may start JAX
     hands = comma_words(options.hands)
     settings = PhysicsSettings(
-        output=options.output,
         measures=tuple(dict.fromkeys(options.measures)),
         hands=hands,
         methods=comma_words(options.methods),
         side=options.side or only_side(hands) or "right",
-        recordings=options.recordings,
-        frames=options.frames,
-        rate=options.rate,
-        layout=options.layout,
-        units=options.units,
-        quick=options.quick,
-        seed=options.seed,
-        workers=options.workers,
-        cluster=options.cluster,
+        **{name: getattr(options, name) for name in _SAME},
     )
     planned = plan_cases(settings)
     with folder_for(options.output), claimed(options.output):

@@ -100,7 +100,7 @@ def table(
                 lambda w, name=layout: doubt(in_layout(w.landmarks, name), w.side, layout=name))  # type: ignore[misc]  # fmt: skip
         add(noise, "random order", every,
             lambda w, rng=rng: doubt(w.landmarks[:, rng.permutation(21)], w.side))  # type: ignore[misc]  # fmt: skip
-    return markdown(("noise [mm]", "input", "windows", "refused", "named rightly"), rows, texts=2)
+    return markdown(("noise [mm]", "input", "windows", "refused", "named rightly"), rows)
 
 
 def main() -> None:

@@ -21,7 +21,7 @@ import tyro
 
 from smooth_operator_research.paper import interval_coverage
 from smooth_operator_research.paper.experiment import EXPERIMENTS, RESULTS, Table
-from smooth_operator_research.paper.experiment_report import markdown
+from smooth_operator_research.run_report import markdown
 
 ORDER: Final = ("solver", "velocity", "hessian", "compute", "fk", "table", "noise", "rate")
 """Experiments as the page has them."""
@@ -169,8 +169,7 @@ recordings of real trackers."""
 
 def block(name: str, table: Table) -> str:
     """A table between its marks; its note is left out, for the page says it."""
-    bare = Table(table.title, table.headers, table.rows)
-    return f"<!-- table: {name} -->\n{markdown(bare)}\n<!-- end -->"
+    return f"<!-- table: {name} -->\n{markdown(table.headers, table.rows)}\n<!-- end -->"
 
 
 def replaced(text: str, name: str, block: str) -> str:

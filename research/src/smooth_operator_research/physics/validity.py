@@ -203,14 +203,14 @@ def main() -> None:
         ["sinks in 10 s at 2 N per pad [mm]", name, 1e3 * creep(2.0, by_name[name])]
         for name in ("card 2", "cube 30")
     ]
-    print(markdown(("check", "object", "value"), rows, texts=2), end="\n\n")
+    print(markdown(("check", "object", "value"), rows), end="\n\n")
     rows = []
     for thing in GRASP_OBJECTS:
         both = [mimic_pinch(thing, step) for step in (STEP_S, STEP_S / 2)]
         held, forces = ["yes" if one.held else "no" for one in both], [one.force for one in both]
         rows.append([thing.name, *held, *forces])
     steps = ("held at 2 ms", "held at 1 ms", "force at 2 ms [N]", "force at 1 ms [N]")
-    print(markdown(("object", *steps), rows, texts=3))
+    print(markdown(("object", *steps), rows))
 
 
 if __name__ == "__main__":
