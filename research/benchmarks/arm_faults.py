@@ -82,7 +82,6 @@ class Run:
     Args:
         arm: name of the arm.
         hand: name of the hand.
-        seed: of the operator and of the order of the faults.
     """
 
     def __init__(self, arm: str, hand: str, seed: int) -> None:

@@ -9,9 +9,6 @@ those would take with the time that a frame takes. The same on a GPU, where JAX 
 
 from __future__ import annotations
 
-import json
-import os
-import subprocess
 import sys
 import time
 from dataclasses import dataclass
@@ -20,12 +17,17 @@ from pathlib import Path
 import jax
 import numpy as np
 from arithmetic import FLOAT, KINDS, operations
-from timing import percentiles
 
 from smooth_operator import HandFrame, Retargeter
 from smooth_operator.parallel import usable_cores as cores
-from smooth_operator.synthetic import SyntheticOperator
-from smooth_operator_research.run_report import BenchmarkError, Report, ReportSettings, run_program
+from smooth_operator_research.run_report import (
+    Report,
+    ReportSettings,
+    child_json,
+    operator_frames,
+    percentiles,
+    run_program,
+)
 
 
 @dataclass(frozen=True)
@@ -48,8 +50,7 @@ class Settings(ReportSettings):
 def main(settings: Settings) -> None:
     report = Report("limit", vars(settings))
     retargeter = Retargeter(settings.hand, method=settings.method, preset=settings.preset)
-    recording = SyntheticOperator().record(max(0.1, settings.frames / 100))
-    frames = list(recording)[: settings.frames]
+    frames = list(operator_frames(settings.frames))
     seconds, busy = frame_time(retargeter, frames)
     p50 = percentiles(seconds * 1e3)["p50_ms"]
     counts = operations(
@@ -137,17 +138,9 @@ def frame_time(retargeter: Retargeter, frames: list[HandFrame]) -> tuple[np.ndar
 def rates(count: int) -> dict[str, float]:
     """Attainable rates with so many cores, from a process of its own that keeps to them."""
     script = Path(__file__).with_name("arithmetic.py")
-    environment = os.environ | {"XLA_PYTHON_CLIENT_PREALLOCATE": "false"}
-    child = subprocess.run(
-        [sys.executable, str(script), str(count)],
-        capture_output=True,
-        text=True,
-        check=False,
-        env=environment,
+    figures: dict[str, float] = child_json(
+        [sys.executable, script, count], {"XLA_PYTHON_CLIENT_PREALLOCATE": "false"}
     )
-    if child.returncode:
-        raise BenchmarkError(f"the machine's rates could not be measured:\n{child.stderr}")
-    figures: dict[str, float] = json.loads(child.stdout.splitlines()[-1])
     return figures
 
 

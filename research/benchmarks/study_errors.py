@@ -29,6 +29,7 @@ from smooth_operator.study.design.plan import Plan, make_plan
 from smooth_operator.study.design.protocol import Condition, Protocol, Task
 from smooth_operator.study.power.simulated_study import codes_of, planned_data
 from smooth_operator.study.power.verdicts import rate, verdicts
+from smooth_operator_research.run_report import markdown
 
 Three = tuple[float, float, float]
 """Of success [logit], time [s] and workload [points]."""
@@ -228,23 +229,18 @@ def draw(design: Design, plan: Plan, data: StudyData, rng: np.random.Generator) 
 
 def table(counts: dict[str, Counter[str]]) -> str:
     """Markdown: errors of both families in each mode with 95 % intervals (Wilson) [%]."""
-    lines = [
-        "| design | studies | outcome | " + " | ".join(
-            f"{family}, {mode}" for mode in MODES for family in ("Dunnett", "Holm")
-        ) + " | refused |",
-        "|---|---:|---|" + "---:|" * 5,
-    ]  # fmt: skip
-    for name, of in counts.items():
+    rows = []
+    for name, own in counts.items():
         for outcome in OUTCOMES:
             cells = [
-                _percent(of[f"{outcome}/{mode}/{family}"], of["studies"])
+                _percent(own[f"{outcome}/{mode}/{family}"], own["studies"])
                 for mode in MODES
                 for family in ("dunnett", "holm")
             ]
-            refused = 100 * of[f"{outcome}/small-sample/refused"] / of["studies"]
-            cells.append(f"{refused:.1f}")
-            lines.append(f"| {name} | {of['studies']} | {outcome} | {' | '.join(cells)} |")
-    return "\n".join(lines) + "\n"
+            refused = 100 * own[f"{outcome}/small-sample/refused"] / own["studies"]
+            rows.append([name, str(own["studies"]), outcome, *cells, f"{refused:.1f}"])
+    families = [f"{family}, {mode}" for mode in MODES for family in ("Dunnett", "Holm")]
+    return markdown(("design", "studies", "outcome", *families, "refused"), rows) + "\n"
 
 
 def _percent(hits: int, studies: int) -> str:

@@ -136,8 +136,6 @@ class PerturbedLandmarks:
     For one trial: its noise goes on from frame to frame.
 
     Args:
-        source: the hand that is tracked.
-        world: the operator and the tracker.
         rate_hz: frames a second [Hz].
     """
 

@@ -27,8 +27,8 @@ from smooth_operator.metrics import evaluate
 from smooth_operator.metrics.assemble import assemble_trace
 from smooth_operator.parallel import run_tasks
 from smooth_operator.reporting.drawing import INK, styled, write_figure
+from smooth_operator_research.physics.grasp_measures import PinchHold
 from smooth_operator_research.physics.measure import Case, Unit
-from smooth_operator_research.physics.pinch_hold import PinchHold
 from smooth_operator_research.run_report import RESULTS, BenchmarkError, Report
 
 RECORDINGS: Final = (

@@ -20,8 +20,7 @@ from smooth_operator_research.paper.experiment import (
 )
 from smooth_operator_research.paper.figures import compute_figure
 from smooth_operator_research.paper.intervals import Estimate, Samples, contrast, typical
-from smooth_operator_research.paper.problems import Problem
-from smooth_operator_research.paper.runs import measure_run
+from smooth_operator_research.paper.runs import Problem, measure_run
 from smooth_operator_research.paper.solver import percent
 from smooth_operator_research.paper.solver_grid import Point, contours, grid_points, most_cycles
 from smooth_operator_research.paper.verdicts import Direction, Verdict, judge

@@ -125,7 +125,6 @@ def at_rate(source: Source, rate_hz: float, seconds: float) -> DegradedRecording
     recording the frames nearest to the ticks are taken with their own stamps.
 
     Args:
-        source: the recording.
         rate_hz: frames a second.
         seconds: how much of its middle.
 
@@ -495,9 +494,6 @@ def run_sweep(
     """Runs what is missing.
 
     Args:
-        context: the recordings, the size and the folder.
-        name: of the phase, for the display.
-        field: the methods.
         inputs: (condition, recording) -> one degraded recording for each seed.
         timing: measure the lag, too.
     """

@@ -13,7 +13,6 @@ from jaxtyping import Float
 from smooth_operator.lab.offline.finished import digest
 from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.result_cache import Job
-from smooth_operator_research.paper.comparison import Comparison, compare_solvers, setup_of
 from smooth_operator_research.paper.experiment import (
     Compute,
     Drawing,
@@ -24,9 +23,14 @@ from smooth_operator_research.paper.experiment import (
 )
 from smooth_operator_research.paper.figures import hessian_figure
 from smooth_operator_research.paper.intervals import Estimate, Samples, contrast, pooled, typical
-from smooth_operator_research.paper.problems import Problem
+from smooth_operator_research.paper.runs import Problem
+from smooth_operator_research.paper.solver import (
+    VELOCITY_WEIGHT,
+    Comparison,
+    compare_solvers,
+    setup_of,
+)
 from smooth_operator_research.paper.solver_grid import NEWTON, SAMPLING
-from smooth_operator_research.paper.velocity import VELOCITY_WEIGHT
 from smooth_operator_research.paper.verdicts import Direction, Equality, Verdict, judge
 
 FLOAT64_STEP: Final = 1e-6
@@ -122,7 +126,6 @@ def hessians(
     """Exact Hessians of the loss, without velocity term, and how far finite differences are off.
 
     Args:
-        problem: the recording.
         q: (T, m) where [rad].
 
     Returns:

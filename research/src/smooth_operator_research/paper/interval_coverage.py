@@ -17,9 +17,9 @@ import numpy as np
 import tyro
 
 from smooth_operator_research.paper.experiment import Table
-from smooth_operator_research.paper.experiment_report import markdown
 from smooth_operator_research.paper.intervals import Samples, contrast
 from smooth_operator_research.paper.verdicts import Direction, judge
+from smooth_operator_research.run_report import markdown
 
 COUNTS: Final = (4, 20)
 """Independent recordings."""
@@ -66,9 +66,7 @@ def coverage(draw: Draw, count: int, draws: int, windows: int = 1, alone: bool =
     """Judges draws without any effect.
 
     Args:
-        draw: of the log ratios.
         count: independent recordings.
-        draws: how many.
         windows: parts that each recording is cut into, which share its log ratio.
         alone: count the parts as independent recordings, which they are not.
     """
@@ -110,7 +108,8 @@ def coverage_table(settings: Settings) -> Table:
 
 def main(settings: Settings) -> None:
     """Prints the table."""
-    print(markdown(coverage_table(settings)))
+    table = coverage_table(settings)
+    print(markdown(table.headers, table.rows), table.note, sep="\n\n")
 
 
 if __name__ == "__main__":

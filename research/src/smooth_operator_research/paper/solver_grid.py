@@ -12,13 +12,13 @@ from smooth_operator.baselines.slsqp import ScipySlsqpConfig
 from smooth_operator_research.paper.compared_solvers import (
     Newton,
     Rmsprop,
+    RmspropConfig,
     Sampling,
     Slsqp,
     Solver,
     Starts,
 )
 from smooth_operator_research.paper.experiment import ExperimentContext, Size
-from smooth_operator_research.paper.rmsprop import RmspropConfig
 from smooth_operator_research.paper.runs import measure_run
 
 
@@ -62,7 +62,6 @@ def contours(points: Sequence[Point], fewest: int = 3) -> list[list[Point]]:
     """Cells of equal N x L, from the widest (largest N) to the deepest (largest L).
 
     Args:
-        points: of the grid.
         fewest: contours with fewer cells have no middle, and are left out.
 
     Returns:

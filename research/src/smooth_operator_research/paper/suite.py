@@ -20,11 +20,11 @@ from smooth_operator_research.paper.experiment import (
     Outcome,
     Size,
     Track,
+    experiment,
     silent,
     trial_note,
 )
 from smooth_operator_research.paper.experiment_report import write_outcome, write_report
-from smooth_operator_research.paper.registry import experiment
 
 SIZES: Final = {size.name: size for size in (QUICK, DEFAULT, PUBLISHED)}
 
@@ -94,7 +94,6 @@ def run_experiments(
     """Runs the experiments one after the other, and writes each as soon as it is done.
 
     Args:
-        settings: what is asked for.
         sources: of ``load_recordings``.
         track: shows the progress.
         done: called after each.

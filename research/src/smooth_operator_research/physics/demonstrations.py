@@ -15,13 +15,13 @@ from smooth_operator.human.aligned_recording import align_recording
 from smooth_operator.simulation.scenes import Scene, ScenePart, ScenePhysics, scene_for
 from smooth_operator.simulation.tasks.scorers import rotation
 from smooth_operator.simulation.tasks.task import TASKS
-from smooth_operator.simulation.tasks.trial import Outcome
 from smooth_operator.types import HandRecording, Side
 from smooth_operator_research.demonstrations.demonstration import (
     PERIOD_S,
     Demonstration,
     DemonstrationLandmarks,
     load_demonstration,
+    own_commands,
 )
 from smooth_operator_research.demonstrations.perturbation import (
     Perturbation,
@@ -155,19 +155,11 @@ def _task(name: str, hand_name: str, side: Side) -> _Task:
 def _own_score(name: str, hand_name: str, side: Side, number: int, seed: int) -> float:
     """Score of the demonstration's own joint positions in a world; the same for all methods."""
     task, world = _task(name, hand_name, side), draw_perturbation(number, seed)
-    hand = task.demonstration.robot
-    physics = ScenePhysics(hand, world.scene(task.scene))
+    physics = ScenePhysics(task.demonstration.robot, world.scene(task.scene))
     world.prepare(physics)
-    outcome: Outcome | None = None
     score = 0.0
-    for moment in perform(
-        physics,
-        TASKS[name],
-        lambda time, state, physics: hand.full_configuration(
-            task.demonstration.pose(time + PERIOD_S)
-        ),
-        seconds=task.seconds,
-    ):
+    commands = own_commands(task.demonstration)
+    for moment in perform(physics, TASKS[name], commands, seconds=task.seconds):
         outcome = moment.run.outcome
         score = moment.run.assessment.score if outcome is None else outcome.score
     return score

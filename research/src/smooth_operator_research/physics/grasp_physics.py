@@ -71,11 +71,6 @@ class GraspObject:
             "ball": _HOLLOW * np.pi / 6 * w**3,
         }[self.kind]
 
-    @property
-    def long(self) -> bool:
-        """Whether it is longer along z than across."""
-        return self.kind in ("card", "pen")
-
     def add_to(self, body: mujoco.MjsBody) -> None:
         """Give a body the object's shape."""
         half, geom = self.width / 2, mujoco.mjtGeom
@@ -172,8 +167,6 @@ class GraspPhysics(HandPhysics, ABC):
     """A hand and an object that a person hands over to it.
 
     Args:
-        hand: the robot hand.
-        thing: the object.
         timestep: of the physics [s].
         bandwidth: of the servos [Hz].
     """
@@ -274,8 +267,6 @@ class PinchPhysics(GraspPhysics):
     Only these two fingers and the floor can touch it.
 
     Args:
-        hand: the robot hand.
-        thing: the object.
         timestep: of the physics [s].
         bandwidth: of the servos [Hz].
 
@@ -390,8 +381,6 @@ class PowerGraspPhysics(GraspPhysics):
     """A hand and an object that a person lays into its palm; all of the hand can touch it.
 
     Args:
-        hand: the robot hand.
-        thing: the object.
         timestep: of the physics [s].
         bandwidth: of the servos [Hz].
     """

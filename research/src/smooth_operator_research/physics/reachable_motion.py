@@ -90,8 +90,6 @@ def joint_motion(
     far as the model has shapes that collide.
 
     Args:
-        hand: the robot hand.
-        seed: of the random numbers.
         duration: length [s].
         rate_hz: frames a second [Hz].
     """
@@ -279,8 +277,6 @@ def reachable_motion(
     """A random smooth, collision-free motion of a hand, with pinches; see ``joint_motion``.
 
     Args:
-        hand: the robot hand.
-        seed: of the random numbers.
         noise: of the tracker: standard deviation of each coordinate of each landmark in each
             frame, independent (white) [m]. It moves the landmarks of the palm, too.
         duration: length [s].
@@ -378,8 +374,6 @@ def motion_figures(
     """The figures of one motion; the first half second is left out.
 
     Args:
-        hand: the robot hand.
-        request: what it was asked for.
         joints: (T, n) what it was commanded [rad].
     """
     warm = _warm(request)

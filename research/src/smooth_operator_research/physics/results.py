@@ -173,7 +173,6 @@ class MeasureResults:
 
         Args:
             panel: hand, side and condition.
-            against: the one method.
 
         Returns:
             method -> name of a figure -> the mean difference with Student's t interval.

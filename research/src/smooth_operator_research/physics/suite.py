@@ -6,7 +6,6 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.util import find_spec
-from pathlib import Path
 from typing import Any, Final
 
 from smooth_operator.atomic_files import write_json
@@ -48,8 +47,8 @@ from smooth_operator_research.physics.results import MeasureResults, Row
 MEASURES: Final[dict[str, tuple[str, str]]] = {
     "reachable": ("reachable_motion", "ReachableMotion"),
     "demonstrations": ("demonstrations", "Demonstrations"),
-    "pinch": ("pinch_hold", "PinchHold"),
-    "grasp": ("power_grasp", "PowerGrasp"),
+    "pinch": ("grasp_measures", "PinchHold"),
+    "grasp": ("grasp_measures", "PowerGrasp"),
     "operators": ("virtual_operators", "VirtualOperators"),
 }
 """Name -> module of this package and class in it, in the order of the report. A new measure is a
@@ -99,15 +98,6 @@ class MeasureOutcome:
     clips: Mapping[tuple[str, str, str], Mapping[str, Clip]]
 
 
-def check_output(folder: Path) -> None:
-    """Looks whether results may be written into a folder; writes nothing.
-
-    Raises:
-        OutputError: it holds something other than results of this command.
-    """
-    check_folder(folder, COMMAND, f"an earlier {COMMAND}")
-
-
 def plan_cases(settings: PhysicsSettings) -> dict[str, list[Case]]:
     """All that is to be run, measure by measure; reads recordings, writes nothing.
 
@@ -116,7 +106,7 @@ def plan_cases(settings: PhysicsSettings) -> dict[str, list[Case]]:
         OutputError: the folder holds something else.
         RecordingError: a recording can't be read.
     """
-    check_output(settings.output)
+    check_folder(settings.output, COMMAND, f"an earlier {COMMAND}")
     planned: dict[str, list[Case]] = {}
     for name in settings.measures or measure_names():
         measure = find_measure(name)
@@ -146,7 +136,6 @@ def run_cases(
     loses only the cases that it was at.
 
     Args:
-        settings: what was asked for.
         planned: of ``plan_cases``.
         track: shows the progress.
         note: called with kept results that can't be used.

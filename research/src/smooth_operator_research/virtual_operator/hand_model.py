@@ -19,6 +19,7 @@ from jaxtyping import Float
 
 from smooth_operator.hands.hand import Hand, landmark_points
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS, TIPS
+from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.simulation.physics_model import FURNISHED
 from smooth_operator.simulation.scenes.physics import ScenePhysics
 from smooth_operator.simulation.scenes.scene import Scene
@@ -26,16 +27,12 @@ from smooth_operator.synthetic.hand_anatomy import FREE, LOWER, UPPER, couple
 from smooth_operator.synthetic.human_kinematics import mirror, pose_hand
 from smooth_operator.synthetic.poses import RELAXED
 from smooth_operator.synthetic.robot_landmarks import human_landmarks
-from smooth_operator.types import Side
+from smooth_operator.types import HandFrame, Side
 from smooth_operator_research.virtual_operator.person import Person
 
 
 class SeenTips:
-    """The fingertips of a hand in a scene.
-
-    Args:
-        physics: the scene.
-    """
+    """The fingertips of a hand in a scene."""
 
     def __init__(self, physics: ScenePhysics) -> None:
         hand, model = physics.hand, physics.model
@@ -54,12 +51,7 @@ class SeenTips:
 
 
 class HandPoints:
-    """Landmarks of a robot hand in a pose, and their derivatives.
-
-    Args:
-        hand: the robot hand.
-        names: of the landmarks.
-    """
+    """Landmarks of a robot hand in a pose, and their derivatives."""
 
     def __init__(self, hand: Hand, names: Sequence[str]) -> None:
         places = landmark_points(hand.model, hand.spec)
@@ -128,23 +120,12 @@ class HandModel(ABC):
 
 
 def hand_model(person: Person, hand: Hand, body: Body = "matched") -> HandModel:
-    """The hand of a person who drives a robot hand.
-
-    Args:
-        person: who.
-        hand: the robot hand.
-        body: whose kinematics.
-    """
+    """The hand of a person who drives a robot hand."""
     return HumanHand(person, hand.spec.side) if body == "human" else MatchedHand(person, hand)
 
 
 class HumanHand(HandModel):
-    """Published anatomy with a person's bones.
-
-    Args:
-        person: whose.
-        side: which hand.
-    """
+    """Published anatomy with a person's bones."""
 
     def __init__(self, person: Person, side: Side) -> None:
         self.lower, self.upper, self.relaxed = LOWER[list(FREE)], UPPER[list(FREE)], RELAXED
@@ -163,12 +144,7 @@ class HumanHand(HandModel):
 
 
 class MatchedHand(HandModel):
-    """The robot hand's kinematics at the size of a person, with the person's bones.
-
-    Args:
-        person: whose.
-        hand: the robot hand.
-    """
+    """The robot hand's kinematics at the size of a person, with the person's bones."""
 
     def __init__(self, person: Person, hand: Hand) -> None:
         self.lower, self.upper = hand.limits.T
@@ -214,9 +190,6 @@ def _length(hand: Hand, points: Float[np.ndarray, "21 3"]) -> float:
 
 class ReachingHand:
     """A hand whose fingertips go where they are wanted, as far as joints and their speed allow.
-
-    Args:
-        model: its kinematics.
 
     Attributes:
         angles: (m,) joint angles [rad].
@@ -305,12 +278,7 @@ class _RobotTips(HandModel):
 
 
 class GripReach:
-    """What the fingertips of a hand in a scene reach.
-
-    Args:
-        hand: the robot hand.
-        scene: where it stands.
-    """
+    """What the fingertips of a hand in a scene reach."""
 
     def __init__(self, hand: Hand, scene: Scene) -> None:
         self._hand, self._model = hand, _RobotTips(hand)
@@ -467,3 +435,74 @@ def _longest_run(fits: np.ndarray) -> tuple[int, int] | None:
     edges = np.flatnonzero(np.diff(np.concatenate([[0], rolled.astype(int), [0]])))
     first, past = max(zip(edges[::2], edges[1::2], strict=True), key=lambda run: run[1] - run[0])
     return int(first + begin), int(past - 1 + begin)
+
+
+POSTURES: Final = 48
+"""Postures that a person moves through; movements of 0.7 s, with pauses, fill two minutes."""
+
+_MOVE_S: Final = 0.5
+_RATE_HZ: Final = 15.0  # of the frames that are remembered
+_KERNEL_M: Final = 0.02  # movements this far off count 61 % in the local fit [m]
+_RIDGE: Final = 0.05  # pulls the local fit to the fit over all, where movements were few
+
+
+class InternalModel:
+    """Own fingertips for wanted robot fingertips, by locally weighted affine regression.
+
+    Args:
+        robot: (n, f, 3) fingertips that were seen, in the robot's palm frame [m].
+        own: (n, f, 3) the person's at those moments [m].
+        fingers: (f,) index of each in ``FINGERS``.
+    """
+
+    def __init__(
+        self,
+        robot: Float[np.ndarray, "n f 3"],
+        own: Float[np.ndarray, "n f 3"],
+        fingers: list[int],
+    ) -> None:
+        self._robot, self._own = np.swapaxes(robot, 0, 1), np.swapaxes(own, 0, 1)
+        self._fingers = fingers
+        ones = np.ones((*self._robot.shape[:2], 1))
+        self._inputs = np.concatenate([self._robot, ones], axis=-1)
+        self._global = np.stack(
+            [
+                np.linalg.lstsq(x, y, rcond=None)[0]
+                for x, y in zip(self._inputs, self._own, strict=True)
+            ]
+        )
+        self._rest = self._own - self._inputs @ self._global
+
+    def own_tips(self, robot: Float[np.ndarray, "f 3"]) -> Float[np.ndarray, "5 3"]:
+        """(5, 3) in the frame of the person's landmarks [m]; NaN for fingers the robot lacks."""
+        away = ((self._robot - robot[:, None]) ** 2).sum(axis=-1)
+        nearest = away.min(axis=1, keepdims=True)  # outside of what was tried, its border counts
+        weight = np.exp(-0.5 * (away - nearest) / _KERNEL_M**2)
+        inputs = np.concatenate([self._robot - robot[:, None], self._inputs[..., 3:]], axis=-1)
+        weighted = np.swapaxes(inputs * weight[..., None], 1, 2)
+        # About the wanted point, in units of the kernel, so that one ridge serves all terms.
+        unit = np.array([_KERNEL_M, _KERNEL_M, _KERNEL_M, 1.0])
+        gram = (weighted @ inputs) / np.outer(unit, unit)
+        ridge = _RIDGE * weight.sum(axis=1)[:, None, None] * np.eye(4)
+        solved = np.linalg.solve(gram + ridge, (weighted @ self._rest) / unit[:, None])
+        here = np.concatenate([robot, np.ones((len(robot), 1))], axis=-1)
+        out = np.full((len(FINGERS), 3), np.nan)
+        out[self._fingers] = (here[:, None] @ self._global)[:, 0] + solved[:, 3]
+        return out
+
+
+def familiarise(model: HandModel, retargeter: Retargeter, seed: int = 0) -> InternalModel:
+    """Move freely with a retargeter, and learn."""
+    hand, rng = retargeter.hand, np.random.default_rng([seed, 0xFA])
+    reach = rng.uniform(0.02, 0.98, (POSTURES, len(model.relaxed)))
+    postures = np.concatenate([[model.relaxed], model.lower + (model.upper - model.lower) * reach])
+    share = np.arange(1, round(_MOVE_S * _RATE_HZ) + 1)[:, None] / round(_MOVE_S * _RATE_HZ)
+    share = share * share * (3 - 2 * share)
+    path = postures[:-1, None] + share * np.diff(postures, axis=0)[:, None]
+    points = np.array([model.landmarks(q)[0] for q in path.reshape(-1, len(model.relaxed))])
+    fingers = [FINGERS.index(name) for name in hand.fingers]
+    state, robot = retargeter.init(seed), []
+    for k, landmarks in enumerate(points):
+        state, result = retargeter.step(state, HandFrame(landmarks, k / _RATE_HZ, hand.spec.side))
+        robot.append(hand.tips(result.command.positions))
+    return InternalModel(np.array(robot), points[:, [TIPS[row] for row in fingers]], fingers)

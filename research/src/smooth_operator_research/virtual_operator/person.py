@@ -94,10 +94,6 @@ def largest_crossover(delay_s: float) -> float:
 def draw_person(number: int, seed: int = 0) -> Person:
     """A person, the same for the same number and seed.
 
-    Args:
-        number: which of the persons, from 0.
-        seed: of all of them.
-
     Raises:
         ConfigError: number or seed is negative.
     """
@@ -160,7 +156,6 @@ class MotorNoise:
     Args:
         share: standard deviation at the end of a movement over its length.
         tremor: root mean square of the tremor along an axis [m].
-        fingers: how many.
         rng: source of random numbers.
     """
 

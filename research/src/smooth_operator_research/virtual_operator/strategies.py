@@ -116,7 +116,6 @@ class Closing:
     """Fingers close on an object; each stops where it is seen to touch, and presses from there.
 
     Args:
-        wide: where fingers begin.
         inward: finger -> direction in which it closes.
         press: how far fingers press beyond the place of the contact [m].
         opened: how far fingers are from the surface at first [m].
@@ -194,8 +193,6 @@ def card_strategy(scene: CardScene, reach: GripReach, obs: Observation) -> Strat
     """Press on the card, draw it over the edge, pinch it, pull it off.
 
     Args:
-        scene: where.
-        reach: of the hand.
         obs: at the start.
     """
     edge, top = scene.edge, scene.top
@@ -297,8 +294,6 @@ def cube_strategy(scene: CubeScene, reach: GripReach, obs: Observation) -> Strat
     """Grip the cube, turn it as far as the fingers reach, let go, and again until it is turned.
 
     Args:
-        scene: where.
-        reach: of the hand.
         obs: at the start.
     """
     sign, press, above = 0.0, _PRESS_M, True
@@ -382,8 +377,6 @@ def screwdriver_strategy(scene: ScrewdriverScene, reach: GripReach, obs: Observa
     """Take the handle between thumb and fingers, loosen until the blade hangs, and hold.
 
     Args:
-        scene: where.
-        reach: of the hand.
         obs: at the start.
     """
     press = PRESS_M

@@ -1,4 +1,4 @@
-"""Pinches of a human hand in a recording, and the recording with time to hold something in each."""
+"""Pinches and closings of a human hand in a recording, and time to hold something in each."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Final, Protocol
 import numpy as np
 from jaxtyping import Float, Int
 
-from smooth_operator.landmarks import FINGERS, TIPS
+from smooth_operator.landmarks import BASES, FINGERS, TIPS
 from smooth_operator.types import HandRecording
 
 CLOSED: Final = 0.015
@@ -118,8 +118,6 @@ def with_holds(
     """A recording in which the hand rests at each grasp's tightest moment.
 
     Args:
-        recording: the frames.
-        grasps: of this recording.
         seconds: how long it rests; the frame is repeated at the recording's rate.
 
     Returns:
@@ -195,3 +193,89 @@ def _tightest(pinches: Sequence[HumanPinch], gaps: Float[np.ndarray, "T 4"]) -> 
         for pinch in pinches
         if FINGERS.index(pinch.finger) - 1 == int(np.nanargmin(gaps[pinch.tight]))
     ]
+
+
+BENT: Final = 0.65
+"""The hand is closed where no finger is straighter than this..."""
+STRAIGHT: Final = 0.85
+"""... until all are straighter than this."""
+LOOSER: Final = 0.1
+"""The human holds the object until the fingers are straighter by this than they are at most bent,
+on average."""
+
+
+@dataclass(frozen=True)
+class HumanClosing:
+    """One closing of the hand; frames are indices of the recording.
+
+    Attributes:
+        first: frame from which it is looked at, the hand open.
+        tight: frame in which the fingers are bent most, on average.
+        shut: until this frame the human holds the object.
+        opened: first frame in which all fingers are straight again; None if the recording ends
+            before, or the hand closes again.
+        last: frame until which it is looked at.
+    """
+
+    first: int
+    tight: int
+    shut: int
+    opened: int | None
+    last: int
+
+
+def find_closings(recording: HandRecording) -> list[HumanClosing]:
+    """Every closing of the hand in a recording, in order of time."""
+    straight = finger_straightness(recording)
+    bent, stamps = straight.mean(axis=1), recording.stamps
+    spans = _closed_spans(straight)
+    closings = []
+    for begin, end in spans:
+        closed = begin + np.flatnonzero(straight[begin:end].max(axis=1) < BENT)
+        if stamps[closed[-1]] - stamps[closed[0]] < LEAST_S:
+            continue
+        tight = begin + int(np.nanargmin(bent[begin:end]))
+        early = int(np.searchsorted(stamps, stamps[begin] - BEFORE_S))
+        earlier = [previous for _, previous in spans if previous <= begin]
+        early = max([early, *earlier])
+        # Where a finger is lost the hand can't be said to be open.
+        wide = np.nan_to_num(bent[early : begin + 1], nan=-1.0)
+        first = early + int(np.argmax(wide))
+        loose = np.flatnonzero(bent[tight:end] > bent[tight] + LOOSER)
+        opened = end if end < len(stamps) else None
+        late = stamps[-1] if opened is None else stamps[opened] + AFTER_S
+        last = int(np.searchsorted(stamps, late, side="right")) - 1
+        after = [following for following, _ in spans if following > begin]
+        last = min([last, *after])
+        shut = tight + int(loose[0]) if len(loose) else min(end, len(stamps) - 1)
+        closings.append(HumanClosing(first, tight, shut, opened, last))
+    return closings
+
+
+def finger_straightness(recording: HandRecording) -> Float[np.ndarray, "T 4"]:
+    """Distance from base to tip of index to pinky, as a share of the length of their bones.
+
+    Returns:
+        (T, 4); 1 for a straight finger, NaN where a landmark of it is not known.
+    """
+    assert recording.valid is not None  # filled in on construction
+    points = np.where(recording.valid[..., None], recording.landmarks, np.nan)
+    chains = points[:, [range(base, base + 4) for base in BASES[1:]]]
+    bones = np.linalg.norm(np.diff(chains, axis=2), axis=-1).sum(axis=-1)
+    share: np.ndarray = np.linalg.norm(chains[:, :, -1] - chains[:, :, 0], axis=-1) / bones
+    return share
+
+
+def _closed_spans(straight: Float[np.ndarray, "T 4"]) -> list[tuple[int, int]]:
+    """From the frame in which all fingers are bent to the one in which all are straight."""
+    spans: list[tuple[int, int]] = []
+    begin: int | None = None
+    for frame, (least, most) in enumerate(
+        zip(straight.min(axis=1), straight.max(axis=1), strict=True)
+    ):
+        if begin is None and most < BENT:  # False for NaN
+            begin = frame
+        elif begin is not None and least > STRAIGHT:
+            spans.append((begin, frame))
+            begin = None
+    return spans if begin is None else [*spans, (begin, len(straight))]
