@@ -61,12 +61,16 @@ def analyze(
     *,
     modes: Sequence[Mode] = MODES,
     limits: bool = True,
+    decide: float | None = None,
 ) -> dict[Mode, ScopeResult]:
     """Fits the models of an outcome and compares the retargeters.
 
     Args:
         frame: rows of the model; success has an outcome of 0 and 1.
         limits: whether to compute simultaneous intervals against the baseline.
+        decide: significance level. Only the means and tests are then computed, fast: p-values may
+            be bounds on the same side of the level; intervals, odds ratios, the checks of residuals
+            and the search for combinations of terms that separate are left out.
 
     Returns:
         The result in each mode. A retargeter that never or always succeeds is left out of the model
@@ -93,11 +97,11 @@ def analyze(
             warnings = (*blank.warnings, *rare_outcomes(frame))
             blank = replace(blank, n=len(frame), operators=len(frame.operators), warnings=warnings)
             check_frame(frame, retargeters=1)
-            _check_separation(frame)
+            _check_separation(frame, levels_only=decide is not None)
         fits = fit_modes(outcome, frame, modes)
     except StudyError as error:
         return dict.fromkeys(modes, refuse(blank, str(error)))
-    results = {mode: _result(blank, fit, limits) for mode, fit in fits.items()}
+    results = {mode: _result(blank, fit, limits, decide) for mode, fit in fits.items()}
     if success:
         # A refused covariance does not concern the facts of the fit.
         gee = next((fit.model for fit in fits.values() if isinstance(fit, Fit)), None)
@@ -229,10 +233,14 @@ def rare_outcomes(frame: Frame) -> list[str]:
     return notes
 
 
-def _result(blank: ScopeResult, fit: Fit | Refused, limits: bool) -> ScopeResult:
+def _result(
+    blank: ScopeResult, fit: Fit | Refused, limits: bool, decide: float | None
+) -> ScopeResult:
     if isinstance(fit, Refused):
         return refuse(blank, fit.refused)
-    compared = fit.compare(limits=limits)
+    compared = fit.compare(limits=limits and decide is None, decide=decide)
+    if decide is not None:
+        return replace(blank, emm=compared.emm, dunnett=compared.dunnett, pairs=compared.pairs)
     frame, checks = fit.frame, dict[str, Any]()
     if isinstance(fit.model, MixedFit):
         checks, notes = residual_checks(fit.model.residuals, fit.model.intercepts, frame)
@@ -343,13 +351,15 @@ def _odds(fit: Fit) -> dict[str, dict[str, float]]:
     }
 
 
-def _check_separation(frame: Frame) -> None:
+def _check_separation(frame: Frame, *, levels_only: bool) -> None:
     levels = one_sided_levels(frame)
     if levels:
         raise StudyError(
             f"separation: {'; '.join(levels)}, so its odds are estimated as zero or infinite and "
             "have no standard error; see the observed rates"
         )
+    if levels_only:
+        return
     design, names = frame.design()
     direction = separating(design, frame.outcome)
     if direction is not None:

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final
-
-import numpy as np
 
 from smooth_operator.atomic_files import atomic_write
 from smooth_operator.formats.csv_table import csv_text
@@ -17,7 +15,6 @@ from smooth_operator.study.analysis.methods_text import cited, methods_paragraph
 from smooth_operator.study.analysis.operators import flow_rows, operator_means
 from smooth_operator.study.analysis.readings import reading_rows
 from smooth_operator.study.analysis.results import ScopeResult, plain
-from smooth_operator.study.data.rows import Questionnaires, Trials
 
 RESULTS: Final = "results.json"
 METHODS: Final = "methods.txt"
@@ -25,7 +22,8 @@ SCRIPT: Final = "analysis.R"
 TRIALS: Final = "rows_trials.csv"
 TLX: Final = "rows_tlx.csv"
 _TRIALS: Final = (
-    "operator", "task", "retargeter", "block", "trial_in_block", "trial_global", "score",
+    "operator", "task", "retargeter", "block", "trial_in_block", "trial_global", "score", "success",
+    "time_s",
 )  # fmt: skip
 _TLX: Final = ("operator", "task", "retargeter", "block", "point", "index", "workload")
 _FAMILIES: Final = {
@@ -118,7 +116,7 @@ def _tables(analysis: Analysis) -> dict[str, list[dict[str, Any]]]:
     ]
     tables["readings"] = reading_rows(analysis.readings)
     tables["flow"] = flow_rows(analysis.data.flow)
-    tables["operators"] = [plain(one) for one in operator_means(analysis.data)]
+    tables["operators"] = operator_means(analysis.data).to_dict("records")
     return tables
 
 
@@ -146,16 +144,6 @@ def _named(numbers: Mapping[str, float]) -> str:
     return ", ".join(f"{json.dumps(name)} = {value!r}" for name, value in numbers.items())
 
 
-def _csv(table: Trials | Questionnaires, names: Sequence[str], **more: np.ndarray) -> str:
-    columns = {name: getattr(table, name) for name in names} | more
-    values = [column.tolist() for column in columns.values()]
-    rows: list[dict[str, Any]] = [
-        {name: None if cell != cell else cell for name, cell in zip(columns, row, strict=True)}
-        for row in zip(*values, strict=True)
-    ]
-    return csv_text(list(columns), rows)
-
-
 def write_r_script(analysis: Analysis, folder: Path) -> list[str]:
     """Writes ``analysis.R``, which fits the same models in R, and the rows that it reads.
 
@@ -176,10 +164,15 @@ def write_r_script(analysis: Analysis, folder: Path) -> list[str]:
         .read_text("utf-8")
         .replace("@BASELINE@", json.dumps(analysis.baseline))
         .replace("@MARGINS@", _named(data.plan.margins if data.plan else {})),
-        TRIALS: _csv(
-            data.trials, _TRIALS, success=data.trials.success.astype(int), time_s=data.trials.time
+        TRIALS: csv_text(
+            _TRIALS,
+            plain(
+                data.trials.assign(
+                    success=data.trials.success.astype(int), time_s=data.trials.time
+                ).to_dict("records")
+            ),
         ),
-        TLX: None if table is None else _csv(table, _TLX),
+        TLX: None if table is None else csv_text(_TLX, plain(table.to_dict("records"))),
     }
     for name, text in texts.items():
         if text is None:

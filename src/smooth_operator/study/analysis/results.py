@@ -17,15 +17,15 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.errors import StudyError
+from smooth_operator.study.design.protocol import OUTCOMES as OUTCOMES
+from smooth_operator.study.design.protocol import POOLED as POOLED
+from smooth_operator.study.design.protocol import Outcome as Outcome
 
 Mode: TypeAlias = Literal["small-sample", "paper"]
-Outcome: TypeAlias = Literal["success", "time", "tlx"]
 MODES: Final[tuple[Mode, ...]] = ("small-sample", "paper")
 """Modes of the analysis, the default first."""
 DRAWS: Final = 2000
 """Number of samples of a bootstrap over operators."""
-OUTCOMES: Final[tuple[Outcome, ...]] = ("success", "time", "tlx")
-POOLED: Final = "pooled"
 
 
 @dataclass(frozen=True)

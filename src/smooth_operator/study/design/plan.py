@@ -348,6 +348,11 @@ class Block:
     row: int
     questionnaires: dict[int, Point]
 
+    @property
+    def place(self) -> tuple[str, int]:
+        """Name of the task and number of the block."""
+        return self.task.name, self.number
+
     def trial_global(self, trial: int) -> int:
         """Number of a trial of this block among all trials of the task, from 1."""
         return (self.number - 1) * self.task.trials + trial

@@ -7,9 +7,11 @@ interruption, give the same figures.
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from functools import lru_cache
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
 
@@ -25,13 +27,13 @@ from smooth_operator.result_cache import (
     no_note,
 )
 from smooth_operator.study.analysis.gee import require_statsmodels
-from smooth_operator.study.analysis.results import MODES, POOLED, Mode, Outcome
+from smooth_operator.study.analysis.results import MODES, OUTCOMES, POOLED, Mode, Outcome
 from smooth_operator.study.chunks import chunk_values
 from smooth_operator.study.design.plan import make_plan, scaled
 from smooth_operator.study.design.plan_file import plan_of, plan_table
 from smooth_operator.study.design.protocol import Protocol
 from smooth_operator.study.power.simulated_study import Assumptions, Simulator, Spread
-from smooth_operator.study.power.verdicts import ALPHA, Rate, Tally, rate, rates, verdicts
+from smooth_operator.study.power.verdicts import ALPHA, Rate, count, rate, verdicts
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -43,6 +45,10 @@ LOG: Final = "studies.jsonl"
 """Name of the file with the counts of finished chunks, one line each."""
 _CHUNK: Final = 10
 _LEAST_OPERATORS: Final = 3
+Tally: TypeAlias = "Counter[str]"
+"""Counts of verdicts: ``studies``, and ``OUTCOME/SCOPE/MODE/COUNT`` (see ``verdicts.count``)."""
+Tallies: TypeAlias = Mapping[tuple[int, "Truth"], Tally]
+"""Counts for each number of operators and truth."""
 Report: TypeAlias = Callable[[int, int], None]
 """Function of the number of finished studies and the number of all studies."""
 
@@ -77,6 +83,11 @@ class PowerSettings:
             )
         if len(set(self.operators)) < len(self.operators):
             raise StudyError(f"a number of operators comes twice: {list(self.operators)}")
+
+    @property
+    def outcomes(self) -> list[Outcome]:
+        """Outcomes of the analysis."""
+        return [one for one in OUTCOMES if one != "tlx" or self.protocol.questionnaires]
 
     @property
     def scopes(self) -> tuple[str, ...]:
@@ -122,16 +133,13 @@ def run_power(
     workers: int | None = None,
     report: Report | None = None,
     note: Note = no_note,
-) -> dict[tuple[int, Truth], Tally]:
+) -> Tallies:
     """Simulates and analyses studies; continues an earlier run in the same folder.
 
     Args:
         folder: existing folder for the finished chunks.
         workers: number of processes; None for one for each core, 0 for this process.
         note: called with a text on each entry of the folder that can't be used.
-
-    Returns:
-        Counts for each number of operators and truth.
 
     Raises:
         StudyError: a study can't be simulated; says why.
@@ -141,9 +149,7 @@ def run_power(
     code = code_digest("study/design", "study/power", "study/analysis")
     jobs = [Job("", chunk, code, chunk) for chunk in _chunks(settings)]
     log = ResultLog(folder / LOG, note)
-    tallies: dict[tuple[int, Truth], Tally] = {
-        (n, truth): Tally() for n in settings.operators for truth in TRUTHS
-    }
+    tallies = {(n, truth): Counter[str]() for n in settings.operators for truth in TRUTHS}
     for chunk, counts in chunk_values(
         jobs,
         log,
@@ -155,21 +161,23 @@ def run_power(
         report=report,
         prepare=require_statsmodels,  # one error here, not one from each worker
     ):
-        tallies[chunk.operators, chunk.truth].merge(chunk.count, counts)
+        tallies[chunk.operators, chunk.truth].update(counts)
     return tallies
 
 
-def simulate_chunk(chunk: Chunk) -> dict[str, dict[str, int]]:
+def simulate_chunk(chunk: Chunk) -> dict[str, int]:
     """Simulates and analyses the studies of a chunk in a worker; returns the counts."""
     simulator, truth, protocol, scopes, seed = _prepared(
         chunk.setting, chunk.operators, chunk.truth
     )
-    tally = Tally()
+    tally = Counter(studies=chunk.count)
     for number in range(chunk.first, chunk.first + chunk.count):
         rng = np.random.default_rng([seed, chunk.operators, TRUTHS.index(chunk.truth), number])
-        results = verdicts(simulator.draw(rng), protocol.baseline, scopes)
-        tally.add(results, truth, protocol.baseline, protocol.margins)
-    return {key: dict(counts) for key, counts in tally.counts.items()}
+        for one in verdicts(simulator.draw(rng), protocol.baseline, scopes):
+            where = f"{one.outcome}/{one.scope}/{one.mode}"
+            counts = count(one, truth, protocol.baseline, protocol.margins)
+            tally.update({f"{where}/{what}": number for what, number in counts.items()})
+    return dict(tally)
 
 
 @lru_cache(maxsize=8)
@@ -215,7 +223,6 @@ ENOUGH: Final = 0.8
 """Usual target for the power."""
 MOST_ERROR: Final = 0.07
 """Family-wise error from which a test is unreliable: 5 % and the error of the simulation."""
-Tallies = Mapping[tuple[int, Truth], Tally]
 _LINES: Final[dict[Mode, str]] = {"small-sample": "-", "paper": "--"}
 
 
@@ -229,31 +236,32 @@ def power_json(settings: PowerSettings, tallies: Tallies) -> dict[str, Any]:
     studies with a significant difference that does not exist; ``errs`` is true above 7 %.
     """
     cells = []
-    for (operators, truth), tally in tallies.items():
-        for key, counts in rates(tally).items():
-            outcome, scope, mode = key.split("/", 2)
-            power: dict[str, dict[str, Any]] = {"dunnett": {}, "holm": {}, "equivalent": {}}
-            for what, value in counts.items():
-                family, _, name = what.partition(":")
-                if family in power:
-                    power[family][name] = asdict(value)
-            cells.append(
-                {
-                    "operators": operators,
-                    "truth": truth,
-                    "outcome": outcome,
-                    "scope": scope,
-                    "mode": mode,
-                    "studies": tally.studies,
-                    "power": power,
-                    "family_error": {
-                        "dunnett": asdict(counts["family:dunnett"]),
-                        "holm": asdict(counts["family:holm"]),
-                    },
-                    "errs": truth == "null" and errs(counts["family:dunnett"]),
-                    "refused": asdict(counts["refused"]),
-                }
-            )
+    analyses = product(tallies, settings.scopes, settings.outcomes, MODES)
+    for (operators, truth), scope, outcome, mode in analyses:
+        tally, where = tallies[operators, truth], f"{outcome}/{scope}/{mode}"
+        power: dict[str, dict[str, Any]] = {"dunnett": {}, "holm": {}, "equivalent": {}}
+        for what in sorted(key for key in tally if key.startswith(f"{where}/")):
+            family, _, name = what.removeprefix(f"{where}/").partition(":")
+            if family in power:
+                power[family][name] = asdict(rate(tally[what], tally["studies"]))
+        error = rate_of(tally, outcome, scope, mode, "family:dunnett")
+        cells.append(
+            {
+                "operators": operators,
+                "truth": truth,
+                "outcome": outcome,
+                "scope": scope,
+                "mode": mode,
+                "studies": tally["studies"],
+                "power": power,
+                "family_error": {
+                    "dunnett": asdict(error),
+                    "holm": asdict(rate_of(tally, outcome, scope, mode, "family:holm")),
+                },
+                "errs": truth == "null" and errs(error),
+                "refused": asdict(rate_of(tally, outcome, scope, mode, "refused")),
+            }
+        )
     return {"format": FORMAT, "alpha": ALPHA, "settings": settings.to_json(), "cells": cells}
 
 
@@ -277,8 +285,7 @@ def write_power(settings: PowerSettings, tallies: Tallies, folder: Path) -> list
 
 def rate_of(tally: Tally, outcome: str, scope: str, mode: str, what: str) -> Rate:
     """Returns the rate of a count, which may be zero."""
-    counts = tally.counts.get(f"{outcome}/{scope}/{mode}")
-    return rate(0 if counts is None else counts[what], tally.studies)
+    return rate(tally[f"{outcome}/{scope}/{mode}/{what}"], tally["studies"])
 
 
 def draw_power(
@@ -293,7 +300,7 @@ def draw_power(
 
     truth = settings.truth
     values = {"success": truth.success, "time": truth.time_s, "tlx": truth.workload}
-    outcomes = [o for o in TITLES if o != "tlx" or settings.protocol.questionnaires]
+    outcomes = settings.outcomes
     figure = Figure(figsize=(4.2 * len(outcomes), 7.0), layout="constrained")
     axes = figure.subplots(2, len(outcomes), sharex=True, sharey="row", squeeze=False)
     baseline = settings.protocol.baseline

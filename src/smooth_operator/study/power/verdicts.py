@@ -1,45 +1,25 @@
 """Verdicts of the analysis on simulated studies: significant differences and their rates.
 
-The models and tests are those of ``study analyze``, without intervals, effect sizes and
-diagnostics; a test checks that both give the same verdicts. Dunnett's integral is computed only if
-its bounds do not decide.
+The analysis is that of ``study analyze``, limited to what decides.
 """
 
 from __future__ import annotations
 
-import math
-from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
+from scipy.stats import binomtest
 
-from smooth_operator.errors import StudyError
 from smooth_operator.study.analysis.dunnett import quantile
-from smooth_operator.study.analysis.frame import (
-    Frame,
-    check_frame,
-    success_frame,
-    time_frame,
-    tlx_frame,
-)
-from smooth_operator.study.analysis.gee import one_sided_levels
-from smooth_operator.study.analysis.models import ONE_SIDED, Fit, fit_modes
-from smooth_operator.study.analysis.results import (
-    MODES,
-    POOLED,
-    Mode,
-    Outcome,
-    Refused,
-    Separated,
-)
-from smooth_operator.study.analysis.separated import split
+from smooth_operator.study.analysis.frame import outcome_frames
+from smooth_operator.study.analysis.outcomes import analyze
+from smooth_operator.study.analysis.results import POOLED, Mode, Outcome, ScopeResult
 from smooth_operator.study.data.rows import StudyData
 from smooth_operator.study.power.simulated_study import Assumptions
 
 ALPHA: Final = 0.05
-_Z: Final = 1.959963984540054
 Counts = dict[str, int]
 """Name of a count (see ``count``) -> number of studies."""
 
@@ -80,54 +60,24 @@ def verdicts(
         scopes: ``pooled`` and tasks.
     """
     for scope in scopes:
-        frames: dict[Outcome, Frame] = {
-            "success": success_frame(study.trials, scope, baseline),
-            "time": time_frame(study.trials, scope, baseline),
-        }
-        if study.questionnaires is not None:
-            frames["tlx"] = tlx_frame(study.questionnaires, scope, baseline)
-        for outcome, frame in frames.items():
-            yield from _verdicts(outcome, frame, scope)
+        for outcome, frame in outcome_frames(study, scope, baseline).items():
+            for mode, result in analyze(outcome, frame, decide=ALPHA).items():
+                yield _verdict(Verdict(outcome, scope, mode, {}, {}), result, baseline)
 
 
-def _verdicts(outcome: Outcome, frame: Frame, scope: str) -> Iterator[Verdict]:
-    separated: dict[str, Separated] = {}
-    fits: Mapping[Mode, Fit | Refused]
-    try:
-        check_frame(frame)
-        if outcome == "success":
-            rest, separated = split(frame)
-            if rest is None:
-                raise StudyError(ONE_SIDED)
-            frame = rest
-            check_frame(frame, retargeters=1)
-            if one_sided_levels(frame):
-                raise StudyError("separation: a condition or task always or never succeeds")
-        fits = fit_modes(outcome, frame)
-    except StudyError as error:
-        fits = dict.fromkeys(MODES, Refused(str(error)))
-    for mode, fit in fits.items():
-        yield _verdict(Verdict(outcome, scope, mode, {}, {}), fit, separated, frame.baseline)
-
-
-def _verdict(
-    blank: Verdict, fit: Fit | Refused, separated: Mapping[str, Separated], baseline: str
-) -> Verdict:
-    """Decides by the tests of a fit, and by the exact tests of separated retargeters."""
-    if isinstance(fit, Refused):
-        return replace(blank, refused=fit.refused)
-    compared = fit.compare(limits=False, decide=ALPHA)
-    count = len(compared.emm)
-    if len(compared.pairs) < count * (count - 1) // 2:
-        return replace(blank, refused="a difference has no estimated error")
-    pairs = {(one.a, one.b): _sign(one.difference, one.p_holm) for one in compared.pairs.values()}
-    against = {name: _sign(one.difference, one.p_dunnett) for name, one in compared.dunnett.items()}
+def _verdict(blank: Verdict, result: ScopeResult, baseline: str) -> Verdict:
+    """Decides by the tests of a model, and by the exact tests of separated retargeters."""
+    count = len(result.emm)
+    if result.refused is not None or len(result.pairs) < count * (count - 1) // 2:
+        return replace(blank, refused=result.refused or "a difference has no estimated error")
+    pairs = {(one.a, one.b): _sign(one.difference, one.p_holm) for one in result.pairs.values()}
+    against = {name: _sign(one.difference, one.p_dunnett) for name, one in result.dunnett.items()}
     margins = {
         name: abs(one.difference) + one.se * quantile(one.df, ALPHA)
-        for name, one in compared.dunnett.items()
+        for name, one in result.dunnett.items()
     }
-    for name, result in separated.items():
-        for other, test in result.against.items():
+    for name, exact in result.separated.items():
+        for other, test in exact.against.items():
             # Pairs of the analysis have the baseline first, then the order of names.
             turned = other == baseline or (name != baseline and other < name)
             sign = _sign(test.difference, test.p_holm)
@@ -157,38 +107,6 @@ class Rate:
     se: float
     lower: float
     upper: float
-
-
-@dataclass
-class Tally:
-    """Counts of the verdicts for one number of operators and one truth.
-
-    Attributes:
-        studies: number of studies.
-        counts: ``outcome/scope/mode`` -> counts.
-    """
-
-    studies: int = 0
-    counts: dict[str, Counter[str]] = field(default_factory=dict)
-
-    def add(
-        self,
-        verdicts: Iterable[Verdict],
-        truth: Assumptions,
-        baseline: str,
-        margins: Mapping[str, float],
-    ) -> None:
-        """Adds the verdicts on one study."""
-        self.studies += 1
-        for verdict in verdicts:
-            key = f"{verdict.outcome}/{verdict.scope}/{verdict.mode}"
-            self.counts.setdefault(key, Counter()).update(count(verdict, truth, baseline, margins))
-
-    def merge(self, studies: int, counts: Mapping[str, Mapping[str, int]]) -> None:
-        """Adds the counts of other studies."""
-        self.studies += studies
-        for key, more in counts.items():
-            self.counts.setdefault(key, Counter()).update(more)
 
 
 def count(
@@ -240,22 +158,5 @@ def count(
 def rate(hits: int, studies: int) -> Rate:
     """Computes a share with its error."""
     p = hits / studies
-    spread = _Z * math.sqrt(p * (1 - p) / studies + _Z**2 / (4 * studies**2))
-    centre, scale = p + _Z**2 / (2 * studies), 1 + _Z**2 / studies
-    return Rate(
-        p,
-        math.sqrt(p * (1 - p) / studies),
-        (centre - spread) / scale if hits else 0.0,
-        (centre + spread) / scale if hits < studies else 1.0,
-    )
-
-
-def rates(tally: Tally) -> dict[str, dict[str, Any]]:
-    """Computes ``outcome/scope/mode`` -> name of a count -> ``Rate``."""
-    return {
-        key: {
-            what: rate(counts[what], tally.studies)
-            for what in sorted({*counts, "family:dunnett", "family:holm", "refused"})
-        }
-        for key, counts in tally.counts.items()
-    }
+    interval = binomtest(hits, studies).proportion_ci(method="wilson")
+    return Rate(p, float(np.sqrt(p * (1 - p) / studies)), *map(float, interval))
