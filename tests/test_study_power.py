@@ -22,8 +22,12 @@ from smooth_operator.study.power import power_run
 from smooth_operator.study.power.power_run import (
     LOG,
     PowerSettings,
+    Verdict,
+    count,
     power_json,
+    rate,
     run_power,
+    verdicts,
     write_power,
 )
 from smooth_operator.study.power.simulated_study import (
@@ -32,7 +36,6 @@ from smooth_operator.study.power.simulated_study import (
     assumptions_for,
     planned_data,
 )
-from smooth_operator.study.power.verdicts import Verdict, count, rate, verdicts
 
 METHODS = ("sbr", "dexpilot", "geort", "hybrid")
 CONDITIONS = tuple(Condition(name) for name in METHODS)

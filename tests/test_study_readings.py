@@ -20,8 +20,8 @@ from smooth_operator.study.analysis.readings import (
     preference,
     reading_rows,
 )
-from smooth_operator.study.analysis.results import Pair, Refused, ScopeResult, operator_weights
-from smooth_operator.study.analysis.spearman import correlation_within
+from smooth_operator.study.analysis.results import Pair, Refused, ScopeResult
+from smooth_operator.study.analysis.spearman import correlation_within, operator_weights
 from smooth_operator.study.data import read_study
 from smooth_operator.study.design.protocol import Condition, Protocol, Task
 

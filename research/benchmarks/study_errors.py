@@ -29,8 +29,8 @@ from smooth_operator.study.data import StudyData
 from smooth_operator.study.data.rows import questionnaires_table
 from smooth_operator.study.design.plan import Plan, make_plan
 from smooth_operator.study.design.protocol import Condition, Protocol, Task
+from smooth_operator.study.power.power_run import rate, verdicts
 from smooth_operator.study.power.simulated_study import codes_of, planned_data
-from smooth_operator.study.power.verdicts import rate, verdicts
 from smooth_operator.study.store.nasa_tlx import SCALE_NAMES
 
 Three = tuple[float, float, float]

@@ -22,6 +22,7 @@ from smooth_operator.study.power.power_run import (
     TITLES,
     TRUTHS,
     PowerSettings,
+    Rate,
     Tallies,
     errs,
     power_json,
@@ -30,7 +31,6 @@ from smooth_operator.study.power.power_run import (
     write_power,
 )
 from smooth_operator.study.power.simulated_study import Spread, assumptions_for
-from smooth_operator.study.power.verdicts import Rate
 from smooth_operator.terminal import printable
 
 _SHARES: Final = (1 / 3, 2 / 3, 1.0, 4 / 3, 2.0)

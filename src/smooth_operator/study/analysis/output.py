@@ -10,10 +10,16 @@ from typing import Any, Final
 
 from smooth_operator.atomic_files import atomic_write
 from smooth_operator.formats.csv_table import csv_text
+from smooth_operator.reporting.drawing import colors_of, styled
+from smooth_operator.reporting.html import Html
+from smooth_operator.reporting.report_page import Plots, templates, write_report_page
 from smooth_operator.study.analysis.analyze import Analysis
 from smooth_operator.study.analysis.methods_text import cited, methods_paragraph
 from smooth_operator.study.analysis.operators import flow_rows, operator_means
 from smooth_operator.study.analysis.readings import reading_rows
+from smooth_operator.study.analysis.report import tables
+from smooth_operator.study.analysis.report.figures import FIGURES
+from smooth_operator.study.analysis.report.tables import NAMES, conclusion
 from smooth_operator.study.analysis.results import ScopeResult, plain
 
 RESULTS: Final = "results.json"
@@ -57,8 +63,6 @@ def write_analysis(analysis: Analysis, folder: Path, *, report: bool = True) -> 
     written = [RESULTS, *write_tables(analysis, folder), METHODS]
     written += write_r_script(analysis, folder)
     if report:
-        from smooth_operator.study.analysis.report import write_report
-
         written.append(write_report(analysis, folder).name)
     return written
 
@@ -181,3 +185,66 @@ def write_r_script(analysis: Analysis, folder: Path) -> list[str]:
         with atomic_write(folder / name) as file:
             file.write(text.encode("utf-8"))
     return [name for name, text in texts.items() if text is not None]
+
+
+REPORT: Final = "report.html"
+FOLDER: Final = "figures"
+_SECTIONS: Final = (
+    ("Success", "success", "success"),
+    ("Time", "time", "time"),
+    ("Workload", "workload", "workload"),
+    ("Learning", "learning", "learning"),
+    ("Other readings", "readings", "readings"),
+    ("Simulation", "simulation", "simulation"),
+    ("Participants", "participants", "participants"),
+    ("Checks", "checks", "checks"),
+    ("Methods", "methods", "methods"),
+    ("Appendix: as published", "published", "published"),
+)
+"""Title, anchor and macro of each section."""
+
+
+def write_report(analysis: Analysis, folder: Path) -> Path:
+    """Writes the page and its figures.
+
+    Returns:
+        The page. It needs no other file, and nothing from the network.
+
+    Raises:
+        OutputError: a file can't be written.
+    """
+    plots, colors = Plots(folder / FOLDER), colors_of(analysis.retargeters)
+
+    def figure(stem: str, caption: str) -> Html:
+        with styled():
+            drawn = FIGURES[stem](analysis, colors)
+        return plots.element(drawn, stem, caption)
+
+    text = methods_paragraph(analysis)
+    template = templates(f"{__package__}.report").get_template("sections.html.j2")
+    macros = template.make_module(
+        {
+            "analysis": analysis,
+            "colors": colors,
+            "conclusion": conclusion(analysis),
+            "figure": figure,
+            "flow": analysis.data.flow,
+            "names": NAMES,
+            "operators": len({str(name) for name in analysis.data.trials.operator}),
+            "tables": tables,
+            "text": text,
+            "works": cited(text),
+        }
+    )
+    return write_report_page(
+        folder / REPORT,
+        "User study",
+        Html(str(macros.header())),  # type: ignore[attr-defined]
+        [
+            (title, anchor, Html(str(getattr(macros, macro)())))
+            for title, anchor, macro in _SECTIONS
+            if anchor != "simulation" or analysis.spearman
+        ],
+        "Made by smooth-operator study analyze. Figures: results.json and the CSV tables; "
+        "plots as files: figures/.",
+    )

@@ -26,7 +26,7 @@ from smooth_operator.study.analysis.frame import (
     outcome_frames,
 )
 from smooth_operator.study.analysis.models import WaldTest, fit_with
-from smooth_operator.study.analysis.outcomes import observed
+from smooth_operator.study.analysis.outcomes import observed, split
 from smooth_operator.study.analysis.results import (
     OUTCOMES,
     POOLED,
@@ -37,7 +37,6 @@ from smooth_operator.study.analysis.results import (
     plain,
     refusable,
 )
-from smooth_operator.study.analysis.separated import split
 from smooth_operator.study.data.rows import StudyData
 
 _PERMUTATIONS: Final = 20_000

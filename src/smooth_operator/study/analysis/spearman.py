@@ -20,7 +20,7 @@ from jaxtyping import Float
 
 from smooth_operator.study.analysis.dunnett import holm, quantile, two_sided
 from smooth_operator.study.analysis.models import correlation_in_words
-from smooth_operator.study.analysis.results import Outcome, operator_signs, operator_weights
+from smooth_operator.study.analysis.results import Outcome
 from smooth_operator.study.data.rows import StudyData
 
 _DIGITS: Final = 9
@@ -87,7 +87,7 @@ def correlation_within(points: pd.DataFrame, *, seed: int, draws: int) -> dict[s
     scale = np.sqrt(drawn[:, 1] * drawn[:, 2])
     rho = np.divide(drawn[:, 0], scale, out=np.full(len(scale), np.nan), where=scale > 0)
     low, high = np.nanpercentile(rho[1:], [2.5, 97.5])
-    signs = operator_signs(len(sums), seed=seed, draws=draws)
+    signs = np.random.default_rng(seed).choice([-1.0, 1.0], (draws, len(sums)))
     as_far = np.abs(signs @ sums[:, 0]) >= abs(sums[:, 0].sum()) - 1e-9
     return {
         "rho": float(rho[0]),
@@ -174,3 +174,18 @@ def correlation(points: pd.DataFrame, *, seed: int, draws: int) -> dict[str, Any
         "ci_boot_operators": {"lcl": float(low), "ucl": float(high)},
         "effect_words": correlation_in_words(rho),
     }
+
+
+def operator_weights(operators: int, *, seed: int, draws: int) -> Float[np.ndarray, "k g"]:
+    """Draws counts of each operator in each sample; the first sample has each operator once.
+
+    Args:
+        operators: number of operators.
+        draws: number of samples after the first.
+    """
+    rng = np.random.default_rng(seed)
+    chosen = rng.integers(operators, size=(draws, operators))
+    counts = np.zeros((draws + 1, operators))
+    counts[0] = 1
+    np.add.at(counts, (np.arange(1, draws + 1)[:, None], chosen), 1)
+    return counts
