@@ -32,14 +32,14 @@ EXTRAS = [
 LIBRARIES = [
     "bc_stark_sdk", "can", "cryptography", "cv2", "google", "grpc", "cyclonedds", "daqp",
     "dynamixel_sdk", "h5py", "optuna", "isaacteleop", "jinja2", "mcap", "mediapipe", "matplotlib",
-    "mink", "mujoco_menagerie", "optax", "orca_core", "pyarrow", "pymodbus", "ray", "rerun",
-    "segno", "serial", "statsmodels", "trimesh", "viser", "websockets", "wujihandpy", "zmq",
-    "zstandard",
+    "mink", "mujoco_menagerie", "optax", "orca_core", "pandas", "pyarrow", "pymodbus", "ray",
+    "rerun", "segno", "serial", "statsmodels", "trimesh", "viser", "websockets", "wujihandpy",
+    "zmq", "zstandard",
 ]  # fmt: skip
 """Modules of the extras."""
 AT_THE_TOP = (
-    "teleop/arm/", "teleop/isaac.py", "teleop/pages/", "teleop/recording/messages.py",
-    "teleop/ros2/",
+    "study/analysis/", "study/data/", "study/power/", "teleop/arm/", "teleop/isaac.py",
+    "teleop/pages/", "teleop/recording/messages.py", "teleop/ros2/",
 )  # fmt: skip
 """Where they may be imported with the module: its package says first what is missing."""
 

@@ -220,11 +220,11 @@ def test_the_same_event_sent_twice_is_written_once(store: StudyStore) -> None:
 @pytest.mark.parametrize(
     ("kind", "values", "says"),
     [
-        ("trial_scored", {"task": "A"}, "missing: block, line, score, time_s, trial"),
-        ("noted", {"text": "a", "colour": "red"}, "unknown: colour"),
+        ("trial_scored", {"task": "A"}, "block: is missing; expected a whole number"),
+        ("noted", {"text": "a", "colour": "red"}, "colour: no such entry"),
         ("danced", {}, "no event is called 'danced'"),
-        ("undone", {"number": True}, "must be a whole number"),
-        ("noted", {"text": "a\x00b"}, "must be a text"),
+        ("undone", {"number": True}, "expected a whole number"),
+        ("noted", {"text": "a\x00b"}, "expected a text"),
     ],
 )
 def test_what_is_no_event_is_refused(kind: str, values: dict[str, object], says: str) -> None:

@@ -18,17 +18,20 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+import pandas as pd
 import tyro
 
 from smooth_operator.cli.console import Progressing
 from smooth_operator.result_cache import Job, ResultLog, code_digest
 from smooth_operator.study.analysis.results import MODES, OUTCOMES, POOLED
 from smooth_operator.study.chunks import chunk_values
-from smooth_operator.study.data import Questionnaires, StudyData, Trials
+from smooth_operator.study.data import StudyData
+from smooth_operator.study.data.rows import questionnaires_table
 from smooth_operator.study.design.plan import Plan, make_plan
 from smooth_operator.study.design.protocol import Condition, Protocol, Task
+from smooth_operator.study.power.power_run import rate, verdicts
 from smooth_operator.study.power.simulated_study import codes_of, planned_data
-from smooth_operator.study.power.verdicts import rate, verdicts
+from smooth_operator.study.store.nasa_tlx import SCALE_NAMES
 from smooth_operator_research.run_report import markdown
 
 Three = tuple[float, float, float]
@@ -194,7 +197,8 @@ def draw(design: Design, plan: Plan, data: StudyData, rng: np.random.Generator) 
         + np.array([TASKS[name] for name in tasks])
     )
 
-    def about(table: Trials | Questionnaires, index: np.ndarray, kind: int, practice: float) -> Any:
+    def about(table: pd.DataFrame, column: str, kind: int, practice: float) -> Any:
+        index = table[column].to_numpy()
         where = (
             codes_of(plan.codes, table.operator),
             codes_of(conditions, table.retargeter),
@@ -204,10 +208,9 @@ def draw(design: Design, plan: Plan, data: StudyData, rng: np.random.Generator) 
 
     trials, asked = data.trials, data.questionnaires
     assert asked is not None
-    index = trials.trial_global
-    logit = np.log(design.success / (1 - design.success)) + about(trials, index, 0, 0.012)
+    logit = np.log(design.success / (1 - design.success)) + about(trials, "trial_global", 0, 0.012)
     success = rng.random(len(logit)) < 1 / (1 + np.exp(-logit))
-    mean = MEANS[0] + about(trials, index, 1, -0.06)
+    mean = MEANS[0] + about(trials, "trial_global", 1, -0.06)
     noise = rng.standard_normal(len(mean))
     if design.log_normal:
         mean = np.maximum(mean, 3.0)
@@ -216,14 +219,16 @@ def draw(design: Design, plan: Plan, data: StudyData, rng: np.random.Generator) 
     else:
         time = np.maximum(mean + TRIALS[0] * noise, 2.0)
     workload = (
-        MEANS[1] + about(asked, asked.index, 2, -0.4) + TRIALS[1] * rng.standard_normal(len(asked))
+        MEANS[1] + about(asked, "index", 2, -0.4) + TRIALS[1] * rng.standard_normal(len(asked))
     )
     scales = workload[:, None] + TRIALS[2] * rng.standard_normal((len(workload), 6))
     answers = np.clip(5 * np.round(scales / 5), 0, 100)
     return replace(
         data,
-        trials=replace(trials, score=success.astype(float), time=time),
-        questionnaires=replace(asked, answers=answers),
+        trials=trials.assign(score=success.astype(float), success=success, time=time),
+        questionnaires=questionnaires_table(
+            {**asked, **dict(zip(SCALE_NAMES, answers.T, strict=True))}
+        ),
     )
 
 

@@ -19,9 +19,9 @@ from smooth_operator.result_cache import Job, Note, ResultLog, no_note
 from smooth_operator.simulation.scenes.scene_registry import scene_for
 from smooth_operator.simulation.tasks.task import task_named
 from smooth_operator.study.chunks import chunk_values
-from smooth_operator.study.data.reading import QUESTIONNAIRE_COLUMNS, TRIAL_COLUMNS
 from smooth_operator.study.design.plan import Block, Plan, lot, make_plan, scaled
 from smooth_operator.study.design.plan_file import plan_table
+from smooth_operator.study.store.export import QUESTIONNAIRE_COLUMNS, TRIAL_COLUMNS
 from smooth_operator_research.code import research_digest
 from smooth_operator_research.demonstrations.demonstration import DEFAULT_HAND
 from smooth_operator_research.virtual_operator import draw_person, make_familiar, simulate_trial

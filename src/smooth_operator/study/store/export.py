@@ -15,11 +15,6 @@ from typing import Any, Final
 from smooth_operator.atomic_files import atomic_write, output_error
 from smooth_operator.errors import OutputError
 from smooth_operator.formats.csv_table import csv_text
-from smooth_operator.study.data.reading import (
-    MORE_TRIAL_COLUMNS,
-    QUESTIONNAIRE_COLUMNS,
-    TRIAL_COLUMNS,
-)
 from smooth_operator.study.design.plan import Block
 from smooth_operator.study.design.plan_file import plan_table
 from smooth_operator.study.store.events import (
@@ -36,6 +31,12 @@ from smooth_operator.study.store.study_store import StudyStore
 
 FORMAT: Final = 1
 """Version of ``study.json``."""
+TRIAL_COLUMNS: Final = (
+    "operator", "task", "retargeter", "block", "trial_in_block", "trial_global", "score", "time_s",
+)  # fmt: skip
+MORE_TRIAL_COLUMNS: Final = ("duration_s", "line", "resets", "started_at", "place", "amended")
+"""Further columns of exported trials, which the analysis does not read."""
+QUESTIONNAIRE_COLUMNS: Final = ("operator", "task", "retargeter", "block", "point", *SCALE_NAMES)
 _TRIALS, _TLX, _ALL = "trials.csv", "tlx.csv", "study.json"
 _SCORING: Final = ("line", "score", "time_s")
 
@@ -144,7 +145,7 @@ def _remove(path: Path) -> None:
 
 def operator_json(progress: Progress) -> dict[str, Any]:
     """Returns an operator's forms, notes, irregular events and whole log as plain values."""
-    blocks = {(block.task.name, block.number): block for block in progress.blocks}
+    blocks = {block.place: block for block in progress.blocks}
 
     def events(kind: type[Event]) -> list[dict[str, Any]]:
         """Fields of the events of a kind that count, with their times."""

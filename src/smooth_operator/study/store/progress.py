@@ -215,7 +215,7 @@ class Progress:
         block = self._block()
         if block is None:
             return self._form_step("after") or Step("done")
-        key = (block.task.name, block.number)
+        key = block.place
         if block.task.name not in self.calibrations:
             return Step("calibrate", block)
         if key not in self.started:
@@ -251,13 +251,13 @@ class Progress:
     def begun(self) -> Block | None:
         """The current block once it was started: the hand should run its condition."""
         block = None if self.withdrawn else self._block()
-        return block if block and (block.task.name, block.number) in self.started else None
+        return block if block and block.place in self.started else None
 
     @property
     def begun_with(self) -> tuple[str, str | None] | None:
         """Method and preset that the hand reported as the current block began; None if unknown."""
         block = self.begun
-        method, preset = self.started[block.task.name, block.number] if block else ("", "")
+        method, preset = self.started[block.place] if block else ("", "")
         return (method, preset or None) if method else None
 
     @property
@@ -278,7 +278,7 @@ class Progress:
 
     def undone(self) -> Counter[str]:
         """Counts the undone events of each condition."""
-        conditions = {(b.task.name, b.number): b.condition.name for b in self.blocks}
+        conditions = {block.place: block.condition.name for block in self.blocks}
         counts: Counter[str] = Counter()
         for record in self.records:
             if isinstance(record.event, Undone):
@@ -327,8 +327,7 @@ class Progress:
             StudyError: there is none at that place.
         """
         for trial in self.trials:
-            place = (trial.block.task.name, trial.block.number, trial.number)
-            if trial.counts and place == (task, block, number):
+            if trial.counts and (*trial.block.place, trial.number) == (task, block, number):
                 return trial
         raise StudyError(
             f"operator {self.operator}: trial {number} in block {block} of {task} was not scored; "
@@ -337,7 +336,7 @@ class Progress:
 
     def finished(self, block: Block) -> bool:
         """True if no step of a block is due any more."""
-        key = (block.task.name, block.number)
+        key = block.place
         return key in self.ended_early or (
             self.scored[key] >= block.task.trials
             and all((*key, point) in self.answered for point in block.questionnaires.values())
