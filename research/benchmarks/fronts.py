@@ -1,6 +1,6 @@
-"""What posture, the thumb's directions, motion and stillness cost each other: ``smooth`` by setting.
+"""What posture, directions of the thumb, motion and stillness cost each other, by setting.
 
-    python research/benchmarks/fronts.py RECORDING... [--still GLOVE] [--hands shadow_hand leap_hand]
+    python research/benchmarks/fronts.py RECORDING... [--still GLOVE...] [--hands leap_hand...]
         [--output FOLDER]
 
 Each curve is one setting of the default method, the others as they are; each point is the mean over
@@ -59,9 +59,12 @@ STILLNESS: Final[Mapping[str, Sequence[float]]] = {
 """Setting -> values that trade motion for flatness."""
 
 
-def row(hand: str, settings: Mapping[str, Any], recordings: Iterable[HandRecording]) -> list[float]:
-    """Means of the metrics over the recordings, for ``smooth`` with some settings."""
-    retargeter = Retargeter(load_hand(hand), config=with_settings(method_config(), settings))
+def row(
+    hand: str, settings: Mapping[str, Any], recordings: Iterable[HandRecording], preset: str = ""
+) -> list[float]:
+    """Means of the metrics over the recordings, for a preset of ``smooth`` with some settings."""
+    config = with_settings(method_config("smooth", preset or None), settings)
+    retargeter = Retargeter(load_hand(hand), config=config)
     rows = []
     for recording in recordings:
         commands, _ = retargeter.run(recording)
@@ -127,7 +130,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         one.axvline(0.04, color=INK, lw=0.5, ls=":")
         one.axhline(0.97, color=INK, lw=0.5, ls=":")
         one.set(xlabel="extension error", ylabel="thumb cosine", title=options.hand)
-        values = {hand: share["correspondence.share"] for hand in hands}
+        values = dict.fromkeys(hands, share["correspondence.share"])
         draw_front(two, hands, values, "extension", "thumb cosine")
         two.set(xlabel="extension error", ylabel="thumb cosine", title="correspondence.share")
         draw_front(three, stillness, STILLNESS, "flatness m²", "motion", 1e6)

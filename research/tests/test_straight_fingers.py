@@ -60,7 +60,8 @@ def test_both_joints_beyond_the_knuckle_count():
     tips[1] = fingers.centres[0] + [0.0, 0.0, 0.1]  # a bent index finger
     low = np.asarray(fingers.limits(hand.limits, tips))[:, 0]
     joints = [joint for _, joint, *_ in fingers.bends]
-    assert (low[joints[:2]] > -0.03).all() and (hand.limits[joints[:2], 0] < -0.3).all()
+    assert (low[joints[:2]] > -0.03).all()
+    assert (hand.limits[joints[:2], 0] < -0.3).all()
     assert (low[joints[2:]] == hand.limits[joints[2:], 0].astype(np.float32)).all()
 
 

@@ -190,9 +190,9 @@ _POSES: Final = 101
 class StraightFingers:
     """Joint limits of a frame that keep a bent finger on its side of straight.
 
-    Many robot fingers are longest some degrees before the limit of a joint beyond the knuckle, which
-    so bends them past straight. Between limit and that joint position a finger can't get shorter
-    than at the limit: an optimiser that ends there holds it straight or bent backwards, though the
+    Many robot fingers are longest some degrees before the limit of a joint beyond the knuckle: it
+    bends them past straight. Between limit and that joint position a finger can't get shorter than
+    at the limit: an optimiser that ends there holds it straight or bent backwards, though the
     human's is bent. Where the human's fingertip is nearer to the finger's base than that, the joint
     is kept on the other side.
 
