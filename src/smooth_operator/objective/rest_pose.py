@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from smooth_operator.hands.differential import PointKinematics, PointMotion, all_joints, contracted
-from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.hand import Hand, straight_pose
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS, TIPS
 from smooth_operator.objective.terms import TINY_AREA
 from smooth_operator.settings import check_numbers, is_off
@@ -190,9 +190,9 @@ _POSES: Final = 101
 class StraightFingers:
     """Joint limits of a frame that keep a bent finger on its side of straight.
 
-    Many robot fingers, those that one of two parallel joints bends past straight, are longest some
-    degrees before their middle joint's limit. Between limit and that joint position a finger can't
-    get shorter than at the limit: an optimiser that ends there holds it straight, though the
+    Many robot fingers are longest some degrees before the limit of a joint beyond the knuckle: it
+    bends them past straight. Between limit and that joint position a finger can't get shorter than
+    at the limit: an optimiser that ends there holds it straight or bent backwards, though the
     human's is bent. Where the human's fingertip is nearer to the finger's base than that, the joint
     is kept on the other side.
 
@@ -200,17 +200,19 @@ class StraightFingers:
         hand: the robot hand.
 
     Attributes:
-        found: for each of them its row among the hand's fingers, the joint, the joint position in
-            which the finger is longest [rad], and its length at the limit next to that [m].
-        centres: (S, 3) where the other joint is, from the wrist [m]; lengths are from there.
+        bends: for each of these joints the finger's row among the hand's, the joint, the joint
+            position in which the finger is longest [rad], and its length at the limit next to that
+            [m]; other joints as in the straight hand.
+        centres: (S, 3) where the knuckle is, from the wrist [m]; lengths are from there.
     """
 
     def __init__(self, hand: Hand) -> None:
-        self.found: list[tuple[int, int, float, float]] = []
+        self.bends: list[tuple[int, int, float, float]] = []
         centres = []
         swept = []
+        straight = straight_pose(hand).q
         for joint, (low, high) in enumerate(hand.limits):
-            q = np.tile(hand.neutral, (_POSES, 1))
+            q = np.tile(straight, (_POSES, 1))
             q[:, joint] = np.linspace(low, high, _POSES)
             swept.append((q[:, joint], hand.tips(hand.full_configuration(q)) - hand.wrist))
         for f, name in enumerate(hand.fingers):
@@ -221,14 +223,15 @@ class StraightFingers:
                     circles.append((*_circle(tips), joint, positions, tips))
             circles.sort(key=lambda one: -one[0])
             parallel = [one for one in circles if abs(one[2] @ circles[-1][2]) > _PARALLEL]
-            if len(parallel) != 2 or name == "thumb":  # the thumb's other joint moves about
+            if len(parallel) < 2 or name == "thumb":  # the thumb's other joint moves about
                 continue
-            (_, centre, *_), (_, _, _, joint, positions, tips) = parallel
-            length = np.linalg.norm(tips - centre, axis=-1)
-            longest = int(np.argmax(length))
-            if longest < _POSES // 2 and length[longest] - length[0] > _SHORTER:
-                self.found.append((f, joint, float(positions[longest]), float(length[0])))
-                centres.append(centre)
+            centre = parallel[0][1]
+            for _, _, _, joint, positions, tips in parallel[1:]:
+                length = np.linalg.norm(tips - centre, axis=-1)
+                longest = int(np.argmax(length))
+                if longest < _POSES // 2 and length[longest] - length[0] > _SHORTER:
+                    self.bends.append((f, joint, float(positions[longest]), float(length[0])))
+                    centres.append(centre)
         self.centres = np.array(centres).reshape(-1, 3)
 
     def limits(
@@ -239,10 +242,10 @@ class StraightFingers:
         Args:
             tips: (F, 3) where the human's fingertips are, from the robot's wrist [m].
         """
-        if not self.found:
+        if not self.bends:
             return limits
         fingers, joints, longest, length = (
-            np.array(part) for part in zip(*self.found, strict=True)
+            np.array(part) for part in zip(*self.bends, strict=True)
         )
         tips = jnp.asarray(tips)
         away = tips[fingers] - jnp.asarray(self.centres, tips.dtype)
