@@ -120,7 +120,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     share = {"correspondence.share": PLACES["correspondence.share"]}
     places = front(options.hand, PLACES, recordings)
     stillness = front(options.hand, STILLNESS, still) if still else {}
-    hands = {hand: front(hand, share, recordings)["correspondence.share"] for hand in options.hands}
+    hands, precise = {}, {}
+    for hand in options.hands:
+        hands[hand] = front(hand, share, recordings)["correspondence.share"]
+        precise[hand] = np.array(row(hand, {}, recordings, "precise"))
+        print("| `smooth:precise` | | " + " | ".join(f"{x:.3g}" for x in precise[hand]) + " |")
     from matplotlib.figure import Figure
 
     with styled():
@@ -132,7 +136,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         one.set(xlabel="extension error", ylabel="thumb cosine", title=options.hand)
         values = dict.fromkeys(hands, share["correspondence.share"])
         draw_front(two, hands, values, "extension", "thumb cosine")
-        two.set(xlabel="extension error", ylabel="thumb cosine", title="correspondence.share")
+        columns = [list(METRICS).index(name) for name in ("extension", "thumb cosine")]
+        for line, means in zip(two.get_lines(), precise.values(), strict=True):
+            two.plot(*means[columns], "s", ms=6, color=line.get_color())
+        two.set(xlabel="extension error", ylabel="thumb cosine", title="by share; square: precise")
         draw_front(three, stillness, STILLNESS, "flatness m²", "motion", 1e6)
         three.axvline(1.5, color=INK, lw=0.5, ls=":")
         three.axhline(0.92, color=INK, lw=0.5, ls=":")
