@@ -426,7 +426,7 @@ def test_the_scene_shows_the_kinematics_of_its_frame(
     server.set_frame(40)
     eventually(lambda: np.allclose(tips.batched_positions, playback.trace.robot_tips[40]))
     eventually(lambda: server._panel._slider.value == 40)
-    hand, (look,) = playback.hand, robot.looks
+    hand, look = playback.hand, robot.shown
     poses = HandView(hand, simple=True).bodies(
         playback.trace.joint_positions[40, list(hand.actuated)]
     )

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final, Literal, TypeAlias
@@ -390,8 +390,7 @@ def read_table(path: Path) -> ActuatorMap:
         ConfigError: it can't be read, an entry is wrong, or a map is not monotonic; the message
             names file and entry.
     """
-    hint = "; smooth-operator hardware check writes one"
-    top = read_entries(path, "table of a hand", most_bytes=_MOST_BYTES, hint=hint)
+    top = _entries(path)
     top.only(*_TOP)
     top.check_format(FORMAT)
     unit = top.text("unit")
@@ -412,6 +411,31 @@ def read_table(path: Path) -> ActuatorMap:
             source=top.text("source", "", lines=True),
             file=str(path),
         )
+
+
+def _entries(path: Path) -> Entries:
+    """The entries of a file, with those of its ``base`` where it has none.
+
+    The base is the name of a file in the same folder, or of a built-in table. Entries of an
+    actuator of the base are replaced one by one.
+    """
+    hint = "; smooth-operator hardware check writes one"
+    own = read_entries(path, "table of a hand", most_bytes=_MOST_BYTES, hint=hint)
+    if "base" not in own.values:
+        return own
+    name = own.text("base", empty=False)
+    folder = path.parent if (path.parent / name).is_file() else built_in_tables()
+    base = read_entries(folder / name, "table", most_bytes=_MOST_BYTES)
+    if "base" in base.values:
+        raise own.error("base", f"{name} has a base of its own; name one that is whole")
+    others = own.tables("actuators") if "actuators" in own.values else []
+    changes = {each.text("name"): each.values for each in others}
+    actuators = [
+        {**each.values, **changes.pop(each.text("name"), {})} for each in base.tables("actuators")
+    ]
+    merged = {**base.values, **own.values, "actuators": [*actuators, *changes.values()]}
+    del merged["base"]
+    return replace(own, values=merged)
 
 
 def _actuator(each: Entries, unit: str) -> Actuator:

@@ -20,7 +20,6 @@ from smooth_operator.landmarks import FINGERS, TIPS
 from smooth_operator.metrics import Trace
 from smooth_operator.metrics.accuracy import PINCH_DISTANCE
 from smooth_operator.teleop.pages.hand_view import (
-    FOREARM,
     Aiming,
     HandView,
     css,
@@ -28,7 +27,7 @@ from smooth_operator.teleop.pages.hand_view import (
     plan,
     view_axes,
 )
-from smooth_operator.teleop.pages.scene import TRANSLUCENT, HandRow, RobotBodies
+from smooth_operator.teleop.pages.scene import TRANSLUCENT, HandRow, RobotLooks
 from smooth_operator.teleop.pages.viser_server import (
     PageServer,
     add_hotkeys,
@@ -440,9 +439,10 @@ class Scene:
         self.row = HandRow(scene, "", first.tips, words, anchor="bottom-center")
         axes = view_axes(HandView(first.hand, simple=True))
         self.robots = [
-            RobotView(scene, run, f"/robot_{i}", axes[1]) for i, run in enumerate(self._runs)
+            RobotLooks(scene, run.hand, _views(run), f"/robot_{i}/look", distal=axes[1])
+            for i, run in enumerate(self._runs)
         ]
-        bounds = [robot.bounds() for robot in self.robots]
+        bounds = [_bounds(run, robot) for run, robot in zip(runs, self.robots, strict=True)]
         layout = self._layout = plan(axes, first.trace.human, first.trace.robot_wrist, *bounds)
         for label, top in zip(self.row.labels.values(), layout.tops, strict=True):
             label.position = top
@@ -451,8 +451,8 @@ class Scene:
 
     def draw(self, frame: int) -> None:
         """Show one frame of all hands."""
-        for robot in self.robots:
-            robot.draw(frame)
+        for run, robot in zip(self._runs, self.robots, strict=True):
+            robot.draw(run.trace.joint_positions[frame])
         tips = [run.trace.robot_tips[frame] for run in self._runs]
         self.row.draw(self._runs[0].trace.human[frame], tips, self._pinches[frame])
 
@@ -464,65 +464,25 @@ class Scene:
         for label in self.row.labels.values():
             label.visible = not overlay
         for robot in self.robots:
-            robot.set_translucent(overlay)
+            robot.show(opacity=TRANSLUCENT if overlay else None)
 
     def set_meshes(self, visible: bool) -> None:
         """Draw the makers' meshes, or simple shapes, where a run has both."""
         for robot in self.robots:
-            robot.set_meshes(visible)
+            robot.show(meshes=visible)
 
 
-class RobotView:
-    """Draws the robot hand; kinematics run per frame, so memory does not grow with the recording.
+def _views(run: Playback) -> list[HandView]:
+    """The robot's looks, the simple one last."""
+    return [*([HandView(run.drawn)] if run.drawn else []), HandView(run.hand, simple=True)]
 
-    Args:
-        scene: where to draw.
-        playback: motion to draw.
-        root: name of the parent node, which places the whole hand.
-        distal: unit vector along the forearm, toward the fingers.
-    """
 
-    def __init__(
-        self,
-        scene: viser.SceneApi,
-        playback: Playback,
-        root: str,
-        distal: Float[np.ndarray, "3"],
-    ) -> None:
-        self._trace = playback.trace
-        views = [HandView(playback.drawn)] if playback.drawn else []
-        views.append(HandView(playback.hand, simple=True))
-        self.looks = [
-            RobotBodies(
-                scene, playback.hand, view, f"{root}/look_{i}",
-                meshes=view.without_forearm(FOREARM, distal),
-            )
-            for i, view in enumerate(views)
-        ]  # fmt: skip
-        self.set_meshes(True)
-
-    def draw(self, frame: int) -> None:
-        """Show one frame."""
-        for look in self.looks:
-            look.draw(self._trace.joint_positions[frame])
-
-    def set_translucent(self, translucent: bool) -> None:
-        """Make the hand see-through, for looking at the human hand inside it."""
-        for look in self.looks:
-            look.first.set_opacity(TRANSLUCENT if translucent else None)
-
-    def set_meshes(self, visible: bool) -> None:
-        """Draw the meshes, where there are some, or the hand in simple shapes."""
-        shown = self.looks[0] if visible else self.looks[-1]
-        for look in self.looks:
-            look.show(look is shown)
-
-    def bounds(self, samples: int = 16) -> Float[np.ndarray, "N 3"]:
-        """(N, 3) corners of the bodies' boxes at some frames, in the palm frame [m]."""
-        trace = self._trace
-        frames = np.unique(np.linspace(0, len(trace) - 1, samples).astype(int))
-        corners = [self.looks[0].corners(trace.joint_positions[frame]) for frame in frames]
-        return np.concatenate([trace.robot_tips.reshape(-1, 3), *corners])
+def _bounds(run: Playback, robot: RobotLooks, samples: int = 16) -> Float[np.ndarray, "N 3"]:
+    """(N, 3) fingertips, and corners of the bodies' boxes at some frames, in the palm frame [m]."""
+    trace = run.trace
+    frames = np.unique(np.linspace(0, len(trace) - 1, samples).astype(int))
+    corners = [robot.shown.corners(trace.joint_positions[frame]) for frame in frames]
+    return np.concatenate([trace.robot_tips.reshape(-1, 3), *corners])
 
 
 class Panel:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections import Counter, defaultdict, deque
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from jaxtyping import Float, Float32
@@ -38,18 +38,6 @@ _TRUSTED: Final = 0.7
 """Smallest correlation of a valid delay."""
 
 _AGAIN_S: Final = 1.0
-
-
-class Delay(NamedTuple):
-    """Delay between a command and the measured motion of a hand.
-
-    Attributes:
-        seconds: time from the command to the measured motion [s].
-        correlation: correlation of the velocities at that delay, 0 to 1.
-    """
-
-    seconds: float
-    correlation: float
 
 
 class _Track:
@@ -87,7 +75,7 @@ class MotionDelay:
         self._commands: _Track | None = None
         self._states: _Track | None = None
         self._state: HandState | None = None
-        self._newest: tuple[float, Delay | None] = (-np.inf, None)
+        self._newest: tuple[float, float | None] = (-np.inf, None)
 
     def add(self, tick: Tick) -> None:
         """Store a command and a measured state; takes microseconds."""
@@ -101,8 +89,8 @@ class MotionDelay:
             self._state = tick.state
             self._states.add(tick.state.stamp, tick.state.positions)
 
-    def now(self) -> Delay | None:
-        """The delay over the last ten seconds, computed at most once a second.
+    def now(self) -> float | None:
+        """The delay over the last ten seconds [s], computed at most once a second.
 
         Returns:
             None without a measured state, without motion, or if the measured motion does not
@@ -114,7 +102,7 @@ class MotionDelay:
             self._newest = (time.monotonic(), delay)
         return delay
 
-    def _compute(self) -> Delay | None:
+    def _compute(self) -> float | None:
         commands, states = self._commands, self._states
         if commands is None or states is None:
             return None
@@ -149,7 +137,7 @@ class MotionDelay:
             left, top, right = scores[best - 1 : best + 2]
             curve = left - 2 * top + right
             shift = 0.5 * (left - right) / curve if curve < 0 else 0.0
-        return Delay((best + shift) * _GRID_S, float(scores[best]))
+        return float((best + shift) * _GRID_S)
 
 
 def _velocities(
@@ -307,7 +295,7 @@ class LoopStatistics:
             "added_latency_ms": percentiles(self._added.newest()),
             "stages_ms": {name: percentiles(t.newest()) for name, t in self._stages.items()},
             "motion_delay_ms": {
-                side: None if (estimate := delay.now()) is None else 1e3 * estimate.seconds
+                side: None if (seconds := delay.now()) is None else 1e3 * seconds
                 for side, delay in self.motion.items()
             },
             "mode_share": {mode.value: self._modes[mode] / max(total, 1) for mode in self._modes},

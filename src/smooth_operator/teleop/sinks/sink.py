@@ -344,11 +344,6 @@ class SinkRunner:
         self._changed = threading.Condition()
         self._mender: threading.Thread | None = None
 
-    def use_arms(self, arms: Mapping[Side, CarriedHand]) -> None:
-        """Tell every sink which arms carry the hands."""
-        for entry in self._entries:
-            entry.sink.use_arms(arms)
-
     def check(self, hands: Mapping[Side, Hand]) -> None:
         """Check that every sink can be opened (``Sink.check``), before anything slow is done.
 

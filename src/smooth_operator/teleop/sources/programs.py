@@ -61,9 +61,7 @@ from smooth_operator.teleop.sources.stream import (
     OneSender,
     Reader,
     StreamSource,
-    check_port,
     only_side,
-    sides_of,
 )
 from smooth_operator.types import Side
 
@@ -94,7 +92,7 @@ class LandmarkStream(StreamSource):
     matrix: MatrixOrder = "auto"
 
     def __post_init__(self) -> None:
-        sides_of(self.side)
+        super().__post_init__()
         layout_order(self.layout)
 
     def data_of(self, message: Message) -> bytes:
@@ -123,10 +121,6 @@ class UdpSource(LandmarkStream):
 
     port: int = 5005
     host: str = "127.0.0.1"
-
-    def __post_init__(self) -> None:
-        check_port(self.port)
-        super().__post_init__()
 
     @property
     def label(self) -> str:
@@ -206,10 +200,6 @@ class HtsSource(StreamSource):
     port: int | None = None
     transport: Transport = "both"
     side: Hands = "both"
-
-    def __post_init__(self) -> None:
-        check_port(self.port)
-        sides_of(self.side)
 
     @property
     def label(self) -> str:
@@ -295,10 +285,6 @@ class PicoSource(StreamSource):
     side: Hands = "both"
     axes: pico_packets.Axes = "openxr"
 
-    def __post_init__(self) -> None:
-        check_port(self.port)
-        sides_of(self.side)
-
     @property
     def label(self) -> str:
         """The source in a few words."""
@@ -361,7 +347,7 @@ class AvpSource(StreamSource):
             raise ConfigError("avp needs the headset's address, which the app shows: avp:ADDRESS")
         if not 1 <= self.port <= 65_535:
             raise ConfigError(f"port must be 1 to 65535, not {self.port}")
-        sides_of(self.side)
+        super().__post_init__()
 
     @property
     def label(self) -> str:
@@ -616,7 +602,7 @@ class ManusStream(StreamSource):
     bind: bool = False
 
     def __post_init__(self) -> None:
-        sides_of(self.side)
+        super().__post_init__()
         glove_sides(self.right_glove, self.left_glove)
 
     @property

@@ -43,7 +43,7 @@ from smooth_operator.teleop.pages.scene import (
     TRANSLUCENT,
     BodyNodes,
     HandRow,
-    RobotBodies,
+    RobotLooks,
     TargetMarks,
     add_body,
     put,
@@ -350,7 +350,7 @@ class LiveScene:
         order = [side for side in sides if side in hands]
         self._sides = {side: _SideView(server.scene, hands[side], simulated) for side in order}
         for side, hand in (drawn or {}).items():
-            self._sides[side].add_meshes(HandView(hand))
+            self._sides[side].robot.add(HandView(hand))
         self._room = None if arm is None else ArmRoom(server.scene, hands, arm, simulated)
         self._server = server
         # viser encodes pictures by OpenCV where it can be imported; an import of its own that fails
@@ -468,17 +468,17 @@ class LiveScene:
     def set_simulated(self, visible: bool) -> None:
         """Show or hide the simulated hand in the robot's place."""
         for view in self._sides.values():
-            view.set_simulated(visible)
+            view.robot.show(second=visible)
 
     def add_meshes(self, views: Mapping[Side, HandView]) -> None:
         """Draw robots on models with meshes from now on; the simple shapes stay for a switch."""
         for side, view in views.items():
-            self._sides[side].add_meshes(view)
+            self._sides[side].robot.add(view)
 
     def set_meshes(self, visible: bool) -> None:
         """Draw the meshes, where there are some, or simple shapes."""
         for view in self._sides.values():
-            view.set_meshes(visible)
+            view.robot.show(meshes=visible)
 
 
 class _SideView:
@@ -486,59 +486,29 @@ class _SideView:
 
     def __init__(self, scene: viser.SceneApi, hand: Hand, simulated: bool) -> None:
         side = hand.spec.side
-        self._hand, self._nodes = hand, scene
+        self._hand = hand
         self.operator: OperatorProfile | None = None
         self._palm_axes = human_palm_axes(hand)
         view = HandView(hand, simple=True)
         # From the palm frame to the picture: rows right, up, toward become x, z, -y.
         self._axes = view_axes(view)
-        self._model_root = f"/{side}/robot/model"
-        self._with_simulated = self._show_simulated = simulated
-        self._state: Mapping[str, Any] = {
-            "positions": hand.full_configuration(hand.neutral), "human": None, "latched": None,
-            "targets": None,
-        }  # fmt: skip
+        self._with_simulated = simulated
         self._tips = [TIPS[FINGERS.index(finger)] for finger in hand.fingers]
         words = {"human": f"human {side}", "robot": f"{hand.name} {side}"}
         self.row = HandRow(
             scene, f"/{side}", self._tips, words, anchor="center-center", font_screen_scale=_FONT
         )
-        self._simple = self._bodies(view, self._model_root)
-        self._meshes: RobotBodies | None = None
-        self._want_meshes = True
+        self.robot = RobotLooks(
+            scene, hand, [view], f"/{side}/robot/model", distal=self._axes[1], second=simulated
+        )
         self.targets = TargetMarks(scene, len(self._tips), f"/{side}/robot/targets")
         self.scenery = SceneryNodes(scene, f"/{side}/robot/scenery")
         self._points = self._hull()
         self._places = (np.zeros(3), np.zeros(3))
         self._overlaid, self._with_human = False, True
         self.face(None, None)
-        self.draw(self._state)
-
-    def _bodies(self, view: HandView, root: str) -> RobotBodies:
-        meshes = view.without_forearm(FOREARM, self._axes[1])
-        return RobotBodies(
-            self._nodes, self._hand, view, root, meshes=meshes, second=self._with_simulated
-        )
-
-    @property
-    def _robot(self) -> RobotBodies:
-        """The bodies that are drawn."""
-        return self._meshes if self._meshes and self._want_meshes else self._simple
-
-    def add_meshes(self, view: HandView) -> None:
-        self._meshes = self._bodies(view, f"{self._model_root}_meshes")
-        self._show()
-
-    def set_meshes(self, visible: bool) -> None:
-        self._want_meshes = visible
-        self._show()
-
-    def _show(self) -> None:
-        """Show what is to be drawn in the present pose, and hide the other."""
-        self._robot.draw(*self._poses(self._state))
-        for bodies in filter(None, (self._simple, self._meshes)):
-            bodies.show(bodies is self._robot, self._show_simulated)
-            bodies.first.set_opacity(TRANSLUCENT if self._overlaid else None)
+        neutral = hand.full_configuration(hand.neutral)
+        self.draw({"positions": neutral, "human": None, "latched": None, "targets": None})
 
     def show_human(self, visible: bool) -> None:
         self._with_human = self.row.roots["human"].visible = visible
@@ -559,9 +529,8 @@ class _SideView:
         return (other, every) if self.scenery.there else (every, other)
 
     def draw(self, state: Mapping[str, Any]) -> None:
-        self._state = state
         every, other = self._poses(state)
-        self._robot.draw(every, other)
+        self.robot.draw(every, other)
         latched = np.isin(self._hand.fingers[1:], state["latched"] or ())
         robot_tips = self._hand.tips(every)
         self.row.draw(self._aligned(state), [robot_tips], latched)
@@ -573,11 +542,7 @@ class _SideView:
         self.row.roots["human"].position = robot if overlay else human
         self.row.roots["robot"].position = robot
         self.row.labels["human"].visible = self._with_human and not overlay
-        self._show()
-
-    def set_simulated(self, visible: bool) -> None:
-        self._show_simulated = visible
-        self._show()
+        self.robot.show(opacity=TRANSLUCENT if overlay else None)
 
     def _aligned(self, state: Mapping[str, Any]) -> Float[np.ndarray, "21 3"]:
         """The human hand in the palm frame, as the method sees it; NaN where there is none."""
@@ -625,7 +590,7 @@ class _SideView:
         hand = self._hand
         neutral, straight = hand.neutral, np.clip(0.0, *hand.limits.T)
         points = [hand.landmark_positions(np.stack([neutral, straight])).reshape(-1, 3)]
-        bodies = [self._simple.corners(hand.full_configuration(q)) for q in (neutral, straight)]
+        bodies = [self.robot.shown.corners(hand.full_configuration(q)) for q in (neutral, straight)]
         return np.concatenate([*points, *bodies])
 
 

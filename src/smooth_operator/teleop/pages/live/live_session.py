@@ -349,10 +349,7 @@ class LiveSession:
             "blind": self.blind,
             "stages": stages,
             "missed_share": statistics.missed_share,
-            "motion_delay": {
-                side: None if (percentiles := delay.now()) is None else percentiles.seconds
-                for side, delay in list(statistics.motion.items())
-            },
+            "motion_delay": {s: delay.now() for s, delay in list(statistics.motion.items())},
             "unusable": statistics.unusable,
             "refused": {side: dict(p.supervisor.refused) for side, p in loop.pipelines.items()},
             "source": {"label": loop.source.label, **asdict(loop.source.health())},
