@@ -262,7 +262,17 @@ def simulate_study(
         OutputError: the folder can't be written to.
     """
     code = _code()
-    jobs = [Job("", chunk.key, code, chunk) for chunk in chunks(settings)]
+    jobs = [
+        Job(
+            "",
+            one.key,
+            code,
+            one,
+            f"simulating operator {one.operator}, task {one.task}, condition {one.condition}",
+            len(one.trials),
+        )
+        for one in chunks(settings)
+    ]
     log = ResultLog(folder / LOG, note)
     known_settings = dict(
         chunk_values(
@@ -270,11 +280,6 @@ def simulate_study(
             log,
             simulate_chunk,
             field="trials",
-            count=lambda chunk: len(chunk.trials),
-            failure=lambda chunk: (
-                f"simulating operator {chunk.operator}, task {chunk.task}, condition "
-                f"{chunk.condition}"
-            ),
             workers=workers,
             report=report,
         )
