@@ -23,7 +23,7 @@ from smooth_operator.study.analysis.learning import logistic_slope
 from smooth_operator.study.analysis.mixed import fit_mixed
 from smooth_operator.study.analysis.outcomes import analyze
 from smooth_operator.study.analysis.spearman import _weighted, correlation, spearman
-from smooth_operator.study.data.reading import make_trials
+from smooth_operator.study.data.reading import Checked, make_trials
 from smooth_operator.study.data.rows import successes, times
 
 REFERENCE = json.loads(Path(__file__).with_name("study_reference.json").read_text("utf-8"))
@@ -171,11 +171,15 @@ CASES: dict[str, Case] = {
 }
 
 
+def trials_of(rows: list[dict[str, Any]]) -> pd.DataFrame:
+    return make_trials(Checked("trials", "trials", list(enumerate(_text(rows), 2))))[0]
+
+
 @pytest.mark.parametrize("scope", ["pooled", "A"])
 @pytest.mark.parametrize("name", list(CASES))
 def test_times_are_as_r_has_them(name: str, scope: str) -> None:
     expected = REFERENCE[name][f"time {scope}"]
-    trials, _ = make_trials("trials", list(enumerate(_text(CASES[name].trials), 2)))
+    trials = trials_of(CASES[name].trials)
     found = intercepts_with_t(frame_of(times(trials), scope, "dexpilot"))
     assert list(found.coefficients) == expected["names"]
     of = found.coefficients.values()
@@ -202,7 +206,7 @@ def test_times_are_as_r_has_them(name: str, scope: str) -> None:
 @pytest.mark.parametrize("scope", ["pooled", "A"])
 def test_success_is_as_r_has_it(scope: str) -> None:
     expected = REFERENCE["holes"][f"success {scope}"]
-    trials, _ = make_trials("trials", list(enumerate(_text(CASES["holes"].trials), 2)))
+    trials = trials_of(CASES["holes"].trials)
     by_mode = analyze("success", frame_of(successes(trials), scope, "dexpilot"))
     for mode, suffix in (("paper", ""), ("small-sample", "_mancl_derouen")):
         found = by_mode[mode]  # type: ignore[index]
@@ -223,7 +227,7 @@ def test_success_is_as_r_has_it(scope: str) -> None:
 def test_a_negative_working_correlation_is_as_r_has_it_and_refused(scope: str) -> None:
     """At the edge of what is possible and beyond it, R reports figures that mean nothing."""
     expected = REFERENCE["alternate"][f"success {scope}"]
-    trials, _ = make_trials("trials", list(enumerate(_text(CASES["alternate"].trials), 2)))
+    trials = trials_of(CASES["alternate"].trials)
     frame = frame_of(successes(trials), scope, "dexpilot")
     fit = fit_gee(frame.design()[0], frame.outcome, frame.group)
     np.testing.assert_allclose(fit.beta, expected["estimate"], rtol=1e-8)
@@ -397,7 +401,7 @@ def test_holm_steps_down() -> None:
 @pytest.mark.parametrize("scope", ["B", "C"])
 def test_a_correlation_near_its_lowest_does_not_keep_a_fit_from_converging(scope: str) -> None:
     """There rounding keeps the estimating equations off by 1e-7 to 1e-3, but the fit stands."""
-    trials, _ = make_trials("trials", list(enumerate(_text(CASES["alternate"].trials), 2)))
+    trials = trials_of(CASES["alternate"].trials)
     frame = frame_of(successes(trials), scope, "dexpilot", "in block")
     design = np.column_stack([frame.factors()[0], frame.index - frame.index_mean])
     fit = fit_gee(design, frame.outcome, frame.group)
@@ -405,7 +409,7 @@ def test_a_correlation_near_its_lowest_does_not_keep_a_fit_from_converging(scope
 
 
 def test_the_error_of_an_average_change_is_by_the_delta_method() -> None:
-    trials, _ = make_trials("trials", list(enumerate(_text(CASES["holes"].trials), 2)))
+    trials = trials_of(CASES["holes"].trials)
     frame = frame_of(successes(trials), "A", "dexpilot")
     found = logistic_slope(frame)
     design = np.column_stack([frame.factors()[0], frame.index - frame.index_mean])

@@ -139,7 +139,11 @@ def main(settings: Settings) -> None:
         for first in range(0, settings.studies, CHUNK)
         for name in chosen
     ]
-    jobs = [Job("", {"chunk": vars(c), "design": repr(DESIGNS[c.design])}, code, c) for c in chunks]
+    jobs = [
+        Job("", {"chunk": vars(c), "design": repr(DESIGNS[c.design])}, code, c,
+            f"simulating {c.design}", c.count)
+        for c in chunks
+    ]  # fmt: skip
     progress = Progressing()
     counts: dict[str, Counter[str]] = {name: Counter() for name in chosen}
     with progress.bar("simulating studies") as show:
@@ -148,8 +152,6 @@ def main(settings: Settings) -> None:
             ResultLog(settings.output / "studies.jsonl", progress.note),
             simulate,
             field="counts",
-            count=lambda chunk: chunk.count,
-            failure=lambda chunk: f"simulating {chunk.design}",
             workers=settings.workers,
             report=lambda done, total: show(f"{done} of {total} studies", done / total),
         ):

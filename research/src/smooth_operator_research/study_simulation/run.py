@@ -216,7 +216,18 @@ def simulate_study(
         OutputError: the folder can't be written to.
     """
     code = _code()
-    jobs = [Job("", chunk.key, code, chunk) for chunk in chunks(settings)]
+    jobs = [
+        Job(
+            "",
+            one.key,
+            code,
+            one,
+            f"simulating operator {one.block.operator}, task {one.block.task.name}, "
+            f"condition {one.block.condition.name}",
+            len(one.trials),
+        )
+        for one in chunks(settings)
+    ]
     log = ResultLog(folder / LOG, note)
     results = dict(
         chunk_values(
@@ -224,11 +235,6 @@ def simulate_study(
             log,
             simulate_chunk,
             field="trials",
-            count=lambda chunk: len(chunk.trials),
-            failure=lambda chunk: (
-                f"simulating operator {chunk.block.operator}, task {chunk.block.task.name}, "
-                f"condition {chunk.block.condition.name}"
-            ),
             workers=workers,
             report=report,
         )

@@ -33,6 +33,13 @@ from smooth_operator.study.store.nasa_tlx import SCALE_NAMES
 
 _DEFAULT_BASELINE: Final = "dexpilot"
 """Baseline of the paper, for data without a plan."""
+_SLOPES: Final[tuple[tuple[str, Index, tuple[Outcome, ...]], ...]] = (
+    ("trial_global", "global", ("time", "success")),
+    ("trial_in_block", "in block", ("time", "success")),
+    ("tlx_index", "global", ("tlx",)),
+    ("in_block", "in block", ("tlx",)),
+)
+"""Name, index and outcomes of the slopes of learning."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,24 +241,12 @@ def _missing(analysis: Analysis, frame: Frame, scope: str) -> tuple[str, ...]:
 
 def _learning(data: StudyData, scope: str, baseline: str) -> dict[str, Any]:
     rows = data.outcomes()
-    indices: tuple[tuple[str, str, Index], ...] = (
-        ("trial_global", "tlx_index", "global"), ("trial_in_block", "in_block", "in block"),
-    )  # fmt: skip
-    frames = {
-        outcome: [frame_of(table, scope, baseline, index) for *_, index in indices]
-        for outcome, table in rows.items()
+    slopes = {"success": logistic_slope, "time": linear_slope, "tlx": linear_slope}
+    return {
+        name: {one: slopes[one](frame_of(rows[one], scope, baseline, index)) for one in outcomes}
+        for name, index, outcomes in _SLOPES
+        if outcomes[0] in rows
     }
-    slopes: dict[str, Any] = {
-        name: {
-            "time": linear_slope(frames["time"][k]),
-            "success": logistic_slope(frames["success"][k]),
-        }
-        for k, (name, *_) in enumerate(indices)
-    }
-    if "tlx" in frames:
-        for k, (_, name, _) in enumerate(indices):
-            slopes[name] = {"tlx": linear_slope(frames["tlx"][k])}
-    return slopes
 
 
 def _items(analysis: Analysis, scope: str) -> dict[str, ScopeResult]:

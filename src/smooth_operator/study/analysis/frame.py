@@ -137,14 +137,10 @@ def make_frame(
 
 def keep_rows(frame: Frame, rows: Bool[np.ndarray, " n"]) -> Frame:
     """Selects rows of a frame; names that no longer occur are dropped."""
-    return make_frame(
-        frame.outcome[rows],
-        np.array(frame.retargeters)[frame.retargeter[rows]],
-        np.array(frame.tasks)[frame.task[rows]],
-        np.array(frame.operators)[frame.group[rows]],
-        frame.index[rows],
-        frame.baseline,
-    )
+    names = (frame.retargeters, frame.tasks, frame.operators)
+    codes = (frame.retargeter, frame.task, frame.group)
+    columns = (np.array(one)[code[rows]] for one, code in zip(names, codes, strict=True))
+    return make_frame(frame.outcome[rows], *columns, frame.index[rows], frame.baseline)
 
 
 def check_frame(frame: Frame, *, retargeters: int = 2) -> None:

@@ -86,7 +86,7 @@ def analyze(
     """
     blank = ScopeResult(n=len(frame), operators=len(frame.operators), warnings=missing)
     success = outcome == "success"
-    if len(frame):
+    if len(frame) and decide is None:
         facts, notes = layout(frame)
         if success:
             facts["one_sided_cells"] = one_sided_cells(frame)

@@ -44,12 +44,14 @@ class Checked:
     """Rows of one table, and all of their problems.
 
     Attributes:
+        kind: kind of table, one of ``KEYS``.
         name: name of the file.
         rows: number of each row, and its values by column.
         unit: unit of these numbers: "row" of a file with a header in row 1, or "entry".
         problems: problems so far.
     """
 
+    kind: str
     name: str
     rows: Sequence[tuple[int, Mapping[str, Any]]]
     unit: str = "row"
@@ -167,16 +169,10 @@ def _number(value: Any) -> float | None:
 
 METRIC_COLUMNS: Final = ("operator", "retargeter")
 """Columns of metrics, followed by one column for each metric."""
-Rows = Sequence[tuple[int, Mapping[str, Any]]]
 
 
-def make_trials(name: str, rows: Rows, unit: str = "row") -> tuple[pd.DataFrame, tuple[str, ...]]:
-    """Makes checked trials of rows.
-
-    Args:
-        name: name of the file, for messages.
-        rows: rows with all of ``TRIAL_COLUMNS``.
-        unit: unit of the row numbers.
+def make_trials(table: Checked) -> tuple[pd.DataFrame, tuple[str, ...]]:
+    """Makes trials of a table with all of ``TRIAL_COLUMNS``.
 
     Returns:
         The trials, and notes on their oddities.
@@ -184,7 +180,6 @@ def make_trials(name: str, rows: Rows, unit: str = "row") -> tuple[pd.DataFrame,
     Raises:
         StudyError: a value does not fit its column; lists problems by row and column.
     """
-    table = Checked(name, rows, unit)
     columns = {
         **{column: table.words(column) for column in ("operator", "task", "retargeter")},
         **{column: table.counts(column) for column in ("block", "trial_in_block", "trial_global")},
@@ -195,34 +190,27 @@ def make_trials(name: str, rows: Rows, unit: str = "row") -> tuple[pd.DataFrame,
     table.unique(("operator", "task", "trial_global"))
     table.raise_if_any()
     trials, notes = trials_table(columns), []
-    untimed = [rows[i][0] for i in np.flatnonzero(trials.success & trials.time.isna())]
+    untimed = [table.rows[i][0] for i in np.flatnonzero(trials.success & trials.time.isna())]
     if untimed:
         shown = ", ".join(str(number) for number in untimed[:8])
         shown += f" and {len(untimed) - 8} more" if len(untimed) > 8 else ""
         plural = "trials have" if len(untimed) > 1 else "trial has"
         notes.append(
             f"{len(untimed)} successful {plural} no time_s and can't enter the analysis of time "
-            f"({name}, {unit} {shown})"
+            f"({table.name}, {table.unit} {shown})"
         )
     mixed = trials.groupby(["operator", "task", "block"]).retargeter.nunique()
     if len(mixed := mixed[mixed > 1]):
         operator, task, block = min(mixed.index)
         notes.append(
             f"{len(mixed)} block(s) hold trials of more than one retargeter, the first is block "
-            f"{block} of operator {operator} in task {task} ({name})"
+            f"{block} of operator {operator} in task {task} ({table.name})"
         )
     return trials, tuple(notes)
 
 
-def make_questionnaires(
-    name: str, rows: Rows, unit: str = "row"
-) -> tuple[pd.DataFrame, tuple[str, ...]]:
-    """Makes checked questionnaires of rows.
-
-    Args:
-        name: name of the file, for messages.
-        rows: rows with all of ``QUESTIONNAIRE_COLUMNS``.
-        unit: unit of the row numbers.
+def make_questionnaires(table: Checked) -> tuple[pd.DataFrame, tuple[str, ...]]:
+    """Makes questionnaires of a table with all of ``QUESTIONNAIRE_COLUMNS``.
 
     Returns:
         The questionnaires, and notes on their oddities.
@@ -230,9 +218,8 @@ def make_questionnaires(
     Raises:
         StudyError: a value does not fit its column; lists problems by row and column.
     """
-    table = Checked(name, rows, unit)
     points = []
-    for (number, _), word in zip(rows, table.words("point"), strict=True):
+    for (number, _), word in zip(table.rows, table.words("point"), strict=True):
         if word.lower() not in POINTS:
             table.complain(number, "point", f"expected {', '.join(POINTS)}; came {brief(word)}")
         points.append(POINTS.index(word.lower()) + 1 if word.lower() in POINTS else 1)
@@ -253,19 +240,18 @@ def make_questionnaires(
     if missing:
         notes.append(
             f"{missing} of {len(filled)} questionnaires have an answer left out and can't enter "
-            f"the analysis of workload ({name})"
+            f"the analysis of workload ({table.name})"
         )
     return filled, tuple(notes)
 
 
-def make_metrics(name: str, rows: Rows, unit: str = "row") -> pd.DataFrame:
-    """Makes checked metrics from simulation of rows.
+def make_metrics(table: Checked) -> pd.DataFrame:
+    """Makes metrics from simulation of a table.
 
     Raises:
         StudyError: a value does not fit its column; lists problems by row and column.
     """
-    table = Checked(name, rows, unit)
-    names = [column for column in rows[0][1] if column not in METRIC_COLUMNS]
+    names = [column for column in table.rows[0][1] if column not in METRIC_COLUMNS]
     if not names:
         table.problems.append("expected a column for each metric next to operator and retargeter")
     columns: dict[str, Any] = {column: table.words(column) for column in METRIC_COLUMNS}
@@ -392,7 +378,7 @@ def read_study(paths: Sequence[str | Path]) -> StudyData:
         homes = [file for file in files if _is_store(file) or file.name == NAMES[0]]
         metrics = [(home if home.is_dir() else home.parent) / NAMES[2] for home in homes]
         files += [file for file in metrics if file.is_file()]
-    tables: dict[str, tuple[str, Rows, str]] = {}
+    tables: dict[str, Checked] = {}
     facts: dict[str, Any] = {}
     for file in files:
         text = None if _is_store(file) else _text(file)
@@ -402,10 +388,11 @@ def read_study(paths: Sequence[str | Path]) -> StudyData:
             content = _stored(file) if text is None else _content(file.name, text)
             facts |= study_facts(content, file.name)
             parts = _from_json(file.name, content)
-        for kind, rows, unit in parts:
-            if kind in tables:
-                raise StudyError(f"{file.name} and {tables[kind][0]} both hold {kind}; give one")
-            tables[kind] = (file.name, rows, unit)
+        for part in parts:
+            if part.kind in tables:
+                first = tables[part.kind].name
+                raise StudyError(f"{file.name} and {first} both hold {part.kind}; give one")
+            tables[part.kind] = part
     for file in () if facts else _facts_files(files):
         facts |= study_facts(_plan_in(_content(file.name, _text(file))), file.name)
     names = tuple(file.name for file in files)
@@ -419,15 +406,14 @@ def read_study(paths: Sequence[str | Path]) -> StudyData:
             f"no trials in {', '.join(names) or 'no files'}: expected a table with the columns "
             f"{', '.join(TRIAL_COLUMNS)}"
         )
-    trials, notes = make_trials(*tables["trials"])
+    trials, notes = make_trials(tables["trials"])
     data = StudyData(trials, notes=notes, sources=names, **facts)
     if "questionnaires" in tables:
-        questionnaires, more = make_questionnaires(*tables["questionnaires"])
+        questionnaires, more = make_questionnaires(tables["questionnaires"])
         data = replace(data, questionnaires=questionnaires, notes=data.notes + more)
     if "simulation_metrics" in tables:
-        data = replace(data, metrics=make_metrics(*tables["simulation_metrics"]))
-    notes = _strange_names(data, {kind: table[0] for kind, table in tables.items()})
-    return replace(data, notes=data.notes + notes)
+        data = replace(data, metrics=make_metrics(tables["simulation_metrics"]))
+    return replace(data, notes=data.notes + _strange_names(data, tables))
 
 
 def _files(path: Path) -> list[Path]:
@@ -489,12 +475,12 @@ def _text(file: Path) -> str:
         raise StudyError(f"can't read {str(file)!r}: {error.strerror or error}") from error
 
 
-def _from_csv(name: str, text: str) -> tuple[str, Rows, str]:
+def _from_csv(name: str, text: str) -> Checked:
     header, rows = _csv(name, text)
     kind = _kind(name, header)
     if not rows:
         raise StudyError(f"{name} holds a header and no rows")
-    return kind, rows, "row"
+    return Checked(kind, name, rows)
 
 
 def _csv(name: str, text: str) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:
@@ -551,11 +537,11 @@ def _content(name: str, text: str) -> Mapping[str, Any]:
     return content if isinstance(content, Mapping) else {}
 
 
-def _from_json(name: str, content: Mapping[str, Any]) -> list[tuple[str, Rows, str]]:
+def _from_json(name: str, content: Mapping[str, Any]) -> list[Checked]:
     if not isinstance(content.get("trials"), list):
         raise StudyError(f"{name}: expected an object with a list of trials ({', '.join(KEYS)})")
     needed = {**{k: sorted(v) for k, v in _KINDS.items()}, KEYS[2]: list(METRIC_COLUMNS)}
-    tables: list[tuple[str, Rows, str]] = []
+    tables = []
     for key in KEYS:
         entries = content.get(key)
         if not entries:
@@ -570,11 +556,11 @@ def _from_json(name: str, content: Mapping[str, Any]) -> list[tuple[str, Rows, s
                 raise StudyError(f"{name}: entry {number} of {key!r} has no {lacking[0]!r}")
             required = dict.fromkeys([*needed[key], *columns])
             rows.append((number, {**required, **entry}))
-        tables.append((key, rows, f"{key} entry"))
+        tables.append(Checked(key, name, rows, f"{key} entry"))
     return tables
 
 
-def _strange_names(data: StudyData, files: Mapping[str, str]) -> tuple[str, ...]:
+def _strange_names(data: StudyData, tables: Mapping[str, Checked]) -> tuple[str, ...]:
     """Notes on names in other tables that no trial has, which may be typing errors."""
     notes = []
     for kind, table in zip(KEYS[1:], (data.questionnaires, data.metrics), strict=True):
@@ -583,7 +569,7 @@ def _strange_names(data: StudyData, files: Mapping[str, str]) -> tuple[str, ...]
             if strange:
                 more = f" and {len(strange) - 5} more" if len(strange) > 5 else ""
                 notes.append(
-                    f"{files[kind]}, column {column}: {listed(strange[:5])}{more} not in "
-                    f"{files['trials']}; a typing error?"
+                    f"{tables[kind].name}, column {column}: {listed(strange[:5])}{more} not in "
+                    f"{tables['trials'].name}; a typing error?"
                 )
     return tuple(notes)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import fields, is_dataclass
@@ -11,6 +10,7 @@ from typing import Any, Final
 
 from smooth_operator.atomic_files import atomic_write, output_error
 from smooth_operator.errors import StudyError, require
+from smooth_operator.formats.toml_writer import toml_key, toml_value
 from smooth_operator.io.entries import Entries, read_entries, record
 from smooth_operator.reporting.report_page import templates
 from smooth_operator.study.design.forms import KINDS
@@ -177,10 +177,10 @@ def _lines(plan: Plan) -> Iterator[str]:
     if protocol.margins:
         yield "\n[margins]  # of equivalence: share of successes, seconds, points of workload"
         for name, margin in protocol.margins.items():
-            yield f"{name} = {float(margin)!r}"
+            yield f"{name} = {toml_value(float(margin))}"
     for table, items in (("conditions", protocol.conditions), ("tasks", protocol.tasks)):
         for item in items:
-            yield f"\n[{table}.{_key(item.name)}]"
+            yield f"\n[{table}.{toml_key(item.name)}]"
             yield from _settings(item, ("name",))
     if protocol.forms:
         yield "\n# Forms on the operator's page, before the first block or after the last."
@@ -190,11 +190,11 @@ def _lines(plan: Plan) -> Iterator[str]:
         yield from _settings(form)
     yield "\n[orders]  # a balanced Latin square: conditions of the first block, the second, ..."
     for number, order in enumerate(plan.orders, 1):
-        yield f"{number} = {_toml(order)}"
+        yield f"{number} = {toml_value(order)}"
     yield "\n[enrolled]  # operator = { task = row of orders }, tasks in the order they are done"
     for one in plan.enrolled:
-        rows = ", ".join(f"{_key(task)} = {row + 1}" for task, row in one.rows.items())
-        yield f"{_key(one.code)} = {{ {rows} }}"
+        rows = ", ".join(f"{toml_key(task)} = {row + 1}" for task, row in one.rows.items())
+        yield f"{toml_key(one.code)} = {{ {rows} }}"
 
 
 def _settings(item: Any, skip: tuple[str, ...] = ()) -> Iterator[str]:
@@ -216,16 +216,7 @@ def _toml(value: Any) -> str:
         return f"{{ {', '.join(_settings(value))} }}"
     if isinstance(value, tuple) and value and is_dataclass(value[0]):
         return "[\n" + "".join(f"  {_toml(one)},\n" for one in value) + "]"
-    if isinstance(value, tuple):
-        return f"[{', '.join(map(_toml, value))}]"
-    if isinstance(value, bool | str):
-        # A JSON string is a TOML one, but for the one control character that JSON lets through.
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007F")
-    return repr(value)
-
-
-def _key(name: str) -> str:
-    return name if name.replace("_", "").replace("-", "").isalnum() else _toml(name)
+    return toml_value(value)
 
 
 def write_plan_files(plan: Plan, folder: Path) -> list[Path]:

@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
 import numpy as np
 from scipy.stats import binomtest
 
-from smooth_operator.atomic_files import atomic_write, output_error
-from smooth_operator.errors import OutputError, StudyError
+from smooth_operator.atomic_files import atomic_write, write_json
+from smooth_operator.errors import StudyError
 from smooth_operator.result_cache import (
     Job,
     Note,
@@ -158,19 +158,15 @@ def run_power(
         MissingExtraError: statsmodels is not installed.
     """
     code = code_digest("study/design", "study/power", "study/analysis")
-    jobs = [Job("", chunk, code, chunk) for chunk in _chunks(settings)]
+    require_statsmodels()  # one error here, not one from each worker
+    jobs = [
+        Job("", one, code, one, f"simulating {one.operators} operators", one.count)
+        for one in _chunks(settings)
+    ]
     log = ResultLog(folder / LOG, note)
     tallies = {(n, truth): Counter[str]() for n in settings.operators for truth in TRUTHS}
     for chunk, counts in chunk_values(
-        jobs,
-        log,
-        simulate_chunk,
-        field="counts",
-        count=lambda chunk: chunk.count,
-        failure=lambda chunk: f"simulating {chunk.operators} operators",
-        workers=workers,
-        report=report,
-        prepare=require_statsmodels,  # one error here, not one from each worker
+        jobs, log, simulate_chunk, field="counts", workers=workers, report=report
     ):
         tallies[chunk.operators, chunk.truth].update(counts)
     return tallies
@@ -430,9 +426,7 @@ def write_power(settings: PowerSettings, tallies: Tallies, folder: Path) -> list
     Raises:
         OutputError: a file can't be written.
     """
-    text = json.dumps(power_json(settings, tallies), indent=1) + "\n"
-    with atomic_write(folder / RESULT) as file:
-        file.write(text.encode("utf-8"))
+    write_json(folder / RESULT, power_json(settings, tallies), indent=1)
     draw_power(settings, tallies, folder / PLOT)
     return [folder / RESULT, folder / PLOT]
 
@@ -459,6 +453,18 @@ def draw_power(
     axes = figure.subplots(2, len(outcomes), sharex=True, sharey="row", squeeze=False)
     baseline = settings.protocol.baseline
     others = [name for name in settings.protocol.condition_names if name != baseline]
+    numbers = sorted(settings.operators)
+
+    def line(
+        on: Axes, outcome: Outcome, mode: Mode, truth: Truth, what: str, colour: str, label: str
+    ) -> None:
+        rows = [rate_of(tallies[n, truth], outcome, scope, mode, what) for n in numbers]
+        bars = [[row.rate - row.lower for row in rows], [row.upper - row.rate for row in rows]]
+        on.errorbar(
+            numbers, [row.rate for row in rows], yerr=bars, color=colour, linestyle=_LINES[mode],
+            marker="o", markersize=3, linewidth=1.2, elinewidth=0.8, label=label,
+        )  # fmt: skip
+
     for column, outcome in enumerate(outcomes):
         top, bottom = axes[0, column], axes[1, column]
         for number, name in enumerate(others):
@@ -466,12 +472,10 @@ def draw_power(
             if difference == 0:
                 continue
             for mode in MODES:
-                shown = f"{name} ({_shown(outcome, difference)})" if mode == MODES[0] else None
-                _line(top, settings, tallies, (outcome, scope, mode), "effects",
-                      f"dunnett:{name}", f"C{number}", shown)  # fmt: skip
+                shown = f"{name} ({_shown(outcome, difference)})" if mode == MODES[0] else ""
+                line(top, outcome, mode, "effects", f"dunnett:{name}", f"C{number}", shown)
         for mode in MODES:
-            _line(bottom, settings, tallies, (outcome, scope, mode), "null", "family:dunnett",
-                  "black", mode)  # fmt: skip
+            line(bottom, outcome, mode, "null", "family:dunnett", "black", mode)
         top.set_title(f"{TITLES[outcome]}, against {baseline}")
         top.axhline(ENOUGH, color="0.7", linewidth=0.8, zorder=0)
         bottom.axhline(ALPHA, color="0.7", linewidth=0.8, zorder=0)
@@ -493,36 +497,8 @@ def draw_power(
         f"{settings.protocol.name}: {settings.studies} simulated studies each, bars 95 %",
         fontsize=10,
     )
-    try:
-        figure.savefig(path, dpi=120)
-    except OSError as error:
-        raise output_error(path, error) from error
-    except ValueError as error:
-        raise OutputError(f"can't write {str(path)!r}: {error}") from error
-
-
-def _line(
-    axes: Axes,
-    settings: PowerSettings,
-    tallies: Tallies,
-    where: tuple[Outcome, str, Mode],
-    truth: Truth,
-    what: str,
-    colour: str,
-    label: str | None,
-) -> None:
-    outcome, scope, mode = where
-    numbers = sorted(settings.operators)
-    rows = [rate_of(tallies[n, truth], outcome, scope, mode, what) for n in numbers]
-    middle = [row.rate for row in rows]
-    bars = [
-        [row.rate - row.lower for row in rows],
-        [row.upper - row.rate for row in rows],
-    ]
-    axes.errorbar(
-        numbers, middle, yerr=bars, color=colour, linestyle=_LINES[mode], marker="o",
-        markersize=3, linewidth=1.2, elinewidth=0.8, label=label,
-    )  # fmt: skip
+    with atomic_write(path) as file:
+        figure.savefig(file, format="png", dpi=120)
 
 
 def _shown(outcome: Outcome, difference: float) -> str:

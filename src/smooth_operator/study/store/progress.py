@@ -7,10 +7,10 @@ undo the remaining events are folded again. Progress is never stored.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from datetime import datetime
-from typing import Any, Final, Literal, TypeAlias
+from typing import Any, Final, Literal, TypeAlias, TypeVar
 
 from smooth_operator.errors import StudyError
 from smooth_operator.study.design.forms import Form, When
@@ -47,6 +47,7 @@ StepKind: TypeAlias = Literal[
     "form", "calibrate", "start_block", "start_familiarisation", "familiarise", "start_trial",
     "trial", "paused", "questionnaire", "break", "refused", "withdrawn", "done",
 ]  # fmt: skip
+E = TypeVar("E", bound=Event)
 _NO_BREAK: Final = ("break", "trial", "paused", "familiarise", "refused", "withdrawn", "done")
 """Steps in which no break can begin."""
 _NO_CALIBRATION: Final = ("form", "calibrate", "trial", "paused", "refused", "withdrawn", "done")
@@ -146,16 +147,6 @@ class Trial:
         return self.score is not None and self.void is None
 
 
-@dataclass(frozen=True)
-class Questionnaire:
-    """Ratings of one questionnaire."""
-
-    block: Block
-    point: Point
-    at: datetime
-    ratings: Mapping[str, int]
-
-
 @dataclass
 class Progress:
     """Progress of an operator; later events make a new one.
@@ -166,7 +157,6 @@ class Progress:
         records: all events of the log, undone ones included.
         effective: events that count, without undone ones and undoings.
         trials: trials that were started, void ones included.
-        questionnaires: answered questionnaires.
         breaks: start and end of each break; the end is None while it lasts.
         amendments: record of each correction, its trial, and line, score and time [s] before it.
         ended_early: (task, block) of blocks whose rest was left out.
@@ -185,7 +175,6 @@ class Progress:
     records: list[Record] = field(default_factory=list)
     effective: list[Record] = field(default_factory=list)
     trials: list[Trial] = field(default_factory=list)
-    questionnaires: list[Questionnaire] = field(default_factory=list)
     breaks: list[tuple[datetime, datetime | None]] = field(default_factory=list)
     amendments: list[tuple[Record, Trial, tuple[Any, ...]]] = field(default_factory=list)
     ended_early: set[tuple[str, int]] = field(default_factory=set)
@@ -287,6 +276,10 @@ class Progress:
                 if key in conditions:
                     counts[conditions[key]] += 1
         return counts
+
+    def events(self, kind: type[E]) -> list[tuple[datetime, E]]:
+        """Returns time and event of each event of a kind that counts."""
+        return [(one.at, one.event) for one in self.effective if isinstance(one.event, kind)]
 
     def ranking(self) -> tuple[str, ...]:
         """Conditions as the operator ranked them, the best first; empty without a ranking."""
@@ -413,9 +406,6 @@ class Progress:
                 trial.line, trial.score, trial.time_s = event.line, event.score, event.time_s
                 trial.amended = True
             case QuestionnaireAnswered():
-                block = self._current()
-                answers = Questionnaire(block, event.point, at, dict(event.ratings))
-                self.questionnaires.append(answers)
                 self.answered.add((*place, event.point))
             case FormAnswered():
                 self.forms[event.form] = (at, dict(event.answers))

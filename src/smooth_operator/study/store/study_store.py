@@ -284,7 +284,7 @@ class StudyStore:
             StudyError: the data was deleted.
         """
         with self.reading() as connection:
-            _check_not_erased(connection, operator)
+            _check_not_erased(_participant(connection, operator))
             return self._updated(connection, operator)
 
     def records(self, operator: str) -> list[Record]:
@@ -344,7 +344,7 @@ class StudyStore:
             connection.execute(
                 "INSERT INTO participants (operator, created_at) VALUES (?, ?)", (operator, _now())
             )
-        _check_not_erased(connection, operator)
+        _check_not_erased(_participant(connection, operator))
 
     def _updated(self, connection: Connection, operator: str) -> Progress:
         """Progress with all stored events; a new object if there are new events."""
@@ -534,7 +534,7 @@ def _check_revision(before: Plan, plan: Plan, begun: Sequence[Row]) -> None:
     for row in begun:
         if row["erased_at"] is not None:
             if row["operator"] in plan.codes:
-                _refuse_erased(row)
+                _check_not_erased(row)
             continue
         rows = list(before.enrolment(row["operator"]).rows.items())
         enrolment = {one.code: one for one in plan.enrolled}.get(row["operator"])
@@ -545,14 +545,8 @@ def _check_revision(before: Plan, plan: Plan, begun: Sequence[Row]) -> None:
             )
 
 
-def _check_not_erased(connection: Connection, operator: str) -> None:
-    row = _participant(connection, operator)
-    if row is not None:
-        _refuse_erased(row)
-
-
-def _refuse_erased(row: Row) -> None:
-    if row["erased_at"] is not None:
+def _check_not_erased(row: Row | None) -> None:
+    if row is not None and row["erased_at"] is not None:
         raise StudyError(
             f"the data of operator {row['operator']} was deleted on {row['erased_at'][:10]}; enrol "
             "under another code"
