@@ -1,4 +1,4 @@
-"""What ``pinch_damping`` of ``smooth`` buys and costs: a table and a picture, with other methods.
+"""Gain and cost of ``pinch_damping`` of ``smooth``: a table and a picture, with other methods.
 
     python -m smooth_operator_research.judging.pinch_front --data RECORDINGS
 
@@ -48,7 +48,7 @@ FOLLOWING: Final = {
 
 @dataclass(frozen=True)
 class Settings:
-    """What to measure.
+    """Settings of a run.
 
     Attributes:
         damping: values of ``pinch_damping``.

@@ -27,7 +27,7 @@ FAMILY_COLORS: Final = {
     "rmsprop": "#009e73",
     "newton": "#cc79a7",
 }
-"""Of Okabe and Ito's palette, which colour-blind readers can distinguish."""
+"""Colours of Okabe and Ito's palette, which colour-blind readers can distinguish."""
 
 FAMILY_MARKERS: Final = {"sampling": "o", "slsqp": "s", "rmsprop": "^", "newton": "D"}
 """Shapes, so that nothing depends on colour alone."""
@@ -225,7 +225,7 @@ def _lines(ax: Axes, means: Mapping[Point, Estimate], lines: Sequence[Sequence[P
 
 
 def _excess(mean: Estimate, best: float) -> float:
-    """How much a loss is above the best cell's [%]."""
+    """Excess of a loss over the best cell's [%]."""
     return 100 * (mean.value / best - 1)
 
 
@@ -294,7 +294,7 @@ _SPARE: Final = ("#7a68c7", "#6b9c2f", "#7f8790")
 
 @dataclass(frozen=True)
 class Look:
-    """How a method is drawn: presets of one method share a colour and differ by line and fill."""
+    """Style of a method: presets of one method share a colour and differ by line and fill."""
 
     color: str
     marker: str

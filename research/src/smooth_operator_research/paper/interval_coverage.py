@@ -1,4 +1,4 @@
-"""How often the intervals of the paper's experiments hold the truth, by simulation.
+"""Coverage of the intervals of the paper's experiments, by simulation.
 
 Log ratios of independent recordings are drawn about no effect at all, from several distributions,
 and given to the project's own `contrast` and judge. An interval of 95 % ought to hold the truth in
@@ -35,15 +35,15 @@ DRAWS: Final[dict[str, Draw]] = {
         rng.normal(0.0, 0.1, n) * np.where(rng.random(n) < 0.1, 10.0, 1.0)
     ),
 }
-"""How recordings may differ; the spreads are about those of the experiments."""
+"""Differences between recordings; the spreads are about those of the experiments."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """How often intervals hold the truth, by simulation."""
+    """Coverage of intervals, by simulation."""
 
     draws: int = 10_000
-    """Of each cell of the table."""
+    """Draws for each cell of the table."""
 
     counts: tuple[int, ...] = COUNTS
     """Independent recordings, a column for each."""
@@ -51,7 +51,7 @@ class Settings:
 
 @dataclass(frozen=True)
 class Coverage:
-    """What came of the draws.
+    """Results of the draws.
 
     Attributes:
         covered: share of intervals that hold the truth.

@@ -197,7 +197,7 @@ def _compared(
 
 
 def setup_of(comparison: Comparison, size: Size) -> str:
-    """What was done, in words."""
+    """The experiment in words."""
     problems = comparison.problems
     hand = problems[0].hand
     frames = sum(len(problem) for problem in problems)
@@ -340,7 +340,7 @@ def against_sampling(comparison: Comparison) -> Table:
 
 
 def tuning_table(comparison: Comparison) -> Table:
-    """What was tuned, and over what."""
+    """Tuned settings, their candidates and costs."""
     rows = []
     for tuned in comparison.solver_grid.tuning:
         for values, cost in tuned.tried:

@@ -81,7 +81,7 @@ NEWTON: Final = "Newton"
 
 @dataclass(frozen=True)
 class Tuned:
-    """What came of tuning a setting.
+    """Result of tuning a setting.
 
     Attributes:
         solver: label of the solver.
