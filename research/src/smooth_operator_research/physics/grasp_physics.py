@@ -142,7 +142,7 @@ _BIT: Final = 1 << 14
 """Contact bit of the shapes that may touch the object."""
 
 _TURNS: Final = 12
-"""Directions of a long object about the line between the pads that are tried, to find room for it."""
+"""Directions of a long object about the line between the pads that are tried."""
 
 _DRAG: Final = (5.0, 2e-3)
 """While somebody holds the object it resists: force per speed [N s/m], torque per spin [N m s]."""

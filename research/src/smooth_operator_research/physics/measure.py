@@ -260,7 +260,7 @@ class Measure(Protocol):
     figures: tuple[Figure, ...]
 
     def conditions(self, settings: PhysicsSettings) -> Sequence[str]:
-        """Values of what is varied, as tracker noise or a task; a table for each. ("",): nothing."""
+        """Values of what is varied, as tracker noise or a task; a table for each."""
 
     def units(self, settings: PhysicsSettings) -> Sequence[Unit]:
         """The independent units; all hands, methods and conditions take the same ones.
