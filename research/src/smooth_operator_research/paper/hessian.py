@@ -30,7 +30,7 @@ from smooth_operator_research.paper.solver import (
     compare_solvers,
     setup_of,
 )
-from smooth_operator_research.paper.solver_grid import NEWTON, SAMPLING
+from smooth_operator_research.paper.solver_grid import NEWTON, SAMPLING, SLSQP
 from smooth_operator_research.paper.verdicts import Direction, Equality, Verdict, judge
 
 FLOAT64_STEP: Final = 1e-6
@@ -53,7 +53,7 @@ class HessianDirections:
         """See ``Experiment``."""
         without, held = compare_solvers(context, 0.0), compare_solvers(context, VELOCITY_WEIGHT)
         # Where all are looked at: along DexPilot's own answers, single-start SLSQP's.
-        centres = [seeds[0].q for seeds in without.runs[without.solver_grid.slsqp]]
+        centres = [seeds[0].q for seeds in without.runs[SLSQP]]
         jobs = [_job(problem, q) for problem, q in zip(without.problems, centres, strict=True)]
         cells = context.finish("Hessians", jobs)
         spectra = [cell["values"] for cell in cells]

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 import tyro
@@ -49,14 +49,8 @@ class Settings:
     """Independent recordings, a column for each."""
 
 
-@dataclass(frozen=True)
-class Coverage:
-    """Results of the draws.
-
-    Attributes:
-        covered: share of intervals that hold the truth.
-        shown: share of draws in which one direction or the other is shown.
-    """
+class Coverage(NamedTuple):
+    """Shares of intervals that hold the truth, and of draws in which a direction is shown."""
 
     covered: float
     shown: float

@@ -35,7 +35,7 @@ from smooth_operator_research.paper.intervals import (
     typical,
 )
 from smooth_operator_research.paper.runs import Problem, Run, measure_run
-from smooth_operator_research.paper.solver_grid import SAMPLING, SolverGrid, make_solver_grid
+from smooth_operator_research.paper.solver_grid import SAMPLING, SLSQP, SolverGrid, make_solver_grid
 from smooth_operator_research.paper.verdicts import Effect, Equality, Verdict, judge
 
 
@@ -308,7 +308,7 @@ def _jitter_verdict(comparison: Comparison, claim: str, note: str = "") -> Verdi
 def _printed_verdict(comparison: Comparison) -> Verdict:
     still, stops = (
         np.mean([[frozen(run.q) for run in seeds] for seeds in comparison.runs[label]])
-        for label in (SAMPLING, comparison.solver_grid.slsqp)
+        for label in (SAMPLING, SLSQP)
     )
     return _jitter_verdict(
         comparison,

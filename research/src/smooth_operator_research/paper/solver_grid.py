@@ -106,11 +106,6 @@ class SolverGrid:
     solvers: dict[str, Solver]
     tuning: tuple[Tuned, ...]
 
-    @property
-    def slsqp(self) -> str:
-        """Label of single-start SLSQP."""
-        return SLSQP
-
     def of(self, family: str) -> list[str]:
         """Labels of all forms of a solver."""
         return [label for label, one in self.solvers.items() if one.family == family]
