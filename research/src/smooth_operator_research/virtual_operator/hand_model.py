@@ -3,7 +3,7 @@
 There are two. ``human``: published human anatomy with the person's bone lengths and human joint
 ranges. ``matched``: the kinematics of the robot hand at human size, each bone 10 % longer or
 shorter at most, and its joint ranges. The demonstrations of the tasks use fingertip positions that
-a human thumb, aligned by the palm, does not reach (``docs/reference/study.md`` has the figures), so
+a human thumb, aligned by the palm, does not reach (``research/docs/study.md`` has the figures), so
 trials are simulated with the matched hand.
 """
 
