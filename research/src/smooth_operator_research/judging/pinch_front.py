@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 import tyro
@@ -67,17 +67,8 @@ class Settings:
     output: Path = RESULTS / "pinch_front.json"
 
 
-@dataclass(frozen=True, eq=False)
-class Task:
-    """One row on one recording.
-
-    Attributes:
-        row: its name.
-        method: and
-        config: its configuration.
-        hand: robot hand.
-        request: the recording, as ``bench`` takes it.
-    """
+class Task(NamedTuple):
+    """A row on a recording, which is named as ``bench`` takes it."""
 
     row: str
     method: str
