@@ -262,7 +262,7 @@ class Run:
         self.q, self.velocity, self.dt_before = arm.positions, moved, dt
 
     def report(self) -> dict[str, Any]:
-        """What it came to; a positive value is how far a limit was passed."""
+        """Summary of the run; a positive value is the distance by which a limit was passed."""
         returns = np.array(self.returns).reshape(-1, 2)
         largest = returns.max(axis=0, initial=0.0)
         return {
@@ -291,7 +291,7 @@ def run(arm: str, hand: str, rounds: int, seed: int, short: bool = False) -> dic
 
 
 def failures(report: dict[str, Any]) -> list[str]:
-    """What should not have happened."""
+    """Failed checks."""
     allowed = {"arm acceleration [rad/s^2 s]": 1e-6, "clearance [m]": 0.005}
     faults = [
         f"{name} passed by {value}"

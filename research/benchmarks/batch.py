@@ -28,7 +28,7 @@ from smooth_operator_research.run_report import (
 
 @dataclass(frozen=True)
 class Settings(ReportSettings):
-    """What to run.
+    """Settings of a run.
 
     Attributes:
         methods: METHOD or METHOD:PRESET of each row.

@@ -43,7 +43,7 @@ COMPARED = 50
 
 @dataclass(frozen=True)
 class Settings(ReportSettings):
-    """What to run.
+    """Settings of a run.
 
     Attributes:
         samples: N of Algorithm 1; the preset's 8192 unless given.

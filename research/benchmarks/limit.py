@@ -1,4 +1,4 @@
-"""How far a preset is from the arithmetic limit of the machine.
+"""Distance of a preset from the arithmetic limit of the machine.
 
     python research/benchmarks/limit.py --preset paper
 
@@ -32,7 +32,7 @@ from smooth_operator_research.run_report import (
 
 @dataclass(frozen=True)
 class Settings(ReportSettings):
-    """What to run.
+    """Settings of a run.
 
     Attributes:
         preset: which preset.
@@ -147,7 +147,7 @@ def rates(count: int) -> dict[str, float]:
 def traffic(
     report: Report, retargeter: Retargeter, frame: HandFrame, rate: dict[str, float]
 ) -> None:
-    """What the compiler says that one cycle moves, times the cycles; and how long that takes."""
+    """Memory traffic of the cycles by the compiler's estimate, and its time."""
     state = retargeter.init().method
     landmarks = frame.landmarks.astype(np.float32)
     compiled = jax.jit(retargeter.method.step).lower(state, landmarks, np.uint32(0)).compile()

@@ -61,7 +61,7 @@ BEYOND_RAD = 1e-3
 
 @dataclass(frozen=True)
 class Settings(ReportSettings):
-    """What to run.
+    """Settings of a run.
 
     Attributes:
         recording: file with a right hand.
@@ -94,7 +94,7 @@ class Program:
         hand: which hand it moves.
         name: what is run.
         python: interpreter.
-        arguments: of the worker.
+        arguments: arguments of the worker.
         q: (T, n) commands in the order of our model of the hand [rad].
         ms: times of frames, of all processes.
         starts: from the start of a process to its first command [s].

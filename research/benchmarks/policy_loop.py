@@ -71,7 +71,7 @@ RESAMPLES = 5000
 
 @dataclass(frozen=True)
 class Settings:
-    """What to run.
+    """Settings of a run.
 
     Attributes:
         tasks: card, cube, screwdriver.
@@ -79,8 +79,8 @@ class Settings:
         hand: name of the robot hand.
         demonstrations: kept for each task and method.
         most_trials: after which a method's demonstrations are what there are.
-        steps: of each training.
-        batch: of each step.
+        steps: steps of each training.
+        batch: rows of each step.
         seeds: trainings of each data set.
         worlds: in which each policy is evaluated.
         seconds: longest episode of an evaluation [s].
@@ -307,7 +307,7 @@ def policy_scores(
 
 
 def interval(draws: np.ndarray, share: float, units: int) -> tuple[float, float]:
-    """Of a share: the bootstrap's and Wilson's for so many independent units, the wider ends.
+    """Interval of a share: the wider ends of the bootstrap's and of Wilson's for the units.
 
     Where all units agree the bootstrap alone has no width.
     """
@@ -318,7 +318,7 @@ def interval(draws: np.ndarray, share: float, units: int) -> tuple[float, float]
 def interval_of_difference(
     draws: np.ndarray, first: tuple[float, float, float], second: tuple[float, float, float]
 ) -> tuple[float, float]:
-    """Of second minus first, each a share with its interval: likewise, with Newcombe's."""
+    """Interval of second minus first, each a share with its interval: likewise, with Newcombe's."""
     (p, p_low, p_high), (q, q_low, q_high) = first, second
     low = q - p - float(np.hypot(q - q_low, p_high - p))
     high = q - p + float(np.hypot(q_high - q, p - p_low))

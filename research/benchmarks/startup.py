@@ -42,7 +42,7 @@ STAGES = {
 
 @dataclass(frozen=True)
 class Settings(ReportSettings):
-    """What to run.
+    """Settings of a run.
 
     Attributes:
         presets: which presets.

@@ -35,7 +35,7 @@ from smooth_operator.study.store.nasa_tlx import SCALE_NAMES
 from smooth_operator_research.run_report import markdown
 
 Three = tuple[float, float, float]
-"""Of success [logit], time [s] and workload [points]."""
+"""Effects on success [logit], time [s] and workload [points]."""
 
 NONE: Final[Three] = (0.0, 0.0, 0.0)
 MODEST: Final[Three] = (0.3, 2.0, 5.0)
@@ -61,7 +61,7 @@ class Design:
         own: standard deviation of operator by retargeter.
         block: the same of every block by itself.
         success: probability, on average.
-        log_normal: of times, with the same spread.
+        log_normal: log-normal distribution of times, with the same spread.
         scope: what is analysed.
     """
 
@@ -99,13 +99,13 @@ DESIGNS: Final = {
 
 @dataclass(frozen=True)
 class Settings:
-    """What to run.
+    """Settings of a run.
 
     Attributes:
-        studies: of each design.
+        studies: studies of each design.
         designs: parts of the names of the designs; all if left out.
         workers: processes.
-        seed: of all studies.
+        seed: seed of all studies.
         output: folder that keeps the studies and the table.
     """
 
@@ -164,7 +164,7 @@ def main(settings: Settings) -> None:
 
 
 def simulate(chunk: Chunk) -> dict[str, int]:
-    """How often each family erred, and each analysis was refused."""
+    """Counts of errors of each family and of refused analyses."""
     design = DESIGNS[chunk.design]
     plan = _plan(chunk.design)
     data = planned_data(plan)

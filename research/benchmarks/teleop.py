@@ -89,7 +89,7 @@ class Listener:
             raise SystemExit(f"the glove sent nothing for {seconds:g} s after its start")
 
     def heard(self) -> bool:
-        """Whether one came since the last call."""
+        """True if one came since the last call."""
         received = False
         while self._socket.poll(0):
             self._socket.recv()
@@ -229,7 +229,7 @@ def run(
 
 
 def judge(record: Path, summary: Mapping[str, Any], options: argparse.Namespace) -> dict[str, bool]:
-    """What must hold of the recording."""
+    """Checks of the recording."""
     from smooth_operator import load_hand
     from smooth_operator.teleop.recording import read_log
     from smooth_operator.teleop.runtime.settings import LimitsConfig

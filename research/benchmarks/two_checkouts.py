@@ -57,7 +57,7 @@ METHODS = (
 
 @dataclass(frozen=True)
 class Settings:
-    """What to run.
+    """Settings of a run.
 
     Attributes:
         old: interpreter that has the older checkout.

@@ -28,10 +28,10 @@ from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.types import HandRecording
 
 RESULTS: Final = Path("build") / "benchmarks"
-"""Where results go by default; relative to the current folder, ignored by git."""
+"""Default folder of results; relative to the current folder, ignored by git."""
 
 _CHECKOUT: Final = Path(__file__).resolve().parents[3]
-"""Where the package lies in a checkout; installed from a wheel it is no repository."""
+"""Root of a checkout; installed from a wheel it is no repository."""
 
 _Table = tuple[str, tuple[str, ...], list[list[object]]]
 
@@ -222,7 +222,7 @@ def markdown(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
 
 
 def cell(value: object) -> str:
-    """How a value is written in a table; a dash where there is none."""
+    """Text of a value in a table; a dash where there is none."""
     if value is None:
         return "–"
     if not isinstance(value, float):

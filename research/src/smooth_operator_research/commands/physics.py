@@ -34,7 +34,7 @@ _SAME: Final = (
 """Options that are settings of the same name."""
 
 _WIDTH_OF_INTERVALS: Final = 120
-"""Of a terminal that has room for the intervals [characters]."""
+"""Width of a terminal that has room for the intervals [characters]."""
 
 
 def physics(options: Physics) -> None:

@@ -86,7 +86,7 @@ _BLOCK: Final = 200  # frames
 def tip_errors(
     demonstration: Demonstration, world: Perturbation, filtered: bool = False
 ) -> Float[np.ndarray, "t f 3"]:
-    """How far from the demonstration's the fingertips are that the operator shows.
+    """Distance of the fingertips that the operator shows from the demonstration's.
 
     The operator's bones differ from the robot's, and the tracker adds noise to the palm's landmarks
     too; so the alignment to the robot's palm, frame by frame, turns and scales the whole hand.
@@ -180,14 +180,14 @@ def _periods(demonstration: Demonstration) -> int:
 
 
 MARGIN: Final = 0.1
-"""What a success with the best margin counts more than one with none."""
+"""Extra merit of a success with the best margin."""
 
 _LIFT: Final = 0.005  # of the card above the table that counts in full [m]
 _LOST: Final = 0.5  # what progress is worth after a drop
 
 
 def progress(task: str, moments: Sequence[Moment]) -> float:
-    """How far a trial got.
+    """Progress of a trial.
 
     Args:
         task: name of the task.
@@ -287,7 +287,7 @@ class World(NamedTuple):
     """A perturbed world of a search.
 
     Attributes:
-        seed: of all that is drawn.
+        seed: seed of all that is drawn.
         number: object pose, friction and mass are those of this world; 0 leaves them as they are.
         operator: bones, tracker noise and dropped frames are those of this one; 0 has none.
     """
@@ -299,14 +299,14 @@ class World(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """What a worker judges.
+    """A candidate demonstration, and the worlds that judge it.
 
     Attributes:
         demonstration: the key poses.
         worlds: in which it is done.
         centre: text of the demonstration by which the operators' errors are computed; the same for
             all candidates of a generation, which are near it.
-        share: of those errors that counts.
+        share: share of those errors that counts.
         filtered: see ``joint_errors``.
         margin: what a success with the best margin is worth more than one with none.
     """
@@ -320,7 +320,7 @@ class Candidate:
 
 
 def judge(candidate: Candidate) -> list[float]:
-    """What a candidate is worth in each of its worlds; 1 and the margin for success, else less.
+    """Merit of a candidate in each of its worlds; 1 and the margin for success, else less.
 
     The self-penetration that it commands is taken off.
     """
@@ -339,7 +339,7 @@ def judge(candidate: Candidate) -> list[float]:
 def tried(
     demonstration: Demonstration, world: World, errors: Float[np.ndarray, "t m"] | None = None
 ) -> float:
-    """How far a demonstration gets in a world; see ``progress``.
+    """Progress of a demonstration in a world; see ``progress``.
 
     Args:
         errors: (t, m) by how much each actuated joint is off, period by period [rad]; the last

@@ -52,7 +52,7 @@ class Evolution:
         path: (n,) evolution path of the step size.
         path_c: (n,) evolution path of the variances.
         generation: how many have been judged.
-        seed: of the random numbers.
+        seed: seed of the random numbers.
         count: candidates in a generation.
     """
 
@@ -176,10 +176,10 @@ def _reach(
 
 
 WORLDS_SEED: Final = 1000
-"""Of the worlds that the search sees; the benchmark's have others."""
+"""Seed of the worlds that the search sees; the benchmark's have others."""
 
 FINAL_SEED: Final = 2000
-"""Of the worlds by which the last few candidates are compared."""
+"""Seed of the worlds by which the last few candidates are compared."""
 
 _SIGMA: Final = 0.06  # first standard deviation of a joint in a key pose [rad]
 _PACE: Final = 2.0  # of the logarithm of a duration, against a radian of a joint
@@ -218,14 +218,14 @@ class Search:
         worlds: perturbed worlds of a generation.
         count: candidates in a generation.
         sigma: first standard deviation of a joint in a key pose [rad].
-        share: of the operators' errors that counts.
+        share: share of the operators' errors that counts.
         filtered: whether noise is removed from them; see ``joint_errors``.
         margin: what a success with the best margin is worth more than one with none.
 
     Attributes:
-        state: of the evolution.
+        state: state of the evolution.
         best: the best demonstrations so far with their merits, best first.
-        merit: of the centre of the last generations, on average.
+        merit: merit of the centre of the last generations, on average.
         enough: that merit, at which little is left to gain.
     """
 

@@ -49,7 +49,7 @@ Commands = Callable[[float, SceneState, ScenePhysics], Float[np.ndarray, " n"] |
 """(time since 'go' [s], scene, physics) -> (n,) positions of all joints [rad]; None holds."""
 
 Interventions = Callable[[], Literal["reset", "finish"] | None]
-"""What the operator asks for now: the object put back, or the end of the trial."""
+"""The operator's request now: the object put back, or the end of the trial."""
 
 
 class Moment(NamedTuple):
@@ -68,7 +68,7 @@ class Moment(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class TrialTrace:
-    """What happened in a trial, frame by frame; the lead-in is left out.
+    """Record of a trial, frame by frame; the lead-in is left out.
 
     Attributes:
         times: (t,) when each frame came, since 'go' [s].
@@ -87,11 +87,11 @@ class TrialTrace:
 
 @dataclass(frozen=True, eq=False)
 class TrialResult:
-    """How a trial ended.
+    """Result of a trial.
 
     Attributes:
         score: 0, 0.5 or 1.
-        line: of the task's rubric.
+        line: line of the task's rubric.
         reason: in a few words.
         seconds: from 'go' to the end [s].
         ended: ``success``, ``drop``, ``timeout`` (the task's limit), or ``finished`` (the source's

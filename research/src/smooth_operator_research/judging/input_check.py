@@ -1,4 +1,4 @@
-"""How often a hand of the wrong side, or landmarks in the wrong order, are refused; right ones too.
+"""Shares of wrong hands, landmarks in a wrong order and right ones that the check of input refuses.
 
 Windows of recordings and of built-in operators, as they are and mirrored, clean and with the noise
 of a tracker, go through the check that every recording and every live tracker goes through

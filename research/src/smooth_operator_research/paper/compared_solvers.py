@@ -47,7 +47,7 @@ class RmspropConfig:
         final: learning rate of the last one over that of the first; between them it falls
             geometrically. 1 is as in the lecture, which leaves a point that circles the minimum at
             the distance of a step.
-        decay: of the running mean of squared gradients; the lecture's.
+        decay: decay of the running mean of squared gradients; the lecture's.
         epsilon: added to the root of it, against a division by nothing.
         max_evaluations: evaluations per frame.
         tolerance: change of the cost in one iteration that counts as none.
@@ -190,7 +190,7 @@ SPREAD: Final = 0.2
 """Standard deviation of parallel starts about the last answer [rad]: the sampler's own."""
 
 TEMPERATURE: Final = 0.1
-"""Of the softmax over the outputs: the sampler's own."""
+"""Temperature of the softmax over the outputs: the sampler's own."""
 
 NEWTON_CONFIG: Final = NewtonConfig(10, (0.0, 0.1, 1.0, 10.0, 100.0, 1000.0))
 """DexPilot's closed pinches weigh 200 and 400, and bend the loss accordingly: where it is that far
@@ -206,12 +206,12 @@ Knobs: TypeAlias = Float[Array, " k"]
 
 @dataclass(frozen=True)
 class Starts:
-    """Where a descent begins.
+    """Starts of a descent.
 
     Attributes:
         count: N; 1 is the last answer alone.
         spread: standard deviation of the others about it [rad].
-        temperature: of the softmax over their results.
+        temperature: temperature of the softmax over their results.
     """
 
     count: int = 1

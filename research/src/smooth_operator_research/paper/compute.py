@@ -181,7 +181,7 @@ def _balance_verdict(losses: Losses, lines: list[list[Point]]) -> Verdict:
 
 
 def _wins(ends: Sequence[Estimate], among: int) -> bool:
-    """Whether the middle of a contour beats both ends, this being one of several contours."""
+    """True if the middle of a contour beats both ends, this being one of several contours."""
     judging = Direction(-LEAST, upwards=False)
     return all(judging(end, among=among) == "held" for end in ends)
 

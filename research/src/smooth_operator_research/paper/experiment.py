@@ -62,7 +62,7 @@ class ArrayCache(ResultCache):
 
 @dataclass(frozen=True)
 class Size:
-    """How much is computed.
+    """Amount of computing.
 
     Attributes:
         name: what it is called.
@@ -122,7 +122,7 @@ class Size:
 
 
 def trial_note(size: Size) -> str:
-    """What is said before the results of a size that is too small to judge by."""
+    """Warning before the results of a size that is too small to judge by."""
     return "" if size.name != "quick" else _TRIAL
 
 
@@ -144,7 +144,7 @@ def synthetic_operators(count: int, frames: int) -> tuple[str, ...]:
     tempo of 0.8 to 1.3, and another part of the round of gestures.
 
     Args:
-        frames: of each.
+        frames: length of each.
     """
     names = []
     for seed in range(count):
@@ -242,11 +242,11 @@ class ExperimentFolder:
 
     @property
     def machine(self) -> dict[str, Any]:
-        """What times depend on: processor, cores and device."""
+        """Facts that times depend on: processor, cores and device."""
         return {key: self.environment[key] for key in ("cpu", "cpu_cores", "device")}
 
     def experiment_folder(self, name: str) -> Path:
-        """Where an experiment's results stand; made if need be.
+        """Folder of an experiment's results; made if need be.
 
         Raises:
             OutputError: it can't be.
@@ -276,7 +276,7 @@ class Drawing:
     """A figure.
 
     Attributes:
-        name: of its files, ``NAME.png`` and ``NAME.svg``.
+        name: name of its files, ``NAME.png`` and ``NAME.svg``.
         caption: what is seen.
         figure: matplotlib's.
     """
@@ -292,7 +292,7 @@ class Table:
 
     Attributes:
         title: above it.
-        headers: of the columns.
+        headers: headings of the columns.
         rows: cells.
         note: below it.
     """
@@ -386,7 +386,7 @@ def counted(count: int, noun: str) -> str:
 
 
 def recordings_of(units: Sequence[str]) -> str:
-    """How many recordings there are, and how many of them are independent."""
+    """Number of recordings, and of independent ones among them."""
     alone = len(set(units))
     own = counted(len(units), "recording")
     return own if alone == len(units) else f"{own} ({alone} independent)"
@@ -437,7 +437,7 @@ class ExperimentContext:
 
     @property
     def recordings(self) -> str:
-        """How many recordings are judged, and how many of them are independent."""
+        """Number of judged recordings, and of independent ones among them."""
         return recordings_of([source.request.unit for source in self.sources])
 
     @property

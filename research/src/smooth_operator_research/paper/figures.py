@@ -1,4 +1,4 @@
-"""Figures of the solver experiments: loss, jitter and time, solver by solver."""
+"""Figures of the experiments: dots with intervals, grids, lines over conditions."""
 
 from __future__ import annotations
 
@@ -7,18 +7,15 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
-from jaxtyping import Float
 
 from smooth_operator.reporting.drawing import COLORS, GRID, INK, MARKERS
-from smooth_operator_research.paper.compared_solvers import Newton, Rmsprop, Slsqp
-from smooth_operator_research.paper.solver_grid import TUNED, Point
+from smooth_operator_research.paper.solver_grid import Point
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from smooth_operator_research.paper.intervals import Estimate
-    from smooth_operator_research.paper.solver import Comparison
 
 FAMILY_COLORS: Final = {
     "sampling": "#0072b2",
@@ -26,67 +23,13 @@ FAMILY_COLORS: Final = {
     "rmsprop": "#009e73",
     "newton": "#cc79a7",
 }
-"""Of Okabe and Ito's palette, which colour-blind readers can distinguish."""
+"""Colours of Okabe and Ito's palette, which colour-blind readers can distinguish."""
 
 FAMILY_MARKERS: Final = {"sampling": "o", "slsqp": "s", "rmsprop": "^", "newton": "D"}
 """Shapes, so that nothing depends on colour alone."""
 
-_PANELS: Final = (
-    ("loss", 1.0, "tracking loss [–]"),
-    ("jitter", 1e3, "joint jitter [mrad]"),
-    ("frame_ms", 1.0, "time a frame [ms]"),
-)
 
-
-def comparison_figure(several: Sequence[Comparison]) -> Figure:
-    """Dots with intervals: a row for each solver, a panel for each figure; logarithmic.
-
-    Args:
-        several: one, or the one without and the one with a velocity term.
-    """
-    from matplotlib.figure import Figure
-    from matplotlib.lines import Line2D
-
-    labels = list(dict.fromkeys(label for comparison in several for label in comparison.runs))
-    height = 1.25 + 0.36 * len(labels)
-    figure = Figure(figsize=(9.6, height))
-    axes = figure.subplots(1, len(_PANELS), sharey=True)
-    figure.subplots_adjust(
-        left=0.145, right=0.985, top=1 - 0.2 / height, bottom=0.85 / height, wspace=0.09
-    )
-    for ax, (metric, factor, title) in zip(axes, _PANELS, strict=True):
-        for k, comparison in enumerate(several):
-            offset = 0.0 if len(several) == 1 else (-0.17, 0.17)[k]
-            filled = k == len(several) - 1
-            for row, label in enumerate(labels):
-                if label in comparison.runs:
-                    family = comparison.solver_grid.solvers[label].family
-                    color = FAMILY_COLORS[family]
-                    style = {
-                        "marker": FAMILY_MARKERS[family], "color": color, "markersize": 6.5,
-                        "markerfacecolor": color if filled else "white", "markeredgewidth": 1.3,
-                    }  # fmt: skip
-                    mean, each = comparison.mean(label, metric), comparison.samples(label, metric)
-                    bar = metric != "frame_ms"
-                    _dot(ax, row + offset, mean, each.means, factor, style, bar=bar)
-        ax.set_xscale("log")
-        plain_log(ax.xaxis)
-        ax.set_xlabel(title)
-        _name_rows(ax, labels)
-    if len(several) > 1:
-        empty: dict[str, Any] = {"color": INK, "linestyle": "", "marker": "o"}
-        texts = ("without velocity term", f"with w_v = {several[-1].velocity_weight:g}")
-        handles = [
-            Line2D([], [], markerfacecolor=face, label=text, **empty)
-            for text, face in zip(texts, ("white", INK), strict=True)
-        ]
-        figure.legend(
-            handles=handles, loc="lower left", bbox_to_anchor=(0.01, 0.0), ncols=1, fontsize=8
-        )
-    return figure
-
-
-def _dot(
+def dot(
     ax: Axes, y: float, mean: Estimate, each: Sequence[float] | np.ndarray, factor: float,
     style: Mapping[str, Any], *, bar: bool = True,
 ) -> None:  # fmt: skip
@@ -99,7 +42,7 @@ def _dot(
     ax.plot(factor * mean.value, y, zorder=4, **{"linestyle": "", **style})
 
 
-def _name_rows(ax: Axes, labels: Sequence[str]) -> None:
+def name_rows(ax: Axes, labels: Sequence[str]) -> None:
     """Names on the vertical axis, every other row shaded."""
     ax.set_ylim(len(labels) - 0.5, -0.5)
     ax.set_yticks(range(len(labels)), labels)
@@ -224,67 +167,8 @@ def _lines(ax: Axes, means: Mapping[Point, Estimate], lines: Sequence[Sequence[P
 
 
 def _excess(mean: Estimate, best: float) -> float:
-    """How much a loss is above the best cell's [%]."""
+    """Excess of a loss over the best cell's [%]."""
     return 100 * (mean.value / best - 1)
-
-
-def hessian_figure(
-    several: Sequence[Comparison],
-    ranked: Sequence[dict[str, list[list[Float[np.ndarray, " m"]]]]],
-    spectra: Sequence[Float[np.ndarray, "T m"]],
-) -> Figure:
-    """Jitter by rank, without and with the velocity term, and the spectrum.
-
-    Args:
-        ranked: for each, label -> recording -> seed -> (m,) jitter along each rank [rad].
-        spectra: (T, m) eigenvalues of each recording, ascending.
-    """
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(10.2, 4.0))
-    axes = figure.subplots(1, 3, width_ratios=(1.15, 1.15, 0.9))
-    figure.subplots_adjust(left=0.065, right=0.985, top=0.92, bottom=0.3, wspace=0.3)
-    axes[1].sharey(axes[0])
-    for ax, comparison, by_rank in zip(axes, several, ranked, strict=False):
-        for label, recordings in by_rank.items():
-            if label == TUNED:
-                continue  # its settings are near the published ones; it is in the tables
-            one = comparison.solver_grid.solvers[label]
-            many = isinstance(one, (Slsqp, Rmsprop, Newton)) and one.starts.count > 1
-            mean = np.mean([np.mean(seeds, axis=0) for seeds in recordings], axis=0)
-            ranks = np.arange(1, len(mean) + 1)
-            ax.plot(
-                ranks, 1e3 * mean, color=FAMILY_COLORS[one.family], label=label, linewidth=1.3,
-                marker=FAMILY_MARKERS[one.family], markersize=4.2, linestyle="--" if many else "-",
-                markerfacecolor="white" if many else FAMILY_COLORS[one.family],
-            )  # fmt: skip
-        ax.set_yscale("log")
-        ax.set_xlabel("eigenvector rank, 1 = flattest")
-        weight = comparison.velocity_weight
-        ax.set_title(f"with w_v = {weight:g}" if weight else "without velocity term")
-        ax.set_xticks(ranks[::3])
-    axes[0].set_ylabel("jitter along the eigenvector [mrad]")
-    plain_log(axes[0].yaxis)
-    values = np.concatenate([np.asarray(own) for own in spectra])
-    low, middle, high = np.percentile(values, [10, 50, 90], axis=0)
-    ax = axes[2]
-    ranks = np.arange(1, values.shape[1] + 1)
-    floor = max(float(np.min(middle[middle > 0], initial=1.0)) / 30, 1e-12)
-    ax.fill_between(ranks, np.maximum(low, floor), np.maximum(high, floor), color=INK, alpha=0.15,
-                    linewidth=0, label="central 80 %")  # fmt: skip
-    ax.plot(ranks, np.maximum(middle, floor), color=INK, linewidth=1.4, label="median")
-    ax.set_yscale("log")
-    plain_log(ax.yaxis)
-    ax.set_xlabel("eigenvector rank, 1 = flattest")
-    ax.set_ylabel("eigenvalue of the Hessian [1/rad²]")
-    ax.set_title("how stiff the directions are")
-    ax.set_xticks(ranks[::3])
-    ax.legend(fontsize=8, loc="upper left")
-    handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(
-        handles, labels, loc="lower left", bbox_to_anchor=(0.05, 0.0), ncols=4, fontsize=8
-    )
-    return figure
 
 
 _LIBRARY_COLORS: Final = ("#0072b2", "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#7f8790")
@@ -293,7 +177,7 @@ _SPARE: Final = ("#7a68c7", "#6b9c2f", "#7f8790")
 
 @dataclass(frozen=True)
 class Look:
-    """How a method is drawn: presets of one method share a colour and differ by line and fill."""
+    """Style of a method: presets of one method share a colour and differ by line and fill."""
 
     color: str
     marker: str
@@ -529,14 +413,14 @@ def table_figure(panels: Sequence[Panel], labels: Sequence[str]) -> Figure:
                         markerfacecolor="none", markeredgewidth=1.0, zorder=2)  # fmt: skip
             if (mean := panel.means[label]) is not None:
                 style = {**looks[label].line, "linestyle": "", "markersize": 6.0}
-                _dot(ax, y, mean, panel.each[label], panel.factor, style)
+                dot(ax, y, mean, panel.each[label], panel.factor, style)
         if panel.log:
             ax.set_xscale("log")
             plain_log(ax.xaxis)
         if panel.goal is not None:
             ax.axvline(panel.goal, color=GRID, linewidth=1.0, linestyle=(0, (4, 3)))
         ax.set_xlabel(panel.title)
-        _name_rows(ax, labels)
+        name_rows(ax, labels)
     keys = [
         Line2D([], [], color=INK, linestyle="", marker="o", label="here, mean of recordings"),
         Line2D([], [], color=INK, linestyle="", marker="|", label="here, each recording"),

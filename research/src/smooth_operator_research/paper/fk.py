@@ -270,7 +270,7 @@ def _own_program(hand: Hand, name: str) -> Library:
 
 @dataclass(frozen=True, eq=False)
 class _Tips:
-    """Where the fingertips are in the compiled model, and where its palm is in the world."""
+    """Fingertips in the compiled model, and its palm in the world."""
 
     bodies: np.ndarray  # (F,)
     offsets: np.ndarray  # (F, 3) in the body's frame [m]
@@ -403,7 +403,7 @@ CHECKED: Final = 200
 
 @dataclass(frozen=True, eq=False)
 class Timing:
-    """What was measured.
+    """Measured times.
 
     Attributes:
         batches: sizes.
@@ -429,7 +429,7 @@ class Timing:
         return typical(self.rounds(library, batch))
 
     def over(self, slow: str, fast: str, batch: int) -> Estimate:
-        """How many times as long one takes as another, round by round."""
+        """Ratio of the times of two libraries, round by round."""
         return contrast(self.rounds(slow, batch), self.rounds(fast, batch), "ratio")
 
 

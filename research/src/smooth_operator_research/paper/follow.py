@@ -69,7 +69,7 @@ class DegradedRecording:
 
     @property
     def digest(self) -> str:
-        """Of what is seen, as one word."""
+        """Digest of what the method receives."""
         assert self.seen.valid is not None  # filled in on construction
         points = np.where(self.seen.valid[..., None], self.seen.landmarks, np.nan)
         total = hashlib.sha256(self.seen.side.encode())
@@ -96,7 +96,7 @@ def middle(recording: HandRecording, frames: int) -> HandRecording:
 
 
 def through_tracker(source: Source, clean: HandRecording, model: TrackerModel) -> DegradedRecording:
-    """What a tracker with noise and losses makes of a recording.
+    """A recording behind a tracker with noise and losses.
 
     A lost frame stays in its place without a valid landmark, as a loop meets it that has to send a
     command anyway. The recording's own noise, where a real tracker made it, is in both.
@@ -182,7 +182,7 @@ LONGEST_S: Final = 0.25
 """Longest delay that is looked for [s]; a result near it means that or more."""
 
 EARLIEST_S: Final = 0.04
-"""How far before the human the robot is looked for [s], so that a lag of nothing is no edge."""
+"""Longest time by which the robot may be ahead of the human [s]; so a lag of nothing is no edge."""
 
 _STEP_S: Final = 0.002
 _SHORTEST_S: Final = 0.2  # of overlap; less correlates by chance
@@ -421,7 +421,7 @@ class Sweep:
 
     Attributes:
         conditions: in their order; what they are is the experiment's.
-        labels: of the methods.
+        labels: names of the methods.
         measured: (label, condition, recording) -> one set of figures for each seed.
         human: (condition, recording) -> the same of the human.
         units: name of a recording -> the independent unit that it belongs to.

@@ -1,4 +1,4 @@
-"""How often the intervals of the paper's experiments hold the truth, by simulation.
+"""Coverage of the intervals of the paper's experiments, by simulation.
 
 Log ratios of independent recordings are drawn about no effect at all, from several distributions,
 and given to the project's own `contrast` and judge. An interval of 95 % ought to hold the truth in
@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 import tyro
@@ -35,28 +35,22 @@ DRAWS: Final[dict[str, Draw]] = {
         rng.normal(0.0, 0.1, n) * np.where(rng.random(n) < 0.1, 10.0, 1.0)
     ),
 }
-"""How recordings may differ; the spreads are about those of the experiments."""
+"""Differences between recordings; the spreads are about those of the experiments."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """How often intervals hold the truth, by simulation."""
+    """Coverage of intervals, by simulation."""
 
     draws: int = 10_000
-    """Of each cell of the table."""
+    """Draws for each cell of the table."""
 
     counts: tuple[int, ...] = COUNTS
     """Independent recordings, a column for each."""
 
 
-@dataclass(frozen=True)
-class Coverage:
-    """What came of the draws.
-
-    Attributes:
-        covered: share of intervals that hold the truth.
-        shown: share of draws in which one direction or the other is shown.
-    """
+class Coverage(NamedTuple):
+    """Shares of intervals that hold the truth, and of draws in which a direction is shown."""
 
     covered: float
     shown: float

@@ -57,7 +57,7 @@ class Problem:
     """A recording as a sequence of minimisations.
 
     Attributes:
-        name: of the recording.
+        name: name of the recording.
         unit: the independent unit that it belongs to.
         objective: what is minimised; its hand and weights.
         vectors: (T, K, 3) targets [m].
@@ -91,7 +91,7 @@ class Problem:
 
     @cached_property
     def digest(self) -> str:
-        """What the answers depend on, as one word."""
+        """Digest of all that the answers depend on."""
         total = hashlib.sha256(repr((self.objective.config, self.hand.name)).encode())
         for array in (self.vectors, self.weights, self.start, self.stamps, self.hand.limits):
             total.update(np.ascontiguousarray(array, "<f8").tobytes())
@@ -252,7 +252,7 @@ Advance = Callable[[float], None]
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """What a solver did on a problem.
+    """Answers of a solver to a problem.
 
     Attributes:
         q: (T, m) its answers [rad].

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from jaxtyping import Float
@@ -13,6 +13,7 @@ from jaxtyping import Float
 from smooth_operator.baselines.slsqp import ScipySlsqpConfig
 from smooth_operator.baselines.slsqp_presets import DEXPILOT_PUBLISHED
 from smooth_operator.metrics.consistency import JOINTS_STILL
+from smooth_operator.reporting.drawing import INK
 from smooth_operator_research.paper.compared_solvers import Sampling, Slsqp, Solver, Starts
 from smooth_operator_research.paper.experiment import (
     PUBLISHED_STARTS,
@@ -25,7 +26,13 @@ from smooth_operator_research.paper.experiment import (
     counted,
     recordings_of,
 )
-from smooth_operator_research.paper.figures import comparison_figure
+from smooth_operator_research.paper.figures import (
+    FAMILY_COLORS,
+    FAMILY_MARKERS,
+    dot,
+    name_rows,
+    plain_log,
+)
 from smooth_operator_research.paper.intervals import (
     Estimate,
     Samples,
@@ -35,8 +42,11 @@ from smooth_operator_research.paper.intervals import (
     typical,
 )
 from smooth_operator_research.paper.runs import Problem, Run, measure_run
-from smooth_operator_research.paper.solver_grid import SAMPLING, SolverGrid, make_solver_grid
+from smooth_operator_research.paper.solver_grid import SAMPLING, SLSQP, SolverGrid, make_solver_grid
 from smooth_operator_research.paper.verdicts import Effect, Equality, Verdict, judge
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,7 +207,7 @@ def _compared(
 
 
 def setup_of(comparison: Comparison, size: Size) -> str:
-    """What was done, in words."""
+    """The experiment in words."""
     problems = comparison.problems
     hand = problems[0].hand
     frames = sum(len(problem) for problem in problems)
@@ -229,6 +239,61 @@ PAPER_REDUCTION: Final = -0.364
 
 LOSS_MARGIN: Final = 0.05
 """Mean losses within this share of each other count as equal."""
+
+
+_PANELS: Final = (
+    ("loss", 1.0, "tracking loss [–]"),
+    ("jitter", 1e3, "joint jitter [mrad]"),
+    ("frame_ms", 1.0, "time a frame [ms]"),
+)
+
+
+def comparison_figure(several: Sequence[Comparison]) -> Figure:
+    """Dots with intervals: a row for each solver, a panel for each figure; logarithmic.
+
+    Args:
+        several: one, or the one without and the one with a velocity term.
+    """
+    from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+
+    labels = list(dict.fromkeys(label for comparison in several for label in comparison.runs))
+    height = 1.25 + 0.36 * len(labels)
+    figure = Figure(figsize=(9.6, height))
+    axes = figure.subplots(1, len(_PANELS), sharey=True)
+    figure.subplots_adjust(
+        left=0.145, right=0.985, top=1 - 0.2 / height, bottom=0.85 / height, wspace=0.09
+    )
+    for ax, (metric, factor, title) in zip(axes, _PANELS, strict=True):
+        for k, comparison in enumerate(several):
+            offset = 0.0 if len(several) == 1 else (-0.17, 0.17)[k]
+            filled = k == len(several) - 1
+            for row, label in enumerate(labels):
+                if label in comparison.runs:
+                    family = comparison.solver_grid.solvers[label].family
+                    color = FAMILY_COLORS[family]
+                    style = {
+                        "marker": FAMILY_MARKERS[family], "color": color, "markersize": 6.5,
+                        "markerfacecolor": color if filled else "white", "markeredgewidth": 1.3,
+                    }  # fmt: skip
+                    mean, each = comparison.mean(label, metric), comparison.samples(label, metric)
+                    bar = metric != "frame_ms"
+                    dot(ax, row + offset, mean, each.means, factor, style, bar=bar)
+        ax.set_xscale("log")
+        plain_log(ax.xaxis)
+        ax.set_xlabel(title)
+        name_rows(ax, labels)
+    if len(several) > 1:
+        empty: dict[str, Any] = {"color": INK, "linestyle": "", "marker": "o"}
+        texts = ("without velocity term", f"with w_v = {several[-1].velocity_weight:g}")
+        handles = [
+            Line2D([], [], markerfacecolor=face, label=text, **empty)
+            for text, face in zip(texts, ("white", INK), strict=True)
+        ]
+        figure.legend(
+            handles=handles, loc="lower left", bbox_to_anchor=(0.01, 0.0), ncols=1, fontsize=8
+        )
+    return figure
 
 
 class SolverSwap:
@@ -308,7 +373,7 @@ def _jitter_verdict(comparison: Comparison, claim: str, note: str = "") -> Verdi
 def _printed_verdict(comparison: Comparison) -> Verdict:
     still, stops = (
         np.mean([[frozen(run.q) for run in seeds] for seeds in comparison.runs[label]])
-        for label in (SAMPLING, comparison.solver_grid.slsqp)
+        for label in (SAMPLING, SLSQP)
     )
     return _jitter_verdict(
         comparison,
@@ -340,7 +405,7 @@ def against_sampling(comparison: Comparison) -> Table:
 
 
 def tuning_table(comparison: Comparison) -> Table:
-    """What was tuned, and over what."""
+    """Tuned settings, their candidates and costs."""
     rows = []
     for tuned in comparison.solver_grid.tuning:
         for values, cost in tuned.tried:

@@ -81,7 +81,7 @@ NEWTON: Final = "Newton"
 
 @dataclass(frozen=True)
 class Tuned:
-    """What came of tuning a setting.
+    """Result of tuning a setting.
 
     Attributes:
         solver: label of the solver.
@@ -105,11 +105,6 @@ class SolverGrid:
 
     solvers: dict[str, Solver]
     tuning: tuple[Tuned, ...]
-
-    @property
-    def slsqp(self) -> str:
-        """Label of single-start SLSQP."""
-        return SLSQP
 
     def of(self, family: str) -> list[str]:
         """Labels of all forms of a solver."""

@@ -31,7 +31,7 @@ SIZES: Final = {size.name: size for size in (QUICK, DEFAULT, PUBLISHED)}
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """What is asked for.
+    """Settings of a run.
 
     Attributes:
         output: folder of the results.
@@ -94,7 +94,7 @@ def run_experiments(
     """Runs the experiments one after the other, and writes each as soon as it is done.
 
     Args:
-        sources: of ``load_recordings``.
+        sources: result of ``load_recordings``.
         track: shows the progress.
         done: called after each.
         note: called with kept cells that can't be used.

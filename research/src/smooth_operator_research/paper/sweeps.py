@@ -38,7 +38,7 @@ NOISE: Final = 1e-3
 
 @dataclass(frozen=True)
 class Condition:
-    """What the tracker does.
+    """Faults of the tracker.
 
     Attributes:
         noise: standard deviation of each coordinate of each landmark [m].
@@ -269,7 +269,7 @@ def signed(change: Estimate, unit: str = "") -> str:
 
 
 def not_compared(claim: str, paper: str, sweep: Sweep) -> Verdict:
-    """Where the paper's SBR or all its rivals are missing."""
+    """Verdict without the paper's SBR or without all its rivals."""
     absent = ", ".join(n for n in (PUBLISHED_SBR, *BASELINES) if n not in sweep.labels)
     note = f"{absent or 'Nothing to compare'} missing on this hand."
     return Verdict(claim, paper, "not measured", "not shown", note)

@@ -51,7 +51,7 @@ what hangs between two fingertips swings for a while before."""
 
 @dataclass(frozen=True, eq=False)
 class _Task:
-    """What all worlds of a task and hand share."""
+    """Demonstration, scene and landmarks that all worlds of a task and hand share."""
 
     demonstration: Demonstration
     scene: Scene
@@ -173,7 +173,7 @@ def _tip_error_mm(hand: Hand, demonstration: Demonstration, trace: TrialTrace) -
 
 
 def _quantities(world: Perturbation) -> Row:
-    """What is perturbed, for those who look for what makes trials fail."""
+    """The perturbed quantities, for those who look for causes of failure."""
     return {
         "shift_x_mm": 1e3 * float(world.shift[0]),
         "shift_y_mm": 1e3 * float(world.shift[1]),
@@ -190,7 +190,7 @@ def _quantities(world: Perturbation) -> Row:
 
 
 def _clip(case: Case, scene: Scene, trace: TrialTrace) -> Clip:
-    """What is seen: the human, the hand where physics has it, and the outlines of things."""
+    """The human, the hand where physics has it, and the outlines of things."""
     parts = ScenePhysics(case.hand, scene).parts()
     at, turn = scene.mount.palm
     corners: list[Float[np.ndarray, "t 8 3"]] = []

@@ -44,11 +44,11 @@ from smooth_operator_research.physics.page import interval_drawings
 from smooth_operator_research.physics.results import Figure, MeasureResults, Row
 
 HOLD_S: Final = 1.0
-"""How long the object must be held [s]."""
+"""Time for which the object must be held [s]."""
 GRACE_S: Final = 0.2
 """The hand must have the object so long after the human's tightest moment [s]."""
 REST_S: Final = HOLD_S + GRACE_S + 0.05
-"""How long the human rests at the tightest moment [s]."""
+"""Rest of the human at the tightest moment [s]."""
 PUSH_N: Final = 0.3
 """[N]"""
 OPEN_S: Final = 0.15
@@ -65,7 +65,7 @@ _LIMIT: Final = 0.99  # of a motor's torque
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RobotGrasp:
-    """What the robot is commanded in a grasp, and when the human does what.
+    """Commands of the robot in a grasp, and times of the human's.
 
     Attributes:
         stamps: (T,) of the commands [s].
@@ -98,7 +98,7 @@ class RobotPinch(RobotGrasp):
 
 @dataclass(frozen=True)
 class GraspResult:
-    """How a grasp fared with an object; its two sides are thumb and finger in a pinch, and fingers
+    """Result of a grasp of an object; its two sides are thumb and finger in a pinch, and fingers
     against palm and thumb in a grasp with the whole hand.
 
     Attributes:
@@ -254,7 +254,7 @@ class _Run(Generic[_Physics]):
         return None
 
     def _has(self, step: float) -> bool:
-        """Whether both sides press, brief gaps aside."""
+        """True if both sides press, brief gaps aside."""
         self._lost = 0.0 if self.physics.grip > 0.0 else self._lost + step
         return self._lost < _LOST_S
 
@@ -319,7 +319,7 @@ class GraspMeasure(ABC):
     absent: ClassVar[str]
     """The refusal of recordings without such grasps; ``{}`` are their names."""
     drawn: ClassVar[int]
-    """How many of the figures the report draws."""
+    """Number of figures that the report draws."""
     physics: ClassVar[type[GraspPhysics]]
 
     def conditions(self, settings: PhysicsSettings) -> Sequence[str]:

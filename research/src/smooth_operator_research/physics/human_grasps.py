@@ -30,7 +30,7 @@ AFTER_S: Final = 1.5
 
 
 class HumanGrasp(Protocol):
-    """What all grasps have: a frame in which the hand is closed most."""
+    """A grasp: it has a frame in which the hand is closed most."""
 
     @property
     def tight(self) -> int:
@@ -70,7 +70,7 @@ class HumanPinch:
 
     @property
     def opening_before(self) -> float:
-        """How wide the skins are apart where the pinch is looked at from [m]: what is as wide could
+        """Distance of the skins where the pinch is looked at from [m]: what is as wide could
         be taken."""
         return float(self.width[self.first])
 
@@ -153,7 +153,7 @@ def _tip_gaps(recording: HandRecording) -> Float[np.ndarray, "T 4"]:
 
 
 def _spans(gap: Float[np.ndarray, " T"]) -> list[tuple[int, int]]:
-    """Where a distance is small, by hysteresis: first frame, and the one after the last below."""
+    """Spans of a small distance, by hysteresis: first frame, and the one after the last below."""
     spans: list[tuple[int, int]] = []
     begin: int | None = None
     below = 0

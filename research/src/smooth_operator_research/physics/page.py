@@ -48,7 +48,7 @@ def interval_drawings(
     """A plot for each condition: a panel for each figure, a row for each hand and method.
 
     Args:
-        name: of the measure; the files begin with it.
+        name: name of the measure; the files begin with it.
         results: all rows.
         colors: method -> colour.
     """

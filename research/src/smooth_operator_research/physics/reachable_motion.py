@@ -155,7 +155,7 @@ class _KeyPoses:
 
     @property
     def can_pinch(self) -> bool:
-        """Whether the thumb reaches a finger."""
+        """True if the thumb reaches a finger."""
         return bool(self._found)
 
     def free(self, count: int = 1) -> Float[np.ndarray, "k m"]:
@@ -238,7 +238,7 @@ SECONDS: Final = 8.0
 QUICK_SECONDS: Final = 3.0
 RATE_HZ: Final = 100.0
 WARM_UP_S: Final = 0.5
-"""What is left out at the beginning [s]: the hand starts at its neutral pose, and so do methods."""
+"""Time left out at the beginning [s]: the hand starts at its neutral pose, and so do methods."""
 NOISE: Final = {"clean": 0.0, "noise 0.5 mm": 0.5e-3}
 """Condition -> standard deviation of each coordinate of each landmark [m]."""
 EXACT: Final = 0.5e-3
@@ -277,7 +277,7 @@ def reachable_motion(
     """A random smooth, collision-free motion of a hand, with pinches; see ``joint_motion``.
 
     Args:
-        noise: of the tracker: standard deviation of each coordinate of each landmark in each
+        noise: noise of the tracker: standard deviation of each coordinate of each landmark in each
             frame, independent (white) [m]. It moves the landmarks of the palm, too.
         duration: length [s].
         rate_hz: frames a second [Hz].
@@ -405,7 +405,7 @@ def motion_figures(
 
 
 def _warm(request: AskedMotion) -> int:
-    """How many frames are left out."""
+    """Number of frames that are left out."""
     stamps = request.recording.stamps
     return int(np.searchsorted(stamps, stamps[0] + WARM_UP_S))
 

@@ -85,7 +85,7 @@ _CODE: Final = ("physics", "demonstrations", "virtual_operator", "simulation", "
 
 @dataclass(frozen=True, eq=False)
 class MeasureOutcome:
-    """What a measure came to.
+    """Results of a measure.
 
     Attributes:
         measure: the measure.
@@ -136,7 +136,7 @@ def run_cases(
     loses only the cases that it was at.
 
     Args:
-        planned: of ``plan_cases``.
+        planned: result of ``plan_cases``.
         track: shows the progress.
         note: called with kept results that can't be used.
 
@@ -179,7 +179,7 @@ def _run_measure(
 
 
 def run_case(case: Case) -> Measured:
-    """What a worker does.
+    """Runs a case in a worker.
 
     Raises:
         SmoothOperatorError: the case can't be measured.

@@ -60,13 +60,13 @@ class Pinched(NamedTuple):
 
     @property
     def depth(self) -> float:
-        """How deep a pad is in the object, mean [m]."""
+        """Mean depth of a pad in the object [m]."""
         contacts = [-float(c.dist) for c in self.data.contact[: self.data.ncon]]
         return float(np.mean(contacts)) if contacts else 0.0
 
     @property
     def energy(self) -> float:
-        """Of the object, kinetic and potential [J]."""
+        """Kinetic and potential energy of the object [J]."""
         joint = self.model.joint(OBJECT)
         speed = self.data.qvel[int(joint.dofadr[0]) :][:6]
         mass = float(self.model.body_mass[self.body])
@@ -114,7 +114,7 @@ def pinched(thing: GraspObject, force: float) -> Pinched:
 
 
 def indentation(force: float, thing: GraspObject) -> float:
-    """How deep a pad that presses so hard is in an object's face, per point of contact [m]."""
+    """Depth of a pad that presses with a force [N] in an object's face, by point of contact [m]."""
     world = pinched(thing, force)
     world.model.opt.gravity[:] = 0.0
     world.run(_SETTLE_S)
@@ -163,7 +163,7 @@ def slip_ratio(force: float, thing: GraspObject) -> float:
 
 
 def creep(force: float, thing: GraspObject, seconds: float = 10.0) -> float:
-    """How far an object sinks through two pads that hold it [m], from 0.05 s after they press."""
+    """Way that an object sinks through two pads that hold it [m], from 0.05 s after they press."""
     world = pinched(thing, force)
     world.run(0.05)
     before = float(world.data.xpos[world.body, 2])

@@ -39,13 +39,13 @@ _CHUNK: Final = 5
 
 @dataclass(frozen=True)
 class SimulationSettings:
-    """How a plan is simulated.
+    """Settings of a simulation.
 
     Attributes:
         plan: who does what.
         hand: robot hand, which must be able to do the tasks.
         body: whose kinematics the persons' hands have.
-        seed: of persons and trials.
+        seed: seed of persons and trials.
     """
 
     plan: Plan
@@ -91,7 +91,7 @@ class Chunk:
 
     @property
     def key(self) -> dict[str, Any]:
-        """What the trials depend on, with a JSON form."""
+        """Key of the trials: all that they depend on, with a JSON form."""
         block, protocol = self.block, self.settings.plan.protocol
         return {
             "operator": block.operator,

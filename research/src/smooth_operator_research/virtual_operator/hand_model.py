@@ -3,7 +3,7 @@
 There are two. ``human``: published human anatomy with the person's bone lengths and human joint
 ranges. ``matched``: the kinematics of the robot hand at human size, each bone 10 % longer or
 shorter at most, and its joint ranges. The demonstrations of the tasks use fingertip positions that
-a human thumb, aligned by the palm, does not reach (``docs/reference/study.md`` has the figures), so
+a human thumb, aligned by the palm, does not reach (``research/docs/study.md`` has the figures), so
 trials are simulated with the matched hand.
 """
 
@@ -220,7 +220,7 @@ class ReachingHand:
         Args:
             tips: (5, 3) thumb first [m]; NaN for a finger that stays relaxed.
             seconds: since the last call [s]; infinite for no limit of the speed.
-            rounds: of Gauss-Newton, from the last angles.
+            rounds: rounds of Gauss-Newton, from the last angles.
 
         Returns:
             (21, 3) landmarks [m].
@@ -278,7 +278,7 @@ class _RobotTips(HandModel):
 
 
 class GripReach:
-    """What the fingertips of a hand in a scene reach."""
+    """Reach of a hand's fingertips in a scene."""
 
     def __init__(self, hand: Hand, scene: Scene) -> None:
         self._hand, self._model = hand, _RobotTips(hand)
@@ -289,7 +289,7 @@ class GripReach:
         self._turns: dict[tuple[float, ...], dict[int, tuple[float, float]]] = {}
 
     def off(self, aims: dict[int, Float[np.ndarray, "3"]]) -> float:
-        """How far the farthest fingertip stays from its aim [m].
+        """Distance of the farthest fingertip from its aim [m].
 
         Args:
             aims: finger -> place in the world [m].
@@ -305,8 +305,8 @@ class GripReach:
         """Finger and place along the edge where it and the thumb can pinch a card best.
 
         Args:
-            x: of the pinch [m].
-            y: of the card's centre [m].
+            x: place of the pinch [m].
+            y: place of the card's centre [m].
             top: height of the table [m].
             gap: between the fingertips [m].
         """
@@ -326,11 +326,11 @@ class GripReach:
         """Finger, first and last angle of the best stroke that turns a block about the vertical.
 
         Args:
-            centre: of the block [m].
+            centre: middle of the block [m].
             normals: (n,) directions of its faces [rad].
             sign: in which direction it is to be turned; 0 for either.
             missing: by how much [rad].
-            width: of fingertips from the centre [m].
+            width: distance of fingertips from the centre [m].
             wide: the same of the open hand [m].
 
         Returns:
@@ -403,10 +403,10 @@ class GripReach:
         """Finger opposite the thumb, the second finger, and how far along the handle that is [m].
 
         Args:
-            centre: of the grip [m].
+            centre: middle of the grip [m].
             across: direction to the thumb.
             along: direction to the handle's end.
-            width: of fingertips from the handle's axis [m].
+            width: distance of fingertips from the handle's axis [m].
         """
         fingers = []
         for pivot, second in ((1, 2), (2, 3), (2, 1)):

@@ -58,7 +58,7 @@ class DelayedView(Generic[T]):
     """A line of images: what comes out is as old as the delay.
 
     Args:
-        delay_s: of what is seen [s].
+        delay_s: delay of what is seen [s].
     """
 
     def __init__(self, delay_s: float) -> None:
@@ -83,9 +83,9 @@ class CrossoverCorrection:
     Args:
         gain: crossover frequency [rad/s].
         threshold: errors shorter than this count as none [m]; longer ones lose this length.
-        shape: of the correction, (..., 3).
-        speed_limit: of each point [m/s].
-        reach_limit: of each point [m].
+        shape: shape of the correction, (..., 3).
+        speed_limit: fastest change of each point [m/s].
+        reach_limit: largest offset of each point [m].
     """
 
     def __init__(
@@ -124,7 +124,7 @@ def _at_most(vector: Float[np.ndarray, "*n 3"], most: float) -> Float[np.ndarray
 
 @dataclass(frozen=True, eq=False)
 class _Image:
-    """What there was to see at one moment, and where fingertips were wanted."""
+    """The scene at one moment, and goals of the fingertips then."""
 
     time: float
     obs: Observation
@@ -263,7 +263,7 @@ class VirtualOperator:
                 self.gave_up = True
 
     def _over(self, step: Step, time: float, image: _Image, used: list[int]) -> bool:
-        """Whether what the step is for is seen, or the person waits no longer."""
+        """True if what the step is for is seen, or the person waits no longer."""
         waited = time - self._since - self._duration
         if step.until is not None and image.time >= self._since and step.until(image.obs):
             return True

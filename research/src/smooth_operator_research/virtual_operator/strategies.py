@@ -1,4 +1,4 @@
-"""How people do the tasks: steps for the fingertips that depend on what is seen of the object.
+"""Strategies of people for the tasks: steps for the fingertips that depend on the seen object.
 
 A strategy is a generator. It yields the next step and receives what the person sees when the step
 is over, so that strokes are repeated until the goal is seen, and what slipped is taken again.
@@ -36,7 +36,7 @@ PAD_M: Final = 0.004
 """From a fingertip's landmark to the surface of its pad [m]."""
 
 PRESS_M: Final = 0.002
-"""How far beyond the object's surface a person presses in the first attempt [m]; ours."""
+"""Depth beyond the object's surface to which a person presses in the first attempt [m]; ours."""
 
 OPEN_M: Final = 0.010
 """Width by which open fingers are away from a surface [m]; people open 10 to 20 mm wider than the
@@ -56,7 +56,7 @@ Aims: TypeAlias = dict[int, Float[np.ndarray, "3"]]
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """What a person sees at one moment.
+    """The scene as a person sees it at one moment.
 
     Attributes:
         state: the object.
@@ -71,13 +71,13 @@ class Observation:
     sent: Float[np.ndarray, "f 3"]
 
     def touches(self, *fingers: int) -> bool:
-        """Whether all of these fingers touch the object."""
+        """True if all of these fingers touch the object."""
         return bool((self.state.force[list(fingers)] > 0.0).all())
 
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """What a person does next.
+    """A person's next movement.
 
     Attributes:
         aims: share of the movement from 0 to 1, and what is seen -> where fingertips go.
@@ -140,11 +140,11 @@ class Closing:
 
     @property
     def complete(self) -> bool:
-        """Whether all fingers have touched."""
+        """True if all fingers have touched."""
         return len(self.contact) == len(self._wide)
 
     def pressed(self, press: float) -> Aims:
-        """Where fingers go to press so far beyond the contact [m], seen or expected."""
+        """Goals of fingers that press to a depth beyond the contact [m], seen or expected."""
         expected = {f: p + self._opened * self._inward[f] for f, p in self._wide.items()}
         return {f: p + press * self._inward[f] for f, p in (expected | self.contact).items()}
 
@@ -272,7 +272,7 @@ def _with_thumb(step: Step, place: Float[np.ndarray, "3"]) -> Step:
 
 
 def _clear(obs: Observation, seconds: float) -> bool:
-    """Whether the card has been in the pinch alone for so long."""
+    """True if the card has been in the pinch alone for so long."""
     since = obs.scorer.pinched
     return since is not None and obs.state.time - since >= seconds
 

@@ -36,7 +36,7 @@ LEAD_S: Final = 1.0
 """So long the person holds the open hand before 'go' [s]."""
 
 _SERVO_LAG_S: Final = 0.016
-"""Of a critically damped servo of 20 Hz: 2 / (2 pi 20 Hz) [s]."""
+"""Lag of a critically damped servo of 20 Hz: 2 / (2 pi 20 Hz) [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +67,7 @@ def make_familiar(
 
 @dataclass(frozen=True)
 class OperatorTrial:
-    """How a trial of a virtual operator ended.
+    """Result of a trial of a virtual operator.
 
     Attributes:
         outcome: score, time, reason.
@@ -105,7 +105,7 @@ def simulate_trial(
         practised_here: trials before this one with this retargeter.
         resets: how often the object may be put back: 0 or 1.
         seconds: time limit [s]; None for the task's own.
-        variation: of the object; None for the nominal one.
+        variation: variation of the object; None for the nominal one.
         trace: keep what happened.
 
     Raises:
