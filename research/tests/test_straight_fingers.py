@@ -21,11 +21,11 @@ pytestmark = pytest.mark.weekly
 def test_fingers_are_found_where_a_joint_bends_them_past_straight():
     hand = load_hand("mimic_p050")
     fingers = StraightFingers(hand)
-    assert [hand.fingers[f] for f, *_ in fingers.found] == ["index", "middle", "ring", "pinky"]
-    assert [hand.actuated_names[joint] for _, joint, *_ in fingers.found] == [
+    assert [hand.fingers[f] for f, *_ in fingers.joints] == ["index", "middle", "ring", "pinky"]
+    assert [hand.actuated_names[joint] for _, joint, *_ in fingers.joints] == [
         f"{name}_pp2mp" for name in ("index", "middle", "ring", "pinky")
     ]
-    for (f, joint, longest, length), centre in zip(fingers.found, fingers.centres, strict=True):
+    for (f, joint, longest, length), centre in zip(fingers.joints, fingers.centres, strict=True):
         for lengths, position in ((length, 0.0), (None, longest)):
             q = np.array(hand.neutral)
             q[joint] = position
@@ -41,7 +41,7 @@ def test_only_a_fingertip_nearer_than_the_finger_at_its_limit_moves_the_limit():
     hand = load_hand("mimic_p050")
     fingers = StraightFingers(hand)
     tips = hand.tips(hand.full_configuration(hand.neutral)) - hand.wrist
-    f, joint, longest, length = fingers.found[1]
+    f, joint, longest, length = fingers.joints[1]
     for away, low in ((length + 5e-4, 0.0), (length - 5e-4, 0.0), (length - 2e-3, longest)):
         tips[f] = fingers.centres[1] + [0.0, 0.0, away]
         found = np.asarray(fingers.limits(hand.limits, tips))
