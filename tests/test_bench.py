@@ -24,7 +24,7 @@ from smooth_operator.errors import ConfigError, HandModelError, UnknownNameError
 from smooth_operator.formats.commands import read_commands
 from smooth_operator.formats.jsonable import to_json
 from smooth_operator.human.alignment import AlignmentConfig
-from smooth_operator.human.palm import human_palm_axes
+from smooth_operator.human.flat_hand import human_palm_axes
 from smooth_operator.lab.benchmark import compare, latency, read_results, suite
 from smooth_operator.lab.benchmark.cells import cells_of, fingerprint
 from smooth_operator.lab.benchmark.comparison import verdict

@@ -19,7 +19,7 @@ from ticks import make_tick
 
 from smooth_operator import Retargeter, load_hand
 from smooth_operator.errors import ConfigError
-from smooth_operator.human.palm import FLAT_HAND
+from smooth_operator.human.flat_hand import FLAT_HAND
 from smooth_operator.planning import make_request
 from smooth_operator.teleop.control.rpc import RpcHandlers, RpcServer, remote
 from smooth_operator.teleop.control.switches import actions, keyboard

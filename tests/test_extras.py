@@ -15,8 +15,9 @@ from typing import Any
 
 import pytest
 
-from smooth_operator import errors
-from smooth_operator.errors import MissingExtraError, install_command, require
+from smooth_operator import extras
+from smooth_operator.errors import MissingExtraError, require
+from smooth_operator.extras import install_command
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = ROOT / "src" / "smooth_operator"
@@ -118,11 +119,11 @@ def installed(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
             return Distribution(text)
 
         monkeypatch.setattr(metadata, "distribution", distribution)
-        errors._installed_from.cache_clear()
+        extras._installed_from.cache_clear()
 
     yield pretend
     monkeypatch.undo()
-    errors._installed_from.cache_clear()
+    extras._installed_from.cache_clear()
 
 
 def test_an_extra_is_added_to_what_is_installed(

@@ -15,7 +15,8 @@ import trimesh
 from smooth_operator.cli import main
 from smooth_operator.cli.hands_show import Show
 from smooth_operator.cli.page import hand_to_draw
-from smooth_operator.errors import HandModelError, MissingExtraError, install_command
+from smooth_operator.errors import HandModelError, MissingExtraError
+from smooth_operator.extras import install_command
 from smooth_operator.formats.commands import write_commands
 from smooth_operator.hand_files.vendor_model import (
     drawn_on,

@@ -18,6 +18,7 @@ from smooth_operator.geometry import umeyama
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.aligned_recording import align_recording
 from smooth_operator.human.alignment import AlignmentConfig, palm_alignment
+from smooth_operator.human.flat_hand import human_palm_axes
 from smooth_operator.human.operator import (
     COMPONENTS,
     Component,
@@ -25,9 +26,8 @@ from smooth_operator.human.operator import (
     OperatorProfile,
     tip_frames,
 )
-from smooth_operator.human.palm import human_palm_axes
 from smooth_operator.landmarks import BASES, TIPS
-from smooth_operator.objective.published_targets import DexPilotTargets
+from smooth_operator.objective.published import DexPilotTargets
 from smooth_operator.objective.targets import CloseTargets
 from smooth_operator.types import HandRecording
 

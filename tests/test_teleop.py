@@ -21,7 +21,8 @@ import pytest
 
 from smooth_operator import HandFrame, Retargeter, load_hand
 from smooth_operator.cli import main
-from smooth_operator.errors import SinkError, SourceError, install_command
+from smooth_operator.errors import SinkError, SourceError
+from smooth_operator.extras import install_command
 from smooth_operator.hands.hand import Hand
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop import run as run_module

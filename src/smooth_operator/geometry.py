@@ -191,10 +191,3 @@ def _dot(a: AnyArray, b: AnyArray) -> AnyArray:
 def _norm(a: AnyArray, xp: ModuleType) -> AnyArray:
     length: AnyArray = xp.sqrt(_dot(a, a))
     return length
-
-
-def unit_vectors(vector: AnyKind, xp: ModuleType) -> AnyKind:
-    """Unit vectors; zero of a zero vector."""
-    length = xp.sqrt((vector * vector).sum(axis=-1, keepdims=True))
-    out: AnyKind = vector / xp.maximum(length, 1e-9)
-    return out

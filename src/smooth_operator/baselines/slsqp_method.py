@@ -39,7 +39,7 @@ from smooth_operator.methods.method import Compiling, MethodOutput, ObjectiveMet
 from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.keyvectors import VectorLayout, tips_of
 from smooth_operator.objective.loss import Objective, ObjectiveConfig
-from smooth_operator.objective.published_targets import StatelessTargets
+from smooth_operator.objective.published import StatelessTargets
 from smooth_operator.objective.targets import Targets
 from smooth_operator.settings import check_choice
 from smooth_operator.solvers.newton import NewtonConfig, newton_minimise

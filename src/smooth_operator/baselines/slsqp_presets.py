@@ -8,7 +8,7 @@ from typing import Final
 from smooth_operator.baselines.slsqp import ScipySlsqpConfig, SlsqpConfig
 from smooth_operator.baselines.slsqp_method import AkoTargets, SlsqpMethodConfig, TipTargets
 from smooth_operator.objective.loss import ObjectiveConfig
-from smooth_operator.objective.published_targets import DexPilotTargets, PlainTargets
+from smooth_operator.objective.published import DexPilotTargets, PlainTargets
 from smooth_operator.solvers.newton import NewtonConfig
 
 KEYVECTOR: Final = SlsqpMethodConfig(

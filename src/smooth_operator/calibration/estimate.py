@@ -12,8 +12,9 @@ from jaxtyping import Float
 from smooth_operator.calibration.features import Features, measure_features
 from smooth_operator.calibration.segments import Segment, find_segments, poses
 from smooth_operator.errors import ConfigError, RecordingError
-from smooth_operator.hands.hand import Hand, StraightPose, open_rays, straight_pose
+from smooth_operator.hands.hand import Hand, StraightPose, straight_pose
 from smooth_operator.human.alignment import MIN_CONDITION, palm_alignment
+from smooth_operator.human.flat_hand import human_palm_axes, open_rays
 from smooth_operator.human.operator import (
     DEFAULT_COMPONENTS,
     Component,
@@ -21,7 +22,7 @@ from smooth_operator.human.operator import (
     OperatorProfile,
     tip_frames,
 )
-from smooth_operator.human.palm import PalmAxes, human_palm_axes
+from smooth_operator.human.palm import PalmAxes
 from smooth_operator.landmarks import BASES, FINGERS, TIPS
 from smooth_operator.types import HandRecording
 

@@ -31,7 +31,7 @@ from smooth_operator.source_digest import HOME, code_digest
 
 _CODE: Final = (
     "compilation", "methods", "baselines", "objective", "solvers", "human", "hands",
-    "geometry.py", "poses.py", "landmarks.py", "types.py",
+    "geometry.py", "io/anatomy.py", "poses.py", "landmarks.py", "types.py",
 )  # fmt: skip
 """Code that programs are traced from."""
 
@@ -41,9 +41,12 @@ _SETTINGS: Final = (
 )  # fmt: skip
 """Settings of JAX that a traced program depends on."""
 
-_NARROW: Final = {"xla_cpu_use_fusion_emitters": False, "xla_cpu_experimental_ynn_fusion_type": ""}
-_WIDE: Final = {**_NARROW, "xla_cpu_prefer_vector_width": 512}
-_GRAPHS: Final = {
+_NARROW: Final[dict[str, Any]] = {
+    "xla_cpu_use_fusion_emitters": False,
+    "xla_cpu_experimental_ynn_fusion_type": "",
+}
+_WIDE: Final[dict[str, Any]] = {**_NARROW, "xla_cpu_prefer_vector_width": 512}
+_GRAPHS: Final[dict[str, Any]] = {
     "xla_gpu_enable_command_buffer": "FUSION,CUBLAS,CUBLASLT,CUDNN,CUSTOM_CALL,"
     "DYNAMIC_SLICE_FUSION,CONDITIONAL,WHILE",
     "xla_gpu_graph_min_graph_size": 1,
@@ -61,33 +64,32 @@ def compiled(function: Callable[..., Any], *, wide: bool = False) -> Callable[..
         wide: most of its time goes to long loops over many numbers, which a processor with vectors
             of 512 bits is to run in such vectors; XLA prefers 256.
     """
-    return jax.jit(function, compiler_options=_compiler_options(wide))
+    return jax.jit(function, compiler_options=_known_options(wide))
 
 
 @functools.cache
-def _compiler_options(wide: bool) -> dict[str, Any] | None:
-    """Options that XLA knows here; None if it knows none."""
+def _known_options(wide: bool) -> dict[str, Any] | None:
+    """The first of ``_options`` that XLA knows here."""
     for options in _options(wide):
-        try:
+        # what XLA raises for an unknown option has changed between versions
+        with contextlib.suppress(Exception):
             jax.jit(lambda x: x, compiler_options=options)(np.float32(0))
-        except Exception:  # what XLA raises for an unknown option has changed between versions
-            continue
-        return options
+            return options
     return None
 
 
-def _options(wide: bool, graphs: bool = False) -> list[dict[str, Any]]:
+def _options(wide: bool, graphs: bool = False) -> list[dict[str, Any] | None]:
     """Options with which a program starts sooner on a CPU and its loops suit the processor, and
-    with which a GPU is not waited for.
+    with which a GPU is not waited for; the last are none.
 
     XLA's newer emitter of fused loops takes 1.6 s longer over this program, and the program is no
     faster for it. The options are XLA's own and may go: where one is unknown, the next are tried.
     """
     if on_gpu():
-        return [dict(_GRAPHS)] if graphs else []
+        return [_GRAPHS, None] if graphs else [None]
     if jax.default_backend() != "cpu":
-        return []
-    return [dict(each) for each in ((_WIDE, _NARROW) if wide else (_NARROW,))]
+        return [None]
+    return [_WIDE, _NARROW, None] if wide else [_NARROW, None]
 
 
 def program_key(
@@ -175,11 +177,13 @@ class CompiledProgram:
                 LOGGER.info("a program can't be kept: %s", error)
         with jax_cache() if function is not self._function else contextlib.nullcontext():
             for options in _options(self._wide, self._graphs):
-                with contextlib.suppress(Exception):  # as in ``_compiler_options``
+                try:
                     run = jax.jit(function, compiler_options=options).lower(*arguments).compile()
                     return run, run(*arguments)
-            run = jax.jit(function).lower(*arguments).compile()
-            return run, run(*arguments)
+                except Exception:  # as in ``_known_options``
+                    if options is None:
+                        raise
+        raise AssertionError("the last options are none")
 
 
 def _signature(arguments: tuple[Any, ...]) -> _Signature | None:

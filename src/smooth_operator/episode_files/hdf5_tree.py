@@ -14,7 +14,7 @@ import numpy as np
 from smooth_operator.errors import DocumentError, MissingExtraError, RecordingError, listed
 from smooth_operator.formats.arrays import damaged
 from smooth_operator.formats.bounds import Allowance
-from smooth_operator.io.documents import check_plain_file
+from smooth_operator.io.plain_files import check_plain_file
 
 _BONES = ("Knuckle", "IntermediateBase", "IntermediateTip", "Tip")
 _FINGERS = ("Index", "Middle", "Ring", "Little")

@@ -19,7 +19,7 @@ import numpy as np
 
 from smooth_operator.errors import RecordingError, brief, listed, reason
 from smooth_operator.formats.bounds import NUMBER_BYTES, TEXT_BYTES, Allowance
-from smooth_operator.io.documents import check_plain_file
+from smooth_operator.io.plain_files import check_plain_file
 
 _Bytes: TypeAlias = Any
 """A binary file or a member of a zip, which have no common type that holds at run time."""

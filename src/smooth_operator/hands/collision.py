@@ -29,16 +29,6 @@ def colliding_shapes(hand: Hand) -> Bool[np.ndarray, "g g"]:
     return counts
 
 
-def parts_above(model: mujoco.MjModel, part: int) -> list[int]:
-    """Parts that a part hangs from, nearest first. A part is the first of bodies without a joint
-    between them (``body_weldid``)."""
-    above: list[int] = []
-    while part:
-        part = int(model.body_weldid[model.body_parentid[part]])
-        above.append(part)
-    return above
-
-
 def shape_overlaps(
     hand: Hand, data: mujoco.MjData, pose: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:

@@ -7,42 +7,30 @@ files that it does not resolve (``package://``), models whose meshes are missing
 
 from __future__ import annotations
 
-import logging
 import math
-import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import partial
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import mujoco
 import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.errors import HandModelError
-from smooth_operator.hands.model_assets import (
-    MUJOCO_ERRORS,
-    ModelFiles,
-    decode_xml,
-    read_model_files,
-    refused,
-)
+from smooth_operator.hands.mujoco_messages import MUJOCO_ERRORS, refused
+
+if TYPE_CHECKING:
+    import xml.etree.ElementTree as ElementTree
+
+    from smooth_operator.hands.model_assets import ModelFiles
+
+MODELS: Final = Path(__file__).parent / "models"
+"""Folder of the built-in spec files and models."""
 
 NO_ROOM: Final = 0.25
 """``shared_range`` below which a coupling is a mistake in the file."""
 _ROOM: Final = 0.75  # ``shared_range`` above which the coupling of the other sign is the right one
-
-_LOGGER: Final = logging.getLogger("smooth_operator.mujoco")
-
-
-@lru_cache(maxsize=256)  # a model is compiled up to four times, and warned of once
-def _warn(text: str) -> None:
-    _LOGGER.warning(text)
-
-
-# Without its own listener MuJoCo writes its warnings to a file in the working folder.
-if mujoco.get_mju_user_warning() is None:
-    mujoco.set_mju_user_warning(_warn)
 
 
 @dataclass(frozen=True)
@@ -91,26 +79,33 @@ def load_model(path: Path, *, mirror: bool = False) -> LoadedModel:
         HandModelError: if there is no such file, it is too large (``read_model_files``), or MuJoCo
             can't compile it.
     """
-    files = read_model_files(path)
-    root, spec = files.root, _read(path, files, mirror)
-    if _has_assets(spec):
-        from smooth_operator.hands.model_meshes import (
-            compile_with_meshes,  # built-in hands have none
-        )
+    files = _model_files(path)
+    spec = _read(path, files, mirror)
+    if files is not None and _has_assets(spec):
+        from smooth_operator.hands.model_meshes import compile_with_meshes
 
         read = partial(_read, path, files, mirror)
         model, _, unreadable, why, large = compile_with_meshes(path, files, read)
     else:
         model, unreadable, why, large = _compiled(spec, path), (), (), False
     _check_finite(model, path)
-    if root.tag == "robot":
-        couplings = _urdf_mimics(root, path)
+    if files is not None and files.root.tag == "robot":
+        couplings = _urdf_mimics(files.root, path)
     else:
         equalities = _equalities(model)
         tendons = _tendons(model, {coupling.joint for coupling in equalities})
         couplings = (*equalities, *tendons)
     possible = tuple(_possible(model, coupling) for coupling in couplings)
     return LoadedModel(model, possible, unreadable, "; ".join(why), large)
+
+
+def _model_files(path: Path) -> ModelFiles | None:
+    """The files of a model, within bounds; None for a built-in model, which is one small file."""
+    if path.parent == MODELS:
+        return None
+    from smooth_operator.hands.model_assets import read_model_files
+
+    return read_model_files(path)
 
 
 def _check_finite(model: mujoco.MjModel, path: Path) -> None:
@@ -130,13 +125,13 @@ def driven_joints(model: mujoco.MjModel) -> set[int]:
     return _actuated(model) | {joints[0] for joints, _ in _driven_tendons(model)}
 
 
-def _read(path: Path, files: ModelFiles, mirror: bool) -> mujoco.MjSpec:
+def _read(path: Path, files: ModelFiles | None, mirror: bool) -> mujoco.MjSpec:
     try:
-        spec = _parsed(path)
+        spec = mujoco.MjSpec.from_file(str(path)) if files is None else _parsed(path)
     except MUJOCO_ERRORS as error:
         raise refused("read", path, error) from error
     _name_all(spec)
-    if not files.attaches:
+    if files is not None and not files.attaches:
         _name_assets(spec, files)
     # Fusing would lose the names of links on fixed joints, such as a URDF's palm and fingertips.
     spec.compiler.fusestatic = False
@@ -161,6 +156,8 @@ def _name_assets(spec: mujoco.MjSpec, files: ModelFiles) -> None:
 
 def _parsed(path: Path) -> mujoco.MjSpec:
     """The model of a file in any encoding; MuJoCo itself reads UTF-8 only."""
+    from smooth_operator.hands.model_assets import decode_xml
+
     data = path.read_bytes()
     text = decode_xml(data, path)
     if data.isascii() or data.endswith(text.encode("utf-8")):
@@ -189,10 +186,10 @@ def load_spec(path: Path, *, mirror: bool = False) -> mujoco.MjSpec:
     Raises:
         HandModelError: MuJoCo can't compile it.
     """
-    files = read_model_files(path)
+    files = _model_files(path)
     read = partial(_read, path, files, mirror)
     spec = read()
-    if not _has_assets(spec):
+    if files is None or not _has_assets(spec):
         _compiled(spec, path)
         return read()  # compiling fixes values of a spec that further edits should derive
     from smooth_operator.hands.model_meshes import compile_with_meshes, drop_meshes

@@ -16,10 +16,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
-import mujoco
-
 from smooth_operator.errors import DocumentError, HandModelError, brief
-from smooth_operator.io.documents import check_plain_file
+from smooth_operator.io.plain_files import check_plain_file, is_file
 
 MOST_ELEMENTS: Final = 20_000
 """Largest number of XML elements, copies included; a body counts as ``BODY``. Hands have 1,000 to
@@ -241,14 +239,6 @@ _MARKS: Final = {
 }
 
 
-def is_file(path: Path) -> bool:
-    """True if the file exists; False also for a name that is not valid."""
-    try:
-        return path.is_file()
-    except (OSError, ValueError):
-        return False
-
-
 def read_model_xml(path: Path) -> ElementTree.Element:
     """The root element of a model file.
 
@@ -314,14 +304,3 @@ def decode_xml(data: bytes, path: Path) -> str:
             f"{path} is not text in the encoding that it declares, {encoding}; save it as UTF-8"
         )
     return _DECLARATION.sub("", text, count=1)
-
-
-MUJOCO_ERRORS: Final = (ValueError, RuntimeError, MemoryError, mujoco.FatalError)
-
-
-def refused(what: str, path: Path, error: Exception) -> HandModelError:
-    """The error for a model that MuJoCo can't read or compile, with MuJoCo's reason."""
-    reason = re.sub(r"\b(XML )?Error: *", "", " ".join(str(error).split()))
-    return HandModelError(
-        f"MuJoCo can't {what} {path}: {reason}; mend that in the file, or export the model again"
-    )

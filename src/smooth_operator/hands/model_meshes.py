@@ -10,7 +10,8 @@ import mujoco
 import numpy as np
 
 from smooth_operator.errors import brief
-from smooth_operator.hands.model_assets import MOST_MESH_BYTES, MUJOCO_ERRORS, ModelFiles, refused
+from smooth_operator.hands.model_assets import MOST_MESH_BYTES, ModelFiles
+from smooth_operator.hands.mujoco_messages import MUJOCO_ERRORS, refused
 
 _TIMES: Final = 5.0  # length of a mesh over its chain above which it has another unit
 _LONGEST: Final = 0.5  # length up to which a mesh has the right unit [m]

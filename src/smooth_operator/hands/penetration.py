@@ -12,7 +12,6 @@ from smooth_operator.hands.collision import (
     colliding_shapes,
     counting_pairs,
     owners,
-    parts_above,
     shape_overlaps,
     solid_shapes,
 )
@@ -109,3 +108,13 @@ def neutral_overlaps(hand: Hand) -> dict[tuple[str, str], float]:
             one, other = sorted(str(model.body(model.geom_bodyid[g]).name) for g in geoms)
             out[one, other] = max(float(depth), out.get((one, other), 0.0))
     return out
+
+
+def parts_above(model: mujoco.MjModel, part: int) -> list[int]:
+    """Parts that a part hangs from, nearest first. A part is the first of bodies without a joint
+    between them (``body_weldid``)."""
+    above: list[int] = []
+    while part:
+        part = int(model.body_weldid[model.body_parentid[part]])
+        above.append(part)
+    return above

@@ -15,9 +15,10 @@ from typing import Final
 
 from smooth_operator.errors import ConfigError, HandModelError, UnknownNameError, brief, listed
 from smooth_operator.hands.hand import Hand, load_hand_spec
-from smooth_operator.hands.model_assets import is_file
+from smooth_operator.hands.loading import MODELS
 from smooth_operator.hands.spec import FingerChoice, HandSpec
 from smooth_operator.hands.spec_file import read_hand_spec
+from smooth_operator.io.plain_files import is_file
 from smooth_operator.own_files import program_folder
 from smooth_operator.plugins import Entry, Registry, is_target
 from smooth_operator.types import Side, as_side
@@ -54,9 +55,6 @@ def find_specs(folder: Path) -> dict[str, dict[Side, Path]]:
                 specs.setdefault(name, {})[side] = folder / file
     return specs
 
-
-MODELS: Final = Path(__file__).parent / "models"
-"""Folder of the built-in spec files and models."""
 
 HANDS: Final = Registry(
     "hand", {name: Entry(f"{__name__}:MODELS", "built-in") for name in sorted(find_specs(MODELS))}

@@ -163,7 +163,7 @@ class Correspondence:
         """Vectors of the fingers, those of the long ones turned back by the palm's tilt."""
         if is_off(self.config.tilt):
             return rays
-        from smooth_operator.human.palm import human_palm_axes, palm_tilt_deg
+        from smooth_operator.human.flat_hand import human_palm_axes, palm_tilt_deg
 
         axes = human_palm_axes(self.hand)
         angle = self.config.tilt * np.deg2rad(palm_tilt_deg(self.hand))

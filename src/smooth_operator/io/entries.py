@@ -1,4 +1,4 @@
-"""Checked look-ups in the table of a settings file (TOML or JSON).
+"""Checked look-ups in the table of a settings file (TOML or JSON), and the reader of TOML.
 
 Each error names the file, the entry and what is expected there, and corrects a misspelt name.
 """
@@ -6,11 +6,12 @@ Each error names the file, the entry and what is expected there, and corrects a 
 from __future__ import annotations
 
 import math
+import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any, Final, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 from smooth_operator.errors import (
     ConfigError,
@@ -19,7 +20,7 @@ from smooth_operator.errors import (
     brief,
     did_you_mean,
 )
-from smooth_operator.io.documents import read_toml
+from smooth_operator.io.plain_files import MOST_DIGITS, MOST_LEVELS, read_text, too_deep
 
 _T = TypeVar("_T", bound=str)
 _Record = TypeVar("_Record")
@@ -271,3 +272,52 @@ def _value(entries: Entries, name: str, hint: Any, *, lines: bool) -> Any:
 
 def _cut(text: str, most: int) -> str:
     return text if len(text) <= most else f"{text[: most - 3]}..."
+
+
+_MOST_DOTS: Final = 1000  # in one line of TOML; the parser's time grows with their square
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """The table of a TOML text.
+
+    Raises:
+        DocumentError: it is no TOML, or is beyond a bound as with ``parse_json``.
+    """
+    if any(line.count(".") > _MOST_DOTS for line in text.split("\n")):
+        raise DocumentError(f"a line has more than {_MOST_DOTS} dots")
+    try:
+        table = tomllib.loads(text)
+    except RecursionError as error:
+        raise too_deep() from error
+    except ValueError as error:  # TOMLDecodeError; and a number of thousands of digits
+        raise DocumentError(str(error) if len(str(error)) < 200 else "damaged text") from error
+    for level, value in _values(table):
+        if level > MOST_LEVELS:
+            raise too_deep()
+        if isinstance(value, int) and abs(value) >= 10**MOST_DIGITS:
+            raise DocumentError(f"a whole number has more than {MOST_DIGITS} digits")
+    return table
+
+
+def read_toml(path: Path, *, most_bytes: int) -> dict[str, Any]:
+    """The table of a TOML file.
+
+    Raises:
+        OSError: there is no such file, or it can't be read.
+        DocumentError: as ``read_text`` and ``parse_toml``.
+    """
+    return parse_toml(read_text(path, most_bytes=most_bytes))
+
+
+def _values(table: dict[str, Any]) -> Iterator[tuple[int, Any]]:
+    """(level, value) of all that a table holds; without recursion, which may end the stack."""
+    left: list[tuple[int, Any]] = [(1, table)]
+    while left:
+        level, value = left.pop()
+        yield level, value
+        if level > MOST_LEVELS:
+            continue
+        if isinstance(value, dict):
+            left += [(level + 1, child) for child in value.values()]
+        elif isinstance(value, list):
+            left += [(level + 1, child) for child in value]

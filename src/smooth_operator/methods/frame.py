@@ -226,7 +226,7 @@ def align_frame(
     )
     aligned = palm.apply(safe)
     if operator is not None:
-        from smooth_operator.human.palm import human_palm_axes
+        from smooth_operator.human.flat_hand import human_palm_axes
 
         aligned = operator.correct(aligned, palm.scale, hand, human_palm_axes(hand))
     return AlignedFrame(aligned, status, palm.scale)

@@ -31,7 +31,7 @@ from smooth_operator.methods.method import (
 from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.keyvectors import tips_of
 from smooth_operator.objective.loss import Objective, ObjectiveConfig
-from smooth_operator.objective.published_targets import DexPilotTargets
+from smooth_operator.objective.published import DexPilotTargets
 from smooth_operator.settings import is_off
 from smooth_operator.solvers.newton import NewtonConfig, newton_minimise
 from smooth_operator.solvers.random_words import frame_key, seed_words

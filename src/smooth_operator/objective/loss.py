@@ -36,7 +36,6 @@ from smooth_operator.objective.terms import (
     PointTerm,
     Quadratic,
     RobotVectors,
-    SmoothL1Velocity,
     Square,
     Term,
     TermConfig,
@@ -46,7 +45,7 @@ from smooth_operator.settings import check_choice, check_numbers
 
 
 def _published_targets() -> TargetPolicy[Any, Any]:
-    from smooth_operator.objective.published_targets import DexPilotTargets  # not of ``smooth``
+    from smooth_operator.objective.published import DexPilotTargets  # not of ``smooth``
 
     return DexPilotTargets()
 
@@ -138,11 +137,11 @@ class Objective:
         """Terms of joint positions: neutral pose, velocity, the preset's own."""
         neutral: np.ndarray = self.hand.neutral
         centre = neutral if self.config.pose_centre == "neutral" else np.zeros_like(neutral)
-        velocity = (
-            Velocity()
-            if self.config.velocity_loss == "squared"
-            else SmoothL1Velocity(self.config.transition)
-        )
+        velocity: JointTerm = Velocity()
+        if self.config.velocity_loss == "smooth_l1":
+            from smooth_operator.objective.published import SmoothL1Velocity  # of AKO alone
+
+            velocity = SmoothL1Velocity(self.config.transition)
         own = (t for t in self._own if isinstance(t, JointTerm) and not t.is_off)
         return (NeutralPose(self.config.pose_weight, centre), velocity, *own)
 
@@ -205,9 +204,7 @@ class Objective:
         Returns:
             (...) cost.
         """
-        costs = [term.cost(q, goal) for term in self.joint_terms]
-        total: AnyKind = functools.reduce(operator.add, costs)
-        return total
+        return functools.reduce(operator.add, [term.cost(q, goal) for term in self.joint_terms])
 
     def regularisation_derivatives(
         self, q: Float[Array, " m"], goal: FrameGoal
@@ -265,7 +262,6 @@ class Objective:
         )
 
     def _near(self, q: Float[Array, " m"], goal: FrameGoal) -> _Near:
-        """Quadratic model of the point terms near a pose."""
         motion = self.kinematics(all_joints(self.hand, q))
         chosen = [_Chosen.of(term.points(), self.kinematics.names) for term in self.point_terms]
         near = [
@@ -283,8 +279,7 @@ class Objective:
         self, q: Float[Array, "c m"], goal: FrameGoal
     ) -> tuple[Float[Array, " c"], Float[Array, "c m"], Float[Array, "c m m"]]:
         """Values, gradients and Hessians of a few poses."""
-        values, gradients, hessians = jax.vmap(lambda one: self.value_grad_hess(one, goal))(q)
-        return values, gradients, hessians
+        return jax.vmap(lambda one: self.value_grad_hess(one, goal))(q)
 
     def values(self, q: Float[Array, "c m"], goal: FrameGoal) -> Float[Array, " c"]:
         """Costs of a few poses, through the small program."""
@@ -295,8 +290,7 @@ class Objective:
 
 
 class _Near(NamedTuple):
-    """The point terms near a pose: cost, motion of the points, ``PointKinematics.moments``; and (R,
-    J) rows, the same times their weights."""
+    """Quadratic model of the point terms near a pose; ``weighted`` are rows times their weights."""
 
     cost: Float[Array, ""]
     motion: PointMotion
@@ -306,12 +300,8 @@ class _Near(NamedTuple):
 
 
 class _Chosen(NamedTuple):
-    """Places of a term's points among all points, which are in the order of the terms.
-
-    Attributes:
-        at: a slice where they are neighbours, which is cheaper; else indices.
-        end: one more than the last index.
-    """
+    """Places of a term's points among all points, which are in the order of the terms: ``at`` is a
+    slice where they are neighbours, which is cheaper; ``end`` is one more than the last index."""
 
     at: slice | np.ndarray
     end: int

@@ -1,6 +1,4 @@
-"""Rest pose and joint limits of a frame.
-
-The rest pose is where the hand is pulled to without being pulled off its target.
+"""Rest pose of a frame, to which a hand is pulled without being pulled off its target; and limits.
 
 The second term of Eq. (1) pulls joints to a neutral pose, and so holds fingertips off targets that
 they could reach. Where fingertips are near the human's, only the part of the pull that moves none
@@ -60,23 +58,6 @@ class RestGoal(NamedTuple):
     pose: Float[Array, " m"]
 
 
-class _Pull(NamedTuple):
-    """``RestGoal``'s tips and near; and (R, m) rows and the (m,) right side of the pull's step."""
-
-    tips: Float[Array, "F 3"]
-    near: Float[Array, " F"]
-    rows: Float[Array, "R m"]
-    right: Float[Array, " m"]
-
-
-class _Directions(NamedTuple):
-    """(3 S,) last segments' unit vectors, human minus robot, across the robot's, 0 where
-    unknown; and (3 S, m) derivatives of the robot's."""
-
-    error: Float[Array, " S3"]
-    slopes: Float[Array, "S3 m"]
-
-
 @dataclass(frozen=True, eq=False)
 class RestPose:
     """The rest pose for one hand.
@@ -111,7 +92,7 @@ class RestPose:
 
     @cached_property
     def moves(self) -> Bool[np.ndarray, "F m"]:
-        """Mask of the actuated joints that move each fingertip."""
+        """(F, m) mask of the actuated joints that move each fingertip."""
         matrix = self.hand.coupling_matrix[np.array(self.kinematics.order)]
         tips = self.kinematics.moves[: len(self.hand.fingers)]
         moves: np.ndarray = (tips.astype(float) @ np.abs(matrix)) > 0
@@ -132,17 +113,6 @@ class RestPose:
             places: (F, 3) where the human's fingertips are, from the robot's wrist [m].
             moves: (F, 3) their step since the last answer [m].
         """
-        pull = self._pull(q, aligned, places, moves)
-        apart: Any = jax.lax.optimization_barrier  # has no types; see ``Objective``
-        damping = self.config.damping * jnp.eye(len(q), dtype=q.dtype)
-        # (J^T J + damping W) step = damping W pull: where fingertips move, hardly a step is left
-        step = solve_small(apart(pull.rows.T) @ pull.rows + damping, pull.right)
-        # a joint is free of Eq. (1)'s pull as far as every fingertip that it moves is near
-        share = jnp.where(jnp.asarray(self.moves), pull.near[:, None], 1.0).min(axis=0)
-        pose = q + share * step + (1 - share) * (jnp.asarray(self.hand.neutral, q.dtype) - q)
-        return RestGoal(pull.tips, pull.near, pose)
-
-    def _pull(self, q: Array, aligned: Array, places: Array, moves: Array) -> _Pull:
         config, hand, count = self.config, self.hand, len(self.hand.fingers)
         motion = self.kinematics(all_joints(hand, q))
         slopes = jnp.swapaxes(self.kinematics.jacobian(motion), 1, 2)
@@ -152,15 +122,25 @@ class RestPose:
         near = 1 / (1 + (error * error).sum(-1) / config.reach**2) ** 2
         pull, rows = neutral - q, jacobian[:count].reshape(-1, len(q))
         if self.segments and not is_off(config.segment):
-            turned = self._directions(motion, jacobian, aligned)
-            pull = pull + config.segment * (turned.slopes * turned.error[:, None]).sum(axis=0)
+            off, turns = self._directions(motion, jacobian, aligned)
+            pull = pull + config.segment * (turns * off[:, None]).sum(axis=0)
             segment = np.float32(np.sqrt(config.damping * config.segment))
-            rows = jnp.concatenate([rows, segment * turned.slopes])
-        return _Pull(tips, near, rows, config.damping * pull)
+            rows = jnp.concatenate([rows, segment * turns])
+        right = config.damping * pull
+        apart: Any = jax.lax.optimization_barrier  # has no types; see ``Objective``
+        damping = config.damping * jnp.eye(len(q), dtype=q.dtype)
+        # (J^T J + damping W) step = damping W pull: where fingertips move, hardly a step is left
+        step = solve_small(apart(rows.T) @ rows + damping, right)
+        # a joint is free of Eq. (1)'s pull as far as every fingertip that it moves is near
+        share = jnp.where(jnp.asarray(self.moves), near[:, None], 1.0).min(axis=0)
+        pose = q + share * step + (1 - share) * (jnp.asarray(hand.neutral, q.dtype) - q)
+        return RestGoal(tips, near, pose)
 
     def _directions(
         self, motion: PointMotion, jacobian: Float[Array, "P 3 m"], aligned: Float[Array, "21 3"]
-    ) -> _Directions:
+    ) -> tuple[Float[Array, " S3"], Float[Array, "S3 m"]]:
+        """(3 S,) unit vectors of the last segments, human minus robot, across the robot's, 0 where
+        unknown; and (3 S, m) derivatives of the robot's."""
         fingers = np.array([f for f, _ in self.segments])
         below = len(self.hand.fingers) + np.arange(len(fingers))
         tips = np.array([TIPS[FINGERS.index(self.hand.fingers[f])] for f in fingers])
@@ -175,10 +155,8 @@ class RestPose:
         error = human - unit
         error = error - unit * (error * unit).sum(-1, keepdims=True)
         finite = jnp.isfinite(error).all(-1, keepdims=True)
-        return _Directions(
-            jnp.where(finite, error, 0.0).reshape(-1),
-            jnp.where(finite[:, :, None], slopes, 0.0).reshape(-1, slopes.shape[-1]),
-        )
+        off = jnp.where(finite, error, 0.0).reshape(-1)
+        return off, jnp.where(finite[:, :, None], slopes, 0.0).reshape(-1, slopes.shape[-1])
 
 
 _SHORTER: Final = 1e-3  # so much nearer than the finger at its limit [m]
@@ -208,8 +186,7 @@ class StraightFingers:
 
     def __init__(self, hand: Hand) -> None:
         self.bends: list[tuple[int, int, float, float]] = []
-        centres = []
-        swept = []
+        centres, swept = [], []
         straight = straight_pose(hand).q
         for joint, (low, high) in enumerate(hand.limits):
             q = np.tile(straight, (_POSES, 1))
@@ -244,9 +221,7 @@ class StraightFingers:
         """
         if not self.bends:
             return limits
-        fingers, joints, longest, length = (
-            np.array(part) for part in zip(*self.bends, strict=True)
-        )
+        fingers, joints, longest, length = map(np.array, zip(*self.bends, strict=True))
         tips = jnp.asarray(tips)
         away = tips[fingers] - jnp.asarray(self.centres, tips.dtype)
         bent = (away * away).sum(-1) < jnp.asarray(length - _SHORTER, tips.dtype) ** 2

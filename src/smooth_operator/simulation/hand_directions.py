@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.hands.hand import Hand
-from smooth_operator.human.palm import human_palm_axes
+from smooth_operator.human.flat_hand import human_palm_axes
 
 
 def hand_directions(hand: Hand) -> Float[np.ndarray, "3 3"]:

@@ -20,9 +20,8 @@ from jax import lax
 from jaxtyping import Array, Float, Int, UInt32
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.geometry import on_gpu
-from smooth_operator.plugins import Entry
 from smooth_operator.settings import check_choice
+from smooth_operator.solvers.newton import gpu_kernels
 from smooth_operator.solvers.random_words import random_words
 
 _ROWS: Final = 32  # a bit of a word for each
@@ -81,9 +80,6 @@ def _set_bit(word: Array, rank: Array) -> Array:
         place = place + jnp.where(above, half, 0)
     return place
 
-
-_KERNELS: Final = Entry("smooth_operator.solvers.gpu_kernels:kernels_available")
-_NEXT_GAUSSIAN: Final = Entry("smooth_operator.solvers.gpu_kernels:next_gaussian")
 
 MOST_SAMPLES: Final = 1 << 20
 MOST_CYCLES: Final = 10_000
@@ -175,7 +171,7 @@ def sample_minimise(
     mean = start.astype(dtype)
     chol = jnp.sqrt(deviation**2 + config.jitter) * jnp.eye(size, dtype=dtype)
     epsilon = config.jitter * jnp.eye(size, dtype=dtype)
-    in_kernel = on_gpu() and _KERNELS.load()(config.samples)
+    kernels = gpu_kernels(config.samples)
 
     def cycle(mean: Array, chol: Array, cycle_key: Array) -> tuple[Array, Array]:
         # Line 4: draw the candidates. Line 5: compute their costs
@@ -195,11 +191,12 @@ def sample_minimise(
         return mean, lax.linalg.cholesky(covariance, symmetrize_input=False)
 
     # Lines 3-13: L - 1 cycles
-    if in_kernel:
+    if kernels is not None:
+        next_gaussian = kernels.next_gaussian
 
         def cycle_in_kernel(i: Array, carry: tuple[Array, ...]) -> tuple[Array, ...]:
             mean, chol, words = carry
-            following: tuple[Array, ...] = _NEXT_GAUSSIAN.load()(
+            following: tuple[Array, ...] = next_gaussian(
                 cost(gaussian.draw_all(mean, chol, words)),
                 mean,
                 chol,

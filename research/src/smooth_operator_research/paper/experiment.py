@@ -16,7 +16,7 @@ from smooth_operator.atomic_files import atomic_write, output_error, write_json
 from smooth_operator.baselines.slsqp_presets import DEXPILOT_PUBLISHED
 from smooth_operator.errors import DocumentError, UnknownNameError
 from smooth_operator.formats.environment import environment
-from smooth_operator.io.documents import check_plain_file
+from smooth_operator.io.plain_files import check_plain_file
 from smooth_operator.lab.benchmark import benchmark_folder as benchmark_store
 from smooth_operator.lab.benchmark.recordings import Source, load_sources, parse_request
 from smooth_operator.lab.offline.finished import read_configuration

@@ -26,7 +26,8 @@ from smooth_operator.errors import (
     require,
 )
 from smooth_operator.formats.frames import frame_slice
-from smooth_operator.io.documents import check_plain_file, parse_json, read_text
+from smooth_operator.io.documents import parse_json
+from smooth_operator.io.plain_files import check_plain_file, read_text
 from smooth_operator.lab.datasets.registry import (
     DATASETS,
     RESEARCH_LAYOUTS,

@@ -13,7 +13,7 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.penetration import neutral_overlaps
 from smooth_operator.hands.stand_ins import stand_in_links
 from smooth_operator.human.alignment import MIN_CONDITION, palm_alignment, reference_landmarks
-from smooth_operator.human.palm import palm_tilt_deg
+from smooth_operator.human.flat_hand import palm_tilt_deg
 from smooth_operator.lab.validation.checks import Check, Verdict, worst
 from smooth_operator.lab.validation.samples import Samples
 from smooth_operator.landmarks import LANDMARKS

@@ -17,7 +17,8 @@ import pandas as pd
 
 from smooth_operator.errors import DocumentError, StudyError, brief, listed
 from smooth_operator.formats.csv_table import plain_cell
-from smooth_operator.io.documents import parse_json, read_text
+from smooth_operator.io.documents import parse_json
+from smooth_operator.io.plain_files import read_text
 from smooth_operator.study.data.rows import (
     Flow,
     StudyData,

@@ -19,7 +19,7 @@ from smooth_operator.hand_files.vendor_model import has_meshes
 from smooth_operator.hands.collision import Capsule, shape_capsules, solid_shapes
 from smooth_operator.hands.hand import Hand, landmark_points
 from smooth_operator.hands.stand_ins import finger_bones, finger_radius, stand_ins
-from smooth_operator.human.palm import human_palm_axes
+from smooth_operator.human.flat_hand import human_palm_axes
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS
 
 if TYPE_CHECKING:

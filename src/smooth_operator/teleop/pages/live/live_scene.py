@@ -21,8 +21,8 @@ from smooth_operator.human.alignment import (
     palm_alignment,
     reference_landmarks,
 )
+from smooth_operator.human.flat_hand import human_palm_axes
 from smooth_operator.human.operator import FingerProfile, OperatorProfile
-from smooth_operator.human.palm import human_palm_axes
 from smooth_operator.landmarks import FINGERS, TIPS
 from smooth_operator.simulation.arms.arm import arm_spec
 from smooth_operator.simulation.arms.carried import CarriedHand, WristKinematics

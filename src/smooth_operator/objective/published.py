@@ -1,9 +1,13 @@
-"""Targets of published methods: the human's keyvectors as they are, and DexPilot's closed ones."""
+"""Targets and costs of published methods: plain and DexPilot's keyvectors, AKO's velocity."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    NamedTuple,
+)
 
 import jax
 import jax.numpy as jnp
@@ -11,8 +15,11 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from smooth_operator.errors import ConfigError
+from smooth_operator.geometry import AnyKind
+from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.keyvectors import KeyvectorLayout
 from smooth_operator.objective.targets import LayoutT, TargetPolicy, Targets, base_weights
+from smooth_operator.objective.terms import JointTerm, smooth_l1, smooth_l1_slopes
 
 if TYPE_CHECKING:
     from smooth_operator.human.operator import OperatorProfile
@@ -162,3 +169,31 @@ class DexPilotTargets(TargetPolicy[KeyvectorLayout, LatchState]):
         vectors = human * free[:, None] + direction * eta[:, None]
         lambdas = (1 - held) * weights + closed * self.w_set1 + both * self.w_set2
         return Targets(vectors, lambdas.astype(human.dtype)), LatchState(latched, closure)
+
+
+@dataclass(frozen=True, eq=False)
+class SmoothL1Velocity(JointTerm):
+    """Smooth-L1 of the weight times the change of each joint, as in AKO.
+
+    Attributes:
+        transition: where smooth-L1 turns from quadratic to linear [rad].
+    """
+
+    transition: float
+
+    def cost(self, q: AnyKind, goal: FrameGoal) -> AnyKind:
+        """See ``JointTerm``."""
+        change: Any = q - goal.previous
+        return smooth_l1(goal.velocity_weight * change, self.transition).sum(axis=-1)  # type: ignore
+
+    def joint_cost(self, q: Array, joint: int, goal: FrameGoal) -> Array:
+        """See ``JointTerm``."""
+        return smooth_l1(goal.velocity_weight * (q - goal.previous[joint]), self.transition)
+
+    def derivatives(
+        self, q: Float[Array, " m"], goal: FrameGoal
+    ) -> tuple[Float[Array, " m"], Float[Array, " m"]]:
+        """See ``JointTerm``."""
+        weight = goal.velocity_weight
+        first, second = smooth_l1_slopes(weight * (q - goal.previous), self.transition)
+        return weight * first, weight**2 * second
