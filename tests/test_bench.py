@@ -25,15 +25,13 @@ from smooth_operator.formats.commands import read_commands
 from smooth_operator.formats.jsonable import to_json
 from smooth_operator.human.alignment import AlignmentConfig, human_palm_axes
 from smooth_operator.lab.benchmark import compare, latency, read_results, suite
-from smooth_operator.lab.benchmark.cells import cells_of, fingerprint
-from smooth_operator.lab.benchmark.comparison import verdict
+from smooth_operator.lab.benchmark.cells import Settings, cells_of, fingerprint, select_methods
+from smooth_operator.lab.benchmark.figures import Panel, Run, make_clip, view_basis
 from smooth_operator.lab.benchmark.latency import Watch
-from smooth_operator.lab.benchmark.panels import Panel, Run, make_clip, view_basis
 from smooth_operator.lab.benchmark.quality import Task, finger_metrics, measure_cell
-from smooth_operator.lab.benchmark.ranking import Line, best, failures, overall
+from smooth_operator.lab.benchmark.ranking import Line, best, change_verdict, failures, overall
 from smooth_operator.lab.benchmark.recordings import load_sources, parse_request, unique_names
 from smooth_operator.lab.benchmark.results import Row
-from smooth_operator.lab.benchmark.settings import Settings, select_methods
 from smooth_operator.lab.offline.execution import tools_of
 from smooth_operator.landmarks import BASES, TIPS
 from smooth_operator.methods.method import MethodConfig
@@ -526,7 +524,7 @@ def test_a_benchmark_is_the_same_as_itself(done):
     ],
 )
 def test_verdicts_follow_the_goal(name, now, before, expected):
-    assert verdict(NAMED[name], now, before) == expected
+    assert change_verdict(NAMED[name], now, before) == expected
 
 
 # -- the parts ------------------------------------------------------------------------------------

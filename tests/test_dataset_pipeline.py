@@ -21,8 +21,8 @@ from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError, OutputError, RecordingError
 from smooth_operator.lab.datasets import gpu
 from smooth_operator.lab.datasets.clip import CAMERA, SIDES, Clip, RobotClip, in_frame
-from smooth_operator.lab.datasets.filters import NO_LIMITS, Dropped, Limits, select
 from smooth_operator.lab.datasets.pipeline import DatasetRequest, Progress, make_dataset
+from smooth_operator.lab.datasets.quality import NO_LIMITS, Dropped, Limits, select
 from smooth_operator.lab.datasets.registry import ClipRef, ReadingOptions
 from smooth_operator.lab.datasets.retargeting import Recipe, retarget_clips
 from smooth_operator.lab.datasets.sources import (
@@ -54,7 +54,7 @@ pytestmark = pytest.mark.usefixtures("compiled_once")
 @pytest.fixture(autouse=True)
 def _without_plots(whole, monkeypatch) -> None:
     """Drawing takes longer than all else; the first run has drawn."""
-    monkeypatch.setattr("smooth_operator.lab.datasets.report._histograms", lambda *_: None)
+    monkeypatch.setattr("smooth_operator.lab.datasets.writing._histograms", lambda *_: None)
 
 
 @pytest.fixture(scope="module")

@@ -17,8 +17,8 @@ from robot_clips import JOINTS, robot_clip
 
 from smooth_operator.errors import ConfigError, OutputError, RecordingError
 from smooth_operator.lab.datasets.clip import RobotClip
+from smooth_operator.lab.datasets.writers.arrays import drift, resampled
 from smooth_operator.lab.datasets.writers.registry import WRITERS, WritingOptions
-from smooth_operator.lab.datasets.writers.resampling import drift, resampled
 
 ALL = ["webdataset", "parquet", "lerobot", "spider"]
 OPTIONS = WritingOptions(shard_mb=0.1)

@@ -22,7 +22,7 @@ from smooth_operator.hands.registry import load_hand
 from smooth_operator.hands.spec import Point
 from smooth_operator.hands.spec_file import read_hand_spec
 from smooth_operator.lab.discovery import Discovery, Overrules, discover
-from smooth_operator.lab.discovery.words import fingers_said, side_said, words
+from smooth_operator.lab.discovery.skeleton import fingers_said, side_said, words
 from smooth_operator.types import Side
 
 FINGERS = ("thumb", "index", "middle", "ring", "pinky")

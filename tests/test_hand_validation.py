@@ -24,10 +24,9 @@ from smooth_operator.hands.registry import load_hand
 from smooth_operator.hands.spec import FingerSpec, HandSpec, Point
 from smooth_operator.lab.discovery import discover
 from smooth_operator.lab.validation import HandValidation, check_hand, round_trip
-from smooth_operator.lab.validation.reachable import closest_pinch, reachable_poses
-from smooth_operator.lab.validation.round_trip import check_method
-from smooth_operator.lab.validation.samples import Samples
-from smooth_operator.lab.validation.tips import part_distances
+from smooth_operator.lab.validation.checks import Samples
+from smooth_operator.lab.validation.fingers import part_distances
+from smooth_operator.lab.validation.round_trip import check_method, closest_pinch, reachable_poses
 from smooth_operator.landmarks import LANDMARKS
 from smooth_operator.methods.default import DEFAULT_METHOD
 from smooth_operator.methods.presets import method_config

@@ -27,10 +27,15 @@ from smooth_operator.formats.readers import read_recording
 from smooth_operator.formats.registry import Reader
 from smooth_operator.hands.registry import HANDS, MODELS, hand_names, known_hands, load_hand
 from smooth_operator.lab.benchmark import cells
-from smooth_operator.lab.benchmark.cells import Cell, fingerprint
+from smooth_operator.lab.benchmark.cells import (
+    Cell,
+    Settings,
+    fingerprint,
+    method_label,
+    select_methods,
+)
 from smooth_operator.lab.benchmark.quality import Task, measure_cell
 from smooth_operator.lab.benchmark.ranking import columns
-from smooth_operator.lab.benchmark.settings import Settings, method_label, select_methods
 from smooth_operator.lab.offline.folder import find_recordings
 from smooth_operator.methods.presets import (
     PRESETS,

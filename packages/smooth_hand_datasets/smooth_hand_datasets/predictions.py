@@ -35,8 +35,7 @@ from jaxtyping import Float
 
 from smooth_hand_datasets.unpickle import load_restricted, numbers
 from smooth_operator.errors import DocumentError, RecordingError, brief
-from smooth_operator.formats.arrays import open_arrays
-from smooth_operator.formats.bounds import Allowance
+from smooth_operator.formats.arrays import Allowance, open_arrays
 from smooth_operator.formats.checks import stamps_from_rate
 from smooth_operator.io import documents
 from smooth_operator.lab.datasets.clip import CAMERA, SIDES, Clip

@@ -9,8 +9,13 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.calibration.features import Features, measure_features
-from smooth_operator.calibration.segments import Segment, find_segments, poses
+from smooth_operator.calibration.segments import (
+    Features,
+    Segment,
+    find_segments,
+    measure_features,
+    poses,
+)
 from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.geometry import PalmAxes
 from smooth_operator.hands.hand import Hand, StraightPose, open_rays, straight_pose

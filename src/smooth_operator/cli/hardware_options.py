@@ -8,8 +8,7 @@ from typing import Annotated, ClassVar, TypeAlias
 
 from tyro.conf import OmitSubcommandPrefixes, Positional, arg, subcommand
 
-from smooth_operator.cli.common_options import Common, HandSide
-from smooth_operator.cli.subcommands import Group
+from smooth_operator.cli.common_options import Common, Group, HandSide
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +44,7 @@ class _OneDevice(Common):
 class Check(_OneDevice):
     """Moves one actuator at a time, slowly, asks what moved, and writes the hand's table."""
 
-    work: ClassVar[str] = "smooth_operator.cli.hardware_check:check_hardware"
+    work: ClassVar[str] = "smooth_operator.cli.hardware:check_hardware"
     details: ClassVar[str] = """For each actuator: which joint moved, how far it goes each way, and
 the joint's angle at both ends. Enter keeps what the table says. An actuator whose current stays
 high stops by itself. Ctrl-C, SIGTERM and a closed terminal relax the hand; nothing is written.

@@ -10,7 +10,7 @@ import tyro
 
 from smooth_operator.cli.bench_options import Bench
 from smooth_operator.cli.calibrate import Calibrate
-from smooth_operator.cli.common_options import Common
+from smooth_operator.cli.common_options import Common, Group, described
 from smooth_operator.cli.convert import Convert
 from smooth_operator.cli.dataset_options import Dataset
 from smooth_operator.cli.demo import Demo
@@ -22,7 +22,6 @@ from smooth_operator.cli.latency import Latency
 from smooth_operator.cli.retarget import Retarget
 from smooth_operator.cli.sample import Sample
 from smooth_operator.cli.study_options import Study
-from smooth_operator.cli.subcommands import Group, described
 from smooth_operator.cli.teleop import Teleop
 from smooth_operator.cli.train import Train
 from smooth_operator.cli.tune_options import Tune

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from smooth_operator.errors import DocumentError, MissingExtraError, RecordingError, listed
-from smooth_operator.formats.arrays import damaged
-from smooth_operator.formats.bounds import Allowance
+from smooth_operator.formats.arrays import Allowance, damaged
 from smooth_operator.io.documents import check_plain_file
 
 _BONES = ("Knuckle", "IntermediateBase", "IntermediateTip", "Tip")

@@ -12,7 +12,7 @@ from smooth_operator.methods.method import MethodConfig
 from smooth_operator.methods.registry import METHODS, as_presets
 from smooth_operator.plugins import Entry
 
-_PRESET_FILE = Entry("smooth_operator.formats.preset_file:read_preset_file")
+_PRESET_FILE = Entry("smooth_operator.formats.setting_paths:read_preset_file")
 _WITH_SETTINGS = Entry("smooth_operator.formats.setting_paths:with_settings")
 _FILE: Final = ".toml"
 
@@ -89,7 +89,7 @@ def method_config(method: str = DEFAULT_METHOD, preset: str | None = None) -> Me
     """Configuration of a method by preset name; None gives the method's default preset.
 
     For a method with a trained model (geort), the file of one may stand for the preset; for any
-    method a preset file (``smooth_operator.formats.preset_file``). ``published`` is a preset
+    method a preset file (``smooth_operator.formats.setting_paths``). ``published`` is a preset
     of every method that the paper compares but GeoRT, of ``ako`` and of ``keyvector``; that of sbr
     is its ``paper``.
 

@@ -19,7 +19,7 @@ from smooth_operator.human.landmark_filter import NoiseState, remove_noise
 from smooth_operator.landmarks import FINGERS, NUM_LANDMARKS, TIPS
 from smooth_operator.methods.smooth import SmoothConfig
 from smooth_operator.simulation.scenes import ScenePhysics, scene_for
-from smooth_operator.simulation.scenes.card import CardScene
+from smooth_operator.simulation.scenes.task_scenes import CardScene
 from smooth_operator.simulation.tasks.scorers import (
     GOAL,
     HOLD_S,

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from smooth_operator.baselines.slsqp import ScipySlsqpConfig
-from smooth_operator.baselines.slsqp_presets import DEXPILOT_PUBLISHED
+from smooth_operator.baselines.slsqp_method import DEXPILOT_PUBLISHED
 from smooth_operator_research.paper.compared_solvers import Sampling, Slsqp, Solver, Starts
 from smooth_operator_research.paper.experiment import (
     PUBLISHED_STARTS,

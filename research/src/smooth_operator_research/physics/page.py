@@ -12,9 +12,9 @@ import numpy as np
 from smooth_operator.formats.environment import environment
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.lab.benchmark.benchmark_folder import PLOTS, REPORT
+from smooth_operator.lab.benchmark.figures import Panel, Run, make_clip, robot_landmarks
 from smooth_operator.lab.benchmark.page.report import facts_table, header, player
-from smooth_operator.lab.benchmark.panels import Panel, Run, make_clip, robot_landmarks
+from smooth_operator.lab.benchmark.suite import PLOTS, REPORT
 from smooth_operator.reporting.drawing import colors_of, styled
 from smooth_operator.reporting.html import (
     Html,

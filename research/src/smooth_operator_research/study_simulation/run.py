@@ -21,7 +21,7 @@ from smooth_operator.result_cache import (
     ResultLog,
     no_note,
 )
-from smooth_operator.simulation.scenes.scene_registry import scene_for
+from smooth_operator.simulation.scenes.task_scenes import scene_for
 from smooth_operator.simulation.tasks.task import task_named
 from smooth_operator.study.chunks import chunk_values
 from smooth_operator.study.data.reading import QUESTIONNAIRE_COLUMNS, TRIAL_COLUMNS

@@ -9,6 +9,7 @@ from typing import Any, Final, Literal, TypeAlias
 
 import numpy as np
 
+from smooth_operator.atomic_files import staged_folder
 from smooth_operator.episode_files.lerobot import robot_columns
 from smooth_operator.episode_files.lerobot.columns import UNITS, Layout, episode_columns
 from smooth_operator.episode_files.lerobot.robot_columns import RobotLayout
@@ -32,7 +33,6 @@ from smooth_operator.episode_files.lerobot.tables import (
     parquet,
     tasks_table,
 )
-from smooth_operator.episode_files.staging import staged_folder
 from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.formats.episode import Episode
 from smooth_operator.formats.jsonable import to_json

@@ -8,10 +8,9 @@ from typing import Any, Final, TypeAlias
 
 from smooth_operator.errors import RecordingError, UnknownNameError
 from smooth_operator.io.documents import read_json
-from smooth_operator.lab.benchmark.benchmark_folder import CELLS, RESULTS
+from smooth_operator.lab.benchmark.cells import Settings, method_label
 from smooth_operator.lab.benchmark.recordings import UNKNOWN_TRACKER
-from smooth_operator.lab.benchmark.settings import Settings, method_label
-from smooth_operator.lab.benchmark.suite import Finished
+from smooth_operator.lab.benchmark.suite import CELLS, RESULTS, Finished
 from smooth_operator.metrics import Metric
 
 Row: TypeAlias = dict[str, Any]

@@ -21,8 +21,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from smooth_operator.errors import ConfigError, OutputError, RecordingError
-from smooth_operator.lab.datasets.filters import Limits
 from smooth_operator.lab.datasets.gpu import GpuUse, entries_of_gpu, only_cpus_in_children
+from smooth_operator.lab.datasets.quality import Limits
 from smooth_operator.lab.datasets.retargeting import Recipe, SourceFile
 from smooth_operator.lab.datasets.sources import Found, Item, find_items, in_shard
 from smooth_operator.lab.datasets.store import Kept, Store, clear_unfinished

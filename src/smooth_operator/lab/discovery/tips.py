@@ -11,8 +11,7 @@ from jaxtyping import Float
 
 from smooth_operator.hands.spec import Point
 from smooth_operator.lab.discovery.branches import Chain
-from smooth_operator.lab.discovery.skeleton import Placement, Skeleton
-from smooth_operator.lab.discovery.words import says_tip
+from smooth_operator.lab.discovery.skeleton import Placement, Skeleton, says_tip
 
 _NAMED: Final = 0.3  # how far along the last link a frame called tip must be, of its length
 _UNNAMED: Final = 0.65  # and a frame that is not called so

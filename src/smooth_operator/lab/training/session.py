@@ -21,8 +21,7 @@ from smooth_operator.formats.csv_table import csv_text
 from smooth_operator.formats.environment import environment
 from smooth_operator.formats.jsonable import to_json
 from smooth_operator.io.documents import parse_json
-from smooth_operator.lab.training.loop import GeortTrainer, TrainingState
-from smooth_operator.lab.training.losses import LOSSES
+from smooth_operator.lab.training.loop import LOSSES, GeortTrainer, TrainingState
 
 CHECKPOINT: Final = "checkpoint.npz"
 MODEL: Final = "model.npz"

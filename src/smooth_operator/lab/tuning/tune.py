@@ -16,12 +16,11 @@ from smooth_operator.atomic_files import atomic_write, output_error, write_json
 from smooth_operator.errors import ConfigError, DocumentError, OutputError
 from smooth_operator.formats.environment import environment
 from smooth_operator.formats.jsonable import to_json
-from smooth_operator.formats.preset_file import FORMAT, PresetFile
+from smooth_operator.formats.setting_paths import FORMAT, PresetFile
 from smooth_operator.formats.toml_writer import toml_key, toml_value
 from smooth_operator.io.documents import parse_json
 from smooth_operator.lab.benchmark.cells import benchmark_code
-from smooth_operator.lab.tuning.score import figure
-from smooth_operator.lab.tuning.search_plan import COMMAND, Tuning
+from smooth_operator.lab.tuning.search_plan import COMMAND, Tuning, figure
 from smooth_operator.lab.tuning.trial import TrialTask, run_trial
 from smooth_operator.parallel import PersistentPool
 from smooth_operator.planning import PROGRAM

@@ -9,8 +9,13 @@ from typing import Final
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.hands.spec import HandSpec
-from smooth_operator.lab.validation.checks import Check, HandValidation
-from smooth_operator.lab.validation.flexion import check_flexion, check_side, find_flexion_axes
+from smooth_operator.lab.validation.checks import Check, HandValidation, Samples
+from smooth_operator.lab.validation.fingers import (
+    check_flexion,
+    check_side,
+    check_tips,
+    find_flexion_axes,
+)
 from smooth_operator.lab.validation.joints import (
     check_motion,
     check_neutral,
@@ -20,10 +25,7 @@ from smooth_operator.lab.validation.joints import (
     check_size,
     check_tilt,
 )
-from smooth_operator.lab.validation.reachable import check_pinches
-from smooth_operator.lab.validation.round_trip import MEASURE, check_method
-from smooth_operator.lab.validation.samples import Samples
-from smooth_operator.lab.validation.tips import check_tips
+from smooth_operator.lab.validation.round_trip import MEASURE, check_method, check_pinches
 from smooth_operator.methods.default import DEFAULT_METHOD
 from smooth_operator.methods.presets import method_names
 

@@ -17,8 +17,7 @@ from smooth_operator.human.alignment import (
     palm_tilt_deg,
     reference_landmarks,
 )
-from smooth_operator.lab.validation.checks import Check, Verdict, worst
-from smooth_operator.lab.validation.samples import Samples
+from smooth_operator.lab.validation.checks import Check, Samples, Verdict, worst
 from smooth_operator.landmarks import LANDMARKS
 
 _TURN: Final = 2 * np.pi  # no finger joint turns further; degrees read as radians do [rad]

@@ -9,10 +9,13 @@ from typing import Final, Protocol, Self
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.simulation.scenes.card import CARD, CardScene
-from smooth_operator.simulation.scenes.cube import CubeScene
 from smooth_operator.simulation.scenes.scene import Scene, SceneState
-from smooth_operator.simulation.scenes.screwdriver import ScrewdriverScene
+from smooth_operator.simulation.scenes.task_scenes import (
+    CARD,
+    CardScene,
+    CubeScene,
+    ScrewdriverScene,
+)
 
 HOLD_S: Final = 0.5
 """Time for which a goal must be met without a break [s]."""

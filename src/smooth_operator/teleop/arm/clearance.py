@@ -10,8 +10,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float, Int
 
-from smooth_operator.simulation.arms.arm import BASE, FLANGE, ArmSpec
-from smooth_operator.simulation.arms.hand_mount import HandCapsules
+from smooth_operator.simulation.arms.arm import BASE, FLANGE, ArmSpec, HandCapsules
 
 _POSES: Final = 400
 """Number of random poses that determine which parts can meet."""

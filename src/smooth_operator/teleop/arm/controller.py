@@ -13,10 +13,19 @@ from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
-from smooth_operator.simulation.arms.arm import FLANGE, ArmSpec, arm_spec
-from smooth_operator.simulation.arms.carried import CarriedHand
-from smooth_operator.simulation.arms.hand_mount import HandCapsules, HandMount
-from smooth_operator.simulation.arms.rigid import Matrix, angle_between, matrix_of, pose_of, rigid
+from smooth_operator.simulation.arms.arm import (
+    FLANGE,
+    ArmSpec,
+    CarriedHand,
+    HandCapsules,
+    HandMount,
+    Matrix,
+    angle_between,
+    arm_spec,
+    matrix_of,
+    pose_of,
+    rigid,
+)
 from smooth_operator.teleop.arm.clearance import Clearance, ClearanceConfig
 from smooth_operator.teleop.arm.settings import ArmSettings, place_arms
 from smooth_operator.teleop.runtime.limiter import MAX_STEP_S, JointLimiter

@@ -60,7 +60,7 @@ from smooth_operator.teleop.runtime.rpc_server import RpcHandler
 from smooth_operator.types import Side
 
 if TYPE_CHECKING:  # physics, which a run without a task need not have
-    from smooth_operator.simulation.tasks.trial_runner import TrialRunner
+    from smooth_operator.simulation.tasks.task_session import TrialRunner
 
 _LOOK_S: Final = 0.5
 """Interval of the checks that a run still goes on [s]."""

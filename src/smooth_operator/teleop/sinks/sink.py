@@ -17,7 +17,7 @@ from smooth_operator.types import Side
 
 if TYPE_CHECKING:
     from smooth_operator.hands.hand import Hand
-    from smooth_operator.simulation.arms.carried import CarriedHand
+    from smooth_operator.simulation.arms.arm import CarriedHand
     from smooth_operator.simulation.live import LiveSimulation
 
 

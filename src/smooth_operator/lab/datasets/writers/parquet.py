@@ -17,9 +17,14 @@ from smooth_operator.episode_files.lerobot.tables import arrow, parquet
 from smooth_operator.errors import require
 from smooth_operator.formats.jsonable import to_json
 from smooth_operator.lab.datasets.clip import SIDES, RobotClip
-from smooth_operator.lab.datasets.writers.arrays import LOST, clip_arrays, clip_document, clip_key
+from smooth_operator.lab.datasets.writers.arrays import (
+    LOST,
+    clip_arrays,
+    clip_document,
+    clip_key,
+    resampled,
+)
 from smooth_operator.lab.datasets.writers.registry import WritingOptions
-from smooth_operator.lab.datasets.writers.resampling import resampled
 from smooth_operator.lab.datasets.writers.shards import (
     MB,
     ShardedWriter,

@@ -19,10 +19,10 @@ from smooth_operator.lab.datasets.writers.arrays import (
     LOST,
     clip_arrays,
     clip_document,
+    resampled,
     unique_slug,
 )
 from smooth_operator.lab.datasets.writers.registry import WritingOptions
-from smooth_operator.lab.datasets.writers.resampling import resampled
 from smooth_operator.lab.datasets.writers.shards import (
     ShardedWriter,
     close_quietly,

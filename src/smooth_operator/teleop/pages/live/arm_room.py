@@ -12,9 +12,15 @@ from jaxtyping import Float
 
 from smooth_operator import poses
 from smooth_operator.hands.hand import Hand
-from smooth_operator.simulation.arms.arm import arm_spec
-from smooth_operator.simulation.arms.carried import CarriedHand, WristKinematics
-from smooth_operator.simulation.arms.rigid import inverse, matrix_of, pose_of, rigid
+from smooth_operator.simulation.arms.arm import (
+    CarriedHand,
+    WristKinematics,
+    arm_spec,
+    inverse,
+    matrix_of,
+    pose_of,
+    rigid,
+)
 from smooth_operator.teleop.arm.settings import ArmSettings, place_arms
 from smooth_operator.teleop.pages.hand_view import PALM, SIMULATED, HandView, Rgb, body_meshes
 from smooth_operator.teleop.pages.scene import BodyNodes, add_body, put

@@ -14,10 +14,10 @@ from smooth_operator.errors import ConfigError, SinkError, SmoothOperatorError
 from smooth_operator.methods.presets import live_presets
 from smooth_operator.planning import RetargetRequest
 from smooth_operator.poses import is_valid
-from smooth_operator.simulation.arms.rigid import Matrix, inverse, pose_of, rigid
+from smooth_operator.simulation.arms.arm import Matrix, inverse, pose_of, rigid
 from smooth_operator.simulation.live import LiveSimulation
 from smooth_operator.simulation.scenes import Scene, ScenePart, SceneState
-from smooth_operator.simulation.scenes.mount import Mount
+from smooth_operator.simulation.scenes.scene import Mount
 from smooth_operator.teleop.control.method_switcher import MethodSwitcher
 from smooth_operator.teleop.pages.live.takes import Takes
 from smooth_operator.teleop.runtime.loop import TeleopLoop
