@@ -22,7 +22,7 @@ from smooth_operator.lab.benchmark.ranking import (
     overall,
     sample_text,
 )
-from smooth_operator.lab.benchmark.results import Row
+from smooth_operator.lab.benchmark.suite import Row
 from smooth_operator.metrics import METRICS
 from smooth_operator.reporting.drawing import colors_of, styled, write_figure
 

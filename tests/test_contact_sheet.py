@@ -18,8 +18,7 @@ from smooth_operator.lab.benchmark.contact_sheet import (
 from smooth_operator.lab.benchmark.figures import Panel, Run, robot_landmarks, view_basis
 from smooth_operator.reporting.hand_surface import Surface, landmark_surface, paint, rod
 from smooth_operator.synthetic.gestures import FIST, FLAT, pinch_postures
-from smooth_operator.synthetic.hand_anatomy import couple, draw_anatomy
-from smooth_operator.synthetic.human_kinematics import pose_hand
+from smooth_operator.synthetic.hand_anatomy import couple, draw_anatomy, pose_hand
 
 STILL = 9
 

@@ -48,8 +48,8 @@ from smooth_operator.methods.presets import (
 from smooth_operator.methods.registry import METHODS
 from smooth_operator.methods.sbr import SbrConfig
 from smooth_operator.metrics import METRICS, Metric, Trace, evaluate
-from smooth_operator.metrics.registry import REGISTRY as METRIC_REGISTRY
-from smooth_operator.metrics.registry import add_metrics, plugin_metrics
+from smooth_operator.metrics.table import REGISTRY as METRIC_REGISTRY
+from smooth_operator.metrics.table import add_metrics, plugin_metrics
 from smooth_operator.plugins import Entry, Registry
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.types import HandRecording

@@ -24,8 +24,7 @@ from smooth_operator.formats.setting_paths import (
 from smooth_operator.lab.benchmark.recordings import Source, load_sources, parse_request
 from smooth_operator.lab.tuning import TuningSettings, plan_tuning, tune
 from smooth_operator.lab.tuning.search_plan import Bound, Scoring, check_held_out, parse_variable
-from smooth_operator.lab.tuning.trial import TracedRun
-from smooth_operator.lab.tuning.tune import write_preset_file
+from smooth_operator.lab.tuning.tune import TracedRun, write_preset_file
 from smooth_operator.methods.presets import PRESETS, method_config
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.methods.sbr import SBR_REALTIME, SbrConfig

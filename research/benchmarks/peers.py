@@ -30,7 +30,7 @@ from batch import in_wrist_axes
 from timing import percentiles
 
 from smooth_operator import HandRecording, load_hand
-from smooth_operator.formats.frames import frame_slice
+from smooth_operator.formats.checks import frame_slice
 from smooth_operator.formats.readers import rated_if_unstamped, read_recording
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import align_recording

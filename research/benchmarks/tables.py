@@ -25,7 +25,7 @@ import tyro
 from tyro.conf import Positional
 
 from smooth_operator.lab.benchmark import read_results
-from smooth_operator.lab.benchmark.results import Row, row_method
+from smooth_operator.lab.benchmark.suite import Row, row_method
 from smooth_operator_research.run_report import markdown
 
 Part = tuple[str, str]

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from smooth_operator.lab.benchmark.results import KEY
+from smooth_operator.lab.benchmark.suite import KEY
 
 TABLES = Path(__file__).resolve().parents[1] / "benchmarks" / "tables.py"
 SUMMARY = """\

@@ -1,4 +1,4 @@
-"""Atomic writing of files."""
+"""Atomic writing: a file or folder is written completely or not at all."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ from smooth_operator.errors import RecordingError
 from smooth_operator.lab.datasets.clip import SIDES, RobotClip
 from smooth_operator.lab.datasets.writers.arrays import unique_slug
 from smooth_operator.lab.datasets.writers.registry import WritingOptions
-from smooth_operator.lab.datasets.writers.webdataset import npz_bytes
+from smooth_operator.lab.datasets.writers.shards import npz_bytes
 from smooth_operator.landmarks import FINGERS
 from smooth_operator.types import Side
 

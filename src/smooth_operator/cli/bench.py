@@ -1,4 +1,4 @@
-"""``smooth-operator bench``: compares methods on recordings."""
+"""``smooth-operator bench``: compares methods on recordings, and prints tables of the results."""
 
 from __future__ import annotations
 
@@ -46,8 +46,7 @@ from smooth_operator.lab.benchmark.ranking import (
     shown_value,
 )
 from smooth_operator.lab.benchmark.ranking import verdict as verdict_of
-from smooth_operator.lab.benchmark.results import Row
-from smooth_operator.lab.benchmark.suite import REPORT, RESULTS, Advance
+from smooth_operator.lab.benchmark.suite import REPORT, RESULTS, Advance, Row
 from smooth_operator.lab.offline.finished import claimed
 from smooth_operator.metrics import Metric
 

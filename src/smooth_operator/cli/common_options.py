@@ -9,7 +9,7 @@ from typing import Annotated, Any, ClassVar, Final, Literal, TypeAlias, get_args
 
 from tyro.conf import arg
 
-from smooth_operator.cli.help_text import unwrapped
+from smooth_operator.cli.options import unwrapped
 from smooth_operator.methods.default import DEFAULT_METHOD
 from smooth_operator.methods.registry import METHODS
 from smooth_operator.plugins import Entry

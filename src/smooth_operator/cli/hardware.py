@@ -1,4 +1,4 @@
-"""``smooth-operator hardware list`` and ``monitor``: what there is, and where a hand is."""
+"""``smooth-operator hardware``: drivers and tables, a hand's state, and the check of a table."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The model that a robot hand is drawn on."""
+"""The model and the shapes that a robot hand is drawn on."""
 
 from __future__ import annotations
 

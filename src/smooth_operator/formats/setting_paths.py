@@ -1,4 +1,4 @@
-"""Settings of a method by name: ``objective.pose_weight`` of a configuration, read and replaced."""
+"""Settings of a method by name, such as ``objective.pose_weight``; and files of presets."""
 
 from __future__ import annotations
 

@@ -17,8 +17,15 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from smooth_operator.landmarks import TIPS
-from smooth_operator.synthetic.hand_anatomy import FREE, LOWER, UPPER, couple, draw_anatomy
-from smooth_operator.synthetic.human_kinematics import dorsal, pose_hand
+from smooth_operator.synthetic.hand_anatomy import (
+    FREE,
+    LOWER,
+    UPPER,
+    couple,
+    dorsal,
+    draw_anatomy,
+    pose_hand,
+)
 
 FREE_LOWER: Float[np.ndarray, "16"] = LOWER[list(FREE)]
 FREE_UPPER: Float[np.ndarray, "16"] = UPPER[list(FREE)]

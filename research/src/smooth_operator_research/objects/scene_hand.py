@@ -12,8 +12,14 @@ from smooth_hand_datasets.objects.contacts import pad_centres
 from smooth_hand_datasets.objects.signed_distance import Solid, Sphere, signed_distance
 from smooth_operator import poses
 from smooth_operator.landmarks import TIPS
-from smooth_operator.synthetic.hand_anatomy import FREE, LOWER, UPPER, HandAnatomy, couple
-from smooth_operator.synthetic.human_kinematics import pose_hand
+from smooth_operator.synthetic.hand_anatomy import (
+    FREE,
+    LOWER,
+    UPPER,
+    HandAnatomy,
+    couple,
+    pose_hand,
+)
 
 FREE_M: Final = 0.012
 """Clearance that fingertips keep that do not touch [m]."""

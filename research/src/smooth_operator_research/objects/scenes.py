@@ -31,8 +31,13 @@ from smooth_hand_datasets.objects.signed_distance import (
 from smooth_operator import poses
 from smooth_operator.errors import ConfigError
 from smooth_operator.lab.datasets.clip import Clip, ObjectTrack
-from smooth_operator.synthetic.hand_anatomy import couple, draw_anatomy
-from smooth_operator.synthetic.human_kinematics import HandPoses, mirror, pose_hand
+from smooth_operator.synthetic.hand_anatomy import (
+    HandPoses,
+    couple,
+    draw_anatomy,
+    mirror,
+    pose_hand,
+)
 from smooth_operator.types import HandRecording, Side
 from smooth_operator_research.objects.scene_hand import GraspingHand
 

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from smooth_operator.compilation.compiled_program import compiled
-from smooth_operator.lab.benchmark.latency import Watch
+from smooth_operator.lab.benchmark.quality import Watch
 from smooth_operator.metrics.joints import joint_acceleration, joint_jitter
 from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.loss import Objective

@@ -16,8 +16,10 @@ from smooth_operator.lab.benchmark.figures import Panel, Run, make_clip, robot_l
 from smooth_operator.lab.benchmark.page.report import facts_table, header, player
 from smooth_operator.lab.benchmark.suite import PLOTS, REPORT
 from smooth_operator.reporting.drawing import colors_of, styled
-from smooth_operator.reporting.html import (
+from smooth_operator.reporting.report_page import (
+    SORTING,
     Html,
+    Plots,
     element,
     escape,
     join,
@@ -25,8 +27,8 @@ from smooth_operator.reporting.html import (
     paragraph,
     table,
     text_table,
+    write_report_page,
 )
-from smooth_operator.reporting.report_page import SORTING, Plots, write_report_page
 from smooth_operator.types import as_side
 from smooth_operator_research.physics.measure import Clip, Drawing, PhysicsSettings
 from smooth_operator_research.physics.results import Figure, Line, MeasureResults, table_rows

@@ -23,8 +23,7 @@ from smooth_operator.simulation.physics import FURNISHED
 from smooth_operator.simulation.scenes.physics import ScenePhysics
 from smooth_operator.simulation.scenes.scene import Scene
 from smooth_operator.synthetic.gestures import RELAXED
-from smooth_operator.synthetic.hand_anatomy import FREE, LOWER, UPPER, couple
-from smooth_operator.synthetic.human_kinematics import mirror, pose_hand
+from smooth_operator.synthetic.hand_anatomy import FREE, LOWER, UPPER, couple, mirror, pose_hand
 from smooth_operator.synthetic.robot_landmarks import human_landmarks
 from smooth_operator.types import Side
 from smooth_operator_research.virtual_operator.person import Person

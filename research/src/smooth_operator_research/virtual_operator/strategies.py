@@ -26,7 +26,7 @@ from smooth_operator.simulation.scenes.task_scenes import (
     CubeScene,
     ScrewdriverScene,
 )
-from smooth_operator.simulation.tasks.scorers import (
+from smooth_operator.simulation.tasks.task import (
     CLOSE,
     DOWN,
     GOAL,

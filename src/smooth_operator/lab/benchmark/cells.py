@@ -23,8 +23,7 @@ from smooth_operator.lab.offline.finished import digest
 from smooth_operator.methods.method import MethodConfig
 from smooth_operator.methods.presets import PRESETS, loadable_presets, method_config
 from smooth_operator.methods.registry import METHODS
-from smooth_operator.metrics.evaluation import Definition
-from smooth_operator.metrics.registry import plugin_metrics
+from smooth_operator.metrics.table import Definition, plugin_metrics
 from smooth_operator.plugins import is_target
 from smooth_operator.result_cache import code_digest, key_digest
 from smooth_operator.types import Side

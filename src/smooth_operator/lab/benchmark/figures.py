@@ -18,8 +18,7 @@ from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.alignment import align_recording
 from smooth_operator.lab.benchmark.cells import Cell, method_label
 from smooth_operator.lab.benchmark.quality import Measured
-from smooth_operator.lab.benchmark.results import Row, row_method, value_of
-from smooth_operator.lab.benchmark.suite import Finished
+from smooth_operator.lab.benchmark.suite import Finished, Row, row_method, value_of
 from smooth_operator.landmarks import BASES, BONES, FINGERS, LANDMARKS, NUM_LANDMARKS, TIPS, WRIST
 from smooth_operator.metrics import METRICS
 from smooth_operator.planning import Plan

@@ -9,7 +9,7 @@ from typing import Any, Final, Literal, TypeAlias
 import numpy as np
 from scipy.stats import rankdata
 
-from smooth_operator.lab.benchmark.results import (
+from smooth_operator.lab.benchmark.suite import (
     Row,
     row_key,
     row_method,
@@ -18,7 +18,7 @@ from smooth_operator.lab.benchmark.results import (
     value_of,
 )
 from smooth_operator.metrics import METRICS, Metric
-from smooth_operator.metrics.registry import plugin_metrics
+from smooth_operator.metrics.table import plugin_metrics
 
 _BY_NAME: Final = {metric.name: metric for metric in METRICS}
 

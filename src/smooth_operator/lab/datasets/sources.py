@@ -25,7 +25,7 @@ from smooth_operator.errors import (
     reason,
     require,
 )
-from smooth_operator.formats.frames import frame_slice
+from smooth_operator.formats.checks import frame_slice
 from smooth_operator.io.documents import check_plain_file, parse_json, read_text
 from smooth_operator.lab.datasets.registry import (
     DATASETS,

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from smooth_operator.compilation.start import dispatch_here
 from smooth_operator.errors import RecordingError, SmoothOperatorError
-from smooth_operator.formats.frames import frame_slice
+from smooth_operator.formats.checks import frame_slice
 from smooth_operator.lab.datasets.clip import Clip, RobotClip, clip_part, with_side
 from smooth_operator.lab.datasets.registry import DATASETS, ClipRef
 from smooth_operator.lab.datasets.retargeting import Recipe, SourceFile, clip_key, retarget_clips

@@ -25,8 +25,7 @@ from smooth_operator.lab.datasets.store import Kept, Store
 from smooth_operator.lab.datasets.writers.registry import WRITERS, WritingOptions
 from smooth_operator.parallel import run_tasks
 from smooth_operator.planning import PROGRAM
-from smooth_operator.reporting.html import Html
-from smooth_operator.reporting.report_page import Plots, templates, write_report_page
+from smooth_operator.reporting.report_page import Html, Plots, templates, write_report_page
 from smooth_operator.result_cache import key_digest
 from smooth_operator.types import Side
 from smooth_operator.version import package_version

@@ -13,7 +13,7 @@ import numpy as np
 from smooth_operator.errors import HandModelError, UnknownNameError
 from smooth_operator.hands.loading import NO_ROOM, Coupling, shared_range
 from smooth_operator.hands.spec import FingerSpec, HandSpec, Point
-from smooth_operator.lab.discovery.branches import Branches, Chain, HandTree, holds
+from smooth_operator.lab.discovery.branches import Branches, Chain, HandTree, Tip, find_tip, holds
 from smooth_operator.lab.discovery.landmarks import (
     Discovery,
     Finding,
@@ -36,7 +36,6 @@ from smooth_operator.lab.discovery.motion import (
     sample_reach,
 )
 from smooth_operator.lab.discovery.skeleton import Skeleton, fingers_said, read_skeleton, side_said
-from smooth_operator.lab.discovery.tips import Tip, find_tip
 from smooth_operator.landmarks import FINGERS
 from smooth_operator.types import Side, as_side
 

@@ -10,9 +10,8 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.lab.discovery.branches import Chain
+from smooth_operator.lab.discovery.branches import Chain, Tip
 from smooth_operator.lab.discovery.skeleton import Placement, Skeleton
-from smooth_operator.lab.discovery.tips import Tip
 from smooth_operator.landmarks import FINGERS
 from smooth_operator.types import Side
 

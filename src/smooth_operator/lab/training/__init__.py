@@ -10,7 +10,7 @@ from smooth_operator.lab.training.data import synthetic_recordings as synthetic_
 from smooth_operator.lab.training.data import training_data as training_data
 from smooth_operator.lab.training.loop import LOSSES as LOSSES
 from smooth_operator.lab.training.loop import GeortTrainer as GeortTrainer
+from smooth_operator.lab.training.loop import TrainingSession as TrainingSession
 from smooth_operator.lab.training.loop import TrainingState as TrainingState
-from smooth_operator.lab.training.session import TrainingSession as TrainingSession
-from smooth_operator.lab.training.session import read_checkpoint as read_checkpoint
-from smooth_operator.lab.training.session import write_checkpoint as write_checkpoint
+from smooth_operator.lab.training.loop import read_checkpoint as read_checkpoint
+from smooth_operator.lab.training.loop import write_checkpoint as write_checkpoint

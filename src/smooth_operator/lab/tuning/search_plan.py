@@ -33,13 +33,12 @@ from smooth_operator.formats.setting_paths import (
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.lab.benchmark.cells import hand_identity
 from smooth_operator.lab.benchmark.recordings import Source, load_sources, parse_request
-from smooth_operator.lab.benchmark.results import value_of
-from smooth_operator.lab.benchmark.suite import check_folder
+from smooth_operator.lab.benchmark.suite import check_folder, value_of
 from smooth_operator.lab.offline.trajectory_retargeter import check_method
 from smooth_operator.landmarks import TIPS, WRIST
 from smooth_operator.methods.method import MethodConfig
 from smooth_operator.methods.presets import default_preset, method_config
-from smooth_operator.metrics.registry import REGISTRY, find_metric
+from smooth_operator.metrics.table import REGISTRY, find_metric
 from smooth_operator.types import HandRecording
 
 MANY: Final = 10

@@ -23,8 +23,7 @@ from smooth_operator.errors import SmoothOperatorError, StudyError, brief, liste
 from smooth_operator.formats.arrays import StoredArrays, open_arrays
 from smooth_operator.io.documents import parse_json
 from smooth_operator.simulation.scenes.scene import Scene, SceneState
-from smooth_operator.simulation.tasks.scorers import NOT_DONE, Assessment, Scorer
-from smooth_operator.simulation.tasks.task import SimulatedTask
+from smooth_operator.simulation.tasks.task import NOT_DONE, Assessment, Scorer, SimulatedTask
 from smooth_operator.types import as_side
 
 RESET_CAP: Final = 0.5

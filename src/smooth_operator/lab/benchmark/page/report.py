@@ -39,15 +39,22 @@ from smooth_operator.lab.benchmark.ranking import (
     sample_text,
     shown_value,
 )
-from smooth_operator.lab.benchmark.results import Row, row_method, row_unit
-from smooth_operator.lab.benchmark.suite import PLOTS, REPORT, Finished
+from smooth_operator.lab.benchmark.suite import PLOTS, REPORT, Finished, Row, row_method, row_unit
 from smooth_operator.metrics import Metric
-from smooth_operator.metrics.metric import GROUPS
-from smooth_operator.metrics.registry import known_metrics
+from smooth_operator.metrics.table import GROUPS, known_metrics
 from smooth_operator.reporting.drawing import colors_of, styled
 from smooth_operator.reporting.hand_surface import HandShape
-from smooth_operator.reporting.html import Html, data, element, join, paragraph
-from smooth_operator.reporting.report_page import SORTING, Plots, templates, write_report_page
+from smooth_operator.reporting.report_page import (
+    SORTING,
+    Html,
+    Plots,
+    data,
+    element,
+    join,
+    paragraph,
+    templates,
+    write_report_page,
+)
 
 SUMMARY: Final = "summary.md"
 _LEFT_OUT: Final = ("scale_ratio", "workspace_utilisation")

@@ -29,13 +29,15 @@ from typing import Any, Final
 
 import numpy as np
 
-from smooth_operator.episode_files.egodex import (
+from smooth_operator.episode_files.hdf5_tree import (
+    EGODEX_JOINTS,
     RATE_HZ,
+    Hdf5Group,
     egodex_camera,
     egodex_confidences,
     egodex_hand,
+    read_tree,
 )
-from smooth_operator.episode_files.hdf5_tree import EGODEX_JOINTS, Hdf5Group, read_tree
 from smooth_operator.errors import MissingExtraError, RecordingError
 from smooth_operator.formats.arrays import StoredArrays, open_arrays
 from smooth_operator.formats.checks import check_rate, check_stamps, stamps_from_rate

@@ -138,7 +138,7 @@ WRITERS: Final = Registry(
         name: Entry(f"{_WRITERS}.{where}", what)
         for name, where, what in (
             ("lerobot", "lerobot:LEROBOT", "LeRobot v3: state and action of the robot, videos"),
-            ("webdataset", "webdataset:WEBDATASET", "tar shards, a sample a clip"),
+            ("webdataset", "shards:WEBDATASET", "tar shards, a sample a clip"),
             ("parquet", "parquet:PARQUET", "Parquet files, a row a clip"),
         )
     },
