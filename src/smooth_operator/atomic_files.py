@@ -1,4 +1,8 @@
-"""Atomic writing: a file or folder is written completely or not at all."""
+"""Atomic writing: a file or folder is written completely or not at all.
+
+``atomic_write`` gives an open file; libraries that open files
+themselves, and datasets of many files, need a place to work in until all is done.
+"""
 
 from __future__ import annotations
 

@@ -1,6 +1,11 @@
 """Opening ``.npy`` and ``.npz`` files without ever unpickling.
 
 Headers are read first: what an array is, is known (and refused) before its data is loaded.
+
+Deflate, gzip and Zstandard make thousands of bytes of one, an HDF5 array that was never written
+needs none, and NumPy's text of no characters has no size at all. What a file says that it holds is
+therefore compared with its own size, before anything is unpacked. Recordings stay far below: noisy
+figures shrink to a half or a third, and an uncompressed file of any length passes.
 """
 
 from __future__ import annotations

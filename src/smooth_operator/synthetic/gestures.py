@@ -4,6 +4,9 @@ A minimum-jerk move (T. Flash and N. Hogan, "The Coordination of Arm Movements",
 Neuroscience 5(7), 1985) starts and ends without velocity and acceleration, so successive moves are
 twice continuously differentiable, and stay between their two postures. Wandering adds slow sines
 under an envelope of the same shape, so it joins as smoothly.
+
+A posture is 16 free joint angles (see ``FREE``): the thumb's CMC flexion, CMC abduction, MCP and
+IP, then MCP abduction, MCP and PIP of index .. pinky.
 """
 
 from __future__ import annotations

@@ -18,6 +18,11 @@ Knowledge-Based Human Grasping", SIGGRAPH 1991.
 No table gives the layout of the carpus, the fan of the metacarpals, the transverse arch and the
 thumb's neutral direction in one frame; those figures are ours, compared with recordings of real
 hands (the palm's shape) and with pictures.
+
+In the kinematics the hand has the form in which a glove reports one. The wrist is the origin; x is
+palmar, y towards the thumb of a right hand, z distal. A joint's own frame has x along its bone and
+z dorsal, so flexion turns about its y. A fingertip has the orientation of its last joint, as in a
+MANUS stream.
 """
 
 from __future__ import annotations

@@ -16,6 +16,11 @@ world. NaN is a value that is not known. ``SIDE`` is ``right`` or ``left``.
 ``camera``                (T, 7) float32              pose of the camera, if it is known
 ``objects``               (T, k, 7) float32           poses of the objects, if there are any
 ========================  ==========================  =============================================
+
+At another number of frames a second: Positions and joint positions are interpolated linearly,
+rotations along the shortest way; status, confidence and validity are those of the nearer frame. A
+value is known only if it is known in both frames around it, and a command is valid only if both are
+and no pause of the tracker is between.
 """
 
 from __future__ import annotations

@@ -11,6 +11,9 @@
 
 LeRobot has one number of frames a second. Clips that are more than a quarter of a frame away from
 it are resampled. One writer writes all, since frames are numbered through.
+
+Videos are linked or copied. Nothing is decoded. LeRobot finds a frame by its time, so a video fits
+a data set only if its frames are as many a second as the data set's, all of the same length.
 """
 
 from __future__ import annotations

@@ -8,6 +8,10 @@
 
 A shard is filled under a hidden name, and takes its own when it is full. So a process that is
 killed leaves whole shards; the next one removes what has no index and goes on from there.
+
+WebDataset has tar files of samples, one a clip, ``KEY.json`` and ``KEY.npz`` next to each other.
+The arrays are those of ``smooth_operator.lab.datasets.writers.arrays``. The headers hold no time,
+no owner and no number of a process, so the same clips give the same bytes.
 """
 
 from __future__ import annotations
