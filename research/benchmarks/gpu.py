@@ -29,7 +29,7 @@ from timing import percentiles
 
 from smooth_operator import HandFrame, Retargeter
 from smooth_operator.errors import ConfigError
-from smooth_operator.lab.datasets.gpu import gpu_samples
+from smooth_operator.lab.datasets.pipeline import gpu_samples
 from smooth_operator.methods.sbr import SbrConfig
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator_research.run_report import Report, ReportSettings, run_program

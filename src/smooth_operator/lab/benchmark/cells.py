@@ -24,6 +24,7 @@ from smooth_operator.methods.method import MethodConfig
 from smooth_operator.methods.presets import PRESETS, loadable_presets, method_config
 from smooth_operator.methods.registry import METHODS
 from smooth_operator.metrics.table import Definition, plugin_metrics
+from smooth_operator.planning import Plan
 from smooth_operator.plugins import is_target
 from smooth_operator.result_cache import code_digest, key_digest
 from smooth_operator.types import Side
@@ -225,6 +226,17 @@ class Cell:
         path = self.source.request.path
         place = "" if path is None else str(path.absolute())
         return file_name("-".join(self.key), (place, *self.key))
+
+    def plan(self, seed: int) -> Plan:
+        """The plan that retargets its recording, which is there.
+
+        Raises:
+            SmoothOperatorError: there is no such hand.
+        """
+        recording = self.source.recording
+        assert recording is not None  # a cell without one is not begun
+        hand = load_hand(self.hand, self.side, fingers=self.fingers)
+        return Plan(recording, hand, self.method, self.preset, self.config, seed, self.fingers)
 
 
 def cells_of(

@@ -109,14 +109,8 @@ def make_panels(finished: Iterable[Finished]) -> Iterator[Panel]:
         assert cell.source.recording is not None  # or there would be no commands
         hand = load_hand(cell.hand, cell.side, fingers=cell.fingers)
         stamps = cell.source.recording.stamps
-        runs = tuple(_run(cell, measured, hand) for cell, measured in group)
+        runs = tuple(run_of(each.plan(0), measured.commands) for each, measured in group)
         yield Panel(key, hand, stamps - stamps[0], runs)
-
-
-def _run(cell: Cell, measured: Measured, hand: Hand) -> Run:
-    assert cell.source.recording is not None
-    todo = Plan(cell.source.recording, hand, cell.method, cell.preset, cell.config, 0)
-    return run_of(todo, measured.commands)
 
 
 def run_of(todo: Plan, commands: CommandTrajectory) -> Run:

@@ -18,42 +18,13 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.hands.registry import load_hand
-from smooth_operator.lab.benchmark.cells import Cell
+from smooth_operator.lab.benchmark.cells import Cell, Settings
 from smooth_operator.lab.offline import built_for, execute, measure
-from smooth_operator.methods.method import MethodConfig
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.metrics import Metric, Trace, accuracy, consistency, service, summary
-from smooth_operator.metrics.table import Definition, add_metrics
-from smooth_operator.planning import Plan, configuration
-from smooth_operator.types import CommandTrajectory, HandRecording
-
-
-@dataclass(frozen=True, eq=False)
-class Task:
-    """A cell as a worker needs it; whole, so that a worker need not see the recording's file.
-
-    Attributes:
-        recording: the human hand.
-        hand: name of the robot hand.
-        method: name of the method.
-        preset: name of its preset.
-        config: its configuration.
-        seed: seed of its random numbers.
-        definition: definition of the metrics.
-        fingers: robot finger -> human finger that drives it; None for all.
-        metrics: further metrics, for ``add_metrics``.
-    """
-
-    recording: HandRecording
-    hand: str
-    method: str
-    preset: str
-    config: MethodConfig
-    seed: int
-    definition: Definition
-    fingers: Mapping[str, str] | None = None
-    metrics: tuple[str, ...] = ()
+from smooth_operator.metrics.table import add_metrics
+from smooth_operator.planning import configuration
+from smooth_operator.types import CommandTrajectory
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,21 +47,19 @@ class Measured:
     seconds: float | None = None
 
 
-def measure_cell(task: Task) -> Measured:
-    """Retargets a recording and measures it.
+def measure_cell(task: tuple[Cell, Settings]) -> Measured:
+    """Retargets the recording of a cell and measures it, in a worker.
 
     Raises:
         SmoothOperatorError: the method can't serve the hand, or the recording can't be used.
     """
-    add_metrics(task.metrics)
-    hand = load_hand(task.hand, task.recording.side, fingers=task.fingers)
-    todo = Plan(
-        task.recording, hand, task.method, task.preset, task.config, task.seed, task.fingers
-    )
+    cell, settings = task
+    add_metrics(settings.metrics)
+    todo = cell.plan(settings.seed)
     outcome = execute(todo, built_for(todo))
     untimed = np.full(len(outcome.commands), np.nan)
     outcome = replace(outcome, commands=replace(outcome.commands, latency_ms=untimed))
-    trace, metrics = measure(todo, outcome, task.definition)
+    trace, metrics = measure(todo, outcome, settings.definition)
     return Measured(
         outcome.commands, metrics, finger_metrics(trace, metrics), configuration("bench", todo)
     )
@@ -252,10 +221,7 @@ class _Run:
 
 
 def _built(cell: Cell, seed: int) -> Retargeter:
-    assert cell.source.recording is not None  # looked at by the caller
-    hand = load_hand(cell.hand, cell.side, fingers=cell.fingers)
-    todo = Plan(cell.source.recording, hand, cell.method, cell.preset, cell.config, seed)
-    built, _ = built_for(todo)
+    built, _ = built_for(cell.plan(seed))
     if not isinstance(built, Retargeter):
         raise ConfigError("it is solved for the whole recording, so no frame has a latency")
     return built

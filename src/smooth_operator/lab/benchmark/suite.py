@@ -35,7 +35,6 @@ from smooth_operator.lab.benchmark.cells import (
 from smooth_operator.lab.benchmark.quality import (
     Latency,
     Measured,
-    Task,
     measure_cell,
     measure_latency,
 )
@@ -295,7 +294,7 @@ def _measure_quality(
     settings = store.settings
 
     def execute(cells: Sequence[Cell]) -> Iterable[TaskResult[Measured]]:
-        tasks = [_task(cell, settings) for cell in cells]
+        tasks = [(cell, settings) for cell in cells]
         return run_tasks(measure_cell, tasks, workers=settings.workers, cluster=settings.cluster)
 
     with track("quality", len(measured) + len(jobs), len(measured)) as advance:
@@ -319,14 +318,6 @@ def _to_keep(job: Job[Cell], result: TaskResult[Measured]) -> Measured | None:
         configuration=result.value.configuration | facts,
         seconds=result.seconds,
     )
-
-
-def _task(cell: Cell, settings: Settings) -> Task:
-    assert cell.source.recording is not None  # those without are not begun
-    return Task(
-        cell.source.recording, cell.hand, cell.method, cell.preset, cell.config, settings.seed,
-        settings.definition, cell.fingers, settings.metrics,
-    )  # fmt: skip
 
 
 def _measure_latency(

@@ -232,33 +232,61 @@ class Summary:
         return {"program": PROGRAM, "version": package_version(), **counts}
 
 
+@dataclass(frozen=True)
+class DatasetRequest:
+    """Sources, recipe and output of a data set.
+
+    Attributes:
+        sources: folders, files, patterns, lists of paths (``.txt``, ``.csv``, ``.jsonl``) and
+            addresses of object storage.
+        output: folder of the results.
+        recipe: hand, method and frame of each clip.
+        layout: name of the reader; None for the one that recognises each file.
+        limits: least quality of an episode.
+        format: name of the output format, of ``WRITERS``.
+        writing: settings of that format; the joints of the hand are filled in.
+        shard: (i, n) for the i-th of n runs that share the work, from 1; it retargets its items and
+            writes no data set.
+        merge: retarget nothing; write the data set from what other runs have finished.
+        pack: retarget nothing; write the human clips as they are, a source for later runs.
+        workers: as in ``run_tasks``.
+        cluster: as there.
+    """
+
+    sources: tuple[str, ...]
+    output: Path
+    recipe: Recipe
+    layout: str | None = None
+    limits: Limits = field(default_factory=Limits)
+    format: str = "lerobot"
+    writing: WritingOptions = field(default_factory=WritingOptions)
+    shard: tuple[int, int] | None = None
+    merge: bool = False
+    pack: bool = False
+    workers: int | None = None
+    cluster: str | None = None
+
+
 @dataclass(frozen=True, eq=False)
 class Order:
     """A data set that is to be written.
 
     Attributes:
-        output: the folder of results.
+        request: the request for it.
         items: name and place of each finished item, by name.
-        recipe: settings of the retargeting.
-        limits: limits of quality.
-        format: name of the output format.
-        writing: its settings.
         store: folder of the packs.
     """
 
-    output: Path
+    request: DatasetRequest
     items: Sequence[tuple[str, Kept]]
-    recipe: Recipe
-    limits: Limits
-    format: str
-    writing: WritingOptions
     store: Path
 
     @property
     def identity(self) -> str:
         """Digest of all that the files of the data set depend on."""
         content = [(name, pack.key) for name, pack in self.items]
-        return key_digest([self.limits, self.format, self.writing, content])
+        request = self.request
+        return key_digest([request.limits, request.format, request.writing, content])
 
 
 @dataclass(eq=False)
@@ -284,7 +312,6 @@ def write_episodes(
     passed_over: Mapping[str, int],
     written: Callable[[int, int], None] = lambda done, count: None,
     notes: Sequence[str] = (),
-    **workers: Any,
 ) -> Summary:
     """Writes the data set and the report; goes on where a run was stopped at this same data set.
 
@@ -297,7 +324,6 @@ def write_episodes(
         passed_over: suffix -> files that no reader knows, for the report.
         written: is called with the number of items that are done, and of all.
         notes: notes of the run, for the report.
-        workers: options of ``run_tasks``.
 
     Raises:
         OutputError: it can't be written.
@@ -305,28 +331,31 @@ def write_episodes(
         WorkerError: the cluster can't be reached, or gave up.
     """
     summary = Summary(
-        order.output, failed=dict(failed), passed_over=dict(passed_over), notes=[*notes]
+        order.request.output, failed=dict(failed), passed_over=dict(passed_over), notes=[*notes]
     )
     summary.clips = len(order.items)
     summary.frames = sum(pack.frames for _, pack in order.items)
     if not order.items:
         _account(order, summary, FigureTable())
         return summary
-    order = replace(order, writing=_fitted(order))
+    order = _with_writing(order, _fitted(order))
     _prepare(order)
     parts = _parts(order)
     done: dict[int, Part] = {}
     if len(parts) == 1:
         done[0] = write_part(parts[0], lambda at: written(at, len(order.items)))
     else:
-        with contextlib.closing(run_tasks(write_part, parts, **workers)) as results:
+        request = order.request
+        with contextlib.closing(
+            run_tasks(write_part, parts, workers=request.workers, cluster=request.cluster)
+        ) as results:
             for result in results:
                 if result.value is None:
                     raise OutputError(f"a part of the data set can't be written: {result.error}")
                 done[result.index] = result.value
                 written(sum(part.items for part in done.values()), len(order.items))
     figures = FigureTable()
-    with atomic_write(order.output / EPISODES) as lines:
+    with atomic_write(order.request.output / EPISODES) as lines:
         for _, part in sorted(done.items()):
             summary.add(part.summary)
             figures.extend(part.figures)
@@ -338,7 +367,7 @@ def write_episodes(
 
 def _parts(order: Order) -> list[Order]:
     """Consecutive items, so many that a part has ``PART_FRAMES`` frames at least, but the last."""
-    if not getattr(WRITERS.load(order.format), "parallel", False):
+    if not getattr(WRITERS.load(order.request.format), "parallel", False):
         return [order]
     groups: list[list[tuple[str, Kept]]] = []
     frames = PART_FRAMES
@@ -350,10 +379,9 @@ def _parts(order: Order) -> list[Order]:
         frames += item[1].frames
     count = len(groups)
     return [
-        replace(
-            order,
-            items=group,
-            writing=replace(order.writing, part=number, parts=count, apart=count > 1),
+        _with_writing(
+            replace(order, items=group),
+            replace(order.request.writing, part=number, parts=count, apart=count > 1),
         )
         for number, group in enumerate(groups)
     ]
@@ -370,15 +398,18 @@ def write_part(order: Order, written: Callable[[int], None] = lambda done: None)
         OutputError: they can't be written.
         RecordingError: a pack is damaged.
     """
-    part = Part(Summary(order.output), items=len(order.items))
+    request = order.request
+    part = Part(Summary(request.output), items=len(order.items))
     reasons: Counter[str] = Counter()
     with (
         contextlib.closing(Store(order.store)) as store,
-        WRITERS.load(order.format).open(order.output / DATASET, order.writing) as writer,
+        WRITERS.load(order.request.format).open(
+            order.request.output / DATASET, order.request.writing
+        ) as writer,
     ):
         for done, (_, pack) in enumerate(order.items, 1):
             for clip in store.read(pack):
-                for episode in select(clip, order.limits):
+                for episode in select(clip, order.request.limits):
                     episode = _written(episode, writer)
                     _count(part.summary, reasons, episode)
                     part.figures.add(episode)
@@ -437,13 +468,17 @@ def _line(clip: RobotClip, episode: RobotClip | Dropped) -> dict[str, Any]:
     }
 
 
+def _with_writing(order: Order, writing: WritingOptions) -> Order:
+    return replace(order, request=replace(order.request, writing=writing))
+
+
 def _fitted(order: Order) -> WritingOptions:
     """The settings with the joints, camera and objects that clips have."""
-    writing, packs = order.writing, [pack for _, pack in order.items]
+    writing, packs = order.request.writing, [pack for _, pack in order.items]
     if writing.joints:
         return writing
     sides: set[Side] = {side for pack in packs for side in pack.sides}
-    request = order.recipe.request
+    request = order.request.recipe.request
     return replace(
         writing,
         joints={side: request.load_hand(side).joint_names for side in SIDES if side in sides},
@@ -458,7 +493,7 @@ def _prepare(order: Order) -> None:
     Raises:
         OutputError: something stands there that no run has left.
     """
-    target = order.output / DATASET
+    target = order.request.output / DATASET
     state = _state(order)
     if target.exists() and state is None and any(target.iterdir()):
         raise OutputError(
@@ -483,7 +518,7 @@ def hand_in(output: Path) -> str | None:
 
 def _state(order: Order) -> dict[str, Any] | None:
     try:
-        state = read_json(order.output / "work" / _STATE)
+        state = read_json(order.request.output / "work" / _STATE)
     except (OSError, ValueError):
         return None
     return state if isinstance(state, dict) and state.get("program") == PROGRAM else None
@@ -491,23 +526,23 @@ def _state(order: Order) -> dict[str, Any] | None:
 
 def _mark(order: Order, *, whole: bool) -> None:
     content = {"program": PROGRAM, "identity": order.identity, "whole": whole}
-    (order.output / "work").mkdir(parents=True, exist_ok=True)
-    write_json(order.output / "work" / _STATE, content)
+    (order.request.output / "work").mkdir(parents=True, exist_ok=True)
+    write_json(order.request.output / "work" / _STATE, content)
 
 
 def _account(order: Order, summary: Summary, figures: FigureTable) -> None:
     """``report.json`` and ``report.html``."""
-    request = order.recipe.request
+    request = order.request.recipe.request
     content = {
         **summary.as_json(),
         "hand": request.hand_name,
         "method": request.method,
         "preset": request.preset,
         "seed": request.seed,
-        "frame": order.recipe.frame,
-        "format": order.format,
-        "limits": order.limits,
+        "frame": order.request.recipe.frame,
+        "format": order.request.format,
+        "limits": order.request.limits,
         "figures": figures.percentiles(),
     }
-    write_json(order.output / REPORT, content, indent=2)
-    write_report(order.output, json.loads(to_json(content)), figures)
+    write_json(order.request.output / REPORT, content, indent=2)
+    write_report(order.request.output, json.loads(to_json(content)), figures)

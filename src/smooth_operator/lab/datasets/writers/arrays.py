@@ -29,7 +29,7 @@ import hashlib
 import re
 import unicodedata
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -163,16 +163,13 @@ def _commands(commands: CommandTrajectory, grid: Grid) -> CommandTrajectory:
     )
 
 
-LOST: Final = (
-    "It does not hold metacarpal bases, orientations of landmarks, figures of single frames, the "
-    "time that a command took, and landmarks that are marked invalid; numbers but the stamps are "
-    "rounded to float32."
-)
-"""What of a clip ``clip_arrays`` has no place for."""
-
-
 def clip_arrays(clip: RobotClip) -> dict[str, np.ndarray]:
-    """The arrays of a clip, by name, in a fixed order; see the module."""
+    """The arrays of a clip, by name, in a fixed order; see the module.
+
+    There is no place for metacarpal bases, orientations of landmarks, figures of single frames, the
+    time that a command took, and landmarks that are marked invalid; numbers but the stamps are
+    rounded to float32.
+    """
     human = clip.clip
     arrays: dict[str, np.ndarray] = {"stamps": np.asarray(human.stamps, np.float64)}
     for side in SIDES:

@@ -57,7 +57,7 @@ from smooth_operator.formats.jsonable import to_json
 from smooth_operator.lab.datasets.clip import RobotClip
 from smooth_operator.lab.datasets.writers.arrays import clip_document, drift, resampled
 from smooth_operator.lab.datasets.writers.lerobot_columns import RobotLayout, unit_of
-from smooth_operator.lab.datasets.writers.registry import WritingOptions
+from smooth_operator.lab.datasets.writers.registry import DatasetFormat, WritingOptions
 from smooth_operator.lab.datasets.writers.shards import (
     ShardedWriter,
     close_quietly,
@@ -533,16 +533,4 @@ def _card(info: dict[str, Any]) -> str:
     return readme
 
 
-class _LeRobot:
-    what = "a LeRobot data set (v3.0)"
-    loses = (
-        "It does not hold the human landmarks, metacarpal bases and shape; objects beyond the "
-        "number asked for; stamps but as a column, since clips are brought to one rate. Numbers "
-        "but the stamps are float32."
-    )
-
-    def open(self, output: Path, options: WritingOptions) -> _Writer:
-        return _Writer(output, options)
-
-
-LEROBOT: Final = _LeRobot()
+LEROBOT: Final = DatasetFormat("a LeRobot data set (v3.0)", _Writer)

@@ -35,14 +35,13 @@ from smooth_operator.formats.jsonable import to_json
 from smooth_operator.io.documents import parse_json, read_json
 from smooth_operator.lab.datasets.clip import RobotClip
 from smooth_operator.lab.datasets.writers.arrays import (
-    LOST,
     clip_arrays,
     clip_document,
     clip_key,
     resampled,
     unique_slug,
 )
-from smooth_operator.lab.datasets.writers.registry import WritingOptions
+from smooth_operator.lab.datasets.writers.registry import DatasetFormat, WritingOptions
 
 PROGRAM: Final = "smooth-operator"
 MARK: Final = "meta/dataset.json"
@@ -52,7 +51,11 @@ MB: Final = 1_000_000
 
 
 class ShardedWriter(ABC):
-    """A data set in shards; a format says what a shard is.
+    """A data set in shards that is being written; a format defines a shard.
+
+    It is closed when all is written. One that is not closed, or whose process is killed, leaves its
+    whole shards; the clips of the shard that was being filled are lost. Opened again with the same
+    options, it goes on after the last whole shard.
 
     Args:
         output: the folder.
@@ -147,7 +150,13 @@ class ShardedWriter(ABC):
         self._counts[text] = self._counts.get(text, 0) + 1
 
     def write(self, clip: RobotClip) -> None:
-        """Adds a clip; one whose key was written before is passed over."""
+        """Adds a clip; one whose key was written before is passed over.
+
+        Raises:
+            RecordingError: the format can't hold this clip (no frames, no wrist, no object), with
+                the reason. The writer takes the next one.
+            OutputError: it can't be written: no space, no permission. The writer is then of no use.
+        """
         key = clip.key or clip_key(clip)
         if key in self._written or key in self._pending_keys:
             return
@@ -380,6 +389,9 @@ def npz_bytes(arrays: dict[str, np.ndarray]) -> bytes:
 
 
 class _Writer(TarShards):
+    def __init__(self, output: Path, options: WritingOptions) -> None:
+        super().__init__(output, options, "webdataset", 256.0, {"rate": options.rate})
+
     def _add(self, clip: RobotClip, entry: dict[str, Any]) -> None:
         if self.options.rate is not None:
             clip = resampled(clip, self.options.rate)
@@ -391,13 +403,4 @@ class _Writer(TarShards):
         entry["frames"] = len(clip.clip)
 
 
-class _WebDataset:
-    what = "WebDataset tar shards"
-    parallel = True
-    loses = LOST
-
-    def open(self, output: Path, options: WritingOptions) -> _Writer:
-        return _Writer(output, options, "webdataset", 256.0, {"rate": options.rate})
-
-
-WEBDATASET: Final = _WebDataset()
+WEBDATASET: Final = DatasetFormat("WebDataset tar shards", _Writer, parallel=True)
