@@ -43,8 +43,8 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.lab.benchmark.cells import select_methods
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.simulation.scenes import scene_for
+from smooth_operator.simulation.scenes.physics import draw_variation
 from smooth_operator.simulation.scenes.scene import object_pose
-from smooth_operator.simulation.scenes.variation import draw_variation
 from smooth_operator.simulation.tasks import task_named
 from smooth_operator_research.demonstrations.demonstration import (
     DemonstrationLandmarks,

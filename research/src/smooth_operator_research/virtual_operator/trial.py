@@ -10,10 +10,9 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.hands.hand import Hand
-from smooth_operator.simulation.scenes.physics import ScenePhysics
+from smooth_operator.simulation.scenes.physics import ObjectVariation, ScenePhysics
 from smooth_operator.simulation.scenes.scene import Scene, SceneState
 from smooth_operator.simulation.scenes.task_scenes import scene_for
-from smooth_operator.simulation.scenes.variation import ObjectVariation
 from smooth_operator.simulation.tasks.task import SimulatedTask
 from smooth_operator.simulation.tasks.trial import Outcome
 from smooth_operator_research.demonstrations.trial_loop import (
