@@ -13,9 +13,9 @@ from typing import Any
 import pytest
 
 from smooth_operator.cli import main
-from smooth_operator.cli.common_options import Group
+from smooth_operator.cli.common_options import Group, unwrapped
 from smooth_operator.cli.hands import List
-from smooth_operator.cli.options import _COMMANDS, unwrapped
+from smooth_operator.cli.options import _COMMANDS
 from smooth_operator.plugins import Entry
 
 EDGES = " ╭╰│"

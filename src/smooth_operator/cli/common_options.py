@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import inspect
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final, Literal, TypeAlias, get_args, get_type_hints
 
 from tyro.conf import arg
 
-from smooth_operator.cli.options import unwrapped
 from smooth_operator.methods.default import DEFAULT_METHOD
 from smooth_operator.methods.registry import METHODS
 from smooth_operator.plugins import Entry
@@ -170,6 +170,16 @@ class Page:
 
     no_browser: bool = False
     """Serve the page, but open no browser."""
+
+
+def unwrapped(text: str) -> str:
+    """A text whose paragraphs are a line each; indented lines stay as they are.
+
+    tyro joins a line that begins with a letter to the one before, an indented one too; an empty
+    line after an indented block keeps them apart.
+    """
+    joined = re.sub(r"(?m)^(\S.*)\n(?=\S)", r"\1 ", text)
+    return re.sub(r"(?m)^( .*)\n(?=\S)", r"\1\n\n", joined)
 
 
 def described(kind: Any, whole: bool = True) -> str:

@@ -43,16 +43,6 @@ _NARROWEST = 40
 _BOXED = re.compile(r"\s*(\x1b\[[0-9;]*m)*[╭│╰|+]")
 
 
-def unwrapped(text: str) -> str:
-    """A text whose paragraphs are a line each; indented lines stay as they are.
-
-    tyro joins a line that begins with a letter to the one before, an indented one too; an empty
-    line after an indented block keeps them apart.
-    """
-    joined = re.sub(r"(?m)^(\S.*)\n(?=\S)", r"\1 ", text)
-    return re.sub(r"(?m)^( .*)\n(?=\S)", r"\1\n\n", joined)
-
-
 def document(kind: type) -> None:
     """Gives tyro the help of each option of a dataclass, of its parts and of its subcommands.
 
