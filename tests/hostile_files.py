@@ -130,7 +130,7 @@ def discovery(path: Path) -> None:
 
 
 def trial(path: Path) -> None:
-    from smooth_operator.simulation.tasks.trial_record import read_trial
+    from smooth_operator.simulation.tasks.trial import read_trial
 
     read_trial(path)
 
@@ -201,8 +201,7 @@ def _geort() -> bytes:
 
 def _trial(folder: Path) -> bytes:
     from smooth_operator.simulation.scenes.scene import SceneState
-    from smooth_operator.simulation.tasks.trial import Outcome
-    from smooth_operator.simulation.tasks.trial_record import TrialRecord, write_trial
+    from smooth_operator.simulation.tasks.trial import Outcome, TrialRecord, write_trial
 
     record = TrialRecord("card", "h", "right", ("a", "b"), events=[(0.0, "go")])
     for i in range(5):

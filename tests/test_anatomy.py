@@ -24,9 +24,8 @@ from smooth_operator.io.anatomy import (
 )
 from smooth_operator.landmarks import BONES, LAYOUTS
 from smooth_operator.synthetic import SyntheticOperator
-from smooth_operator.synthetic.hand_anatomy import couple, draw_anatomy
-from smooth_operator.synthetic.human_kinematics import pose_hand
-from smooth_operator.synthetic.poses import FIST, FLAT, SPREAD, pinch_postures
+from smooth_operator.synthetic.gestures import FIST, FLAT, SPREAD, pinch_postures
+from smooth_operator.synthetic.hand_anatomy import couple, draw_anatomy, pose_hand
 from smooth_operator.teleop.components import build_source
 from smooth_operator.teleop.recording import read_episode
 from smooth_operator.teleop.sources.payload import read_payload

@@ -15,9 +15,8 @@ import pytest
 
 from smooth_operator.errors import ConfigError, UnknownNameError
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.simulation.arms.arm import FLANGE, arm_spec
+from smooth_operator.simulation.arms.arm import FLANGE, HandCapsules, HandMount, arm_spec
 from smooth_operator.simulation.arms.catalogue import ARMS, arm_named
-from smooth_operator.simulation.arms.hand_mount import HandCapsules, HandMount
 from smooth_operator.simulation.scenes import ScenePhysics, scene_for
 from smooth_operator.simulation.scenes.physics import ArmPhysics
 from smooth_operator.teleop import teleoperate
@@ -220,7 +219,7 @@ def test_nothing_passes_the_wall_nor_the_table():
 
 
 def test_a_home_pose_out_of_reach_is_refused():
-    from smooth_operator.simulation.arms.rigid import rigid
+    from smooth_operator.simulation.arms.arm import rigid
 
     with pytest.raises(ConfigError, match="can't reach the home pose"):
         _controller("ur5e", home=rigid(np.eye(3), (2.0, 0.0, 0.5)))  # type: ignore[arg-type]

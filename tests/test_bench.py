@@ -25,16 +25,13 @@ from smooth_operator.formats.commands import read_commands
 from smooth_operator.formats.jsonable import to_json
 from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.human.flat_hand import human_palm_axes
-from smooth_operator.lab.benchmark import compare, latency, read_results, suite
-from smooth_operator.lab.benchmark.cells import cells_of, fingerprint
-from smooth_operator.lab.benchmark.comparison import verdict
-from smooth_operator.lab.benchmark.latency import Watch
-from smooth_operator.lab.benchmark.panels import Panel, Run, make_clip, view_basis
-from smooth_operator.lab.benchmark.quality import Task, finger_metrics, measure_cell
-from smooth_operator.lab.benchmark.ranking import Line, best, failures, overall
+from smooth_operator.lab.benchmark import compare, read_results, suite
+from smooth_operator.lab.benchmark.cells import Settings, cells_of, fingerprint, select_methods
+from smooth_operator.lab.benchmark.figures import Panel, Run, make_clip, view_basis
+from smooth_operator.lab.benchmark.quality import Task, Watch, finger_metrics, measure_cell
+from smooth_operator.lab.benchmark.ranking import Line, best, change_verdict, failures, overall
 from smooth_operator.lab.benchmark.recordings import load_sources, parse_request, unique_names
-from smooth_operator.lab.benchmark.results import Row
-from smooth_operator.lab.benchmark.settings import Settings, select_methods
+from smooth_operator.lab.benchmark.suite import Row
 from smooth_operator.lab.offline.execution import tools_of
 from smooth_operator.landmarks import BASES, TIPS
 from smooth_operator.methods.method import MethodConfig
@@ -150,7 +147,7 @@ def count(monkeypatch) -> list[str]:
 
     def timed(cells: Any, *rest: Any) -> Any:
         begun.append("latency")
-        return latency.measure_latency(cells, *rest)
+        return quality.measure_latency(cells, *rest)
 
     monkeypatch.setattr(suite, "measure_cell", counted)
     monkeypatch.setattr(suite, "measure_latency", timed)
@@ -527,7 +524,7 @@ def test_a_benchmark_is_the_same_as_itself(done):
     ],
 )
 def test_verdicts_follow_the_goal(name, now, before, expected):
-    assert verdict(NAMED[name], now, before) == expected
+    assert change_verdict(NAMED[name], now, before) == expected
 
 
 # -- the parts ------------------------------------------------------------------------------------
@@ -721,7 +718,7 @@ def test_latency_goes_on_without_a_method_that_fails(recordings, monkeypatch):
     sources = load_sources([parse_request(str(recordings / "a<i>&'$x^.npz"))])
     cells = cells_of(sources, settings, select_methods(("sbr:tiny", "picky")))
     told: list[str] = []
-    good, bad = latency.measure_latency(cells, 10, 0, lambda cell: told.append(cell.method))
+    good, bad = quality.measure_latency(cells, 10, 0, lambda cell: told.append(cell.method))
     assert told == ["sbr", "picky"]
     assert good.reason is None
     assert len(good.samples_ms) == 10
@@ -744,12 +741,12 @@ def test_methods_take_turns(recordings, monkeypatch):
             order.append(self.name)
             return state + 1, type("Result", (), {"latency_ms": float(state)})
 
-    monkeypatch.setattr(latency, "_built", lambda cell, seed: Stub(cell.preset))
+    monkeypatch.setattr(quality, "_built", lambda cell, seed: Stub(cell.preset))
     settings = Settings(output=Path("out"))
     sources = load_sources([parse_request(str(recordings / "a<i>&'$x^.npz"))])
     cells = cells_of(sources, settings, select_methods(("sbr:tiny", "sbr:paper")))
-    taken = latency.measure_latency(cells, 500, 0, lambda _: None)
-    turns = [order[i] for i in range(0, len(order), latency.BLOCK)]
+    taken = quality.measure_latency(cells, 500, 0, lambda _: None)
+    turns = [order[i] for i in range(0, len(order), quality.BLOCK)]
     assert turns == ["tiny", "paper", "paper", "tiny", "tiny", "paper"]
     for one in taken:  # first, warm-up, then what counts, in a state that goes on
         assert one.first_ms == 0.0

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from smooth_operator.lab.benchmark import ranking
+from smooth_operator.lab.benchmark.cells import Settings
 from smooth_operator.lab.benchmark.figures import latency_figure
-from smooth_operator.lab.benchmark.page.report import macros
-from smooth_operator.lab.benchmark.page.summary import summary_text
+from smooth_operator.lab.benchmark.page.report import macros, summary_text
 from smooth_operator.lab.benchmark.ranking import (
     COLUMNS,
     HEADLINES,
@@ -22,8 +22,7 @@ from smooth_operator.lab.benchmark.ranking import (
     overall,
     sample_text,
 )
-from smooth_operator.lab.benchmark.results import Row
-from smooth_operator.lab.benchmark.settings import Settings
+from smooth_operator.lab.benchmark.suite import Row
 from smooth_operator.metrics import METRICS
 from smooth_operator.reporting.drawing import colors_of, styled, write_figure
 

@@ -12,11 +12,16 @@ import numpy as np
 import pytest
 
 from smooth_operator import Retargeter, SyntheticOperator, load_hand, method_config
-from smooth_operator.calibration.estimate import MARGIN, Calibration, _project, calibrate
-from smooth_operator.calibration.features import measure_features
+from smooth_operator.calibration.estimate import (
+    MARGIN,
+    Calibration,
+    _project,
+    calibrate,
+    closed_gaps,
+    report,
+)
 from smooth_operator.calibration.operator_file import read_operator, write_operator
-from smooth_operator.calibration.report import closed_gaps, report
-from smooth_operator.calibration.segments import Prompt, poses, prompts
+from smooth_operator.calibration.segments import Prompt, measure_features, poses, prompts
 from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.formats.readers import read_recording

@@ -257,7 +257,7 @@ def test_stopping_while_writing_leaves_the_former_result(run, glove, tmp_path, m
 def test_metrics_are_printed_group_by_group(capsys):
     from smooth_operator.cli.console import print_metrics
     from smooth_operator.metrics import METRICS
-    from smooth_operator.metrics.metric import GROUPS
+    from smooth_operator.metrics.table import GROUPS
 
     metrics: dict[str, object] = {}
     for number, metric in enumerate(METRICS):

@@ -13,10 +13,9 @@ from typing import Any
 import pytest
 
 from smooth_operator.cli import main
+from smooth_operator.cli.common_options import Group, unwrapped
 from smooth_operator.cli.hands import List
-from smooth_operator.cli.help_text import unwrapped
 from smooth_operator.cli.options import _COMMANDS
-from smooth_operator.cli.subcommands import Group
 from smooth_operator.plugins import Entry
 
 EDGES = " ╭╰│"

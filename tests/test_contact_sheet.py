@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from smooth_operator import load_hand
-from smooth_operator.cli.hand_shape import ModelShape
+from smooth_operator.cli.page import ModelShape
 from smooth_operator.lab.benchmark.contact_sheet import (
     CELL,
     HandPicture,
@@ -15,11 +15,10 @@ from smooth_operator.lab.benchmark.contact_sheet import (
     from_thumb,
     pose_scores,
 )
-from smooth_operator.lab.benchmark.panels import Panel, Run, robot_landmarks, view_basis
+from smooth_operator.lab.benchmark.figures import Panel, Run, robot_landmarks, view_basis
 from smooth_operator.reporting.hand_surface import Surface, landmark_surface, paint, rod
-from smooth_operator.synthetic.hand_anatomy import couple, draw_anatomy
-from smooth_operator.synthetic.human_kinematics import pose_hand
-from smooth_operator.synthetic.poses import FIST, FLAT, pinch_postures
+from smooth_operator.synthetic.gestures import FIST, FLAT, pinch_postures
+from smooth_operator.synthetic.hand_anatomy import couple, draw_anatomy, pose_hand
 
 STILL = 9
 

@@ -17,8 +17,8 @@ import pytest
 from made_clips import CLIPS, LAYOUT
 
 from smooth_operator.lab.datasets import writing
-from smooth_operator.lab.datasets.filters import NO_LIMITS, Limits
 from smooth_operator.lab.datasets.pipeline import DatasetRequest, Progress, make_dataset
+from smooth_operator.lab.datasets.quality import NO_LIMITS, Limits
 from smooth_operator.lab.datasets.registry import DATASETS, ClipRef, ReadingOptions
 from smooth_operator.lab.datasets.retargeting import Recipe
 from smooth_operator.lab.datasets.sources import Item, each_item

@@ -21,8 +21,8 @@ from robot_clips import JOINTS, robot_clip
 
 from smooth_operator.errors import RecordingError
 from smooth_operator.lab.datasets.clip import RobotClip
+from smooth_operator.lab.datasets.writers.lerobot import VIDEO_KEY, VideoHead, video_head
 from smooth_operator.lab.datasets.writers.registry import WRITERS, WritingOptions
-from smooth_operator.lab.datasets.writers.videos import VIDEO_KEY, VideoHead, video_head
 
 pytest.importorskip("pyarrow")
 

@@ -19,10 +19,10 @@ from two_hands import LAYOUT, PAIRS, save_pair
 from smooth_operator import Retargeter, poses
 from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError, OutputError, RecordingError
-from smooth_operator.lab.datasets import gpu
+from smooth_operator.lab.datasets import pipeline
 from smooth_operator.lab.datasets.clip import CAMERA, SIDES, Clip, RobotClip, in_frame
-from smooth_operator.lab.datasets.filters import NO_LIMITS, Dropped, Limits, select
 from smooth_operator.lab.datasets.pipeline import DatasetRequest, Progress, make_dataset
+from smooth_operator.lab.datasets.quality import NO_LIMITS, Dropped, Limits, select
 from smooth_operator.lab.datasets.registry import ClipRef, ReadingOptions
 from smooth_operator.lab.datasets.retargeting import Recipe, retarget_clips
 from smooth_operator.lab.datasets.sources import (
@@ -54,7 +54,7 @@ pytestmark = pytest.mark.usefixtures("compiled_once")
 @pytest.fixture(autouse=True)
 def _without_plots(whole, monkeypatch) -> None:
     """Drawing takes longer than all else; the first run has drawn."""
-    monkeypatch.setattr("smooth_operator.lab.datasets.report._histograms", lambda *_: None)
+    monkeypatch.setattr("smooth_operator.lab.datasets.writing._histograms", lambda *_: None)
 
 
 @pytest.fixture(scope="module")
@@ -581,8 +581,8 @@ def test_results_do_not_stand_among_the_sources(folder, tmp_path):
 def test_clips_for_a_gpu_are_read_by_workers_and_retargeted_here(
     folder, whole, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(gpu.GpuUse, "of_this_machine", lambda: gpu.GpuUse("a processor"))
-    monkeypatch.setattr(gpu, "BATCH", 3)  # several batches
+    monkeypatch.setattr(pipeline.GpuUse, "of_this_machine", lambda: pipeline.GpuUse("a processor"))
+    monkeypatch.setattr(pipeline, "BATCH", 3)  # several batches
     bad = folder.parent / "with-bad"
     shutil.copytree(folder, bad)
     (bad / "broken.pair.npz").write_bytes(b"PK nothing")
@@ -623,7 +623,7 @@ def test_workers_leave_the_gpu_alone(monkeypatch):
         monkeypatch.delenv("JAX_PLATFORMS", raising=False)
         if before is not None:
             monkeypatch.setenv("JAX_PLATFORMS", before)
-        with gpu.only_cpus_in_children():
+        with pipeline.only_cpus_in_children():
             assert os.environ["JAX_PLATFORMS"] == "cpu"
         assert os.environ.get("JAX_PLATFORMS") == before
 
@@ -634,7 +634,7 @@ def test_the_busy_share_is_what_nvidia_smi_says(tmp_path, monkeypatch):
     program.write_text("#!/bin/sh\necho 40; echo 60; exec sleep 60\n", encoding="utf-8")
     program.chmod(0o755)
     monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
-    use = gpu.GpuUse("a processor")
+    use = pipeline.GpuUse("a processor")
     with use.measured():
         time.sleep(1.0)
     assert use.busy == pytest.approx(0.5)

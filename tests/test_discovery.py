@@ -22,7 +22,7 @@ from smooth_operator.hands.registry import load_hand
 from smooth_operator.hands.spec import Point
 from smooth_operator.hands.spec_file import read_hand_spec
 from smooth_operator.lab.discovery import Discovery, Overrules, discover
-from smooth_operator.lab.discovery.words import fingers_said, side_said, words
+from smooth_operator.lab.discovery.skeleton import fingers_said, side_said, words
 from smooth_operator.types import Side
 
 FINGERS = ("thumb", "index", "middle", "ring", "pinky")
@@ -249,12 +249,12 @@ def test_a_real_hand_is_read_right(shared, model):
 @pytest.mark.parametrize("model", REAL)
 def test_a_real_hand_is_read_right_by_one_who_can_not_read(shared, model, monkeypatch):
     """Nothing hangs on a name: without any, thumb, order, side and tips are the same."""
-    from smooth_operator.lab.discovery import landmarks, tips
+    from smooth_operator.lab.discovery import branches, landmarks
 
     module = sys.modules["smooth_operator.lab.discovery.discover"]
     monkeypatch.setattr(module, "fingers_said", lambda chains: [None] * len(chains))
     monkeypatch.setattr(module, "side_said", lambda names: None)
-    monkeypatch.setattr(tips, "says_tip", lambda name: False)
+    monkeypatch.setattr(branches, "says_tip", lambda name: False)
     monkeypatch.setattr(landmarks, "says_wrist", lambda name: False)
     side, fingers, _ = REAL[model]
     name, _, option = model.partition(" --side ")

@@ -15,8 +15,8 @@ from smooth_operator.hands.hand import Hand, load_hand_spec
 from smooth_operator.hands.penetration import neutral_overlaps
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.lab.discovery import Discovery, discover
+from smooth_operator.lab.validation.checks import Samples
 from smooth_operator.lab.validation.joints import check_palm
-from smooth_operator.lab.validation.samples import Samples
 
 
 @pytest.fixture(autouse=True)

@@ -14,7 +14,7 @@ from discovery_hands import Model, Part, mjcf, urdf
 from smooth_operator.hands.hand import load_hand_spec
 from smooth_operator.hands.loading import load_model
 from smooth_operator.lab.discovery import Discovery, discover
-from smooth_operator.lab.discovery.findings import SURE, UNSURE
+from smooth_operator.lab.discovery.landmarks import SURE, UNSURE
 
 
 @pytest.fixture(autouse=True)

@@ -48,9 +48,7 @@ from smooth_operator.lab.training import (
 )
 from smooth_operator.lab.training import data as data_module
 from smooth_operator.lab.training.data import FIRST_SEED, TRAINING_OPERATORS, PointSet
-from smooth_operator.lab.training.loop import draw_batches
-from smooth_operator.lab.training.losses import Batch, GeortLoss
-from smooth_operator.lab.training.session import CHECKPOINT, MODEL
+from smooth_operator.lab.training.loop import CHECKPOINT, MODEL, Batch, GeortLoss, draw_batches
 from smooth_operator.landmarks import TIPS
 from smooth_operator.metrics import evaluate
 from smooth_operator.metrics.assemble import assemble_trace

@@ -28,9 +28,8 @@ from smooth_operator.human.alignment import MIN_CONDITION, palm_alignment
 from smooth_operator.human.flat_hand import palm_tilt_deg
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS
 from smooth_operator.objective.keyvectors import KeyvectorLayout
-from smooth_operator.synthetic.hand_anatomy import couple, draw_anatomy
-from smooth_operator.synthetic.human_kinematics import mirror, pose_hand
-from smooth_operator.synthetic.poses import RELAXED
+from smooth_operator.synthetic.gestures import RELAXED
+from smooth_operator.synthetic.hand_anatomy import couple, draw_anatomy, mirror, pose_hand
 
 NAMES = (
     "ability_hand", "allegro_hand", "brainco_revo2", "inspire_hand", "leap_hand", "linker_l10",

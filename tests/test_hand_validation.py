@@ -24,10 +24,13 @@ from smooth_operator.hands.registry import load_hand
 from smooth_operator.hands.spec import FingerSpec, HandSpec, Point
 from smooth_operator.lab.discovery import discover
 from smooth_operator.lab.validation import HandValidation, check_hand, round_trip
-from smooth_operator.lab.validation.reachable import closest_pinch, reachable_poses
-from smooth_operator.lab.validation.round_trip import check_method
-from smooth_operator.lab.validation.samples import Samples
-from smooth_operator.lab.validation.tips import part_distances
+from smooth_operator.lab.validation.checks import Samples
+from smooth_operator.lab.validation.fingers import part_distances
+from smooth_operator.lab.validation.hand_validation import (
+    check_method,
+    closest_pinch,
+    reachable_poses,
+)
 from smooth_operator.landmarks import LANDMARKS
 from smooth_operator.methods.presets import method_config
 from smooth_operator.methods.registry import DEFAULT_METHOD
@@ -384,7 +387,7 @@ def test_the_default_method_is_judged_without_its_pull(monkeypatch):
         given.append(config)
         raise ConfigError("looked at")
 
-    module = sys.modules["smooth_operator.lab.validation.round_trip"]
+    module = sys.modules["smooth_operator.lab.validation.hand_validation"]
     monkeypatch.setattr(module, "Retargeter", refuse)
     check = check_method(load_hand("mimic_p050"), DEFAULT_METHOD, poses=1, seed=0)
     assert check.verdict == "skipped"

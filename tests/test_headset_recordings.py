@@ -115,7 +115,7 @@ def test_a_wrist_goes_through_convert(tmp_path):
 
 
 def test_a_small_file_of_many_frames_does_not_fill_the_memory(tmp_path, monkeypatch):
-    monkeypatch.setattr("smooth_operator.formats.bounds.FREE_BYTES", 1 << 16)
+    monkeypatch.setattr("smooth_operator.formats.arrays.FREE_BYTES", 1 << 16)
     path = tmp_path / "tracking.jsonl"
     tip = app.transform(np.eye(3), np.array([0.1, 0.0, 0.0])).T.ravel().tolist()
     lines = []

@@ -23,7 +23,7 @@ from smooth_operator.atomic_files import output_error
 from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError, DocumentError, OutputError, RecordingError
 from smooth_operator.formats import commands as results_module
-from smooth_operator.formats.bounds import ARRAYS_RATIO, FREE_BYTES, Allowance
+from smooth_operator.formats.arrays import ARRAYS_RATIO, FREE_BYTES, Allowance
 from smooth_operator.formats.commands import encode_commands, read_commands, write_encoded_commands
 from smooth_operator.formats.readers import read_recording
 from smooth_operator.io.documents import json_object, parse_json

@@ -34,8 +34,15 @@ from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS, WRIST
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.metrics import evaluate
 from smooth_operator.metrics.assemble import assemble_trace
-from smooth_operator.synthetic.hand_anatomy import JOINTS, LOWER, UPPER, couple, draw_anatomy
-from smooth_operator.synthetic.human_kinematics import mirror, pose_hand
+from smooth_operator.synthetic.hand_anatomy import (
+    JOINTS,
+    LOWER,
+    UPPER,
+    couple,
+    draw_anatomy,
+    mirror,
+    pose_hand,
+)
 from smooth_operator.types import Status
 
 SIDES: tuple[Literal["right", "left"], ...] = ("right", "left")

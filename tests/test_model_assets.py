@@ -25,7 +25,7 @@ from smooth_operator.hands.hand import load_hand_spec
 from smooth_operator.hands.loading import load_model, load_spec
 from smooth_operator.hands.model_assets import BODY, MOST_ELEMENTS
 from smooth_operator.hands.stand_ins import stand_in_note, stand_ins
-from smooth_operator.lab.benchmark.settings import only_side
+from smooth_operator.lab.benchmark.cells import only_side
 from smooth_operator.lab.discovery import discover
 from smooth_operator.planning import make_request
 from smooth_operator.teleop.pages.hand_picture import save_hand_picture

@@ -20,8 +20,7 @@ from smooth_operator.baselines.slsqp_method import SlsqpMethod
 from smooth_operator.formats.readers import read_recording
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import FINGERS
-from smooth_operator.synthetic.hand_anatomy import JOINTS, NUM_JOINTS, draw_anatomy
-from smooth_operator.synthetic.human_kinematics import pose_hand
+from smooth_operator.synthetic.hand_anatomy import JOINTS, NUM_JOINTS, draw_anatomy, pose_hand
 
 GLOVE = "recordings/manus_right_subject-000_run-010.npz"
 WEEKLY = pytest.mark.weekly

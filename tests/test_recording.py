@@ -12,8 +12,7 @@ import pytest
 from made_hands import hand_points
 
 from smooth_operator.errors import ConfigError, RecordingError
-from smooth_operator.formats.checks import check_units
-from smooth_operator.formats.frames import frame_slice
+from smooth_operator.formats.checks import check_units, frame_slice
 from smooth_operator.formats.readers import read_recording
 from smooth_operator.landmarks import (
     FROM_MANUS_25,

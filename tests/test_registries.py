@@ -27,10 +27,15 @@ from smooth_operator.formats.readers import read_recording
 from smooth_operator.formats.registry import Reader
 from smooth_operator.hands.registry import HANDS, MODELS, hand_names, known_hands, load_hand
 from smooth_operator.lab.benchmark import cells
-from smooth_operator.lab.benchmark.cells import Cell, fingerprint
+from smooth_operator.lab.benchmark.cells import (
+    Cell,
+    Settings,
+    fingerprint,
+    method_label,
+    select_methods,
+)
 from smooth_operator.lab.benchmark.quality import Task, measure_cell
 from smooth_operator.lab.benchmark.ranking import columns
-from smooth_operator.lab.benchmark.settings import Settings, method_label, select_methods
 from smooth_operator.lab.offline.folder import find_recordings
 from smooth_operator.methods.presets import (
     PRESETS,
@@ -43,8 +48,8 @@ from smooth_operator.methods.presets import (
 from smooth_operator.methods.registry import METHODS
 from smooth_operator.methods.sbr import SbrConfig
 from smooth_operator.metrics import METRICS, Metric, Trace, evaluate
-from smooth_operator.metrics.registry import REGISTRY as METRIC_REGISTRY
-from smooth_operator.metrics.registry import add_metrics, plugin_metrics
+from smooth_operator.metrics.table import REGISTRY as METRIC_REGISTRY
+from smooth_operator.metrics.table import add_metrics, plugin_metrics
 from smooth_operator.plugins import Entry, Registry
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.types import HandRecording

@@ -33,7 +33,7 @@ from smooth_operator.errors import (
 from smooth_operator.planning import make_request
 from smooth_operator.simulation.scenes import SceneState
 from smooth_operator.simulation.tasks import read_trial
-from smooth_operator.simulation.tasks.trial_runner import TrialRunner
+from smooth_operator.simulation.tasks.task_session import TrialRunner
 from smooth_operator.teleop.components import build_source
 from smooth_operator.teleop.control.method_switcher import MethodSwitcher
 from smooth_operator.teleop.control.rpc import RpcHandlers, remote

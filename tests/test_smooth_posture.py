@@ -11,7 +11,7 @@ from smooth_operator.landmarks import TIPS
 from smooth_operator.methods.frame import FrameState, RetargetState
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.metrics.assemble import assemble_trace
-from smooth_operator.metrics.evaluation import evaluate
+from smooth_operator.metrics.table import evaluate
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.types import CommandTrajectory, HandFrame, HandRecording, Status
 

@@ -22,8 +22,8 @@ from smooth_operator.errors import (
 )
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.simulation.scenes import SCENES, ScenePhysics, SceneState, scene_for
-from smooth_operator.simulation.scenes.card import CARD, CardScene
-from smooth_operator.simulation.scenes.mount import opposition
+from smooth_operator.simulation.scenes.scene import opposition
+from smooth_operator.simulation.scenes.task_scenes import CARD, CardScene
 from smooth_operator.simulation.tasks import (
     TASKS,
     Phase,

@@ -21,10 +21,15 @@ from smooth_operator.landmarks import (
     TIPS,
 )
 from smooth_operator.synthetic import GESTURES, SyntheticOperator, TrackerModel, WristMotion
-from smooth_operator.synthetic.gestures import Programme
-from smooth_operator.synthetic.hand_anatomy import JOINTS, LOWER, UPPER, couple, draw_anatomy
-from smooth_operator.synthetic.human_kinematics import pose_hand
-from smooth_operator.synthetic.poses import FREE_LOWER, FREE_UPPER, pinch_postures
+from smooth_operator.synthetic.gestures import FREE_LOWER, FREE_UPPER, Programme, pinch_postures
+from smooth_operator.synthetic.hand_anatomy import (
+    JOINTS,
+    LOWER,
+    UPPER,
+    couple,
+    draw_anatomy,
+    pose_hand,
+)
 from smooth_operator.types import HandFrame, HandRecording
 
 PINCHES = GESTURES[1:5]

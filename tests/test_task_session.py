@@ -14,8 +14,7 @@ from smooth_operator.errors import StudyError
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.simulation.scenes import ScenePhysics, scene_for
 from smooth_operator.simulation.tasks import TaskSession, read_trial
-from smooth_operator.simulation.tasks.task_session import CLEAR_S
-from smooth_operator.simulation.tasks.trial_runner import TrialRunner
+from smooth_operator.simulation.tasks.task_session import CLEAR_S, TrialRunner
 from smooth_operator.teleop.control.reporter import LoggingReporter
 from smooth_operator.teleop.control.task_trials import TaskTrials
 from smooth_operator.teleop.pages.live import live_texts

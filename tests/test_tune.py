@@ -14,19 +14,17 @@ import pytest
 
 from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError, OutputError, UnknownNameError
-from smooth_operator.formats.preset_file import PresetFile, read_preset_file
 from smooth_operator.formats.setting_paths import (
+    PresetFile,
     find_setting,
     numeric_settings,
+    read_preset_file,
     with_settings,
 )
 from smooth_operator.lab.benchmark.recordings import Source, load_sources, parse_request
 from smooth_operator.lab.tuning import TuningSettings, plan_tuning, tune
-from smooth_operator.lab.tuning.held_out import check_held_out
-from smooth_operator.lab.tuning.score import Bound, Scoring
-from smooth_operator.lab.tuning.search_plan import parse_variable
-from smooth_operator.lab.tuning.traced import TracedRun
-from smooth_operator.lab.tuning.tune import write_preset_file
+from smooth_operator.lab.tuning.search_plan import Bound, Scoring, check_held_out, parse_variable
+from smooth_operator.lab.tuning.tune import TracedRun, write_preset_file
 from smooth_operator.methods.presets import PRESETS, method_config
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.methods.sbr import SBR_REALTIME, SbrConfig

@@ -17,8 +17,8 @@ import numpy as np
 
 from smooth_operator import poses
 from smooth_operator.errors import SmoothOperatorError
+from smooth_operator.simulation.arms.arm import inverse, pose_of, rigid
 from smooth_operator.simulation.arms.catalogue import ARMS
-from smooth_operator.simulation.arms.rigid import inverse, pose_of, rigid
 from smooth_operator.simulation.scenes import ScenePhysics, scene_for
 from smooth_operator.simulation.tasks.task import TASKS
 from smooth_operator.teleop.arm.controller import build_arms

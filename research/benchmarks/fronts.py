@@ -21,7 +21,7 @@ import numpy as np
 from smooth_operator.formats.setting_paths import with_settings
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.lab.benchmark.recordings import load_sources, parse_request
-from smooth_operator.lab.tuning.score import figure
+from smooth_operator.lab.tuning.search_plan import figure
 from smooth_operator.methods.presets import method_config
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.metrics import evaluate

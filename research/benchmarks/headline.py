@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Final
 
 from smooth_operator.cli.bench import comma_words
-from smooth_operator.cli.hand_shape import ModelShape
+from smooth_operator.cli.page import ModelShape
 from smooth_operator.lab.benchmark import (
     Finished,
     Row,
@@ -29,8 +29,8 @@ from smooth_operator.lab.benchmark import (
     run_suite,
 )
 from smooth_operator.lab.benchmark.contact_sheet import contact_sheet, panels_by_hand
-from smooth_operator.lab.benchmark.page.summary import summary_text
-from smooth_operator.lab.benchmark.panels import make_panels
+from smooth_operator.lab.benchmark.figures import make_panels
+from smooth_operator.lab.benchmark.page.report import summary_text
 
 POSES: Final = ("flat", "fist", "point", "OK", "pinch middle")
 """Rows of the pictures."""

@@ -25,7 +25,7 @@ import numpy as np
 import tyro
 
 from smooth_operator import HandRecording, load_hand
-from smooth_operator.formats.frames import frame_slice
+from smooth_operator.formats.checks import frame_slice
 from smooth_operator.formats.readers import rated_if_unstamped, read_recording
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.aligned_recording import align_recording

@@ -13,9 +13,9 @@ import pytest
 
 from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.hands.registry import load_hand
+from smooth_operator.lab.benchmark.cells import Choice
 from smooth_operator.lab.benchmark.ranking import HEADLINES
 from smooth_operator.lab.benchmark.recordings import Request, Source, load_sources, parse_request
-from smooth_operator.lab.benchmark.settings import Choice
 from smooth_operator.methods.presets import PRESETS
 from smooth_operator.synthetic.tracker import TrackerModel
 from smooth_operator_research.paper import (

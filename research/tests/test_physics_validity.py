@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from smooth_operator.simulation.scenes.pads import PRESSED_DEPTH, TIME_CONSTANT, pad_impedance
+from smooth_operator.simulation.scenes.physics import PRESSED_DEPTH, TIME_CONSTANT, pad_impedance
 from smooth_operator_research.physics import validity
 from smooth_operator_research.physics.grasp_physics import GRASP_OBJECTS, GraspObject
 

@@ -24,7 +24,7 @@ from smooth_operator.methods.presets import method_config as method_config
 from smooth_operator.methods.presets import method_names as method_names
 from smooth_operator.methods.retargeter import Retargeter as Retargeter
 from smooth_operator.metrics.assemble import assemble_trace as assemble_trace
-from smooth_operator.metrics.evaluation import evaluate as evaluate
+from smooth_operator.metrics.table import evaluate as evaluate
 from smooth_operator.synthetic.operator import SyntheticOperator as SyntheticOperator
 from smooth_operator.types import HandFrame as HandFrame
 from smooth_operator.types import HandRecording as HandRecording

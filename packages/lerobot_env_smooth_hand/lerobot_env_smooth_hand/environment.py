@@ -14,8 +14,8 @@ from smooth_operator.errors import ConfigError
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.simulation.camera import SimulatedCamera
 from smooth_operator.simulation.scenes import ScenePhysics, scene_for
+from smooth_operator.simulation.scenes.physics import draw_variation
 from smooth_operator.simulation.scenes.scene import OBJECT_POSE, object_pose
-from smooth_operator.simulation.scenes.variation import draw_variation
 from smooth_operator.simulation.tasks import TASKS, Phase, TaskRun, task_named
 from smooth_operator.types import as_side
 

@@ -35,8 +35,8 @@ from smooth_operator import poses
 from smooth_operator.errors import RecordingError
 from smooth_operator.lab.datasets.clip import SIDES, RobotClip
 from smooth_operator.lab.datasets.writers.arrays import unique_slug
-from smooth_operator.lab.datasets.writers.registry import WritingOptions
-from smooth_operator.lab.datasets.writers.webdataset import npz_bytes
+from smooth_operator.lab.datasets.writers.registry import DatasetFormat, WritingOptions
+from smooth_operator.lab.datasets.writers.shards import npz_bytes
 from smooth_operator.landmarks import FINGERS
 from smooth_operator.types import Side
 
@@ -53,6 +53,13 @@ _JOINTS: Final = dict(
 
 
 class _Writer(FileShards):
+    """Human hands for the own retargeting of that program.
+
+    It holds human hands for FlashDexRetarget's own retargeting: no commands, joints of the
+    robot, validity, confidence, camera, video or figures, and one object a hand. Clips are
+    brought to 60 frames a second, gaps of up to 20 % filled.
+    """
+
     def __init__(self, output: Path, options: WritingOptions) -> None:
         self._rate = options.rate or _RATE
         self._sides: tuple[Side, ...] = tuple(side for side in SIDES if side in options.joints)
@@ -109,16 +116,4 @@ class _Writer(FileShards):
         self._sides = tuple(side for side in SIDES if side in index["sides"])
 
 
-class _FlashDex:
-    what = "clips for FlashDexRetarget"
-    loses = (
-        "It holds human hands for FlashDexRetarget's own retargeting: no commands, joints of the "
-        "robot, validity, confidence, camera, video or figures, and one object a hand. Clips are "
-        "brought to 60 frames a second, gaps of up to 20 % filled."
-    )
-
-    def open(self, output: Path, options: WritingOptions) -> _Writer:
-        return _Writer(output, options)
-
-
-FLASHDEX: Final = _FlashDex()
+FLASHDEX: Final = DatasetFormat("clips for FlashDexRetarget", _Writer)

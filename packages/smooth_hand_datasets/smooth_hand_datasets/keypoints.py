@@ -22,9 +22,8 @@ from smooth_operator import poses
 from smooth_operator.atomic_files import atomic_write
 from smooth_operator.errors import RecordingError, reason
 from smooth_operator.lab.datasets.clip import CAMERA, SIDES, Clip, ObjectTrack, RobotClip
-from smooth_operator.lab.datasets.writers.arrays import slug
-from smooth_operator.lab.datasets.writers.resampling import Grid, resampled
-from smooth_operator.lab.datasets.writers.webdataset import TarShards
+from smooth_operator.lab.datasets.writers.arrays import Grid, resampled, slug
+from smooth_operator.lab.datasets.writers.shards import TarShards
 from smooth_operator.types import Side
 
 MOST_MISSING: Final = 0.2

@@ -33,8 +33,8 @@ from smooth_operator import poses
 from smooth_operator.formats.jsonable import to_json
 from smooth_operator.lab.datasets.clip import SIDES, RobotClip
 from smooth_operator.lab.datasets.writers.arrays import slug, unique_slug
-from smooth_operator.lab.datasets.writers.registry import WritingOptions
-from smooth_operator.lab.datasets.writers.webdataset import npz_bytes
+from smooth_operator.lab.datasets.writers.registry import DatasetFormat, WritingOptions
+from smooth_operator.lab.datasets.writers.shards import npz_bytes
 
 _RATE: Final = 50.0  # ref_dt = 0.02, the default of SPIDER's programs
 _TIPS: Final = [4, 8, 12, 16, 20]
@@ -43,6 +43,13 @@ _AXES: Final = np.array([0.0, 0.0, 0.0, *np.sqrt([0.5, 0.0, 0.5, 0.0])])
 
 
 class _Writer(FileShards):
+    """Human hands for the own retargeting of that program.
+
+    It holds human hands for SPIDER's own retargeting: no commands, joints, validity,
+    confidence, camera, video or figures; of each hand the wrist and five fingertips, and one
+    object a hand. Clips are brought to 50 frames a second, gaps of up to 20 % filled.
+    """
+
     def __init__(self, output: Path, options: WritingOptions) -> None:
         self._rate = options.rate or _RATE
         self._name = slug(options.name)
@@ -105,16 +112,4 @@ def _arrays(scene: Scene) -> tuple[dict[str, np.ndarray], dict[str, str | None]]
     return arrays, folders
 
 
-class _Spider:
-    what = "keypoints for SPIDER"
-    loses = (
-        "It holds human hands for SPIDER's own retargeting: no commands, joints, validity, "
-        "confidence, camera, video or figures; of each hand the wrist and five fingertips, and one "
-        "object a hand. Clips are brought to 50 frames a second, gaps of up to 20 % filled."
-    )
-
-    def open(self, output: Path, options: WritingOptions) -> _Writer:
-        return _Writer(output, options)
-
-
-SPIDER: Final = _Spider()
+SPIDER: Final = DatasetFormat("keypoints for SPIDER", _Writer)

@@ -39,10 +39,12 @@ from smooth_operator.synthetic.hand_anatomy import (
     LOWER,
     UPPER,
     HandAnatomy,
+    HandPoses,
     couple,
     draw_anatomy,
+    mirror,
+    pose_hand,
 )
-from smooth_operator.synthetic.human_kinematics import HandPoses, mirror, pose_hand
 from smooth_operator.types import HandRecording, Side
 
 FREE_M: Final = 0.012

@@ -84,9 +84,8 @@ Examples:
 def calibrate_recording(options: Calibrate) -> None:
     """Reads, calibrates, writes three files, prints what was found."""
     from smooth_operator.atomic_files import atomic_write
-    from smooth_operator.calibration.estimate import calibrate
+    from smooth_operator.calibration.estimate import calibrate, report
     from smooth_operator.calibration.operator_file import write_operator
-    from smooth_operator.calibration.report import report
     from smooth_operator.cli.console import Progressing
     from smooth_operator.cli.outputs import folder_for
     from smooth_operator.cli.prompting import ask
@@ -134,8 +133,7 @@ def calibrate_recording(options: Calibrate) -> None:
 
 
 def _read(options: Calibrate, progress: Progressing) -> HandRecording:
-    from smooth_operator.formats.checks import reading_notes
-    from smooth_operator.formats.frames import frame_slice
+    from smooth_operator.formats.checks import frame_slice, reading_notes
     from smooth_operator.formats.readers import read_recording
 
     if options.recording is None:

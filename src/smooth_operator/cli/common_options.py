@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import inspect
+import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, ClassVar, Final, Literal, TypeAlias
+from typing import Annotated, Any, ClassVar, Final, Literal, TypeAlias, get_args, get_type_hints
 
 from tyro.conf import arg
 
@@ -167,3 +169,46 @@ class Page:
 
     no_browser: bool = False
     """Serve the page, but open no browser."""
+
+
+def unwrapped(text: str) -> str:
+    """A text whose paragraphs are a line each; indented lines stay as they are.
+
+    tyro joins a line that begins with a letter to the one before, an indented one too; an empty
+    line after an indented block keeps them apart.
+    """
+    joined = re.sub(r"(?m)^(\S.*)\n(?=\S)", r"\1 ", text)
+    return re.sub(r"(?m)^( .*)\n(?=\S)", r"\1\n\n", joined)
+
+
+def described(kind: Any, whole: bool = True) -> str:
+    """Help of a command: its class's docstring and details; all of them if ``whole``."""
+    text = f"{inspect.getdoc(kind)}\n\n{kind.details}"
+    if getattr(kind, "rare", ()):
+        text += f"\n\n{kind.more}" if whole else "\n\nMore options and explanations: --help-all"
+    return unwrapped(text)
+
+
+class Group:
+    """Options of a group: a field ``what``, the options of the subcommand that was chosen."""
+
+    what: Any
+
+    @classmethod
+    def members(cls) -> dict[str, type]:
+        """Name -> options of each subcommand."""
+        union = get_args(get_type_hints(cls, include_extras=True)["what"])[0]
+        members = {}
+        for member in get_args(union):
+            (name,) = (one.name for one in member.__metadata__ if hasattr(one, "name"))
+            members[name] = get_args(member)[0]
+        return members
+
+    @property
+    def debug(self) -> bool:
+        """True if an error shows its traceback."""
+        return bool(self.what.debug)
+
+    def run(self) -> None:
+        """Runs the subcommand."""
+        self.what.run()

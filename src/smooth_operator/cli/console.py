@@ -256,8 +256,7 @@ def print_metrics(title: str, metrics: Mapping[str, object]) -> None:
     Args:
         metrics: result of ``evaluate``.
     """
-    from smooth_operator.metrics.metric import GROUPS
-    from smooth_operator.metrics.registry import known_metrics
+    from smooth_operator.metrics.table import GROUPS, known_metrics
 
     console = output_console()
     explained = console.width >= _WIDTH_TO_EXPLAIN

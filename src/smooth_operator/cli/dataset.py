@@ -13,8 +13,8 @@ from smooth_operator.cli.outputs import folder_for
 from smooth_operator.cli.session import requested
 from smooth_operator.errors import ConfigError
 from smooth_operator.formats.jsonable import to_json
-from smooth_operator.lab.datasets.filters import NO_LIMITS, Limits
 from smooth_operator.lab.datasets.pipeline import DatasetRequest, Progress, make_dataset
+from smooth_operator.lab.datasets.quality import NO_LIMITS, Limits
 from smooth_operator.lab.datasets.registry import ReadingOptions
 from smooth_operator.lab.datasets.retargeting import Recipe
 from smooth_operator.lab.datasets.sources import Found, parse_shard

@@ -13,11 +13,10 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, TypeAlias
 
 from tyro.conf import OmitSubcommandPrefixes, Positional, arg, subcommand
 
-from smooth_operator.cli.common_options import Common, HandSide
+from smooth_operator.cli.common_options import Common, Group, HandSide
 from smooth_operator.cli.hands_add import Add
 from smooth_operator.cli.hands_check import Check
 from smooth_operator.cli.hands_show import Render, Show
-from smooth_operator.cli.subcommands import Group
 from smooth_operator.errors import ConfigError, SmoothOperatorError
 
 if TYPE_CHECKING:

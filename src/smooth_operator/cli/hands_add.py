@@ -289,7 +289,7 @@ def _print(discovery: Discovery, file: Path, used: Path, whole: bool) -> None:
 
 
 def _mark(confidence: float) -> tuple[str, str]:
-    from smooth_operator.lab.discovery.findings import SURE, UNSURE
+    from smooth_operator.lab.discovery.landmarks import SURE, UNSURE
 
     if confidence >= SURE:
         return "✓", "green"

@@ -8,8 +8,7 @@ from typing import Annotated, ClassVar, TypeAlias
 
 from tyro.conf import OmitSubcommandPrefixes, Positional, arg, subcommand
 
-from smooth_operator.cli.common_options import Common, HandSide
-from smooth_operator.cli.subcommands import Group
+from smooth_operator.cli.common_options import Common, Group, HandSide
 
 
 @dataclass(frozen=True, kw_only=True)

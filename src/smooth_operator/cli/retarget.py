@@ -93,9 +93,8 @@ def retarget(options: Retarget) -> None:
     from smooth_operator.cli.console import Progressing, print_metrics, print_summary
     from smooth_operator.cli.outputs import check_commands_path, folder_for
     from smooth_operator.cli.session import execute_shown, measure_shown, requested
-    from smooth_operator.formats.checks import reading_notes
+    from smooth_operator.formats.checks import frame_slice, reading_notes
     from smooth_operator.formats.commands import write_commands
-    from smooth_operator.formats.frames import frame_slice
     from smooth_operator.formats.jsonable import to_json
     from smooth_operator.planning import configuration, plan
     from smooth_operator.types import Status

@@ -11,7 +11,7 @@ from smooth_operator.hands.penetration import collision_note
 from smooth_operator.lab.offline import Outcome, build, execute, measure
 from smooth_operator.methods.method import MethodConfig
 from smooth_operator.metrics import Trace
-from smooth_operator.metrics.evaluation import Definition
+from smooth_operator.metrics.table import Definition
 from smooth_operator.planning import Plan, RetargetRequest, make_request
 from smooth_operator.types import Side
 

@@ -12,8 +12,7 @@ from typing import Annotated, ClassVar, Literal, TypeAlias
 
 from tyro.conf import OmitSubcommandPrefixes, Positional, UseAppendAction, arg, subcommand
 
-from smooth_operator.cli.common_options import Common
-from smooth_operator.cli.subcommands import Group
+from smooth_operator.cli.common_options import Common, Group
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -145,8 +145,7 @@ def _recordings(
     options: Train, progress: Progressing
 ) -> tuple[list[HandRecording], list[HandRecording]]:
     """Recordings for training, and recordings for validation alone."""
-    from smooth_operator.formats.checks import reading_notes
-    from smooth_operator.formats.frames import frame_slice
+    from smooth_operator.formats.checks import frame_slice, reading_notes
     from smooth_operator.formats.readers import read_recording
     from smooth_operator.hands.registry import default_side
     from smooth_operator.lab.training import synthetic_recordings

@@ -13,7 +13,7 @@ from smooth_operator.compilation.start import dispatch_here
 from smooth_operator.errors import ConfigError
 from smooth_operator.lab import tuning
 from smooth_operator.lab.offline.finished import claimed
-from smooth_operator.lab.tuning.score import Bound, figure
+from smooth_operator.lab.tuning.search_plan import Bound, figure
 from smooth_operator.lab.tuning.tune import FIGURES
 
 

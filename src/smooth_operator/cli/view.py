@@ -158,7 +158,7 @@ def _run(options: View, out: Path, source: Path) -> _Run:
 
 
 def _chosen(commands: CommandTrajectory, frames: str | None) -> CommandTrajectory:
-    from smooth_operator.formats.frames import frame_slice
+    from smooth_operator.formats.checks import frame_slice
 
     if frames is None:
         return commands

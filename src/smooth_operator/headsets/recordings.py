@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.errors import DocumentError, RecordingError, brief
-from smooth_operator.formats.bounds import Allowance, TooLargeError
+from smooth_operator.formats.arrays import Allowance, TooLargeError
 from smooth_operator.formats.checks import stamps_from_rate
 from smooth_operator.headsets.avp import JOINTS, avp_frame
 from smooth_operator.headsets.hts_lines import HtsHands, parse_line

@@ -85,7 +85,7 @@ def method_config(method: str = DEFAULT_METHOD, preset: str | None = None) -> Me
     """Configuration of a method by preset name; None gives the method's default preset.
 
     For a method with a trained model (geort), the file of one may stand for the preset; for any
-    method a preset file (``smooth_operator.formats.preset_file``). ``published`` is a preset
+    method a preset file (``smooth_operator.formats.setting_paths``). ``published`` is a preset
     of every method that the paper compares but GeoRT, of ``ako`` and of ``keyvector``; that of sbr
     is its ``paper``.
 
@@ -127,8 +127,7 @@ def _elsewhere(preset: str) -> str:
 
 
 def _from_file(method: str, path: Path) -> MethodConfig:
-    from smooth_operator.formats.preset_file import read_preset_file
-    from smooth_operator.formats.setting_paths import with_settings
+    from smooth_operator.formats.setting_paths import read_preset_file, with_settings
 
     file = read_preset_file(path)
     if file.method != method:

@@ -26,16 +26,14 @@ METHODS: Final = Registry(
         ),
         "joint_angle": Entry(f"{_BASELINES}.joint_angle:JOINT_ANGLE_PRESETS", "default"),
         "keyvector": Entry(
-            f"{_BASELINES}.slsqp_presets:KEYVECTOR_PRESETS",
+            f"{_BASELINES}.slsqp_method:KEYVECTOR_PRESETS",
             "default, vector, position, slsqp or published",
         ),
-        "hybrid": Entry(
-            f"{_BASELINES}.slsqp_presets:HYBRID_PRESETS", "default, slsqp or published"
-        ),
+        "hybrid": Entry(f"{_BASELINES}.slsqp_method:HYBRID_PRESETS", "default, slsqp or published"),
         "dexpilot": Entry(
-            f"{_BASELINES}.slsqp_presets:DEXPILOT_PRESETS", "default, slsqp or published"
+            f"{_BASELINES}.slsqp_method:DEXPILOT_PRESETS", "default, slsqp or published"
         ),
-        "ako": Entry(f"{_BASELINES}.slsqp_presets:AKO_PRESETS", "default, slsqp or published"),
+        "ako": Entry(f"{_BASELINES}.slsqp_method:AKO_PRESETS", "default, slsqp or published"),
         "geort": Entry(
             f"{_BASELINES}.geort:GEORT_PRESETS", "default, or the file of a model that you trained"
         ),

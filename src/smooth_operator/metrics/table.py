@@ -1,15 +1,20 @@
-"""The built-in metrics: name, unit, better direction, meaning and function of each, in one list."""
+"""The metrics in one list: name, unit, better direction, meaning and function; plugins' too.
+
+``evaluate`` gives all metrics of a run as one JSON-serialisable dictionary."""
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping
-from typing import Any, Final, TypeVar
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias, TypeVar, get_args
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from jaxtyping import Float
 
+from smooth_operator.errors import ConfigError, UnknownNameError
 from smooth_operator.landmarks import BASES, FINGERS, TIPS, WRIST
 from smooth_operator.metrics import (
     accuracy,
@@ -21,8 +26,90 @@ from smooth_operator.metrics import (
     service,
     summary,
 )
-from smooth_operator.metrics.metric import Metric
 from smooth_operator.metrics.trace import Trace, keyvectors
+from smooth_operator.plugins import Entry, Registry
+from smooth_operator.terminal import print_note
+
+if TYPE_CHECKING:
+    from smooth_operator.metrics.trace import Trace
+
+Value: TypeAlias = float | int | str | Mapping[str, float | int | None] | None
+"""What a metric may be: mostly a number; None where it can't be measured."""
+
+_DIRECTIONS: Final = {
+    "->1": ("→ 1", "best at 1"),
+    "down": ("↓", "less is better"),
+    "up": ("↑", "more is better"),
+    "": ("", ""),
+}
+
+
+@dataclass(frozen=True)
+class Metric:
+    """One figure of a run.
+
+    Attributes:
+        name: key in the result of ``evaluate``; a dot steps into a nested one.
+        unit: "" for a plain number.
+        goal: ``"->1"`` best at one, ``"down"`` or ``"up"``; ``""`` for a fact that is not a merit.
+        meaning: one line for a person.
+        group: key of ``GROUPS``; "" for a figure that stands alone.
+        compute: from a run to the figure; None where the caller of ``evaluate`` gives it.
+        published: the same by the paper's own definition, where that is another.
+        short: heading of its column in the main tables of a benchmark; "" where it has none.
+    """
+
+    name: str
+    unit: str
+    goal: Literal["->1", "down", "up", ""]
+    meaning: str
+    group: str = ""
+    compute: Callable[[Trace], Any] | None = None
+    published: Callable[[Trace], Any] | None = None
+    short: str = ""
+
+    @property
+    def key(self) -> str:
+        """Its key at the top of a result: its name up to the dot."""
+        return self.name.partition(".")[0]
+
+    @property
+    def sign(self) -> str:
+        """Better direction as a sign; "" for a fact."""
+        return _DIRECTIONS[self.goal][0]
+
+    @property
+    def better(self) -> str:
+        """Better direction in words; "" for a fact."""
+        return _DIRECTIONS[self.goal][1]
+
+    def of(self, result: Mapping[str, object]) -> object:
+        """This metric's value in a result.
+
+        Raises:
+            UnknownNameError: if the result has no such key.
+        """
+        value: object = result
+        for key in self.name.split("."):
+            if not isinstance(value, Mapping) or key not in value:
+                available = value.keys() if isinstance(value, Mapping) else ()
+                raise UnknownNameError("metric", self.name, available)
+            value = value[key]
+        return value
+
+
+GROUPS: Final[Mapping[str, str]] = {
+    "posture": "Posture: is the robot hand open and closed as the human hand is?",
+    "grasping": "Grasping: do pinches close, and do fingers stay out of each other?",
+    "motion": "Motion: does the robot hand move as the human hand does?",
+    "smoothness": "Smoothness: does it move without jitter?",
+    "accuracy": "Accuracy: do the vectors between wrist and fingertips agree, as in the paper?",
+    "reach": "Reach: how much of its range is in use?",
+    "latency": "Latency: how long does a command take?",
+    "run": "Run: what was measured?",
+}
+"""Groups of metrics, in the order of reports, and the question that each answers."""
+
 
 _Result = TypeVar("_Result")
 
@@ -255,3 +342,125 @@ METRICS: Final[tuple[Metric, ...]] = (
 )
 # fmt: on
 """Every key of a result but those of plugins, group by group, in the order of reports."""
+
+
+REGISTRY: Final = Registry(
+    "metric",
+    {
+        metric.name: Entry("smooth_operator.metrics.table:METRICS", metric.meaning)
+        for metric in METRICS
+    },
+)
+"""Name -> ``Metric``, or a tuple of them in which that name occurs."""
+
+
+def find_metric(name: str) -> Metric:
+    """A metric by its name, or by ``package.module:attribute``.
+
+    Raises:
+        UnknownNameError: there is none.
+        ConfigError: it is a plugin's, and can't be loaded or is no ``Metric`` of that name.
+    """
+    for metric in _offered(name):
+        if isinstance(metric, Metric) and (metric.name == name or name not in REGISTRY):
+            return metric
+    raise ConfigError(
+        f"{REGISTRY.find(name).target} can't be a metric: it must be a Metric called "
+        f"{name!r}, or a tuple of metrics in which one is called so"
+    )
+
+
+def _offered(name: str) -> tuple[object, ...]:
+    metrics: object = REGISTRY.load(name)
+    return metrics if isinstance(metrics, tuple) else (metrics,)
+
+
+def add_metrics(targets: Iterable[str]) -> None:
+    """Adds metrics to this process: ``evaluate`` then measures them as it does those of plugins.
+
+    Args:
+        targets: ``package.module:attribute`` of a ``Metric`` or of a tuple of them.
+
+    Raises:
+        UnknownNameError: a text is neither that nor the name of a metric, which is measured anyway.
+        ConfigError: one can't be loaded, is no metric, or has the name of another metric.
+    """
+    for target in targets:
+        find_metric(target)
+        for metric in () if target in REGISTRY else _offered(target):
+            if isinstance(metric, Metric):
+                REGISTRY.add(metric.name, Entry(target, metric.meaning))
+
+
+def known_metrics() -> tuple[Metric, ...]:
+    """The built-in metrics, then those of plugins; one that can't be loaded is left out."""
+    return tuple(REGISTRY.loadable(find_metric).values())
+
+
+def plugin_metrics() -> tuple[Metric, ...]:
+    """Metrics of plugins."""
+    return known_metrics()[len(METRICS) :]
+
+
+Definition: TypeAlias = Literal["sound", "paper"]
+"""``sound``: means over frames, human aligned as the retargeter saw it, still frames masked.
+``paper``: as published (``smooth_operator.metrics.published``)."""
+
+
+def evaluate(
+    trace: Trace,
+    definition: Definition = "sound",
+    extra: Mapping[str, float | None] | None = None,
+) -> dict[str, Value]:
+    """Measures a run.
+
+    Args:
+        trace: the run.
+        definition: ``"sound"`` (default) or ``"paper"``; they differ in cosine similarity, scale
+            ratio and motion preservation only, and never should be mixed in one table.
+        extra: figures that need more than the trace, such as ``tracking_loss``.
+
+    Returns:
+        The keys of ``METRICS``, in that order, then those of plugins' metrics and any others of
+        ``extra``. Numbers are finite; what could not be measured (too few frames, an absent input,
+        no pinch) is None.
+
+    Raises:
+        UnknownNameError: if there is no such definition.
+        ConfigError: if ``extra`` gives a metric that is computed here.
+    """
+    if definition not in get_args(Definition):
+        raise UnknownNameError("metric definition", str(definition), get_args(Definition))
+    values: dict[str, Any] = {}
+    metrics = known_metrics()
+    for metric in metrics:
+        value = _computed(metric, trace, definition)
+        if metric.name == metric.key:
+            values[metric.name] = value
+        else:
+            values.setdefault(metric.key, {})[metric.name.partition(".")[2]] = value
+    finite = {name: _finite(value) for name, value in (extra or {}).items()}
+    computed = {metric.key for metric in metrics if metric.compute is not None}
+    if clash := sorted(set(finite) & computed):
+        raise ConfigError(
+            f"extra must not give metrics that are computed from the trace: {', '.join(clash)}"
+        )
+    return values | finite
+
+
+def _computed(metric: Metric, trace: Trace, definition: Definition) -> Any:
+    compute = metric.compute
+    if definition == "paper" and metric.published is not None:
+        compute = metric.published
+    if compute is None or metric.name in REGISTRY.built_in:
+        return None if compute is None else compute(trace)
+    try:
+        value = compute(trace)
+        return value if value is None else _finite(value)
+    except Exception as error:  # a plugin's: the other figures still count
+        print_note(f"metric {metric.name!r} is left out: {type(error).__name__}: {error}")
+        return None
+
+
+def _finite(value: float | None) -> float | None:
+    return float(value) if value is not None and math.isfinite(value) else None

@@ -10,9 +10,8 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.simulation.hand_directions import hand_directions
-from smooth_operator.simulation.physics import HandPhysics
-from smooth_operator.simulation.physics_model import FURNISHED
+from smooth_operator.simulation.arms.arm import hand_directions
+from smooth_operator.simulation.physics import FURNISHED, HandPhysics
 from smooth_operator.simulation.renderer import open_renderer
 from smooth_operator.simulation.scenes.physics import ScenePhysics
 

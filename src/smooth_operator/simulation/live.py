@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.hands.hand import Hand
-from smooth_operator.simulation.arms.rigid import Matrix
+from smooth_operator.simulation.arms.arm import Matrix
 from smooth_operator.simulation.scenes import Scene, ScenePart, SceneState
 from smooth_operator.types import Side
 

@@ -11,8 +11,15 @@ import numpy as np
 from smooth_operator.errors import ConfigError, UnknownNameError
 from smooth_operator.poses import WRIST_AXES, axes, to_ours
 from smooth_operator.synthetic.gestures import GESTURES, Programme
-from smooth_operator.synthetic.hand_anatomy import JOINTS, HandAnatomy, couple, draw_anatomy
-from smooth_operator.synthetic.human_kinematics import mirror, move, pose_hand
+from smooth_operator.synthetic.hand_anatomy import (
+    JOINTS,
+    HandAnatomy,
+    couple,
+    draw_anatomy,
+    mirror,
+    move,
+    pose_hand,
+)
 from smooth_operator.synthetic.tracker import (
     TrackerModel,
     TrackerStream,

@@ -8,8 +8,7 @@ from jaxtyping import Float
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import palm_alignment
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS
-from smooth_operator.synthetic.hand_anatomy import NUM_JOINTS, draw_anatomy
-from smooth_operator.synthetic.human_kinematics import mirror, pose_hand
+from smooth_operator.synthetic.hand_anatomy import NUM_JOINTS, draw_anatomy, mirror, pose_hand
 
 
 def human_landmarks(hand: Hand, q: Float[np.ndarray, "T m"]) -> Float[np.ndarray, "T 21 3"]:

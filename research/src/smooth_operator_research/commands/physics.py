@@ -13,8 +13,8 @@ from smooth_operator.cli.console import Progressing, output_console, plain_table
 from smooth_operator.cli.outputs import folder_for
 from smooth_operator.compilation.start import dispatch_here
 from smooth_operator.errors import require
-from smooth_operator.lab.benchmark.benchmark_folder import REPORT
-from smooth_operator.lab.benchmark.settings import only_side
+from smooth_operator.lab.benchmark.cells import only_side
+from smooth_operator.lab.benchmark.suite import REPORT
 from smooth_operator.lab.offline.finished import claimed
 from smooth_operator_research.commands.options import Physics
 from smooth_operator_research.physics.measure import PhysicsSettings

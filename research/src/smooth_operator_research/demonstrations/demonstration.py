@@ -20,7 +20,7 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.simulation.scenes.physics import ScenePhysics
 from smooth_operator.simulation.scenes.scene import SceneState
-from smooth_operator.simulation.scenes.scene_registry import scene_for
+from smooth_operator.simulation.scenes.task_scenes import scene_for
 from smooth_operator.simulation.tasks.task import TASKS, task_named
 from smooth_operator.simulation.tasks.trial import TaskRun
 from smooth_operator.synthetic.robot_landmarks import human_landmarks

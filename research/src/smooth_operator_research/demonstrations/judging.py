@@ -21,8 +21,8 @@ from smooth_operator.human.landmark_filter import NoiseState, remove_noise
 from smooth_operator.landmarks import FINGERS, NUM_LANDMARKS, TIPS
 from smooth_operator.methods.smooth import SmoothConfig
 from smooth_operator.simulation.scenes import ScenePhysics, scene_for
-from smooth_operator.simulation.scenes.card import CardScene
-from smooth_operator.simulation.tasks.scorers import (
+from smooth_operator.simulation.scenes.task_scenes import CardScene
+from smooth_operator.simulation.tasks.task import (
     GOAL,
     HOLD_S,
     OVER,
@@ -31,8 +31,8 @@ from smooth_operator.simulation.tasks.scorers import (
     CubeScorer,
     ScrewdriverScorer,
     pinches,
+    task_named,
 )
-from smooth_operator.simulation.tasks.task import task_named
 from smooth_operator.synthetic.tracker import TrackerStream
 from smooth_operator.types import as_side
 from smooth_operator_research.demonstrations.demonstration import (

@@ -14,15 +14,15 @@ from jaxtyping import Float
 
 from smooth_operator.landmarks import BASES, NUM_LANDMARKS, WRIST
 from smooth_operator.settings import check_numbers
-from smooth_operator.simulation.scenes.physics import ScenePhysics
-from smooth_operator.simulation.scenes.scene import SceneState
-from smooth_operator.simulation.scenes.variation import (
+from smooth_operator.simulation.scenes.physics import (
     FRICTION,
-    MASS,
+    MASS_SHARE,
     SHIFT_M,
     TURN_RAD,
     ObjectVariation,
+    ScenePhysics,
 )
+from smooth_operator.simulation.scenes.scene import SceneState
 from smooth_operator.synthetic.tracker import TrackerModel, TrackerStream
 from smooth_operator_research.demonstrations.trial_loop import RATE_HZ, LandmarkSource
 
@@ -47,7 +47,7 @@ class PerturbationRanges:
     shift: float = SHIFT_M
     turn: float = TURN_RAD
     friction: float = FRICTION
-    mass: float = MASS
+    mass: float = MASS_SHARE
     hand: float = 0.07
     finger: float = 0.03
     noise: float = 0.001

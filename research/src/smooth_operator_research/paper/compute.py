@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from smooth_operator.baselines.slsqp import ScipySlsqpConfig
-from smooth_operator.baselines.slsqp_presets import DEXPILOT_PUBLISHED
+from smooth_operator.baselines.slsqp_method import DEXPILOT_PUBLISHED
 from smooth_operator.methods.sbr import SBR_PAPER
 from smooth_operator_research.paper.compared_solvers import Slsqp
 from smooth_operator_research.paper.experiment import (

@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, Protocol, TypeAlias
 import numpy as np
 
 from smooth_operator.atomic_files import atomic_write, output_error, write_json
-from smooth_operator.baselines.slsqp_presets import DEXPILOT_PUBLISHED
+from smooth_operator.baselines.slsqp_method import DEXPILOT_PUBLISHED
 from smooth_operator.errors import DocumentError, UnknownNameError
 from smooth_operator.formats.environment import environment
 from smooth_operator.io.plain_files import check_plain_file
-from smooth_operator.lab.benchmark import benchmark_folder as benchmark_store
 from smooth_operator.lab.benchmark.recordings import Source, load_sources, parse_request
+from smooth_operator.lab.benchmark.suite import check_folder as check_benchmark_folder
 from smooth_operator.lab.offline.finished import read_configuration
 from smooth_operator.objective.loss import ObjectiveConfig
 from smooth_operator.parallel import TaskResult
@@ -209,7 +209,7 @@ def check_folder(folder: Path) -> None:
     Raises:
         OutputError: a file stands there, or the folder holds something other than experiments.
     """
-    benchmark_store.check_folder(folder, COMMAND, "earlier experiments")
+    check_benchmark_folder(folder, COMMAND, "earlier experiments")
 
 
 class ExperimentFolder:

@@ -10,7 +10,7 @@ from typing import Any, Final
 from smooth_operator.atomic_files import write_json
 from smooth_operator.io.documents import read_json
 from smooth_operator.reporting.drawing import write_figure
-from smooth_operator.reporting.html import (
+from smooth_operator.reporting.report_page import (
     Html,
     details,
     element,
@@ -20,8 +20,8 @@ from smooth_operator.reporting.html import (
     paragraph,
     table,
     text_table,
+    write_report_page,
 )
-from smooth_operator.reporting.report_page import write_report_page
 from smooth_operator_research.paper.experiment import (
     EXPERIMENTS,
     RESULTS,

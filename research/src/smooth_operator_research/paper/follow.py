@@ -16,9 +16,16 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.aligned_recording import align_recording
 from smooth_operator.human.alignment import AlignmentConfig
-from smooth_operator.lab.benchmark.cells import Cell, benchmark_code, fingerprint
+from smooth_operator.lab.benchmark.cells import (
+    Cell,
+    Choice,
+    Settings,
+    benchmark_code,
+    fingerprint,
+    method_label,
+    select_methods,
+)
 from smooth_operator.lab.benchmark.recordings import SYNTHETIC_SECONDS, Source
-from smooth_operator.lab.benchmark.settings import Choice, Settings, method_label, select_methods
 from smooth_operator.lab.offline import built_for
 from smooth_operator.landmarks import LANDMARKS
 from smooth_operator.metrics import consistency, joints

@@ -26,7 +26,7 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.aligned_recording import align_recording
 from smooth_operator.human.alignment import AlignmentConfig
-from smooth_operator.lab.benchmark.latency import Watch
+from smooth_operator.lab.benchmark.quality import Watch
 from smooth_operator.lab.benchmark.recordings import Source
 from smooth_operator.landmarks import LANDMARKS
 from smooth_operator.metrics.joints import joint_acceleration, joint_jitter

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.baselines.slsqp import ScipySlsqpConfig
-from smooth_operator.baselines.slsqp_presets import DEXPILOT_PUBLISHED
+from smooth_operator.baselines.slsqp_method import DEXPILOT_PUBLISHED
 from smooth_operator.metrics.consistency import JOINTS_STILL
 from smooth_operator.reporting.drawing import INK
 from smooth_operator_research.paper.compared_solvers import Sampling, Slsqp, Solver, Starts

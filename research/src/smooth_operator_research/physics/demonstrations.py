@@ -13,8 +13,7 @@ from jaxtyping import Float
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.aligned_recording import align_recording
 from smooth_operator.simulation.scenes import Scene, ScenePart, ScenePhysics, scene_for
-from smooth_operator.simulation.tasks.scorers import rotation
-from smooth_operator.simulation.tasks.task import TASKS
+from smooth_operator.simulation.tasks.task import TASKS, rotation
 from smooth_operator.types import HandRecording, Side
 from smooth_operator_research.demonstrations.demonstration import (
     PERIOD_S,

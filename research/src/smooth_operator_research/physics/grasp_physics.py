@@ -16,12 +16,9 @@ from smooth_operator.errors import HandModelError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import reference_landmarks
 from smooth_operator.landmarks import BASES, FINGERS
-from smooth_operator.simulation.physics import HandPhysics
-from smooth_operator.simulation.physics_model import FURNISHED
-from smooth_operator.simulation.scenes.mount import mount
-from smooth_operator.simulation.scenes.pads import soften_pads
-from smooth_operator.simulation.scenes.scene import OBJECT, Scene, add_shape
-from smooth_operator.simulation.scenes.touching import Touching, finger_geoms
+from smooth_operator.simulation.physics import FURNISHED, HandPhysics
+from smooth_operator.simulation.scenes.physics import Touching, finger_geoms, soften_pads
+from smooth_operator.simulation.scenes.scene import OBJECT, Scene, add_shape, mount
 
 _HIGH: Final = 0.5  # of the wrist over the floor [m]
 _GRIPS: Final = (0.9, 0.002)  # rubber on plastic

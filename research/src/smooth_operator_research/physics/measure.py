@@ -21,7 +21,7 @@ from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.alignment import reference_landmarks
-from smooth_operator.lab.benchmark.settings import ALL, method_label, select_hands, select_methods
+from smooth_operator.lab.benchmark.cells import ALL, method_label, select_hands, select_methods
 from smooth_operator.lab.offline import built_for, execute
 from smooth_operator.methods.method import MethodConfig
 from smooth_operator.methods.retargeter import Retargeter

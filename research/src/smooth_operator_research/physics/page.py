@@ -11,17 +11,19 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from smooth_operator.atomic_files import atomic_write, write_json
-from smooth_operator.formats.csv_table import csv_text
 from smooth_operator.formats.environment import environment
+from smooth_operator.formats.jsonable import csv_text
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.lab.benchmark.benchmark_folder import PLOTS, REPORT
+from smooth_operator.lab.benchmark.figures import Panel, Run, make_clip, robot_landmarks
 from smooth_operator.lab.benchmark.page.report import facts_table, header, player
-from smooth_operator.lab.benchmark.panels import Panel, Run, make_clip, robot_landmarks
+from smooth_operator.lab.benchmark.suite import PLOTS, REPORT
 from smooth_operator.planning import PROGRAM
 from smooth_operator.reporting.drawing import colors_of, styled
-from smooth_operator.reporting.html import (
+from smooth_operator.reporting.report_page import (
+    SORTING,
     Html,
+    Plots,
     element,
     escape,
     join,
@@ -29,8 +31,8 @@ from smooth_operator.reporting.html import (
     paragraph,
     table,
     text_table,
+    write_report_page,
 )
-from smooth_operator.reporting.report_page import SORTING, Plots, write_report_page
 from smooth_operator.types import as_side
 from smooth_operator_research.physics.measure import Clip, Drawing, PhysicsSettings
 from smooth_operator_research.physics.results import Figure, Line, MeasureResults, table_rows

@@ -11,15 +11,14 @@ from typing import Any, Final
 from smooth_operator.atomic_files import write_json
 from smooth_operator.errors import UnknownNameError
 from smooth_operator.formats.environment import environment
-from smooth_operator.lab.benchmark.benchmark_folder import CONFIG, check_folder
 from smooth_operator.lab.benchmark.cells import (
     benchmark_code,
     files_of,
     hand_identity,
     outside_code,
+    select_methods,
 )
-from smooth_operator.lab.benchmark.settings import select_methods
-from smooth_operator.lab.benchmark.suite import Track, silent
+from smooth_operator.lab.benchmark.suite import CONFIG, Track, check_folder, silent
 from smooth_operator.lab.offline.finished import digest
 from smooth_operator.parallel import TaskResult, run_tasks
 from smooth_operator.planning import PROGRAM

@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.simulation.scenes.pads import soften_pads
+from smooth_operator.simulation.scenes.physics import soften_pads
 from smooth_operator.simulation.scenes.scene import OBJECT, empty_world
 from smooth_operator_research.physics.grasp_measures import GraspResult, RobotPinch, try_pinch
 from smooth_operator_research.physics.grasp_physics import GRASP_OBJECTS, GraspObject, PinchPhysics

@@ -10,13 +10,13 @@ from typing import Any, Final, TypeAlias
 
 from smooth_operator.atomic_files import atomic_write, write_json
 from smooth_operator.errors import HandModelError, StudyError, UnknownNameError
-from smooth_operator.formats.csv_table import csv_text
+from smooth_operator.formats.jsonable import csv_text
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.lab.benchmark.cells import benchmark_code
 from smooth_operator.methods.presets import method_config
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.result_cache import Job, Note, ResultLog, no_note
-from smooth_operator.simulation.scenes.scene_registry import scene_for
+from smooth_operator.simulation.scenes.task_scenes import scene_for
 from smooth_operator.simulation.tasks.task import task_named
 from smooth_operator.study.chunks import chunk_values
 from smooth_operator.study.design.plan import Block, Plan, lot, make_plan, scaled

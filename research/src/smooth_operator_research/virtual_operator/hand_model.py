@@ -20,12 +20,11 @@ from jaxtyping import Float
 from smooth_operator.hands.hand import Hand, landmark_points
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS, TIPS
 from smooth_operator.methods.retargeter import Retargeter
-from smooth_operator.simulation.physics_model import FURNISHED
+from smooth_operator.simulation.physics import FURNISHED
 from smooth_operator.simulation.scenes.physics import ScenePhysics
 from smooth_operator.simulation.scenes.scene import Scene
-from smooth_operator.synthetic.hand_anatomy import FREE, LOWER, UPPER, couple
-from smooth_operator.synthetic.human_kinematics import mirror, pose_hand
-from smooth_operator.synthetic.poses import RELAXED
+from smooth_operator.synthetic.gestures import RELAXED
+from smooth_operator.synthetic.hand_anatomy import FREE, LOWER, UPPER, couple, mirror, pose_hand
 from smooth_operator.synthetic.robot_landmarks import human_landmarks
 from smooth_operator.types import HandFrame, Side
 from smooth_operator_research.virtual_operator.person import Person

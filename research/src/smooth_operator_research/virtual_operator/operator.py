@@ -27,8 +27,7 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import FINGERS
 from smooth_operator.simulation.scenes.physics import ScenePhysics
 from smooth_operator.simulation.scenes.scene import Scene, SceneState
-from smooth_operator.simulation.tasks.scorers import Scorer
-from smooth_operator.simulation.tasks.task import SimulatedTask
+from smooth_operator.simulation.tasks.task import Scorer, SimulatedTask
 from smooth_operator_research.virtual_operator.hand_model import (
     GripReach,
     HandModel,

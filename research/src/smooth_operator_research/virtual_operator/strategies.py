@@ -17,11 +17,16 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.simulation.scenes.card import CARD, CardScene
-from smooth_operator.simulation.scenes.cube import EDGE, CubeScene
 from smooth_operator.simulation.scenes.scene import SceneState
-from smooth_operator.simulation.scenes.screwdriver import HANDLE, ScrewdriverScene
-from smooth_operator.simulation.tasks.scorers import (
+from smooth_operator.simulation.scenes.task_scenes import (
+    CARD,
+    CUBE,
+    HANDLE,
+    CardScene,
+    CubeScene,
+    ScrewdriverScene,
+)
+from smooth_operator.simulation.tasks.task import (
     CLOSE,
     DOWN,
     GOAL,
@@ -297,7 +302,7 @@ def cube_strategy(scene: CubeScene, reach: GripReach, obs: Observation) -> Strat
         obs: at the start.
     """
     sign, press, above = 0.0, _PRESS_M, True
-    near = EDGE / 2 + PAD_M
+    near = CUBE / 2 + PAD_M
     out = near + _OPEN_M
     while True:
         missing = GOAL - sign * obs.scorer.turned

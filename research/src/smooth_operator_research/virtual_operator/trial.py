@@ -11,10 +11,9 @@ from jaxtyping import Float
 
 from smooth_operator.hands.hand import Hand
 from smooth_operator.methods.retargeter import Retargeter
-from smooth_operator.simulation.scenes.physics import ScenePhysics
+from smooth_operator.simulation.scenes.physics import ObjectVariation, ScenePhysics
 from smooth_operator.simulation.scenes.scene import Scene, SceneState
-from smooth_operator.simulation.scenes.scene_registry import scene_for
-from smooth_operator.simulation.scenes.variation import ObjectVariation
+from smooth_operator.simulation.scenes.task_scenes import scene_for
 from smooth_operator.simulation.tasks.task import SimulatedTask
 from smooth_operator.simulation.tasks.trial import Outcome
 from smooth_operator_research.demonstrations.trial_loop import TrialTrace, run_trial

@@ -46,24 +46,37 @@ says, in the column ``smooth_operator``, which of them are its own, with its nam
 what the source said. LeRobot's own tools drop that column when they rewrite a dataset; the frames
 can still be read. Its loader turns every float64 into float32, which is too coarse for ``stamp``
 where that counts from 1970: read it with any Parquet reader.
+
+The columns that ``lerobot-record`` writes for the robot ``smooth_hand`` can be made from a log as
+well. Data sets of both merge with LeRobot's own tool: keys, units, sizes and type of the robot are
+equal, if the robot has its default settings, or with the wrist ``--robot.wrist=quaternion``, and
+with the environment state ``--robot.environment_state=joints``. A row is a moment of LeRobot's
+clock, from the first command that is measured to the last one.
+
+=================================  ============  =================================================
+``observation.state``              float32 (m,)  measured positions of the actuated joints [rad]
+``observation.environment_state``  float32 (n,)  on request: measured positions of all joints [rad]
+``action``                         float32 (m,)  their newest command [rad]; with the wrist
+                                                 (m + 7,), ``tcp.x``, … ``tcp.qz`` [m; wxyz]
+=================================  ============  =================================================
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, Final
+from collections.abc import Mapping, Sequence
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 
 from smooth_operator.errors import RecordingError
 from smooth_operator.formats.episode import Episode
+from smooth_operator.hands.registry import load_hand
 from smooth_operator.landmarks import FINGERS, LANDMARKS
 
 NO_COMMAND: Final = -1
 """Status of a frame that no command answers."""
 
-LANDMARK_NAMES: Final = tuple(f"{name}.{axis}" for name in LANDMARKS for axis in "xyz")
+_LANDMARK_NAMES: Final = tuple(f"{name}.{axis}" for name in LANDMARKS for axis in "xyz")
 _METACARPAL_NAMES: Final = tuple(f"{f}_metacarpal.{axis}" for f in FINGERS[1:] for axis in "xyz")
 _ORIENTATION_NAMES: Final = tuple(f"{name}.{axis}" for name in LANDMARKS for axis in "wxyz")
 POSE_NAMES: Final = ("x", "y", "z", "qw", "qx", "qy", "qz")
@@ -71,6 +84,66 @@ POSE_KEYS: Final = tuple(f"tcp.{name}" for name in POSE_NAMES)
 """Keys of a wrist's target in LeRobot, those of the teleoperator plug-in."""
 
 INDICES: Final = ("timestamp", "frame_index", "episode_index", "index", "task_index")
+
+ROBOT_TYPE: Final = "smooth_hand"
+"""Name of the robot plug-in."""
+
+ROBOT_FPS: Final = 30
+"""Frames a second of a robot's columns unless stated otherwise, as ``lerobot-record`` has it."""
+
+_ENVIRONMENT_STATE: Final = "observation.environment_state"
+
+COLUMNS: Final[Mapping[str, tuple[str, str]]] = {
+    "observation.state": (
+        "float32",
+        "m, landmarks; rad, measured joint positions, where those are its names",
+    ),
+    _ENVIRONMENT_STATE: ("float32", "rad, measured positions of all joints"),
+    "action": ("float32", "rad, joint positions; m and quaternion wxyz, wrist"),
+    "stamp": ("float64", "s, true time of the frame"),
+    "landmarks": ("float64", "m, as observation.state, without loss"),
+    "landmarks_valid": ("bool", "false where the tracker lost the landmark"),
+    "left_hand": ("bool", "which hand"),
+    "metacarpals": ("float64", "m"),
+    "orientations": ("float64", "quaternions wxyz"),
+    "human_wrist": ("float64", "m, quaternion wxyz, in its world"),
+    "wrist_command": ("float64", "m, quaternion wxyz, of the robot hand in the robot's base"),
+    "wrist_engaged": ("bool", "whether the operator's wrist moved the robot's"),
+    "wrist_valid": ("bool", "whether the operator's wrist was known"),
+    "arm_positions": ("float64", "rad, commanded joint positions of the arm"),
+    "arm_measured": ("float64", "rad, measured joint positions of the arm"),
+    "arm_wrist": (
+        "float64",
+        "m, quaternion wxyz, of the robot hand at arm_positions, in the arm's base",
+    ),
+    "joint_positions": ("float64", "rad, as action, without loss"),
+    "command_stamp": ("float64", "s, NaN in a frame without a command"),
+    "status": ("int64", "why the command is what it is; -1 in a frame without a command"),
+    "latency_ms": ("float64", "ms, from landmarks to command"),
+    "stages_ms": ("float64", "ms, parts of the latency"),
+    "measured_positions": ("float64", "rad, measured, the newest at stamp"),
+    "measured_stamp": ("float64", "s, when they were measured"),
+}
+"""Name -> type, and unit or meaning, of each column that is not an index; in their order."""
+
+Layout: TypeAlias = dict[str, tuple[str, ...] | None]
+"""Columns of a dataset or episode: name -> names of the components; None for one number."""
+
+_OF_RECORDING: Final = {
+    "metacarpals": ("metacarpals", _METACARPAL_NAMES),
+    "orientations": ("orientations", _ORIENTATION_NAMES),
+    "human_wrist": ("T_world_wrist", POSE_NAMES),
+}
+"""Column -> attribute of a recording, which may be None, and names of the components."""
+
+
+def unit_of(column: str, robot: str | None = None) -> str:
+    """Unit or meaning of a column, in a dataset of a type of robot."""
+    if column == "observation.state" and robot == ROBOT_TYPE:
+        return "rad, measured joint positions"
+    if column == "timestamp":
+        return "s, frame_index / fps"
+    return COLUMNS.get(column, ("", "index"))[1]
 
 
 def feature(dtype: str, names: Sequence[str] | None = None) -> dict[str, Any]:
@@ -105,170 +178,85 @@ def index_columns(
     }
 
 
-UNITS: Final = {
-    "observation.state": "m, landmarks; rad, measured joint positions, where those are its names",
-    "action": "rad, joint positions; m and quaternion wxyz, wrist",
-    "timestamp": "s, frame_index / fps",
-    "stamp": "s, true time of the frame",
-    "landmarks": "m, as observation.state, without loss",
-    "landmarks_valid": "false where the tracker lost the landmark",
-    "left_hand": "which hand",
-    "metacarpals": "m",
-    "orientations": "quaternions wxyz",
-    "human_wrist": "m, quaternion wxyz, in its world",
-    "wrist_command": "m, quaternion wxyz, of the robot hand in the robot's base",
-    "wrist_engaged": "whether the operator's wrist moved the robot's",
-    "wrist_valid": "whether the operator's wrist was known",
-    "arm_positions": "rad, commanded joint positions of the arm",
-    "arm_measured": "rad, measured joint positions of the arm",
-    "arm_wrist": "m, quaternion wxyz, of the robot hand at arm_positions, in the arm's base",
-    "joint_positions": "rad, as action, without loss",
-    "command_stamp": "s, NaN in a frame without a command",
-    "status": "why the command is what it is; -1 in a frame without a command",
-    "latency_ms": "ms, from landmarks to command",
-    "stages_ms": "ms, parts of the latency",
-    "measured_positions": "rad, measured, the newest at stamp",
-    "measured_stamp": "s, when they were measured",
-}
-"""Unit or meaning of each column that is not an index."""
+def layout_of(episode: Episode) -> Layout:
+    """Columns of an episode."""
+    recording, commands, states = episode.recording, episode.commands, episode.states
+    layout: Layout = {"stamp": None}
+    if recording is not None:
+        layout |= {"observation.state": _LANDMARK_NAMES, "landmarks": _LANDMARK_NAMES}
+        layout |= {"landmarks_valid": LANDMARKS, "left_hand": None}
+        for name, (attribute, names) in _OF_RECORDING.items():
+            if getattr(recording, attribute) is not None:
+                layout[name] = names
+    if commands is not None:
+        joints = tuple(commands.joint_names)
+        layout |= {"action": _keys(joints), "joint_positions": joints}
+        layout |= {"command_stamp": None, "status": None, "latency_ms": None}
+        if episode.wrist is not None:
+            layout["action"] = (*_keys(joints), *POSE_KEYS)
+            layout |= {"wrist_command": POSE_NAMES, "wrist_engaged": None, "wrist_valid": None}
+        if episode.arm is not None:
+            names = episode.arm.joint_names
+            layout |= {"arm_positions": names, "arm_measured": names, "arm_wrist": POSE_NAMES}
+        if episode.stages_ms:
+            layout["stages_ms"] = tuple(episode.stages_ms)
+    if states is not None:
+        names = tuple(states.names)
+        layout |= {"observation.state": _keys(names), "measured_positions": names}
+        layout["measured_stamp"] = None
+    return _ordered(layout)
 
 
-@dataclass(frozen=True)
-class Layout:
-    """Columns of a dataset, or of one episode.
+def widened(layout: Layout, other: Layout, names: tuple[str, str]) -> Layout:
+    """Layout that serves both.
 
-    Attributes:
-        hand: the episodes have a hand.
-        metacarpals: with metacarpal bases.
-        orientations: with orientations.
-        joints: names of the joints; None without commands.
-        stages: names of the timed stages of the loop.
-        measured: names of the joints that the robot hand measured; None without.
-        wrist: with the human wrist.
-        wrist_command: with the commanded one.
-        arm: names of the joints of the arm that carries the hand; None without.
+    Args:
+        names: names of the two, for the message.
+
+    Raises:
+        RecordingError: one has a hand or commands and the other has none, or their joints differ;
+            a dataset has one kind of observation and one of action.
     """
-
-    hand: bool
-    metacarpals: bool
-    orientations: bool
-    joints: tuple[str, ...] | None
-    stages: tuple[str, ...]
-    measured: tuple[str, ...] | None = None
-    wrist: bool = False
-    wrist_command: bool = False
-    arm: tuple[str, ...] | None = None
-
-    @classmethod
-    def of(cls, episode: Episode) -> Layout:
-        """Layout of one episode."""
-        recording, commands = episode.recording, episode.commands
-        return cls(
-            recording is not None,
-            recording is not None and recording.metacarpals is not None,
-            recording is not None and recording.orientations is not None,
-            None if commands is None else tuple(commands.joint_names),
-            tuple(episode.stages_ms),
-            None if episode.states is None else tuple(episode.states.names),
-            recording is not None and recording.T_world_wrist is not None,
-            episode.wrist is not None,
-            None if episode.arm is None else episode.arm.joint_names,
-        )
-
-    def widened(self, other: Layout, names: tuple[str, str]) -> Layout:
-        """Layout that serves both.
-
-        Args:
-            names: names of the two, for the message.
-
-        Raises:
-            RecordingError: one has a hand or commands and the other has none, or their joints
-                differ; a dataset has one kind of observation and one of action.
-        """
-        for what, mine, theirs in (
-            ("hand frames", self.hand, other.hand),
-            ("commands", self.joints is not None, other.joints is not None),
-            ("measured joints", self.measured is not None, other.measured is not None),
-        ):
-            if mine != theirs:
-                has, lacks = names if mine else names[::-1]
-                raise RecordingError(
-                    f"{has} holds {what} and {lacks} holds none; the episodes of one LeRobot "
-                    "dataset must be alike, so convert them into two"
-                )
-        if self.joints != other.joints:
+    for column, what in (
+        ("landmarks", "hand frames"),
+        ("joint_positions", "commands"),
+        ("measured_positions", "measured joints"),
+    ):
+        if (column in layout) != (column in other):
+            has, lacks = names if column in layout else names[::-1]
             raise RecordingError(
-                f"{names[0]} and {names[1]} hold commands for different joints "
-                f"({', '.join(self.joints or ())} and {', '.join(other.joints or ())}); write the "
-                "commands of each robot hand to its own LeRobot dataset"
+                f"{has} holds {what} and {lacks} holds none; the episodes of one LeRobot "
+                "dataset must be alike, so convert them into two"
             )
-        if self.measured != other.measured:
-            raise RecordingError(
-                f"{names[0]} and {names[1]} measured different joints; write each robot hand to "
-                "its own LeRobot dataset"
-            )
-        if self.arm != other.arm:
-            raise RecordingError(
-                f"{names[0]} and {names[1]} have different arms, or one has none; write each "
-                "robot to its own LeRobot dataset"
-            )
-        more = tuple(stage for stage in other.stages if stage not in self.stages)
-        return Layout(
-            self.hand,
-            self.metacarpals or other.metacarpals,
-            self.orientations or other.orientations,
-            self.joints,
-            self.stages + more,
-            self.measured,
-            self.wrist or other.wrist,
-            self.wrist_command or other.wrist_command,
-            self.arm,
-        )
+    first, second = layout.get("joint_positions"), other.get("joint_positions")
+    for column, what in (
+        (
+            "joint_positions",
+            f"hold commands for different joints ({', '.join(first or ())} and "
+            f"{', '.join(second or ())}); write the commands of each robot hand",
+        ),
+        ("measured_positions", "measured different joints; write each robot hand"),
+        ("arm_positions", "have different arms, or one has none; write each robot"),
+    ):
+        if layout.get(column) != other.get(column):
+            raise RecordingError(f"{names[0]} and {names[1]} {what} to its own LeRobot dataset")
+    both = {**layout, **other}
+    if "action" in both:
+        both["action"] = max(layout["action"] or (), other["action"] or (), key=len)
+    if "stages_ms" in both:
+        stages = (*(layout.get("stages_ms") or ()), *(other.get("stages_ms") or ()))
+        both["stages_ms"] = tuple(dict.fromkeys(stages))
+    return _ordered(both)
 
-    def features(self) -> dict[str, dict[str, Any]]:
-        """The ``features`` of ``meta/info.json``: dtype, shape and names of each column."""
-        features: dict[str, dict[str, Any]] = {}
 
-        def add(name: str, dtype: str, names: tuple[str, ...] | None = None) -> None:
-            features[name] = feature(dtype, names)
+def dataset_features(layout: Layout) -> dict[str, dict[str, Any]]:
+    """The ``features`` of ``meta/info.json``: dtype, shape and names of each column."""
+    columns = {name: feature(COLUMNS[name][0], names) for name, names in layout.items()}
+    return columns | index_features()
 
-        if self.measured is not None:
-            add("observation.state", "float32", _keys(self.measured))
-        elif self.hand:
-            add("observation.state", "float32", LANDMARK_NAMES)
-        if self.joints is not None:
-            pose = POSE_KEYS if self.wrist_command else ()
-            add("action", "float32", (*_keys(self.joints), *pose))
-        add("stamp", "float64")
-        if self.hand:
-            add("landmarks", "float64", LANDMARK_NAMES)
-            add("landmarks_valid", "bool", LANDMARKS)
-            add("left_hand", "bool")
-        if self.metacarpals:
-            add("metacarpals", "float64", _METACARPAL_NAMES)
-        if self.orientations:
-            add("orientations", "float64", _ORIENTATION_NAMES)
-        if self.wrist:
-            add("human_wrist", "float64", POSE_NAMES)
-        if self.wrist_command:
-            add("wrist_command", "float64", POSE_NAMES)
-            add("wrist_engaged", "bool")
-            add("wrist_valid", "bool")
-        if self.arm is not None:
-            add("arm_positions", "float64", self.arm)
-            add("arm_measured", "float64", self.arm)
-            add("arm_wrist", "float64", POSE_NAMES)
-        if self.joints is not None:
-            add("joint_positions", "float64", self.joints)
-            add("command_stamp", "float64")
-            add("status", "int64")
-            add("latency_ms", "float64")
-        if self.stages:
-            add("stages_ms", "float64", self.stages)
-        if self.measured is not None:
-            add("measured_positions", "float64", self.measured)
-            add("measured_stamp", "float64")
-        return features | index_features()
+
+def _ordered(layout: Layout) -> Layout:
+    return {name: layout[name] for name in COLUMNS if name in layout}
 
 
 def _keys(joints: tuple[str, ...]) -> tuple[str, ...]:
@@ -287,7 +275,8 @@ def episode_columns(
         task: ``task_index``.
 
     Returns:
-        (T,) or (T, k) of each of the layout's features, in its type.
+        (T,) or (T, k) of each of the layout's features, in its type; NaN or False in a column that
+        only other episodes have.
 
     Raises:
         RecordingError: there is no frame; several commands answer the same, or out of order;
@@ -304,13 +293,8 @@ def episode_columns(
         columns |= {"observation.state": flat, "landmarks": flat}
         columns["landmarks_valid"] = recording.valid
         columns["left_hand"] = np.full(count, recording.side == "left")
-        for name, key, width in (
-            ("metacarpals", "metacarpals", 12),
-            ("orientations", "orientations", 84),
-            ("human_wrist", "T_world_wrist", 7),
-        ):
-            value = getattr(recording, key)
-            columns[name] = np.full((count, width), np.nan)
+        for name, (attribute, _) in _OF_RECORDING.items():
+            value = getattr(recording, attribute)
             if value is not None:
                 columns[name] = value.reshape(count, -1)
     if commands is not None:
@@ -322,23 +306,20 @@ def episode_columns(
             out[rows] = values[chosen]
             return out
 
-        positions = spread(np.asarray(commands.joint_positions, np.float64), np.nan)
-        columns["joint_positions"] = positions
+        columns["joint_positions"] = spread(np.asarray(commands.joint_positions, float), np.nan)
         columns["command_stamp"] = spread(np.asarray(commands.stamps, np.float64), np.nan)
         columns["latency_ms"] = spread(np.asarray(commands.latency_ms, np.float64), np.nan)
         columns["status"] = spread(np.asarray(commands.status, np.int64), NO_COMMAND)
-        times = np.full((count, len(layout.stages)), np.nan)
-        for i, stage in enumerate(layout.stages):
-            if stage in episode.stages_ms:
-                times[rows, i] = np.asarray(episode.stages_ms[stage])[chosen]
-        columns["stages_ms"] = times
-        wrist, none = episode.wrist, np.zeros(len(commands), bool)
-        poses = np.full((len(commands), 7), np.nan) if wrist is None else wrist.poses
-        target = columns["wrist_command"] = spread(poses, np.nan)
-        parts = [positions, target] if layout.wrist_command else [positions]
-        columns["action"] = np.concatenate(parts, axis=1)
-        columns["wrist_engaged"] = spread(none if wrist is None else wrist.engaged, False)
-        columns["wrist_valid"] = spread(none if wrist is None else wrist.valid, False)
+        if episode.stages_ms:
+            stages = layout["stages_ms"] or ()
+            columns["stages_ms"] = times = np.full((count, len(stages)), np.nan)
+            for i, stage in enumerate(stages):
+                if stage in episode.stages_ms:
+                    times[rows, i] = np.asarray(episode.stages_ms[stage])[chosen]
+        if episode.wrist is not None:
+            columns["wrist_command"] = spread(episode.wrist.poses, np.nan)
+            columns["wrist_engaged"] = spread(episode.wrist.engaged, False)
+            columns["wrist_valid"] = spread(episode.wrist.valid, False)
         if episode.arm is not None:
             columns["arm_positions"] = spread(episode.arm.positions, np.nan)
             columns["arm_measured"] = spread(episode.arm.measured, np.nan)
@@ -347,12 +328,24 @@ def episode_columns(
         measured, when = episode.states.at(episode.stamps)
         columns |= {"observation.state": measured, "measured_positions": measured}
         columns["measured_stamp"] = when
+    for name in layout.keys() - columns.keys() - {"action"}:
+        names = layout[name]
+        shape = (count,) if names is None else (count, len(names))
+        empty = np.nan if COLUMNS[name][0] == "float64" else False
+        columns[name] = np.full(shape, empty)
+    if commands is not None:
+        parts = [columns[name] for name in ("joint_positions", "wrist_command") if name in layout]
+        columns["action"] = np.concatenate(parts, axis=1)
     columns |= index_columns(count, number=number, first=first, task=task, fps=fps)
+    return _typed(columns, layout)
+
+
+def _typed(columns: Mapping[str, np.ndarray], layout: Layout) -> dict[str, np.ndarray]:
     # Values beyond float32 become infinite there, as they must; the float64 columns have them.
     with np.errstate(over="ignore"):
         return {
             name: columns[name].astype(feature["dtype"])
-            for name, feature in layout.features().items()
+            for name, feature in dataset_features(layout).items()
         }
 
 
@@ -371,3 +364,87 @@ def _rows(episode: Episode) -> tuple[np.ndarray, np.ndarray]:
             "command; convert it to .mcap or .h5, which hold them apart"
         )
     return rows, frames
+
+
+def robot_layout(episode: Episode, wrist: bool, environment_state: bool) -> Layout:
+    """The columns that ``lerobot-record`` writes for the robot hand of an episode.
+
+    Args:
+        wrist: with the commanded wrist.
+        environment_state: with the positions of all joints.
+
+    Raises:
+        RecordingError: it lacks something of that, or its hand is on an arm.
+    """
+    config = episode.config or {}
+    lacks = next(
+        (what for what, there in (
+            ("commands", episode.commands is not None),
+            ("measured joints; record it with a sink that measures, such as mujoco",
+             episode.states is not None),
+            ("name of its robot hand", isinstance(config.get("hand"), str)),
+            ("a commanded wrist; leave it out with --columns robot",
+             not wrist or episode.wrist is not None),
+        ) if not there), None,
+    )  # fmt: skip
+    if lacks is not None:
+        raise RecordingError(f"{episode.name}: the columns of a robot need {lacks}")
+    if wrist and episode.arm is not None:
+        raise RecordingError(
+            f"{episode.name}: the measured wrist of a hand on an arm is not in a log; take "
+            "--columns robot, or record with lerobot-record"
+        )
+    assert episode.commands is not None and episode.states is not None  # noqa: PT018
+    side = config.get("side", "right") if episode.recording is None else episode.recording.side
+    hand = load_hand(config["hand"], side)
+    for names in (episode.commands.joint_names, episode.states.names):
+        missing = [name for name in hand.joint_names if name not in names]
+        if missing:
+            raise RecordingError(
+                f"{episode.name}: it has no {', '.join(missing)} of the hand {hand.name}"
+            )
+    state = _keys(hand.actuated_names)
+    layout: Layout = {"action": (*state, *(POSE_KEYS if wrist else ())), "observation.state": state}
+    if environment_state:
+        layout[_ENVIRONMENT_STATE] = tuple(f"environment.{n}.pos" for n in hand.joint_names)
+    return layout
+
+
+def robot_columns(
+    episode: Episode, layout: Layout, *, number: int, first: int, task: int, fps: int
+) -> dict[str, np.ndarray]:
+    """(T,) or (T, k) of each feature of a ``robot_layout``; arguments as of ``episode_columns``.
+
+    Raises:
+        RecordingError: there is no moment with a command and a measurement.
+    """
+    commands, states = episode.commands, episode.states
+    assert commands is not None and states is not None  # noqa: PT018
+    joints = [name.removesuffix(".pos") for name in layout["observation.state"] or ()]
+    picked = [commands.joint_names.index(name) for name in joints]
+    action = np.asarray(commands.joint_positions, np.float64)[:, picked]
+    if len(layout["action"] or ()) > len(joints):
+        assert episode.wrist is not None
+        action = np.concatenate([action, episode.wrist.poses], axis=1)
+    valid = np.isfinite(action).all(axis=1)
+    action, stamps = action[valid], np.asarray(commands.stamps, np.float64)[valid]
+    measured = np.isfinite(states.positions).all(axis=1)
+    if not len(stamps) or not measured.any():
+        raise RecordingError(f"{episode.name}: no command of it, or no measurement, is whole")
+    begin = max(float(stamps[0]), float(states.stamps[measured][0]))
+    count = int(np.floor((float(stamps[-1]) - begin) * fps + 1e-6)) + 1
+    if count < 1:
+        raise RecordingError(f"{episode.name}: its commands end before it is measured")
+    moments = begin + np.arange(count) / fps
+    newest = np.searchsorted(stamps, moments + 1e-9, side="right") - 1
+    rows = np.searchsorted(states.stamps[measured], moments + 1e-9, side="right") - 1
+    positions = states.positions[measured][rows]
+    columns = {
+        "action": action[newest],
+        "observation.state": positions[:, [states.names.index(name) for name in joints]],
+        **index_columns(count, number=number, first=first, task=task, fps=fps),
+    }
+    if (names := layout.get(_ENVIRONMENT_STATE)) is not None:
+        every = [name.removeprefix("environment.").removesuffix(".pos") for name in names]
+        columns[_ENVIRONMENT_STATE] = positions[:, [states.names.index(name) for name in every]]
+    return _typed(columns, layout)

@@ -13,8 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.errors import MissingExtraError, RecordingError, listed
-from smooth_operator.formats.arrays import damaged
-from smooth_operator.formats.bounds import NUMBER_BYTES, Allowance
+from smooth_operator.formats.arrays import NUMBER_BYTES, Allowance, damaged
 from smooth_operator.io.plain_files import check_plain_file
 
 CODEBASE_VERSION: Final = "v3.0"

@@ -9,9 +9,19 @@ from typing import Any, Final, Literal, TypeAlias
 
 import numpy as np
 
-from smooth_operator.episode_files.lerobot import robot_columns
-from smooth_operator.episode_files.lerobot.columns import UNITS, Layout, episode_columns
-from smooth_operator.episode_files.lerobot.robot_columns import RobotLayout
+from smooth_operator.atomic_files import staged_folder
+from smooth_operator.episode_files.lerobot.columns import (
+    ROBOT_FPS,
+    ROBOT_TYPE,
+    Layout,
+    dataset_features,
+    episode_columns,
+    layout_of,
+    robot_columns,
+    robot_layout,
+    unit_of,
+    widened,
+)
 from smooth_operator.episode_files.lerobot.tables import (
     DATA_PATH,
     EPISODES_PATH,
@@ -32,7 +42,6 @@ from smooth_operator.episode_files.lerobot.tables import (
     parquet,
     tasks_table,
 )
-from smooth_operator.episode_files.staging import staged_folder
 from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.formats.episode import Episode
 from smooth_operator.formats.jsonable import to_json
@@ -56,13 +65,13 @@ class _Survey:
     rates: list[float] = field(default_factory=list)
     robots: set[str] = field(default_factory=set)
     kept: dict[int, Episode] = field(default_factory=dict)
-    robot: RobotLayout | None = None
+    robot: Layout | None = None
 
     @property
     def robot_type(self) -> str | None:
         """Name of the robot, if the episodes have one."""
         if self.robot is not None:
-            return robot_columns.ROBOT_TYPE
+            return ROBOT_TYPE
         return next(iter(self.robots)) or None if len(self.robots) == 1 else None
 
 
@@ -84,7 +93,7 @@ def write_dataset(
         fps: frames a second; None for the median over the episodes of their mean rate, pauses left
             out, rounded, and 30 with the columns of a robot.
         columns: ``all``, or those that LeRobot records of the robot ``smooth_hand``: ``robot``, or
-            ``robot-wrist`` with its wrist; see ``robot_columns``.
+            ``robot-wrist`` with its wrist; see ``columns``.
         environment_state: with ``observation.environment_state`` among those of the robot.
         done: called with the frames of each episode that was written.
 
@@ -105,7 +114,7 @@ def write_dataset(
         raise ConfigError("the environment's state is one of the columns of a robot; ask for those")
     survey = _look(episodes, columns, environment_state)
     if fps is None and survey.robot is not None:
-        fps = robot_columns.FPS
+        fps = ROBOT_FPS
     if fps is None:
         if not survey.rates:
             raise ConfigError("no episode has two frames, so none has a rate; say it with --fps")
@@ -113,7 +122,9 @@ def write_dataset(
     notes = _Notes(fps)
     rows: list[dict[str, Any]] = []
     statistics: list[dict[str, Statistics]] = []
-    features = (survey.robot or survey.layout).features()
+    layout = survey.robot or survey.layout
+    features = dataset_features(layout)
+    columns_of = robot_columns if survey.robot else episode_columns
     with staged_folder(path) as stage:
         files = _DataFiles(stage)
         try:
@@ -121,14 +132,10 @@ def write_dataset(
             for number, episode in enumerate(_again(episodes, survey)):
                 task = episode.task or UNNAMED_TASK
                 index = survey.tasks.index(task)
-                if survey.robot is not None:
-                    values = survey.robot.columns(
-                        episode, number=number, first=first, task=index, fps=fps
-                    )
-                else:
-                    values = episode_columns(
-                        episode, survey.layout, number=number, first=first, task=index, fps=fps
-                    )
+                values = columns_of(
+                    episode, layout, number=number, first=first, task=index, fps=fps
+                )
+                if survey.robot is None:
                     notes.look(episode)
                 count = len(values["index"])
                 place = files.append({name: column(v) for name, v in values.items()})
@@ -172,12 +179,7 @@ def _card(info: dict[str, Any]) -> str:
     rows = []
     for name, feature in info["features"].items():
         kind = feature["dtype"] + ("" if feature["names"] is None else f" × {feature['shape'][0]}")
-        units = (
-            {**UNITS, **robot_columns.UNITS}
-            if info["robot_type"] == robot_columns.ROBOT_TYPE
-            else UNITS
-        )
-        rows.append((name, kind, units.get(name, "index")))
+        rows.append((name, kind, unit_of(name, info["robot_type"])))
     return dataset_card("Human hands and robot commands", text, rows)
 
 
@@ -196,14 +198,14 @@ def _look(episodes: Sequence[Load], columns: Columns, environment_state: bool) -
     name, budget = "", _KEPT_BYTES
     for number, load in enumerate(episodes):
         episode = load()
-        layout = Layout.of(episode)
-        if layout.joints == ():
+        layout = layout_of(episode)
+        if layout.get("joint_positions") == ():
             raise RecordingError(f"{episode.name}: its commands are for no joint at all")
         if survey is None:
             survey, name = _Survey(layout), episode.name
-        survey.layout = survey.layout.widened(layout, (name, episode.name))
+        survey.layout = widened(survey.layout, layout, (name, episode.name))
         if columns != "all":
-            own = RobotLayout.of(episode, columns == "robot-wrist", environment_state)
+            own = robot_layout(episode, columns == "robot-wrist", environment_state)
             if survey.robot not in (None, own):
                 raise RecordingError(
                     f"{name} and {episode.name} have different robot hands; write each to its own "
@@ -240,19 +242,19 @@ def _again(episodes: Sequence[Load], survey: _Survey) -> Iterator[Episode]:
 
 def _own(episode: Episode) -> dict[str, Any]:
     """Metadata that LeRobot has no place for."""
-    layout = Layout.of(episode)
+    layout = layout_of(episode)
     return {
         "name": episode.name,
         "side": None if episode.recording is None else episode.recording.side,
         "task": episode.task,
-        "metacarpals": layout.metacarpals,
-        "orientations": layout.orientations,
-        "human_wrist": layout.wrist,
+        "metacarpals": "metacarpals" in layout,
+        "orientations": "orientations" in layout,
+        "human_wrist": "human_wrist" in layout,
         "world": None if episode.recording is None else episode.recording.world,
-        "wrist_command": layout.wrist_command,
+        "wrist_command": "wrist_command" in layout,
         "wrist_world": None if episode.wrist is None else episode.wrist.world,
         "arm": None if episode.arm is None else episode.arm.name,
-        "stages": list(layout.stages),
+        "stages": list(episode.stages_ms),
         "meta": episode.meta,
         "configuration": episode.config,
     }

@@ -5,12 +5,12 @@ of ``results.json``, ``compare`` compares an earlier one with them, and
 ``smooth_operator.lab.benchmark.page`` writes the report. Nothing here prints.
 """
 
-from smooth_operator.lab.benchmark.comparison import Comparison as Comparison
-from smooth_operator.lab.benchmark.comparison import compare as compare
-from smooth_operator.lab.benchmark.results import Row as Row
-from smooth_operator.lab.benchmark.results import make_rows as make_rows
-from smooth_operator.lab.benchmark.results import read_results as read_results
-from smooth_operator.lab.benchmark.settings import Settings as Settings
+from smooth_operator.lab.benchmark.cells import Settings as Settings
+from smooth_operator.lab.benchmark.ranking import Comparison as Comparison
+from smooth_operator.lab.benchmark.ranking import compare as compare
 from smooth_operator.lab.benchmark.suite import Finished as Finished
+from smooth_operator.lab.benchmark.suite import Row as Row
+from smooth_operator.lab.benchmark.suite import make_rows as make_rows
 from smooth_operator.lab.benchmark.suite import plan_cells as plan_cells
+from smooth_operator.lab.benchmark.suite import read_results as read_results
 from smooth_operator.lab.benchmark.suite import run_suite as run_suite

@@ -13,7 +13,7 @@ from scipy.ndimage import median_filter
 
 from smooth_operator.atomic_files import atomic_write
 from smooth_operator.hands.hand import Hand
-from smooth_operator.lab.benchmark.panels import Panel, make_panels, view_basis
+from smooth_operator.lab.benchmark.figures import Panel, make_panels, view_basis
 from smooth_operator.lab.benchmark.suite import Finished
 from smooth_operator.landmarks import BASES, FINGERS, TIPS, WRIST
 from smooth_operator.metrics.posture import human_extensions

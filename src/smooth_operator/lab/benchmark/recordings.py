@@ -19,7 +19,7 @@ from typing import Final
 import numpy as np
 
 from smooth_operator.errors import ConfigError, RecordingError, SmoothOperatorError
-from smooth_operator.formats.frames import frame_slice
+from smooth_operator.formats.checks import frame_slice
 from smooth_operator.formats.readers import rated_if_unstamped, read_recording
 from smooth_operator.formats.registry import recording_suffixes
 from smooth_operator.lab.offline.folder import find_recordings

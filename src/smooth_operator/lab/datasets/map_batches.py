@@ -11,7 +11,7 @@ from typing import Any
 from smooth_operator.compilation.start import dispatch_here
 from smooth_operator.errors import RecordingError
 from smooth_operator.lab.datasets.clip import Clip, Frame, RobotClip
-from smooth_operator.lab.datasets.filters import NO_LIMITS, Dropped, Limits, select
+from smooth_operator.lab.datasets.quality import NO_LIMITS, Dropped, Limits, select
 from smooth_operator.lab.datasets.readers.packed import clip_of_row
 from smooth_operator.lab.datasets.registry import ClipRef, ReadingOptions
 from smooth_operator.lab.datasets.retargeting import Recipe, retarget_clips
@@ -20,7 +20,7 @@ from smooth_operator.lab.datasets.store import as_stored
 from smooth_operator.lab.datasets.work import ReadClip, read_item
 from smooth_operator.lab.datasets.writers.parquet import clips_table
 from smooth_operator.lab.offline.folder import checked
-from smooth_operator.parallel.tasks import describe, one_thread
+from smooth_operator.parallel.pool import describe, one_thread
 from smooth_operator.planning import make_request
 from smooth_operator.result_cache import key_digest
 from smooth_operator.types import Side

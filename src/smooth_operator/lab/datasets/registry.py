@@ -95,12 +95,12 @@ DATASETS: Final = Registry(
     {
         name: Entry(f"{_READERS}.{where}", what)
         for name, where, what in (
-            ("egodex", "egodex:EGODEX", "EgoDex: HDF5 of both hands, camera and task"),
-            ("avp", "headsets:AVP_RECORDING", "Tracking Streamer (Vision Pro): tracking.jsonl"),
-            ("hts", "headsets:HTS_RECORDING", "Hand Tracking Streamer (Quest): lines, JSON lines"),
-            ("landmarks", "landmarks:LANDMARKS_OF_BOTH_HANDS", "an .npz with 'right' and 'left'"),
+            ("egodex", "built_in:EGODEX", "EgoDex: HDF5 of both hands, camera and task"),
+            ("avp", "built_in:AVP_RECORDING", "Tracking Streamer (Vision Pro): tracking.jsonl"),
+            ("hts", "built_in:HTS_RECORDING", "Hand Tracking Streamer (Quest): lines, JSON lines"),
+            ("landmarks", "built_in:LANDMARKS_OF_BOTH_HANDS", "an .npz with 'right' and 'left'"),
             ("parquet", "packed:PACKED", "clips that the format 'parquet' has packed"),
-            ("files", "files:FILES", "any recording of one hand that 'retarget' reads"),
+            ("files", "built_in:FILES", "any recording of one hand that 'retarget' reads"),
         )
     },
     needs=("what", "expects", "matches", "clips", "read"),

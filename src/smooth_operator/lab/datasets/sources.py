@@ -25,7 +25,7 @@ from smooth_operator.errors import (
     reason,
     require,
 )
-from smooth_operator.formats.frames import frame_slice
+from smooth_operator.formats.checks import frame_slice
 from smooth_operator.io.documents import parse_json
 from smooth_operator.io.plain_files import check_plain_file, read_text
 from smooth_operator.lab.datasets.registry import (
@@ -36,7 +36,7 @@ from smooth_operator.lab.datasets.registry import (
     DatasetReader,
     readers,
 )
-from smooth_operator.parallel.tasks import describe
+from smooth_operator.parallel.pool import describe
 from smooth_operator.result_cache import key_digest
 from smooth_operator.types import Side, as_side
 
@@ -156,123 +156,6 @@ _COLUMNS: Final = ("path", "task", "side", "layout", "rate")
 _FIRST: Final = 65_536
 
 
-@dataclass(frozen=True)
-class Row:
-    """A line of a list.
-
-    Attributes:
-        path: path of a file or folder, relative to the list; or an address.
-        task: the task in words.
-        side: side of the hand.
-        layout: name of the reader.
-        rate: frames a second [Hz].
-        frames: range of frames ``A:B`` of the file; empty for all.
-    """
-
-    path: str
-    task: str | None = None
-    side: Side | None = None
-    layout: str | None = None
-    rate: float | None = None
-    frames: str = ""
-
-
-def is_manifest(path: Path) -> bool:
-    """True if a file is a list: ``.txt``; ``.csv``; ``.jsonl`` whose first line has a ``path``."""
-    suffix = path.suffix.lower()
-    if suffix in (".txt", ".csv"):
-        return True
-    if suffix != ".jsonl":
-        return False
-    try:
-        check_plain_file(path)
-        with path.open("rb") as file:
-            line = next(
-                (line for line in iter(lambda: file.readline(_FIRST), b"") if line.strip()), b""
-            )
-        first = parse_json(line)
-    except (OSError, DocumentError):
-        return False
-    return isinstance(first, dict) and isinstance(first.get("path"), str)
-
-
-def read_manifest(path: Path) -> Iterator[Row]:
-    """The lines of a list.
-
-    Raises:
-        RecordingError: it can't be read, or a line is not one; says which.
-    """
-    try:
-        text = read_text(path, most_bytes=_MOST_BYTES)
-    except (OSError, DocumentError) as error:
-        raise RecordingError(f"{path}: the list can't be read: {error}") from error
-    suffix = path.suffix.lower()
-    if suffix == ".csv":
-        yield from _of_csv(text, path)
-        return
-    for number, line in enumerate(text.split("\n"), 1):
-        line = line.strip()
-        if not line or (suffix == ".txt" and line.startswith("#")):
-            continue
-        if suffix == ".txt":
-            yield Row(line)
-            continue
-        where = f"{path}, line {number}"
-        try:
-            values = parse_json(line)
-        except DocumentError as error:
-            raise RecordingError(f"{where}: {error}; expected a JSON object a line") from error
-        yield _row(values, where)
-
-
-def _of_csv(text: str, path: Path) -> Iterator[Row]:
-    table = csv.DictReader(io.StringIO(text))
-    if "path" not in (table.fieldnames or ()):
-        raise RecordingError(
-            f"{path}: a list needs the column 'path' in its first line, and may have "
-            f"{', '.join(_COLUMNS[1:])}; found {brief(', '.join(table.fieldnames or ()))}"
-        )
-    try:
-        for values in table:
-            filled = {name: value for name, value in values.items() if name and value}
-            if filled:
-                yield _row(filled, f"{path}, line {table.line_num}")
-    except csv.Error as error:
-        raise RecordingError(
-            f"{path}, line {table.line_num}: {reason(error)}; expected a table"
-        ) from error
-
-
-def _row(values: Any, where: str) -> Row:
-    if not isinstance(values, Mapping) or not isinstance(values.get("path"), str):
-        raise RecordingError(f"{where}: expected an object with the text 'path'")
-    for name in ("task", "layout"):
-        if not isinstance(values.get(name, ""), str | None):
-            raise RecordingError(f"{where}: {name} must be a text, not {brief(values[name])}")
-    rate, side = values.get("rate"), values.get("side")
-    try:
-        return Row(
-            values["path"],
-            values.get("task") or None,
-            None if side is None else as_side(side),
-            values.get("layout") or None,
-            None if rate is None else float(rate),
-        )
-    except (ConfigError, TypeError, ValueError) as error:
-        raise RecordingError(f"{where}: {reason(error)}") from error
-
-
-_WILD: Final = ("*", "?", "[")
-_NO_DATA: Final = frozenset(
-    (
-        *(".md", ".txt", ".csv", ".pdf", ".py", ".yaml", ".yml", ".toml", ".html", ".log"),
-        *(".mp4", ".mov", ".avi", ".mkv", ".webm", ".jpg", ".jpeg", ".png"),
-        *(".obj", ".ply", ".stl"),
-    )
-)
-"""Suffixes of files of object storage that are not fetched to look into them."""
-
-
 @dataclass(frozen=True, slots=True)
 class Item:
     """A piece of work: a clip, or a file of object storage with all that is in it.
@@ -308,6 +191,102 @@ class Item:
         """Digest of what a list says of it, and of the part of the file that it is."""
         part = "" if self.ref is None else self.ref.key
         return key_digest([self.layout, part, self.task, self.side, self.rate, self.frames])[:16]
+
+
+def is_manifest(path: Path) -> bool:
+    """True if a file is a list: ``.txt``; ``.csv``; ``.jsonl`` whose first line has a ``path``."""
+    suffix = path.suffix.lower()
+    if suffix in (".txt", ".csv"):
+        return True
+    if suffix != ".jsonl":
+        return False
+    try:
+        check_plain_file(path)
+        with path.open("rb") as file:
+            line = next(
+                (line for line in iter(lambda: file.readline(_FIRST), b"") if line.strip()), b""
+            )
+        first = parse_json(line)
+    except (OSError, DocumentError):
+        return False
+    return isinstance(first, dict) and isinstance(first.get("path"), str)
+
+
+def read_manifest(path: Path) -> Iterator[Item]:
+    """The lines of a list, each with its path or address as the name.
+
+    Raises:
+        RecordingError: it can't be read, or a line is not one; says which.
+    """
+    try:
+        text = read_text(path, most_bytes=_MOST_BYTES)
+    except (OSError, DocumentError) as error:
+        raise RecordingError(f"{path}: the list can't be read: {error}") from error
+    suffix = path.suffix.lower()
+    if suffix == ".csv":
+        yield from _of_csv(text, path)
+        return
+    for number, line in enumerate(text.split("\n"), 1):
+        line = line.strip()
+        if not line or (suffix == ".txt" and line.startswith("#")):
+            continue
+        if suffix == ".txt":
+            yield Item(line)
+            continue
+        where = f"{path}, line {number}"
+        try:
+            values = parse_json(line)
+        except DocumentError as error:
+            raise RecordingError(f"{where}: {error}; expected a JSON object a line") from error
+        yield _row(values, where)
+
+
+def _of_csv(text: str, path: Path) -> Iterator[Item]:
+    table = csv.DictReader(io.StringIO(text))
+    if "path" not in (table.fieldnames or ()):
+        raise RecordingError(
+            f"{path}: a list needs the column 'path' in its first line, and may have "
+            f"{', '.join(_COLUMNS[1:])}; found {brief(', '.join(table.fieldnames or ()))}"
+        )
+    try:
+        for values in table:
+            filled = {name: value for name, value in values.items() if name and value}
+            if filled:
+                yield _row(filled, f"{path}, line {table.line_num}")
+    except csv.Error as error:
+        raise RecordingError(
+            f"{path}, line {table.line_num}: {reason(error)}; expected a table"
+        ) from error
+
+
+def _row(values: Any, where: str) -> Item:
+    if not isinstance(values, Mapping) or not isinstance(values.get("path"), str):
+        raise RecordingError(f"{where}: expected an object with the text 'path'")
+    for name in ("task", "layout"):
+        if not isinstance(values.get(name, ""), str | None):
+            raise RecordingError(f"{where}: {name} must be a text, not {brief(values[name])}")
+    rate, side = values.get("rate"), values.get("side")
+    try:
+        return Item(
+            values["path"],
+            layout=values.get("layout") or None,
+            task=values.get("task") or None,
+            side=None if side is None else as_side(side),
+            rate=None if rate is None else float(rate),
+        )
+    except (ConfigError, TypeError, ValueError) as error:
+        raise RecordingError(f"{where}: {reason(error)}") from error
+
+
+_WILD: Final = ("*", "?", "[")
+_NO_DATA: Final = frozenset(
+    (
+        *(".md", ".txt", ".csv", ".pdf", ".py", ".yaml", ".yml", ".toml", ".html", ".log"),
+        *(".mp4", ".mov", ".avi", ".mkv", ".webm", ".jpg", ".jpeg", ".png"),
+        *(".obj", ".ply", ".stl"),
+    )
+)
+"""Suffixes of files of object storage that are not fetched to look into them."""
 
 
 @dataclass(frozen=True)
@@ -429,7 +408,7 @@ class _Looking:
         if is_address(source):
             local = local_path(source)
             if local is None:
-                yield from self._remote(source, Row(source))
+                yield from self._remote(source, Item(source))
                 return
             source = str(local)
         path, frames = Path(source).expanduser(), ""
@@ -445,7 +424,7 @@ class _Looking:
             above = {folder for each in paths for folder in each.parents}
             for each in paths:
                 if each not in above:  # a pattern with ** names folders and what is in them
-                    yield from self._named(each, root, Row(str(each)))
+                    yield from self._named(each, root, Item(str(each)))
             return
         if not path.exists():
             raise RecordingError(
@@ -457,21 +436,21 @@ class _Looking:
             for row in read_manifest(path):
                 yield from self._listed(replace(row, frames=frames), path.parent)
             return
-        row = Row(str(path), frames=frames)
+        row = Item(str(path), frames=frames)
         yield from self._named(path, path if path.is_dir() else path.parent, row)
 
-    def _listed(self, row: Row, home: Path) -> Iterator[_Each]:
-        if is_address(row.path) and local_path(row.path) is None:
-            yield from self._remote(row.path, row)
+    def _listed(self, row: Item, home: Path) -> Iterator[_Each]:
+        if is_address(row.name) and local_path(row.name) is None:
+            yield from self._remote(row.name, row)
             return
-        path = home / (local_path(row.path) or Path(row.path).expanduser())
+        path = home / (local_path(row.name) or Path(row.name).expanduser())
         if not path.exists():
-            yield Refused(row.path, "there is no such file or folder")
+            yield Refused(row.name, "there is no such file or folder")
             return
         root = home if path.is_relative_to(home) else path.parent
         yield from self._named(path, root, row)
 
-    def _named(self, path: Path, root: Path, row: Row) -> Iterator[_Each]:
+    def _named(self, path: Path, root: Path, row: Item) -> Iterator[_Each]:
         """Something that was named, so that it must be of use."""
         layout = row.layout or self._layout
         reader = find_reader(path, layout)
@@ -482,7 +461,7 @@ class _Looking:
         else:
             yield Refused(_name(path, root), _unknown(layout))
 
-    def _walk(self, folder: Path, root: Path, row: Row, layout: str | None) -> Iterator[_Each]:
+    def _walk(self, folder: Path, root: Path, row: Item, layout: str | None) -> Iterator[_Each]:
         real = folder.resolve()
         if real == self._leave_out or real in self._seen:
             return
@@ -504,27 +483,25 @@ class _Looking:
             else:
                 yield path.suffix.lower() or path.name
 
-    def _remote(self, address: str, row: Row) -> Iterator[_Each]:
+    def _remote(self, address: str, row: Item) -> Iterator[_Each]:
         for file in list_remote(address):
             suffix = Path(file.name).suffix.lower()
             if suffix in _NO_DATA and file.address != address:
                 yield suffix
                 continue
-            yield Item(
-                file.name,
-                None,
-                file.address,
-                (file.bytes, file.changed),
-                row.layout or self._layout,
-                row.task,
-                row.side,
-                row.rate,
+            yield replace(
+                row,
+                name=file.name,
+                address=file.address,
+                mark=(file.bytes, file.changed),
+                layout=row.layout or self._layout,
+                frames="",
                 size=file.bytes,
             )
 
 
 def _clips(
-    name: str, reader: DatasetReader, path: Path, root: Path, row: Row
+    name: str, reader: DatasetReader, path: Path, root: Path, row: Item
 ) -> Iterator[Item | Refused]:
     """The clips of a file or folder, with the folders above it in their names."""
     folder = path.parent if path != root and path.is_relative_to(root) else root
@@ -533,16 +510,8 @@ def _clips(
     try:
         for ref in reader.clips(path):
             ref = replace(ref, layout=ref.layout or name)
-            yield Item(
-                prefix + ref.name,
-                ref,
-                layout=name,
-                task=row.task,
-                side=row.side,
-                rate=row.rate,
-                frames=row.frames,
-                root=root,
-                size=ref.size,
+            yield replace(
+                row, name=prefix + ref.name, ref=ref, layout=name, root=root, size=ref.size
             )
     except SmoothOperatorError as error:
         yield Refused(_name(path, root), str(error))

@@ -6,20 +6,20 @@ import faulthandler
 import functools
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from multiprocessing import parent_process
 from pathlib import Path
 
 from smooth_operator.compilation.start import dispatch_here
 from smooth_operator.errors import RecordingError, SmoothOperatorError
-from smooth_operator.formats.frames import frame_slice
+from smooth_operator.formats.checks import frame_slice
 from smooth_operator.lab.datasets.clip import Clip, RobotClip, clip_part, with_side
 from smooth_operator.lab.datasets.registry import DATASETS, ClipRef
 from smooth_operator.lab.datasets.retargeting import Recipe, SourceFile, clip_key, retarget_clips
 from smooth_operator.lab.datasets.sources import Item, fetched, find_reader
 from smooth_operator.lab.datasets.store import Finished, Kept, write_pack
 from smooth_operator.lab.offline.finished import digest
-from smooth_operator.parallel.tasks import describe
+from smooth_operator.parallel.pool import describe
 
 _MOST_CLIPS = 1_000_000  # of one fetched file
 
@@ -85,46 +85,34 @@ def do_job(job: Job) -> list[Entry]:
         OutputError: the pack can't be written.
     """
     dispatch_here()
-    return finish_job(job, read_job(job))
+    return finish_job(job, *read_job(job))
 
 
-@dataclass
-class JobClips:
-    """The clips that were read for a job.
+def read_job(job: Job) -> tuple[list[ReadClip], dict[str, str]]:
+    """Reads the clips of a job; an item that can't be read touches no other.
 
-    Attributes:
-        clips: clips, in the order of the items.
-        reasons: item -> reason why it could not be read.
+    Returns:
+        the clips, in the order of the items; and item -> reason why it could not be read.
     """
-
-    clips: list[ReadClip] = field(default_factory=list)
-    reasons: dict[str, str] = field(default_factory=dict)
-
-
-def read_job(job: Job) -> JobClips:
-    """Reads the clips of a job.
-
-    An item that can't be read is an answer like another, and touches no other.
-    """
-    result = JobClips()
+    clips: list[ReadClip] = []
+    reasons: dict[str, str] = {}
     for item in job.items:
         try:
-            result.clips += read_item(item, job.recipe)
+            clips += read_item(item, job.recipe)
         except SmoothOperatorError as error:
-            result.reasons[item.name] = str(error)
+            reasons[item.name] = str(error)
         except Exception as error:  # of a damaged file, or a plugin: anything; the others go on
-            result.reasons[item.name] = describe(error)
-    return result
+            reasons[item.name] = describe(error)
+    return clips, reasons
 
 
-def finish_job(job: Job, read: JobClips) -> list[Entry]:
+def finish_job(job: Job, clips: list[ReadClip], reasons: dict[str, str]) -> list[Entry]:
     """Retargets the clips of a job and writes them to a pack.
 
     Raises:
         OutputError: the pack can't be written.
     """
-    reasons = dict(read.reasons)
-    finished = _retargeted(read.clips, job, reasons)
+    finished = _retargeted(clips, job, reasons)
     packs = write_pack(job.folder, finished) if finished else {}
     return [Entry(i.name, packs.get(i.name), reasons.get(i.name)) for i in job.items]
 

@@ -13,32 +13,29 @@ import numpy as np
 from smooth_operator.errors import HandModelError, UnknownNameError
 from smooth_operator.hands.loading import NO_ROOM, Coupling, shared_range
 from smooth_operator.hands.spec import FingerSpec, HandSpec, Point
-from smooth_operator.lab.discovery.branches import Branches, Chain, HandTree, holds
-from smooth_operator.lab.discovery.findings import (
+from smooth_operator.lab.discovery.branches import Branches, Chain, HandTree, Tip, find_tip, holds
+from smooth_operator.lab.discovery.landmarks import (
     Discovery,
     Finding,
     FoundCoupling,
     FoundFinger,
     Overrules,
-)
-from smooth_operator.lab.discovery.landmarks import (
     bases_finding,
     find_wrist,
     finger_points,
     fix_bases,
 )
-from smooth_operator.lab.discovery.layout import Layout, find_layout
 from smooth_operator.lab.discovery.motion import (
     Bending,
+    Layout,
     Thumb,
     find_bending,
+    find_layout,
+    find_neutral,
     find_thumb,
     sample_reach,
 )
-from smooth_operator.lab.discovery.neutral import find_neutral
-from smooth_operator.lab.discovery.skeleton import Skeleton, read_skeleton
-from smooth_operator.lab.discovery.tips import Tip, find_tip
-from smooth_operator.lab.discovery.words import fingers_said, side_said
+from smooth_operator.lab.discovery.skeleton import Skeleton, fingers_said, read_skeleton, side_said
 from smooth_operator.landmarks import FINGERS
 from smooth_operator.types import Side, as_side
 

@@ -1,16 +1,19 @@
-"""Motion of fingers: the joints that bend them, which is the thumb, and what two can reach."""
+"""Motion of fingers: bending joints, the thumb, directions of the palm, a neutral pose."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Final
 
+import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.lab.discovery.branches import Chain
+from smooth_operator.lab.discovery.branches import Chain, Tip
 from smooth_operator.lab.discovery.skeleton import Placement, Skeleton
-from smooth_operator.lab.discovery.tips import Tip
+from smooth_operator.landmarks import FINGERS
+from smooth_operator.types import Side
 
 _PARALLEL: Final = 0.8  # |cosine| of two axes that bend a finger in one plane
 _SAMPLES: Final = 240
@@ -332,3 +335,294 @@ def _apart(axes: np.ndarray, finger: int) -> tuple[float, float]:
     agree, own = float(np.linalg.norm(together)), float(np.linalg.norm(axes[finger]))
     cosine = float(axes[finger] @ together) / max(agree * own, 1e-9)
     return agree * (1 - cosine) / 2, cosine
+
+
+_CLEAR: Final = 0.12  # of a finger's length: thumb off the middle of the palm, for a clear side
+_BASE: Final = 0.04  # the same of its base, to the side of its reach; hands have 0.1 to 0.5
+_UNCLEAR: Final = 0.3  # confidence of a side that is not clear
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """The hand's own directions, world frame, and what follows from them.
+
+    Attributes:
+        forward: from wrist to fingers.
+        lateral: axis about which the fingers close, right-handed; to the thumb of a right hand.
+        palmar: out of the palm, forward and lateral at right angles to it.
+        side: right or left.
+        side_confidence: confidence of the side.
+        side_evidence: in words.
+        order: chain indices, thumb first, then from the thumb's side.
+        order_confidence: confidence of the order.
+        order_evidence: in words.
+        names: human fingers, in that order.
+        names_confidence: confidence of the names.
+    """
+
+    forward: Float[np.ndarray, "3"]
+    lateral: Float[np.ndarray, "3"]
+    palmar: Float[np.ndarray, "3"]
+    side: Side
+    side_confidence: float
+    side_evidence: tuple[str, ...]
+    order: tuple[int, ...]
+    order_confidence: float
+    order_evidence: tuple[str, ...]
+    names: tuple[str, ...]
+    names_confidence: float
+
+
+def find_layout(
+    chains: tuple[Chain, ...],
+    bends: tuple[Bending, ...],
+    reach: Reach,
+    thumb: int,
+    labels: list[str | None],
+    side_said: Side | None,
+    side_given: Side | None,
+) -> Layout:
+    """Side and order from the directions in which the fingers point and close.
+
+    With fingers pointing along f and closing about w, the palm faces w x f, and a right hand has
+    its thumb on the side of w.
+
+    Args:
+        reach: places that the fingers can reach.
+        labels: the human finger that each one's names speak of.
+        side_said: the side that names speak of.
+        side_given: the side that a person gave.
+    """
+    others = [i for i in range(len(chains)) if i != thumb]
+    length = float(np.median([chain.length for chain in chains]))
+    lateral = _unit(np.mean([bends[i].axis for i in others], axis=0), bends[others[0]].axis)
+    forward = np.mean([bends[i].along for i in others], axis=0)
+    forward = _unit(forward - (forward @ lateral) * lateral, bends[others[0]].along)
+    palmar = np.cross(lateral, forward)
+
+    bases = np.array([chain.base for chain in chains])
+    middle = reach.tips.mean(axis=0)  # of all that each finger reaches
+    by_base = float((bases[thumb] - bases[others].mean(axis=0)) @ lateral) / length
+    by_reach = float((middle[thumb] - middle[others].mean(axis=0)) @ lateral) / length
+    sideways = 0.5 * by_base + 0.5 * by_reach
+    side: Side = "right" if sideways >= 0 else "left"
+    clear = min(abs(sideways) / _CLEAR, 1.0)
+    evidence = [
+        "seen with the fingers up and the palm towards you, the thumb is "
+        f"{abs(sideways) * length * 1e3:.0f} mm to the {side}: its base "
+        f"{by_base * length * 1e3:+.0f} mm, its reach {by_reach * length * 1e3:+.0f} mm"
+    ]
+    sure = min(bends[i].clear for i in others)
+    confidence = 0.4 + 0.45 * clear + 0.13 * min(sure / 0.2, 1.0)
+    if by_base * np.sign(by_reach) < _BASE:
+        confidence = _UNCLEAR
+        evidence.append(
+            "the two disagree: the fingers stand around the middle, it may be a gripper without a "
+            "side"
+        )
+    if clear < 0.3:
+        confidence = _UNCLEAR
+        evidence = ["the thumb is opposite the middle of the palm: the hand may serve as either"]
+        if side_said is not None:
+            side = side_said
+        elif side_given is None:
+            side = "right"
+            evidence.append("right is assumed")
+    if side_said == side:
+        confidence = min(confidence + (0.3 if clear < 0.3 else 0.05), 0.98)
+        evidence.append(f"names say {side} (weak evidence)")
+    elif side_said is not None:
+        confidence = max(confidence - 0.25, 0.1)
+        evidence.append(f"though names say {side_said}")
+    if side_given is not None:
+        if side_given != side and clear >= 0.3:
+            evidence.append(f"given as {side_given}, though the shape says {side}")
+            confidence = 0.4
+        else:
+            evidence.append("given with --side")
+            confidence = max(confidence, 0.95)
+        side = side_given
+
+    # An unclear thumb has no clear side: the side of the hand then says where the index is.
+    towards = 1.0 if (sideways >= 0 if clear >= 0.3 else side == "right") else -1.0
+    place = {i: towards * float((0.7 * bases[i] + 0.3 * middle[i]) @ lateral) for i in others}
+    ranked = sorted(others, key=lambda i: place[i], reverse=True)
+    gaps = [place[a] - place[b] for a, b in pairwise(ranked)]
+    gap = min(gaps, default=length)
+    ordered = 0.5 + 0.47 * min(gap / (0.1 * length), 1.0)
+    reasons = [
+        "from the thumb's side across the palm, "
+        + (f"at least {gap * 1e3:.0f} mm apart" if gaps else "one finger besides the thumb")
+    ]
+    if clear < 0.3 and len(others) > 1:
+        ordered = min(ordered, 0.4)
+        reasons.append("which end is the thumb's follows from the side, which is not clear")
+    if clear < 0.3 and _spoken([labels[i] for i in others]):
+        # what the shape leaves open, names may decide
+        ranked = sorted(others, key=lambda i: FINGERS.index(labels[i] or ""))
+        ordered = 0.6
+        reasons[1:] = ["its ends are distinguished by names only (weak evidence)"]
+        if side_said is None and side_given is None and len(ranked) > 1:
+            across = bases @ lateral
+            side = "right" if across[ranked[0]] > across[ranked[-1]] else "left"
+            evidence[-1] = f"{side}, if the names of its fingers are right"
+    names, how_sure, why = _names([labels[i] for i in ranked])
+    return Layout(
+        forward=forward,
+        lateral=lateral,
+        palmar=palmar,
+        side=side,
+        side_confidence=round(confidence, 2),
+        side_evidence=tuple(evidence),
+        order=(thumb, *ranked),
+        order_confidence=round(min(ordered, how_sure), 2),
+        order_evidence=(*reasons, *why),
+        names=("thumb", *names),
+        names_confidence=round(how_sure, 2),
+    )
+
+
+def _names(labels: list[str | None]) -> tuple[tuple[str, ...], float, list[str]]:
+    """Human fingers for the robot's, in their order; names of the model only if they fit."""
+    count = len(labels)
+    named = _spoken(labels)
+    if named and list(named) == sorted(named, key=FINGERS.index):
+        return named, 0.95, ["named as the model's own names say"]
+    names = FINGERS[1 : 1 + count]
+    if count == 4:
+        return names, 0.95, []
+    drives = f"driven by {', '.join(names)}; any other may drive them"
+    return names, 0.85 if count == 3 else 0.75, [drives]
+
+
+def _spoken(labels: list[str | None]) -> tuple[str, ...]:
+    """Finger names of the chains other than the thumb; empty unless each has one."""
+    named = tuple(name for name in labels if name is not None and name != "thumb")
+    return named if len(set(named)) == len(labels) else ()
+
+
+def _unit(vector: np.ndarray, otherwise: np.ndarray) -> np.ndarray:
+    norm = float(np.linalg.norm(vector))
+    return vector / norm if norm > 1e-6 else otherwise
+
+
+_BENT: Final = 0.22  # share of its closing range by which a joint is bent at rest
+_TURNED: Final = 0.7  # how far the thumb is turned to where it pinches
+_BEST: Final = 40  # pairs of poses that show where it pinches
+_DEEP: Final = 3e-3  # fingers farther inside each other than this are opened [m]
+_OPENED: Final = (0.2, 0.4, 0.6)  # shares of the way to an open knuckle that are tried
+
+
+def find_neutral(
+    skeleton: Skeleton,
+    chains: tuple[Chain, ...],
+    bends: tuple[Bending, ...],
+    reach: Reach,
+    order: tuple[int, ...],
+) -> tuple[dict[str, float], tuple[str, ...]]:
+    """The pose, within limits.
+
+    Fingers that would be inside each other, as those that stand in a ring may be, are opened at
+    their knuckles.
+
+    Args:
+        order: chains, thumb first, then from its side.
+
+    Returns:
+        joint name -> position [rad] of the hand's joints that follow no other; and the pose in
+        words.
+    """
+    q = skeleton.reference.copy()
+    named: list[int] = []
+    for chain, bend in zip(chains, bends, strict=True):
+        for j in chain.joints:
+            if j in skeleton.leaders or not skeleton.bounded[j] or j in named:
+                continue
+            named.append(j)
+            low, high = skeleton.limits[j]
+            if j in bend.joints:
+                closed = high if bend.senses[bend.joints.index(j)] > 0 else low
+                q[j] += _BENT * (closed - q[j])
+            elif not low < q[j] < high:  # away from its limit, where it could move one way only
+                q[j] += 0.2 * ((high if q[j] <= low else low) - q[j])
+    thumb = order[0]
+    turning = [j for j in chains[thumb].own if j in named and j not in bends[thumb].joints]
+    turned = _pinching(chains, reach, order)
+    if turned is not None:
+        for j in turning:
+            start = skeleton.reference[j]
+            q[j] = start + _TURNED * (turned[j] - start)
+    notes = ["fingers bent by a fifth of their range, the thumb turned towards them"]
+    depth = finger_overlap(skeleton, chains, skeleton.coupled(q))
+    if depth > _DEEP:
+        knuckles = {bend.joints[0]: bend.senses[0] for bend in bends if bend.joints}
+        q, less = _opened(skeleton, chains, {j: s for j, s in knuckles.items() if j in named}, q)
+        notes.append(
+            f"fingers would be {1e3 * depth:.0f} mm inside each other so; with their knuckles "
+            f"opened it is {1e3 * less:.0f} mm"
+        )
+    return {skeleton.joint_names[j]: round(float(q[j]), 4) for j in sorted(named)}, tuple(notes)
+
+
+def _opened(
+    skeleton: Skeleton, chains: tuple[Chain, ...], knuckles: dict[int, int], q: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """The pose with its knuckles opened no farther than needed, and the overlap that is left [m].
+
+    Args:
+        knuckles: joint -> sign of the motion that closes its finger.
+    """
+    best, least = q, finger_overlap(skeleton, chains, skeleton.coupled(q))
+    for share in _OPENED:
+        trial = q.copy()
+        for j, sense in knuckles.items():
+            low, high = skeleton.limits[j]
+            trial[j] += share * ((low if sense > 0 else high) - q[j])
+        depth = finger_overlap(skeleton, chains, skeleton.coupled(trial))
+        if depth < least:
+            best, least = trial, depth
+        if least < _DEEP:
+            break
+    return best, least
+
+
+def _pinching(chains: tuple[Chain, ...], reach: Reach, order: tuple[int, ...]) -> np.ndarray | None:
+    """Mean pose of the thumb where it pinches best with the fingers next to it; None if nowhere."""
+    length = float(np.median([chain.length for chain in chains]))
+    poses = []
+    for finger in order[1:3]:
+        facing = reach.facing(order[0], finger, length)
+        best = np.argpartition(facing, -_BEST, axis=None)[-_BEST:]
+        thumb_poses = np.unravel_index(best, facing.shape)[0]
+        poses += [reach.poses[a] for a, i in zip(thumb_poses, best, strict=True)
+                  if facing.flat[i] > 0]  # fmt: skip
+    return np.mean(poses, axis=0) if poses else None
+
+
+def finger_overlap(
+    skeleton: Skeleton, chains: tuple[Chain, ...], q: Float[np.ndarray, " n"]
+) -> float:
+    """Deepest overlap of shapes of two fingers in a pose [m]; 0 if none touch.
+
+    Meshes count as their convex hulls, and what the model takes out of collision stays out.
+
+    Args:
+        q: positions of all joints [rad].
+    """
+    model = skeleton.model
+    owner = np.full(model.nbody, -1)
+    for i, chain in enumerate(chains):
+        moved = [int(model.jnt_bodyid[j]) for j in chain.own]
+        for body in (b for first in moved for b in skeleton.rigid(first)):
+            owner[body] = i
+    finger = owner[model.geom_bodyid]
+    data = mujoco.MjData(model)
+    data.qpos[:] = model.qpos0
+    single = np.flatnonzero(skeleton.moves)
+    data.qpos[model.jnt_qposadr[single]] = q[single]
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    mujoco.mj_collision(model, data)
+    pairs = finger[np.array(data.contact.geom).reshape(-1, 2)]
+    between = (pairs >= 0).all(axis=1) & (pairs[:, 0] != pairs[:, 1])
+    return max(float(np.max(-data.contact.dist[between], initial=0.0)), 0.0)

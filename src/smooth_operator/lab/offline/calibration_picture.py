@@ -9,8 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from smooth_operator.atomic_files import atomic_write
-from smooth_operator.calibration.estimate import Calibration
-from smooth_operator.calibration.report import closed_gaps
+from smooth_operator.calibration.estimate import Calibration, closed_gaps
 from smooth_operator.errors import require
 from smooth_operator.landmarks import FINGER_COLORS, FINGERS
 from smooth_operator.types import HandRecording

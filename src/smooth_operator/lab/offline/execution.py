@@ -19,7 +19,7 @@ from smooth_operator.lab.offline.trajectory_retargeter import TrajectoryRetarget
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.metrics import Trace, evaluate
 from smooth_operator.metrics.assemble import assemble_trace
-from smooth_operator.metrics.evaluation import Definition
+from smooth_operator.metrics.table import Definition
 from smooth_operator.planning import Plan
 from smooth_operator.types import CommandTrajectory
 

@@ -18,9 +18,8 @@ import numpy as np
 from smooth_operator.compilation.start import dispatch_here
 from smooth_operator.errors import ConfigError, OutputError, RecordingError
 from smooth_operator.formats.arrays import StoredArrays, open_arrays
-from smooth_operator.formats.checks import stamps_from_rate
+from smooth_operator.formats.checks import frame_slice, stamps_from_rate
 from smooth_operator.formats.commands import config_path, encode_commands, write_encoded_commands
-from smooth_operator.formats.frames import frame_slice
 from smooth_operator.formats.jsonable import to_json
 from smooth_operator.formats.readers import rated_if_unstamped
 from smooth_operator.formats.registry import file_kind, recording_suffixes
@@ -36,7 +35,7 @@ from smooth_operator.lab.offline.finished import (
 )
 from smooth_operator.lab.offline.trajectory_retargeter import check_method
 from smooth_operator.parallel import run_groups, usable_cores
-from smooth_operator.parallel.tasks import timed
+from smooth_operator.parallel.pool import timed
 from smooth_operator.planning import Plan, RetargetRequest, configuration, plan
 from smooth_operator.types import CommandTrajectory, HandRecording, Side, Status
 

@@ -1,31 +1,187 @@
-"""Training GeoRT: one compiled program per epoch, and a state that is all there is."""
+"""GeoRT's losses and training: one compiled program per epoch, and a state that holds everything.
+
+No pair of human and robot pose is needed (Yin et al., "Geometric Retargeting"). The losses' arrays
+have the batch last, as the unrolled kinematics wants it."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import json
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from importlib.metadata import version
+from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
+from smooth_operator.atomic_files import atomic_write
 from smooth_operator.baselines.geort import (
     HIDDEN,
     GeortModel,
     Weights,
     finger_joints,
+    forward,
     recognition,
+    write_geort_model,
 )
 from smooth_operator.compilation.compiled_program import compiled
-from smooth_operator.errors import SmoothOperatorError
+from smooth_operator.errors import ConfigError, OutputError, RecordingError, SmoothOperatorError
+from smooth_operator.formats.arrays import open_arrays
+from smooth_operator.formats.environment import environment
+from smooth_operator.formats.jsonable import csv_text, to_json
 from smooth_operator.hands.hand import Hand
-from smooth_operator.lab.training.data import PointSet, TrainingData
-from smooth_operator.lab.training.losses import LOSSES, Batch, GeortLoss
-from smooth_operator.lab.training.settings import STEP_RANGE, GeortTraining
+from smooth_operator.io.documents import parse_json
+from smooth_operator.lab.training.data import (
+    BEND,
+    STEP_RANGE,
+    GeortTraining,
+    PointSet,
+    TrainingData,
+)
+
+_FLOOR: Final = 1e-6  # [m]; a robot tip that moves less has no direction (it is at a limit)
+
+LOSSES: Final = ("direction", "coverage", "curvature", "pinch")
+"""Names of the losses, unweighted, in the order in which they are recorded."""
+
+
+class Batch(NamedTuple):
+    """Batch of one training step.
+
+    Attributes:
+        points: (F, 3, B) human fingertips, each finger's by itself [m]; for coverage.
+        around: (F, 3, B) places at or near them [m]; for direction and curvature.
+        steps: (F, 3, B) human steps from those places [m].
+        reach: (F, 3, R) reachable robot fingertips [m].
+        pinches: (F, 3, P) human fingertips of one moment each [m].
+        pinched: (F - 1, P) which fingers pinch with the thumb there.
+    """
+
+    points: Float[Array, "F 3 B"]
+    around: Float[Array, "F 3 B"]
+    steps: Float[Array, "F 3 B"]
+    reach: Float[Array, "F 3 R"]
+    pinches: Float[Array, "F 3 P"]
+    pinched: Bool[Array, "f P"]
+
+
+@dataclass(frozen=True, eq=False)
+class GeortLoss:
+    """The losses for one hand.
+
+    Attributes:
+        hand: the robot hand.
+        settings: their weights.
+        centre: (F, 3) and
+        scale: (F,): how fingertips enter the networks.
+    """
+
+    hand: Hand
+    settings: GeortTraining
+    centre: Float[np.ndarray, "F 3"]
+    scale: Float[np.ndarray, " F"]
+
+    @cached_property
+    def _joints(self) -> tuple[tuple[int, ...], ...]:
+        return finger_joints(self.hand)
+
+    def tips(self, weights: Weights, points: Float[Array, "F 3 N"]) -> Float[Array, "F 3 N"]:
+        """Fingertips of the robot for those of the human at ``points`` [m]."""
+        hand = self.hand
+        inputs = (points - self.centre[:, :, None]) / self.scale[:, None, None]
+        unit = forward(weights, inputs.astype(jnp.float32))
+        rows = [jnp.full_like(unit[0, 0], value) for value in hand.neutral]
+        for finger, joints in enumerate(self._joints):
+            for output, joint in enumerate(joints):
+                low, high = (float(limit) for limit in hand.limits[joint])
+                rows[joint] = (low + high) / 2 + (high - low) / 2 * unit[finger, output]
+        placed = hand.tree.forward_kinematics(
+            hand.full_configuration_rows(rows), hand.tip_names, within_limits=True
+        )
+        like = unit[0, 0]
+        return jnp.stack(
+            [jnp.stack([jnp.broadcast_to(c, like.shape) for c in point]) for point in placed]
+        ).astype(like.dtype)
+
+    def __call__(
+        self, weights: Weights, batch: Batch, ramp: Array | float = 1.0
+    ) -> tuple[Array, Float[Array, "4"]]:
+        """The losses of a batch.
+
+        Args:
+            ramp: share of the weight of coverage that is in force.
+
+        Returns:
+            the weighted sum, and each loss by itself in the order of ``LOSSES``.
+        """
+        bend = batch.steps * (BEND / _length(batch.steps))
+        # one pass through the networks for all that is asked
+        terms = [
+            batch.points,
+            batch.around,
+            batch.around + batch.steps,
+            batch.around + bend,
+            batch.around - bend,
+            batch.pinches,
+        ]
+        cuts = list(np.cumsum([part.shape[-1] for part in terms])[:-1])
+        covering, at, moved, ahead, behind, pinching = jnp.split(
+            self.tips(weights, jnp.concatenate(terms, axis=-1)), cuts, axis=-1
+        )
+        losses = (
+            _direction(batch.steps, moved - at),
+            _coverage(covering, batch.reach),
+            jnp.mean(jnp.sum((ahead + behind - 2 * at) ** 2, axis=1)) / BEND**2,
+            _pinch(pinching, batch.pinched),
+        )
+        settings = self.settings
+        total = (
+            settings.direction * losses[0]
+            + settings.coverage * ramp * losses[1]
+            + settings.curvature * losses[2]
+            + settings.pinch * losses[3]
+        )
+        return total, jnp.stack(losses)
+
+
+def _length(vectors: Float[Array, "F 3 N"]) -> Float[Array, "F 1 N"]:
+    return jnp.sqrt(jnp.sum(vectors**2, axis=1, keepdims=True) + _FLOOR**2)
+
+
+def _direction(human: Float[Array, "F 3 B"], robot: Float[Array, "F 3 B"]) -> Array:
+    """1 - cosine of human and robot step."""
+    cosine = jnp.sum(human * robot, axis=1) / (_length(human) * _length(robot))[:, 0]
+    return 1 - jnp.mean(cosine)
+
+
+def _coverage(robot: Float[Array, "F 3 B"], reach: Float[Array, "F 3 R"]) -> Array:
+    """Chamfer distance, both ways [m^2], summed over the fingers.
+
+    Which point is nearest is looked up without a derivative; the distance to it has one.
+    """
+    total = jnp.zeros((), robot.dtype)
+    for tips, goals in zip(robot, reach, strict=True):
+        still = lax.stop_gradient(tips)
+        product = still.T @ goals
+        squares = jnp.sum(goals**2, axis=0)[None] - 2 * product
+        nearest_goal = jnp.argmin(squares, axis=1)
+        nearest_tip = jnp.argmin(jnp.sum(still**2, axis=0)[:, None] - 2 * product, axis=0)
+        out = jnp.sum((tips - goals[:, nearest_goal]) ** 2, axis=0)
+        back = jnp.sum((goals - tips[:, nearest_tip]) ** 2, axis=0)
+        total = total + jnp.mean(out) + jnp.mean(back)
+    return total
+
+
+def _pinch(tips: Float[Array, "F 3 P"], pinched: Bool[Array, "f P"]) -> Array:
+    """Mean squared distance of thumb tip and fingertip over the pinches [m^2]."""
+    gaps = jnp.sum((tips[1:] - tips[:1]) ** 2, axis=1)
+    return jnp.sum(jnp.where(pinched, gaps, 0)) / jnp.maximum(jnp.sum(pinched), 1)
+
 
 _START = 0.8  # share of a joint's half range, within which it starts
 _BATCHES, _VALIDATION = 0xBA, 0x5E  # keep the random numbers of the two apart
@@ -274,3 +430,190 @@ def draw_batches(
         np.moveaxis(pinched[:, moments], 1, 0),
     )
     return Batch(*(jnp.asarray(array) for array in arrays))
+
+
+CHECKPOINT: Final = "checkpoint.npz"
+MODEL: Final = "model.npz"
+ABOUT: Final = "model.json"
+CURVES: Final = "losses.csv"
+
+
+@dataclass(frozen=True, eq=False)
+class TrainingSession:
+    """Trains into a folder.
+
+    The folder gets ``checkpoint.npz``, ``model.npz`` (the networks so far, ready to use),
+    ``model.json`` (how they were trained, as the model also has it), and ``losses.csv``.
+    Each file is whole or not there. A training that was stopped and resumed ends in the same bytes
+    as one that was not, on the same machine.
+
+    Attributes:
+        trainer: trainer of the model.
+        folder: where to; must exist.
+        every: epochs between checkpoints.
+    """
+
+    trainer: GeortTrainer
+    folder: Path
+    every: int = 10
+
+    def run(
+        self, *, resume: bool = False, watch: Callable[[TrainingState], None] | None = None
+    ) -> GeortModel:
+        """Train to the last epoch.
+
+        Args:
+            resume: go on from the folder's checkpoint.
+            watch: called with the state before the first epoch and after each.
+
+        Returns:
+            the model, as written.
+
+        Raises:
+            ConfigError: there is nothing to resume, or it is another training.
+            OutputError: there is a training in the folder and it is not to be resumed, or a file
+                can't be written.
+            KeyboardInterrupt: stopped; everything up to the last whole epoch is kept.
+        """
+        state = self._start(resume)
+        saved = int(state.epoch) if resume else -1
+        if watch is not None:
+            watch(state)
+        try:
+            for later in self.trainer.epochs(state):
+                state = later
+                if watch is not None:
+                    watch(state)
+                if int(state.epoch) % self.every == 0:
+                    self._save(state)
+                    saved = int(state.epoch)
+        except KeyboardInterrupt:
+            if int(state.epoch) > max(saved, 0):
+                self._save(state)
+            raise
+        return self._save(state)
+
+    def _start(self, resume: bool) -> TrainingState:
+        checkpoint = self.folder / CHECKPOINT
+        if resume:
+            return read_checkpoint(checkpoint, self.trainer)
+        if checkpoint.exists():
+            raise OutputError(
+                f"{self.folder}: there is a training already: go on with it (--resume), or name "
+                "another folder"
+            )
+        existing = [n for n in (MODEL, ABOUT, CURVES) if (self.folder / n).exists()]
+        if existing:
+            raise OutputError(
+                f"{self.folder}: {', '.join(existing)} would be overwritten; name another folder"
+            )
+        return self.trainer.init()
+
+    def _save(self, state: TrainingState) -> GeortModel:
+        # No date: the same training is the same bytes.
+        where: dict[str, Any] = {k: v for k, v in environment().items() if k != "created"}
+        where["versions"] = where["versions"] | {"optax": version("optax")}
+        model = self.trainer.model(state, environment=where)
+        write_checkpoint(self.folder / CHECKPOINT, self.trainer, state)
+        write_geort_model(self.folder / MODEL, model)
+        with atomic_write(self.folder / ABOUT) as file:
+            about = {"hand": model.hand, "side": model.side, "training": model.training}
+            file.write(to_json(about, indent=2).encode() + b"\n")
+        write_curves(self.folder / CURVES, state)
+        return model
+
+
+def write_curves(path: Path, state: TrainingState) -> None:
+    """Write the losses of all epochs done as CSV: epoch, then train_ and validation_ columns.
+
+    Raises:
+        OutputError: it can't be written.
+    """
+    names = ("loss", *LOSSES)
+    columns = [f"{kind}_{n}" for kind in ("train", "validation") for n in names]
+    done = int(state.epoch)
+    rows = np.hstack([np.asarray(state.train), np.asarray(state.validation)])[:done]
+    numbered = (
+        {"epoch": epoch, **{c: f"{value:.9g}" for c, value in zip(columns, row, strict=True)}}
+        for epoch, row in enumerate(rows, start=1)
+    )
+    with atomic_write(path) as file:
+        file.write(csv_text(["epoch", *columns], numbered).encode())
+
+
+FORMAT: Final = "smooth-operator geort checkpoint"
+VERSION: Final = 1
+
+
+def write_checkpoint(path: Path, trainer: GeortTrainer, state: TrainingState) -> None:
+    """Write all that is needed to go on as if nothing had happened.
+
+    Raises:
+        OutputError: it can't be written.
+    """
+    leaves = {f"leaf_{i:03d}": np.asarray(leaf) for i, leaf in enumerate(jax.tree.leaves(state))}
+    with atomic_write(path) as file:
+        np.savez(file, allow_pickle=False, about=np.array(to_json(_identity(trainer))), **leaves)
+
+
+def read_checkpoint(path: Path, trainer: GeortTrainer) -> TrainingState:
+    """Read what ``write_checkpoint`` wrote, for the same training.
+
+    Raises:
+        ConfigError: there is none, it is damaged, or it is of another hand, other data or other
+            settings; the message says which.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise ConfigError(f"{path}: there is no checkpoint to resume from; start without --resume")
+    identity = json.loads(to_json(_identity(trainer)))
+    template = trainer.init()
+    shapes = [np.asarray(leaf) for leaf in jax.tree.leaves(template)]
+    try:
+        arrays = open_arrays(path)
+        stored = parse_json(arrays["about"].text())
+        different = _differences(identity, stored)
+        leaves = [] if different else [arrays[f"leaf_{i:03d}"].load() for i in range(len(shapes))]
+    except (RecordingError, KeyError, TypeError, ValueError) as error:
+        raise ConfigError(f"{path}: not a checkpoint of GeoRT's training ({error})") from error
+    if different:
+        raise ConfigError(
+            f"{path}: this checkpoint is of another training: {'; '.join(different)}. Resume with "
+            "what it was started with, or train into another folder"
+        )
+    for leaf, expected in zip(leaves, shapes, strict=True):
+        if leaf.shape != expected.shape or leaf.dtype != expected.dtype:
+            raise ConfigError(
+                f"{path}: not a checkpoint of this training: an array has shape {leaf.shape} of "
+                f"{leaf.dtype}, expected {expected.shape} of {expected.dtype}"
+            )
+    state: TrainingState = jax.tree.unflatten(
+        jax.tree.structure(template), [jnp.asarray(leaf) for leaf in leaves]
+    )
+    return state
+
+
+def _identity(trainer: GeortTrainer) -> dict[str, Any]:
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "hand": trainer.hand.name,
+        "side": trainer.hand.spec.side,
+        "settings": trainer.settings,
+        "recordings": trainer.data.sources,
+        "data": trainer.data.digest,
+    }
+
+
+def _differences(expected: Any, stored: Any, where: str = "") -> list[str]:
+    """Each place where two JSON values differ, as a phrase."""
+    if isinstance(expected, dict) and isinstance(stored, dict):
+        keys = [*expected, *(key for key in stored if key not in expected)]
+        return [
+            phrase
+            for key in keys
+            for phrase in _differences(
+                expected.get(key), stored.get(key), f"{where}.{key}" if where else key
+            )
+        ]
+    return [] if expected == stored else [f"its {where} is {stored!r}, not {expected!r}"]

@@ -1,25 +1,229 @@
-"""Plan of a search: variables with bounds, recordings and held-out recordings, names checked."""
+"""Plan of a search: variables with bounds, recordings and those held out, and the score of a trial.
+
+Held-out recordings are recognised by their content. Each frame has a word: the distances between
+wrist and fingertips, rounded to 0.01 mm and digested. That does not change when a recording is
+renamed, cut, thinned out, moved, turned, mirrored or written in another format.
+
+A score is relative to the start configuration. On each recording, each term is
+``weight * log((error + floor) / (error of the start + floor))``; a score is their sum over the
+terms, averaged over the recordings, so the start has 0 if it breaks no bound, and 0.1 less is 10 %
+less of an error of weight 1. Bounds add ``PENALTY`` times the relative excess on each recording: a
+tenth beyond one is as bad as an error of weight 1 that is 2.7 times as large.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-from smooth_operator.errors import ConfigError, RecordingError, require
-from smooth_operator.formats.preset_file import SUFFIX, read_preset_file
-from smooth_operator.formats.setting_paths import find_setting, numeric_settings, with_settings
+import numpy as np
+
+from smooth_operator.errors import ConfigError, RecordingError, UnknownNameError, require
+from smooth_operator.formats.setting_paths import (
+    SUFFIX,
+    find_setting,
+    numeric_settings,
+    read_preset_file,
+    with_settings,
+)
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.lab.benchmark.benchmark_folder import check_folder
 from smooth_operator.lab.benchmark.cells import hand_identity
 from smooth_operator.lab.benchmark.recordings import Source, load_sources, parse_request
+from smooth_operator.lab.benchmark.suite import check_folder, value_of
 from smooth_operator.lab.offline.trajectory_retargeter import check_method
-from smooth_operator.lab.tuning.held_out import check_held_out
-from smooth_operator.lab.tuning.score import Bound, Scoring
+from smooth_operator.landmarks import TIPS, WRIST
 from smooth_operator.methods.method import MethodConfig
 from smooth_operator.methods.presets import default_preset, method_config
+from smooth_operator.metrics.table import REGISTRY, find_metric
+from smooth_operator.types import HandRecording
+
+MANY: Final = 10
+"""So many frames of a held-out recording, or all of a shorter one, are no coincidence."""
+
+_UNIT: Final = 1e-5  # [m]
+
+
+def frame_words(recording: HandRecording) -> set[bytes]:
+    """Words of the frames whose wrist and fingertips are valid."""
+    points = recording.landmarks[:, [WRIST, *TIPS]]
+    assert recording.valid is not None  # filled in on construction
+    valid = recording.valid[:, [WRIST, *TIPS]].all(axis=1)
+    first, second = np.triu_indices(points.shape[1], 1)
+    lengths = np.linalg.norm(points[:, first] - points[:, second], axis=-1)[valid]
+    # A word for either rounding, so that the last bit of a float32 does not make another frame.
+    units = lengths / _UNIT
+    rounded = (np.floor(units).astype("<i8"), np.floor(units + 0.5).astype("<i8"))
+    return {hashlib.sha256(row.tobytes()).digest()[:12] for rows in rounded for row in rows}
+
+
+def check_held_out(sources: Sequence[Source], held_out: Iterable[Source]) -> None:
+    """Refuses to tune on what is held out.
+
+    Raises:
+        ConfigError: a recording holds frames of one that is held out.
+    """
+    words_held_out = [
+        (source, frame_words(source.recording)) for source in held_out if source.recording
+    ]
+    for source in sources:
+        if source.recording is None:
+            continue
+        words = frame_words(source.recording)
+        for other, theirs in words_held_out:
+            shared = len(words & theirs)
+            if shared >= min(MANY, len(words), len(theirs)) and shared:
+                raise ConfigError(
+                    f"{source.name} holds frames of {other.name}, which is held out for judging: "
+                    "what is tuned on it could no longer be judged; tune on other frames, or "
+                    "take it off the list of those held out"
+                )
+
+
+PENALTY: Final = 10.0
+
+_STEP_RATE: Final = 115.0
+
+
+@dataclass(frozen=True)
+class Term:
+    """A part of the score.
+
+    Attributes:
+        name: name of the term.
+        error: from figures to what should be small; None where it was not measured.
+        floor: an error that is as good as none.
+        weight: in the sum, unless said otherwise.
+    """
+
+    name: str
+    error: Callable[[Mapping[str, Any]], float | None]
+    floor: float
+    weight: float
+
+
+def figure(metrics: Mapping[str, Any], name: str) -> float | None:
+    """A figure by the name of a metric, or one of two more:
+    ``lag_frames``, and ``joint_step``, the largest one at 115 Hz [rad]."""
+    if name == "lag_frames":
+        lag, rate = figure(metrics, "lag_ms"), figure(metrics, "rate_hz")
+        return None if lag is None or rate is None else lag * 1e-3 * rate
+    if name == "joint_step":
+        step, rate = figure(metrics, "max_joint_step"), figure(metrics, "rate_hz")
+        return None if step is None or rate is None else step * rate / _STEP_RATE
+    return value_of({"metrics": metrics}, find_metric(name))
+
+
+def _from_one(name: str) -> Callable[[Mapping[str, Any]], float | None]:
+    def error(metrics: Mapping[str, Any]) -> float | None:
+        value = figure(metrics, name)
+        return None if value is None else abs(1.0 - value)
+
+    return error
+
+
+def _itself(name: str) -> Callable[[Mapping[str, Any]], float | None]:
+    return lambda metrics: figure(metrics, name)
+
+
+TERMS: Final = (
+    Term("cosine", _from_one("cosine_similarity"), 1e-4, 1.0),
+    Term("cosine_all", _from_one("cosine_similarity_all"), 1e-4, 0.5),
+    Term("scale", _from_one("scale_ratio"), 0.02, 0.25),
+    Term("motion", _from_one("motion_preservation"), 1e-3, 1.0),
+    Term("velocity", _from_one("velocity_correlation"), 1e-3, 1.0),
+    Term("flatness", _itself("flatness"), 1e-9, 1.0),
+    Term("collision", _itself("self_collision.share"), 0.02, 0.5),
+    Term("pinch", _itself("pinch_error_mm"), 1.0, 0.5),
+)
+
+
+@dataclass(frozen=True)
+class Bound:
+    """Lower or upper bound of a figure.
+
+    Attributes:
+        name: name of the figure, see ``figure``.
+        limit: its bound.
+        lower: True for a lower bound.
+    """
+
+    name: str
+    limit: float
+    lower: bool = False
+
+    def excess(self, metrics: Mapping[str, Any]) -> float:
+        """Excess over the bound, relative to it; 0 within, or where it was not measured."""
+        value = figure(metrics, self.name)
+        if value is None:
+            return 0.0
+        beyond = self.limit - value if self.lower else value - self.limit
+        return max(beyond, 0.0) / max(abs(self.limit), 0.05)
+
+
+BOUNDS: Final = (
+    Bound("lag_frames", 1.0),
+    Bound("joint_step", 0.25),
+    Bound("frozen_share", 0.0),
+)
+"""Held unless another bound of the same figure is given."""
+
+
+@dataclass(frozen=True)
+class Scoring:
+    """Scoring of trials.
+
+    Attributes:
+        weights: name of a term -> its weight; the terms' own for the rest.
+        bounds: in place of those of ``BOUNDS`` with the same name.
+
+    Raises:
+        UnknownNameError: there is no such term or figure.
+        ConfigError: a weight is negative.
+    """
+
+    weights: Mapping[str, float]
+    bounds: tuple[Bound, ...]
+
+    def __post_init__(self) -> None:
+        names = [term.name for term in TERMS]
+        for name, weight in self.weights.items():
+            if name not in names:
+                raise UnknownNameError("term of the score", name, names)
+            if not (weight >= 0 and math.isfinite(weight)):
+                raise ConfigError(f"the weight of {name} must be 0 or more, not {weight}")
+        for bound in self.bounds:
+            metrics = [*REGISTRY, "lag_frames", "joint_step"]
+            if bound.name not in metrics:
+                raise UnknownNameError("figure", bound.name, metrics)
+        bounded = {bound.name for bound in self.bounds}
+        others = tuple(bound for bound in BOUNDS if bound.name not in bounded)
+        object.__setattr__(self, "bounds", (*others, *self.bounds))
+
+    def score(
+        self, metrics: Sequence[Mapping[str, Any]], start: Sequence[Mapping[str, Any]]
+    ) -> float:
+        """The score of a trial; less is better.
+
+        Args:
+            metrics: metrics of the trial, one for each recording.
+            start: metrics of the configuration that the search began at.
+        """
+        pairs = list(zip(metrics, start, strict=True))
+        return sum(self._one(own, first) for own, first in pairs) / len(pairs)
+
+    def _one(self, own: Mapping[str, Any], first: Mapping[str, Any]) -> float:
+        total = 0.0
+        for term in TERMS:
+            weight = self.weights.get(term.name, term.weight)
+            now, before = term.error(own), term.error(first)
+            if weight and now is not None and before is not None:
+                total += weight * math.log((now + term.floor) / (before + term.floor))
+        return total + PENALTY * sum(bound.excess(own) for bound in self.bounds)
+
 
 COMMAND: Final = "tune"
 TRIALS: Final = 120

@@ -6,6 +6,6 @@ hand can reach. Nothing here prints.
 
 from smooth_operator.lab.validation.checks import Check as Check
 from smooth_operator.lab.validation.checks import HandValidation as HandValidation
+from smooth_operator.lab.validation.hand_validation import RoundTrip as RoundTrip
 from smooth_operator.lab.validation.hand_validation import check_hand as check_hand
-from smooth_operator.lab.validation.round_trip import RoundTrip as RoundTrip
-from smooth_operator.lab.validation.round_trip import round_trip as round_trip
+from smooth_operator.lab.validation.hand_validation import round_trip as round_trip

@@ -14,8 +14,7 @@ from smooth_operator.hands.penetration import neutral_overlaps
 from smooth_operator.hands.stand_ins import stand_in_links
 from smooth_operator.human.alignment import MIN_CONDITION, palm_alignment, reference_landmarks
 from smooth_operator.human.flat_hand import palm_tilt_deg
-from smooth_operator.lab.validation.checks import Check, Verdict, worst
-from smooth_operator.lab.validation.samples import Samples
+from smooth_operator.lab.validation.checks import Check, Samples, Verdict, worst
 from smooth_operator.landmarks import LANDMARKS
 
 _TURN: Final = 2 * np.pi  # no finger joint turns further; degrees read as radians do [rad]

@@ -1,18 +1,74 @@
-"""Description of a robot arm (kinematics, limits, capsules) and its MuJoCo model."""
+"""Robot arms and the hand that they carry: descriptions, MuJoCo models, from flange to wrist.
+
+Single poses are 4 x 4 matrices for the live loop. ``smooth_operator.poses`` does the same for
+arrays of poses; for a single pose MuJoCo's functions take a tenth of its time.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import math
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import cos, sin
 from typing import Final
 
 import mujoco
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
+from numpy.typing import ArrayLike
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.simulation.arms.rigid import Matrix, pose_of
+from smooth_operator.hands.collision import shape_capsules
+from smooth_operator.hands.hand import Hand
+from smooth_operator.human.flat_hand import human_palm_axes
+
+Matrix = Float[np.ndarray, "4 4"]
+Pose = Float[np.ndarray, "7"]
+
+
+def matrix_of(pose: ArrayLike) -> Matrix:
+    """Matrix of a position [m] and a quaternion (w x y z, of any length but 0)."""
+    values = np.asarray(pose, float)
+    turn, quaternion = np.zeros(9), values[3:] / np.linalg.norm(values[3:])
+    mujoco.mju_quat2Mat(turn, quaternion)
+    return rigid(turn.reshape(3, 3), values[:3])
+
+
+def pose_of(matrix: Matrix) -> Pose:
+    """Position [m] and unit quaternion (w first, not negative) of a matrix."""
+    quaternion = np.zeros(4)
+    mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(matrix[:3, :3]).ravel())
+    return np.concatenate([matrix[:3, 3], quaternion if quaternion[0] >= 0 else -quaternion])
+
+
+def rigid(rotation: ArrayLike, position: ArrayLike) -> Matrix:
+    """Matrix of a rotation (3, 3) and a position (3,) [m]."""
+    out = np.eye(4)
+    out[:3, :3], out[:3, 3] = rotation, position
+    return out
+
+
+def inverse(matrix: Matrix) -> Matrix:
+    """The inverse of a rigid transform."""
+    turn = matrix[:3, :3].T
+    return rigid(turn, -turn @ matrix[:3, 3])
+
+
+def angle_between(one: Matrix, other: Matrix) -> float:
+    """Angle of the rotation from one to the other [rad]."""
+    cosine = (float((one[:3, :3] * other[:3, :3]).sum()) - 1.0) / 2.0
+    return math.acos(min(max(cosine, -1.0), 1.0))
+
+
+def hand_directions(hand: Hand) -> Float[np.ndarray, "3 3"]:
+    """Rows: distal, radial and palmar in the palm frame, at right angles to each other."""
+    distal, radial, palmar = human_palm_axes(hand)
+    distal = np.asarray(distal) / np.linalg.norm(distal)
+    palmar = np.asarray(palmar) - (palmar @ distal) * distal
+    palmar /= np.linalg.norm(palmar)
+    side = np.cross(distal, palmar)
+    return np.stack([distal, side * np.sign(side @ radial), palmar])
+
 
 Point = tuple[float, float, float]
 
@@ -251,3 +307,235 @@ def _add_capsules(
             mass=mass * float(length / sum(lengths)), rgba=color,
             contype=0, conaffinity=_HANDS,
         )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class HandMount:
+    """A hand on a flange: its fingers point along the flange's z, away from the arm.
+
+    Frames: the flange has z out of it. The hand's wrist frame has x toward the base of the middle
+    finger, z out of the back of the hand, y = z x x; that is the frame of ``WristCommand``.
+
+    Attributes:
+        hand: the robot hand.
+        adapter: thickness of the plate between flange and hand [m].
+        roll: turn of the hand about the flange's z [rad]; at 0 its back points along x.
+    """
+
+    hand: Hand
+    adapter: float = 0.02
+    roll: float = 0.0
+
+    @cached_property
+    def palm_to_wrist(self) -> Matrix:
+        """The wrist frame in the palm frame."""
+        distal, _, palmar = hand_directions(self.hand)
+        back = -palmar
+        return rigid(np.stack([distal, np.cross(back, distal), back], axis=1), self.hand.wrist)
+
+    @cached_property
+    def model_to_palm(self) -> Matrix:
+        """The palm frame in the world of the hand's own model, a forearm's joints at rest."""
+        hand = self.hand
+        data = mujoco.MjData(hand.model)
+        data.qpos[:] = hand.qpos(hand.full_configuration(hand.neutral))
+        mujoco.mj_kinematics(hand.model, data)
+        body = hand.model.body(hand.spec.palm).id
+        return rigid(data.xmat[body].reshape(3, 3), data.xpos[body])
+
+    @cached_property
+    def length(self) -> float:
+        """Distance from the hand's rear end to its wrist, along the fingers [m]."""
+        model, data = self.hand.model, mujoco.MjData(self.hand.model)
+        data.qpos[:] = self.hand.qpos(self.hand.full_configuration(self.hand.neutral))
+        mujoco.mj_kinematics(model, data)
+        to_wrist = inverse(self.model_to_palm @ self.palm_to_wrist)
+        rear = 0.0
+        for geom in range(model.ngeom):
+            for capsule in shape_capsules(model, geom):
+                turn = data.xmat[capsule.body].reshape(3, 3)
+                ends = capsule.ends @ turn.T + data.xpos[capsule.body]
+                along = ends @ to_wrist[0, :3] + to_wrist[0, 3]
+                rear = min(rear, float(along.min()) - capsule.radius)
+        return -rear
+
+    @cached_property
+    def flange_to_wrist(self) -> Matrix:
+        """The wrist frame in the flange's."""
+        c, s = np.cos(self.roll), np.sin(self.roll)
+        back = np.array([c, s, 0.0])
+        out = np.array([0.0, 0.0, 1.0])
+        turn = np.stack([out, np.cross(back, out), back], axis=1)
+        return rigid(turn, (self.adapter + self.length) * out)
+
+    @cached_property
+    def flange_to_model(self) -> Matrix:
+        """The world of the hand's own model in the flange's frame."""
+        return np.asarray(self.flange_to_wrist @ inverse(self.model_to_palm @ self.palm_to_wrist))
+
+
+class HandCapsules:
+    """Capsules around a hand's parts, posed in the flange's frame as the fingers move.
+
+    Args:
+        mount: the hand on its flange.
+
+    Attributes:
+        radii: (c,) radii [m].
+        halves: (c,) half lengths of the segments [m].
+        fingers: (c,) whether a joint of the hand moves it.
+    """
+
+    def __init__(self, mount: HandMount) -> None:
+        hand = mount.hand
+        self._hand, self._model = hand, hand.model
+        self._data = mujoco.MjData(hand.model)
+        self._flange = mount.flange_to_model
+        model = hand.model
+        sites = [
+            capsule
+            for geom in range(model.ngeom)
+            if model.geom_contype[geom] or model.geom_conaffinity[geom]
+            for capsule in shape_capsules(model, geom)
+        ]
+        self._body = np.array([capsule.body for capsule in sites], int)
+        ends = np.array([capsule.ends for capsule in sites]).reshape(-1, 2, 3)
+        self._middle, axis = ends.mean(axis=1), ends[:, 1] - ends[:, 0]
+        self.radii: Float[np.ndarray, " c"] = np.array([capsule.radius for capsule in sites])
+        length = np.linalg.norm(axis, axis=1)
+        self.halves: Float[np.ndarray, " c"] = length / 2
+        upward = np.where(length[:, None] > 1e-9, axis, (0.0, 0.0, 1.0))
+        self._axis = upward / np.linalg.norm(upward, axis=1)[:, None]
+        palm = model.body_weldid[model.body(hand.spec.palm).id]
+        moving = {int(palm)}
+        body = int(palm)
+        while body:
+            body = int(model.body_weldid[model.body_parentid[body]])
+            moving.add(body)
+        self.fingers = ~np.isin(model.body_weldid[self._body], list(moving))
+
+    def __len__(self) -> int:
+        return len(self.radii)
+
+    def at(
+        self, positions: Float[np.ndarray, " n"]
+    ) -> tuple[Float[np.ndarray, "c 3"], Float[np.ndarray, "c 3"]]:
+        """Middles [m] and axes (unit vectors) of the capsules in the flange's frame.
+
+        Args:
+            positions: (n,) positions of all joints of the hand [rad].
+        """
+        self._data.qpos[:] = self._hand.qpos(positions)
+        mujoco.mj_kinematics(self._model, self._data)
+        turn = self._data.xmat.reshape(-1, 3, 3)[self._body]
+        middle = np.einsum("cij,cj->ci", turn, self._middle) + self._data.xpos[self._body]
+        axis = np.einsum("cij,cj->ci", turn, self._axis)
+        rotation, origin = self._flange[:3, :3], self._flange[:3, 3]
+        return middle @ rotation.T + origin, axis @ rotation.T
+
+
+BANDWIDTH: Final = 20
+"""Bandwidth of the servos of a simulated arm [Hz]. With that of the hand's servos, the reaction to
+a pressing finger moves the arm by at most 2 mm."""
+
+
+@dataclass(frozen=True, eq=False)
+class CarriedHand:
+    """An arm at its place in the room, with a hand.
+
+    Attributes:
+        arm: the arm.
+        mount: the hand on its flange.
+        home: (n,) positions of the arm's joints at the start [rad].
+        base: (4, 4) pose of the arm's base in the room: z up.
+    """
+
+    arm: ArmSpec
+    mount: HandMount
+    home: Float[np.ndarray, " n"]
+    base: Matrix
+
+    def at_base(self, base: ArrayLike) -> CarriedHand:
+        """A copy with the base at another place (3,) [m], facing along x."""
+        return replace(self, base=rigid(np.eye(3), base))
+
+    def attach(self, world: mujoco.MjSpec, hand: mujoco.MjSpec, prefix: str) -> None:
+        """Put the arm into a world, with servos, and the hand on its flange.
+
+        Args:
+            world: the world; it is changed.
+            hand: the hand's model, which must not be used afterwards.
+        """
+        pose = pose_of(self.base)
+        frame = world.worldbody.add_frame(pos=pose[:3], quat=pose[3:])
+        world.attach(arm_spec(self.arm), prefix=ARM_PREFIX, frame=frame)
+        attach_to_flange(world, hand, self.mount.flange_to_model, prefix)
+        for link, inertia in zip(self.arm.links, self._inertia, strict=True):
+            add_servo(world, ARM_PREFIX + link.joint, float(inertia), link.torque, BANDWIDTH)
+
+    def addresses(self, model: mujoco.MjModel) -> ArmAddresses:
+        """Addresses of the arm's joints and servos in a compiled world."""
+        names = [ARM_PREFIX + name for name in self.arm.joint_names]
+        return ArmAddresses(
+            np.array([int(model.joint(name).qposadr[0]) for name in names]),
+            np.array([int(model.joint(name).dofadr[0]) for name in names]),
+            np.array([int(model.actuator(name).id) for name in names]),
+        )
+
+    @cached_property
+    def _inertia(self) -> Float[np.ndarray, " n"]:
+        """(n,) inertia at each servo at home, with the hand as a point mass [kg m^2]."""
+        spec, hand = arm_spec(self.arm), self.mount
+        mass = max(float(hand.hand.model.body_mass.sum()), 0.1)
+        payload = spec.body(FLANGE).add_body(name="payload", pos=hand.flange_to_wrist[:3, 3])
+        payload.add_geom(size=(0.03, 0.0, 0.0), mass=mass)
+        model = spec.compile()
+        data = mujoco.MjData(model)
+        data.qpos[:] = self.home
+        mujoco.mj_forward(model, data)
+        return np.diag(inertia_matrix(model, data)).copy()
+
+
+@dataclass(frozen=True, eq=False)
+class ArmAddresses:
+    """Addresses of an arm in a compiled world.
+
+    Attributes:
+        qpos: (n,) addresses of its joints among the positions.
+        dofs: (n,) addresses of its joints among the velocities.
+        controls: (n,) addresses of its servos among the controls.
+    """
+
+    qpos: Int[np.ndarray, " n"]
+    dofs: Int[np.ndarray, " n"]
+    controls: Int[np.ndarray, " n"]
+
+
+class WristKinematics:
+    """Forward kinematics from an arm's joints to palm and wrist of its hand. Not thread-safe.
+
+    Args:
+        carried: the arm with its hand.
+    """
+
+    def __init__(self, carried: CarriedHand) -> None:
+        self._carried = carried
+        self._model = arm_spec(carried.arm).compile()
+        self._data = mujoco.MjData(self._model)
+        self._flange = self._model.body(FLANGE).id
+
+    def wrist(self, positions: Float[np.ndarray, " n"]) -> Pose:
+        """Pose of the hand's wrist in the arm's base frame at (n,) joint positions [rad]."""
+        return pose_of(self._flange_at(positions) @ self._carried.mount.flange_to_wrist)
+
+    def palm(self, positions: Float[np.ndarray, " n"]) -> Pose:
+        """Pose of the hand's palm frame in the room at (n,) joint positions [rad]."""
+        mount = self._carried.mount
+        to_palm = mount.flange_to_model @ mount.model_to_palm
+        return pose_of(self._carried.base @ self._flange_at(positions) @ to_palm)
+
+    def _flange_at(self, positions: Float[np.ndarray, " n"]) -> Matrix:
+        self._data.qpos[:] = positions
+        mujoco.mj_kinematics(self._model, self._data)
+        turn = self._data.xmat[self._flange].reshape(3, 3)
+        return rigid(turn, self._data.xpos[self._flange])

@@ -1,17 +1,27 @@
-"""A hand under physics in a scene: the task's object, its fixture and its reset."""
+"""A hand under physics in a scene: contacts of the object, soft fingertips, fixture and reset.
+
+MuJoCo scales a contact's stiffness by the mass that it moves. The parameters of an object follow
+from its mass, so that a given force presses a pad equally far into an object of any mass. The
+force at a contact of depth ``r`` is, at rest,
+
+    F = d(r)^2 r / ((1 - d(r)) d_max^2 tau^2 A)
+
+with the impedance ``d`` (``solimp``), the time constant ``tau`` (``solref``) and the inverse mass
+``A`` of both bodies (https://mujoco.readthedocs.io/en/stable/modeling.html#solver-parameters).
+"""
 
 from __future__ import annotations
 
-from typing import Final
+from dataclasses import dataclass, field, replace
+from typing import Final, TypeVar
 
 import mujoco
 import numpy as np
+from jaxtyping import Float, Int
 
 from smooth_operator.hands.hand import Hand
-from smooth_operator.simulation.arms.carried import CarriedHand, WristKinematics
-from smooth_operator.simulation.physics import HandPhysics
-from smooth_operator.simulation.physics_model import FURNISHED
-from smooth_operator.simulation.scenes.pads import soften_pads
+from smooth_operator.simulation.arms.arm import CarriedHand, WristKinematics
+from smooth_operator.simulation.physics import FURNISHED, HandPhysics
 from smooth_operator.simulation.scenes.scene import (
     OBJECT,
     Scene,
@@ -19,7 +29,141 @@ from smooth_operator.simulation.scenes.scene import (
     SceneState,
     empty_world,
 )
-from smooth_operator.simulation.scenes.touching import Touching
+
+TOUCH_STIFFNESS: Final = 2000.0
+"""Stiffness of one contact where a pad begins to touch [N/m]."""
+
+PRESSED_STIFFNESS: Final = 8000.0
+"""Force over depth of one contact where a pad is ``PRESSED_DEPTH`` deep [N/m].
+
+With ``TOUCH_STIFFNESS`` it gives 0.35 mm at 1 N and 0.85 mm at 5 N. By Hertz a solid silicone
+fingertip of 8 mm radius and Shore A 30 gives 0.31 and 0.90 mm (E = 1.16 MPa by Ruess' relation,
+incompressible; F = 4/3 E* R^1/2 r^3/2). Soft robot fingertips were measured to follow such power
+laws (Xydas and Kao 1999, doi:10.1177/02783649922066673). A human fingertip is softer and stiffens
+exponentially (Pawluk and Howe 1999, doi:10.1115/1.2835100)."""
+
+PRESSED_DEPTH: Final = 0.001
+"""Depth at which ``PRESSED_STIFFNESS`` holds [m]."""
+
+TIME_CONSTANT: Final = 0.01
+"""Time constant of the pads' damping, which is critical or above [s]; five steps of 2 ms."""
+
+_SOFTEST: Final = 0.05  # lowest impedance: an object much heavier than a finger
+_HARDEST: Final = 0.9995  # highest impedance: an object below 1 g
+
+
+def soften_pads(model: mujoco.MjModel, body: int, fingertips: list[int]) -> None:
+    """Set the contact parameters of an object's shapes to those of soft pads.
+
+    Args:
+        model: the scene; it is changed.
+    """
+    tips = float(np.median(model.body_invweight0[fingertips, 0]))
+    low, high = pad_impedance(float(model.body_invweight0[body, 0]) + tips)
+    first = int(model.body_geomadr[body])
+    for geom in range(first, first + int(model.body_geomnum[body])):
+        model.geom_solref[geom] = TIME_CONSTANT, 1.0
+        model.geom_solimp[geom] = low, high, PRESSED_DEPTH, 0.5, 1.0
+
+
+def pad_impedance(inverse_mass: float) -> tuple[float, float]:
+    """Impedance at first touch and at ``PRESSED_DEPTH``.
+
+    Args:
+        inverse_mass: sum of the inverse masses of object and fingertip [1/kg].
+    """
+    scale = TIME_CONSTANT**2 * inverse_mass
+    high = float(np.clip(1.0 - 1.0 / (PRESSED_STIFFNESS * scale), _SOFTEST, _HARDEST))
+    # d^2 / (1 - d) = touch
+    touch = TOUCH_STIFFNESS * scale * high**2
+    low = (np.sqrt(touch * touch + 4.0 * touch) - touch) / 2.0
+    return float(np.clip(low, _SOFTEST, high)), high
+
+
+_PALM, _REST, _OBJECT = -1, -2, -3
+
+
+class Touching:
+    """Reads forces and points of contact from a scene's model.
+
+    Args:
+        hand: the hand in the scene.
+        model: the compiled scene.
+    """
+
+    def __init__(self, hand: Hand, model: mujoco.MjModel) -> None:
+        self._model = model
+        self._fingers = len(hand.fingers)
+        self._body = model.body(OBJECT).id
+        self._owner = _owners(hand, model)
+        self.own = [
+            g for g in range(model.ngeom)
+            if self._owner[g] >= _PALM and (model.geom_contype[g] or model.geom_conaffinity[g])
+        ]  # fmt: skip
+        self.things = [
+            g for g in range(model.ngeom) if self._owner[g] == _OBJECT and model.geom_contype[g]
+        ]
+
+    def read(
+        self, data: mujoco.MjData
+    ) -> tuple[Float[np.ndarray, " f"], Float[np.ndarray, "f 3"], float, float]:
+        """Forces on the object: fingers, their contact points, palm, everything else.
+
+        Returns:
+            (f,) normal force of each finger [N]; (f, 3) its point of contact in the object's frame
+            [m], NaN without one; force of the palm [N]; force of all else [N].
+        """
+        force, palm, rest = np.zeros(self._fingers), 0.0, 0.0
+        points = np.zeros((self._fingers, 3))
+        wrench = np.zeros(6)
+        for index in range(data.ncon):
+            contact = data.contact[index]
+            one, two = (int(self._owner[g]) for g in contact.geom)
+            if _OBJECT not in (one, two) or contact.efc_address < 0:
+                continue
+            other = two if one == _OBJECT else one
+            mujoco.mj_contactForce(self._model, data, index, wrench)
+            normal = float(wrench[0])
+            if other >= 0:
+                force[other] += normal
+                points[other] += normal * contact.pos
+            elif other == _PALM:
+                palm += normal
+            else:
+                rest += normal
+        with np.errstate(invalid="ignore"):
+            points = np.where(force[:, None] > 0, points / force[:, None], np.nan)
+        turn = data.xmat[self._body].reshape(3, 3)
+        return force, (points - data.xpos[self._body]) @ turn, palm, rest
+
+
+def finger_geoms(hand: Hand, model: mujoco.MjModel) -> list[list[int]]:
+    """Colliding shapes of each finger, thumb first."""
+    owner = _owners(hand, model)
+    solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    return [np.flatnonzero((owner == n) & solid).tolist() for n in range(len(hand.fingers))]
+
+
+def _owners(hand: Hand, model: mujoco.MjModel) -> Int[np.ndarray, " g"]:
+    """(g,) number of the finger of each shape, or ``_PALM``, ``_REST`` or ``_OBJECT``."""
+    palm = model.body(FURNISHED + hand.spec.palm).id
+    finger_of: dict[int, int] = {}
+    for number, finger in enumerate(hand.spec.fingers):
+        body = model.body(FURNISHED + finger.tip.body).id
+        while body not in (palm, 0):
+            finger_of.setdefault(body, number)
+            body = int(model.body_parentid[body])
+    owners = np.full(model.ngeom, _REST)
+    for geom in range(model.ngeom):
+        body = int(model.geom_bodyid[geom])
+        if model.body(body).name == OBJECT:
+            owners[geom] = _OBJECT
+        elif model.body(body).name.startswith(FURNISHED):
+            while body and body not in finger_of:
+                body = int(model.body_parentid[body])
+            owners[geom] = finger_of.get(body, _PALM)
+    return owners
+
 
 _CLEAR: Final = 0.001
 """Distance from which on the hand counts as out of the object's place [m]."""
@@ -227,3 +371,73 @@ class ArmPhysics(HandPhysics):
             return world
 
         super().__init__(hand, timestep, bandwidth, furnish=furnish, carried=carried)
+
+
+_S = TypeVar("_S", bound=Scene)
+
+SHIFT_M: Final = 0.002
+"""Largest shift of the object along x and along y of the world, in a benchmark's worlds [m]."""
+
+TURN_RAD: Final = float(np.radians(3.0))
+"""Largest turn of the object about the vertical [rad]."""
+
+FRICTION: Final = 0.1
+"""Largest share by which the object's friction differs, sliding and torsional alike."""
+
+MASS_SHARE: Final = 0.2
+"""Largest share by which the object's mass and inertia differ."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ObjectVariation:
+    """A variation of a task's object. The defaults change nothing.
+
+    Attributes:
+        shift: (2,) of the object along x and y of the world [m].
+        turn: turn of the object about the vertical [rad].
+        friction: factor of the object's friction.
+        mass: factor of its mass.
+    """
+
+    shift: Float[np.ndarray, "2"] = field(default_factory=lambda: np.zeros(2))
+    turn: float = 0.0
+    friction: float = 1.0
+    mass: float = 1.0
+
+    def scene(self, scene: _S) -> _S:
+        """The scene with the object where it starts in this world."""
+        position, quaternion = scene.start
+        shift = np.array([*self.shift, 0.0])
+        about = np.array([np.cos(self.turn / 2), 0.0, 0.0, np.sin(self.turn / 2)])
+        turned = np.zeros(4)
+        mujoco.mju_mulQuat(turned, about, np.asarray(quaternion, float))
+        return replace(scene, start=(position + shift, turned))
+
+    def prepare(self, physics: ScenePhysics) -> None:
+        """Give the object its friction and mass; once, before a trial."""
+        model = physics.model
+        body = model.body(OBJECT).id
+        own = np.flatnonzero(np.asarray(model.geom_bodyid) == body)
+        model.geom_friction[own, :2] *= self.friction
+        model.body_mass[body] *= self.mass
+        model.body_inertia[body] *= self.mass
+        # What MuJoCo derives from masses; it also forgets what an object that still waits for the
+        # hand to leave its place will touch.
+        touches = [np.array(one) for one in (model.body_contype, model.body_conaffinity)]
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+        model.body_contype[:], model.body_conaffinity[:] = touches
+
+
+def draw_variation(rng: np.random.Generator, scale: float = 1.0) -> ObjectVariation:
+    """A random variation, uniform within the benchmark's limits.
+
+    Args:
+        scale: factor of all limits; 0 for the nominal object.
+    """
+    unit = scale * rng.uniform(-1.0, 1.0, 5)
+    return ObjectVariation(
+        shift=SHIFT_M * unit[:2],
+        turn=TURN_RAD * float(unit[2]),
+        friction=1.0 + FRICTION * float(unit[3]),
+        mass=1.0 + MASS_SHARE * float(unit[4]),
+    )

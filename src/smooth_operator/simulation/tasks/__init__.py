@@ -1,10 +1,22 @@
 """The study's three tasks in simulation: rubrics, scorers, trials, records."""
 
-from smooth_operator.simulation.tasks.scorers import Assessment, Scorer
-from smooth_operator.simulation.tasks.task import TASKS, SimulatedTask, task_named
+from smooth_operator.simulation.tasks.task import (
+    TASKS,
+    Assessment,
+    Scorer,
+    SimulatedTask,
+    task_named,
+)
 from smooth_operator.simulation.tasks.task_session import TaskSession
-from smooth_operator.simulation.tasks.trial import Outcome, Phase, TaskRun, rescore
-from smooth_operator.simulation.tasks.trial_record import TrialRecord, read_trial, write_trial
+from smooth_operator.simulation.tasks.trial import (
+    Outcome,
+    Phase,
+    TaskRun,
+    TrialRecord,
+    read_trial,
+    rescore,
+    write_trial,
+)
 
 __all__ = [
     "TASKS",

@@ -1,7 +1,7 @@
-"""Task of a study with its rubric, and the paper's three tasks.
+"""Tasks of a study with their rubrics, the paper's three tasks, and scorers by these rubrics.
 
-Source of the rubrics: the paper's supplement, task success rubric, in our words.
-"""
+A scorer follows a scene and assesses the trial. Source of the rubrics: the paper's supplement, task
+success rubric, in our words."""
 
 from __future__ import annotations
 
@@ -9,15 +9,318 @@ import math
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from itertools import product
+from typing import Any, Final, Protocol, Self
+
+import numpy as np
+from jaxtyping import Float
 
 from smooth_operator.errors import StudyError, UnknownNameError
-from smooth_operator.simulation.tasks.scorers import (
-    CardScorer,
-    CubeScorer,
-    Scorer,
-    ScrewdriverScorer,
+from smooth_operator.simulation.scenes.scene import Scene, SceneState
+from smooth_operator.simulation.scenes.task_scenes import (
+    CARD,
+    CardScene,
+    CubeScene,
+    ScrewdriverScene,
 )
+
+HOLD_S: Final = 0.5
+"""Time for which a goal must be met without a break [s]."""
+
+NOT_DONE: Final = "not-done"
+"""Line of every rubric for a trial that ended without success."""
+
+PRESSES_N: Final = 0.02
+"""Force from which on a finger counts as touching [N]."""
+
+
+@dataclass(frozen=True)
+class Assessment:
+    """Score of a trial if it ended now.
+
+    Attributes:
+        score: 0, 0.5 or 1, before the cap for a reset.
+        line: line of the task's rubric that gives the score.
+        reason: the reason in a few words.
+        complete: True once the goal is met; the trial ends.
+        dropped: True once the object is lost; the trial ends.
+        stuck: True while only a reset helps.
+    """
+
+    score: float
+    line: str
+    reason: str
+    complete: bool = False
+    dropped: bool = False
+    stuck: bool = False
+
+
+class Scorer(Protocol):
+    """Immutable state of a trial that is scored by a task's rubric."""
+
+    @property
+    def assessment(self) -> Assessment:
+        """Score of the trial if it ended now."""
+
+    def observe(self, state: SceneState) -> Self:
+        """The scorer after a later state of the scene."""
+
+
+def held_since(since: float | None, meets: bool, time: float) -> float | None:
+    """Time since which a condition holds without a break; None if it does not hold now."""
+    if not meets:
+        return None
+    return time if since is None else since
+
+
+def lasted(since: float | None, time: float, seconds: float = HOLD_S) -> bool:
+    """True if a condition that holds since ``since`` has held for ``seconds``."""
+    return since is not None and time - since >= seconds - 1e-9
+
+
+def outside(scene: Scene, state: SceneState) -> bool:
+    """True if the object has left the workspace."""
+    return bool(np.any(state.position < scene.lower) or np.any(state.position > scene.upper))
+
+
+def rotation(quaternion: Float[np.ndarray, "4"]) -> Float[np.ndarray, "3 3"]:
+    """(3, 3) rotation matrix of a unit quaternion w x y z."""
+    w, x, y, z = quaternion
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+OVER: Final = 0.005
+"""Protrusion from which on a card that lies on the table counts as over the edge [m]."""
+
+_SIDEWAYS: Final = 0.07  # sideways distance from its start at which the card is out of reach [m]
+_FACE: Final = 0.0003  # distance from the card's middle plane of a contact on a face [m]
+_CORNERS: Final = np.array(list(product((-0.5, 0.5), repeat=3))) * CARD
+
+
+@dataclass(frozen=True, eq=False)
+class CardScorer:
+    """Scorer of task A, card pickup.
+
+    Attributes:
+        scene: the scene of the trial.
+        over: True once the card has lain over the edge.
+        protrusion: distance that the card protrudes beyond the edge [m]; negative on the table.
+        pinched: time since which it is pinched and clear of the table [s].
+        beyond: True while it lies on the table where no finger reaches it.
+        gone: True once it has left the workspace.
+        done: True once it was pinched and clear for ``HOLD_S``.
+    """
+
+    scene: CardScene
+    over: bool = False
+    protrusion: float = float("-inf")
+    pinched: float | None = None
+    beyond: bool = False
+    gone: bool = False
+    done: bool = False
+
+    @property
+    def assessment(self) -> Assessment:
+        """See ``Scorer``."""
+        if self.gone:
+            return Assessment(0.0, "dropped", "the card fell", dropped=True)
+        if self.done and self.over:
+            return Assessment(1.0, "done", "slid over the edge and pinched", complete=True)
+        if self.done:
+            return Assessment(
+                0.5, "no-edge", "pinched without having gone over the edge", complete=True
+            )
+        if self.beyond:
+            return Assessment(0.0, NOT_DONE, "the card is out of reach", stuck=True)
+        if self.pinched is not None:
+            return Assessment(0.0, NOT_DONE, "pinched")
+        return Assessment(0.0, NOT_DONE, "over the edge" if self.over else "on the table")
+
+    def observe(self, state: SceneState) -> Self:
+        """See ``Scorer``."""
+        corners = state.position + _CORNERS @ rotation(state.quaternion).T
+        near = float(corners[:, 0].min())
+        lies = state.support > 0.0
+        pinched = held_since(self.pinched, not lies and pinches(state), state.time)
+        start = self.scene.start[0]
+        return replace(
+            self,
+            over=self.over or (lies and near < self.scene.edge - OVER),
+            protrusion=self.scene.edge - near,
+            pinched=pinched,
+            beyond=lies and (near > self.scene.reach
+                             or abs(float(state.position[1] - start[1])) > _SIDEWAYS),
+            gone=self.gone or outside(self.scene, state),
+            done=self.done or lasted(pinched, state.time),
+        )  # fmt: skip
+
+
+def pinches(state: SceneState) -> bool:
+    """True if the thumb presses on one face of the card and a finger on the other."""
+    side = np.where(np.abs(state.touch[:, 2]) > _FACE, np.sign(state.touch[:, 2]), 0.0)
+    side = np.where(state.force > PRESSES_N, side, 0.0)
+    return bool(side[0] != 0 and np.any(side[1:] == -side[0]))
+
+
+GOAL: Final = np.pi / 2
+"""Angle by which the cube is to be turned [rad]."""
+
+TOLERANCE: Final = np.radians(15.0)
+"""Accepted deviation from ``GOAL`` [rad]."""
+
+FLAT: Final = np.radians(10.0)
+"""Tilt of a face up to which a cube stands flat [rad]."""
+
+_FLIPPED: Final = np.cos(np.radians(45.0))
+_CUBE_STILL: Final = 0.3  # largest spin of a cube at rest [rad/s]
+_LEANING_S: Final = 1.0  # time after which a leaning cube won't fall flat by itself [s]
+
+
+@dataclass(frozen=True, eq=False)
+class CubeScorer:
+    """Scorer of task B, vertical cube rotation.
+
+    Attributes:
+        scene: the scene of the trial.
+        turned: rotation about the vertical since the start [rad], counter-clockwise from above.
+        flipped: True once another face was up.
+        settled: time since which it stands still and flat at the goal [s].
+        leaning: time since which it stands still and not flat [s].
+        stuck: True while it leans for longer than ``_LEANING_S``.
+        gone: True once it has left the workspace.
+        done: True once it was settled for ``HOLD_S``.
+        last: (3, 3) its rotation at the last state; None before the first.
+    """
+
+    scene: CubeScene
+    turned: float = 0.0
+    flipped: bool = False
+    settled: float | None = None
+    leaning: float | None = None
+    stuck: bool = False
+    gone: bool = False
+    done: bool = False
+    last: Float[np.ndarray, "3 3"] | None = None
+
+    @property
+    def assessment(self) -> Assessment:
+        """See ``Scorer``."""
+        if self.gone:
+            return Assessment(0.0, "dropped", "the cube fell", dropped=True)
+        if self.done and self.flipped:
+            return Assessment(
+                0.5, "flipped", "turned, but flipped onto another face", complete=True
+            )
+        if self.done:
+            return Assessment(1.0, "done", "turned by a right angle", complete=True)
+        degrees = f"turned by {np.degrees(self.turned):.0f}°"
+        if self.stuck:
+            return Assessment(0.0, NOT_DONE, f"{degrees}, leaning", stuck=True)
+        return Assessment(0.0, NOT_DONE, f"{degrees}, flipped" if self.flipped else degrees)
+
+    def observe(self, state: SceneState) -> Self:
+        """See ``Scorer``."""
+        now = rotation(state.quaternion)
+        start = rotation(self.scene.start[1])
+        upright = float((now @ start.T)[2, 2])
+        flipped = self.flipped or upright < _FLIPPED
+        before = start if self.last is None else self.last
+        turned = self.turned + _about_vertical(now @ before.T)
+        if not flipped:  # the heading is well defined and has no drift
+            turned += _wrapped(_heading(now @ start.T) - turned)
+        lies = state.support > 0.0 and bool(np.abs(now[2]).max() > np.cos(FLAT))
+        still = float(np.linalg.norm(state.spin)) < _CUBE_STILL
+        right = abs(abs(turned) - GOAL) <= TOLERANCE
+        settled = held_since(self.settled, right and lies and still, state.time)
+        leaning = held_since(self.leaning, still and not lies, state.time)
+        return replace(
+            self, turned=turned, flipped=flipped, settled=settled, leaning=leaning,
+            stuck=lasted(leaning, state.time, _LEANING_S),
+            gone=self.gone or outside(self.scene, state),
+            done=self.done or lasted(settled, state.time), last=now,
+        )  # fmt: skip
+
+
+def _heading(turn: Float[np.ndarray, "3 3"]) -> float:
+    """Twist of a rotation about the vertical [rad]."""
+    return float(np.arctan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1]))
+
+
+def _about_vertical(turn: Float[np.ndarray, "3 3"]) -> float:
+    """Vertical component of the rotation vector of a small rotation [rad]."""
+    skew = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
+    sine = float(np.linalg.norm(skew)) / 2
+    angle = float(np.arctan2(sine, (np.trace(turn) - 1) / 2))
+    return 0.0 if sine < 1e-12 else angle * float(skew[2]) / (2 * sine)
+
+
+def _wrapped(angle: float) -> float:
+    return float((angle + np.pi) % (2 * np.pi) - np.pi)
+
+
+DOWN: Final = np.radians(10.0)
+"""Angle to the vertical up to which the blade points down [rad]."""
+
+CLOSE: Final = np.radians(30.0)
+"""Angle to the vertical up to which a trial scores 0.5 [rad]."""
+
+_SCREWDRIVER_STILL: Final = 0.5  # largest spin of a screwdriver at rest [rad/s]
+
+
+@dataclass(frozen=True, eq=False)
+class ScrewdriverScorer:
+    """Scorer of task C, screwdriver pivot.
+
+    Attributes:
+        scene: the scene of the trial.
+        angle: angle between its blade and straight down [rad].
+        held: True while the hand alone holds it.
+        pointing: time since which it is held, still, and points down [s].
+        gone: True once it fell.
+        done: True once it pointed down for ``HOLD_S``.
+    """
+
+    scene: ScrewdriverScene
+    angle: float = np.pi / 2
+    held: bool = False
+    pointing: float | None = None
+    gone: bool = False
+    done: bool = False
+
+    @property
+    def assessment(self) -> Assessment:
+        """See ``Scorer``."""
+        if self.gone:
+            return Assessment(0.0, "dropped", "the screwdriver fell", dropped=True)
+        if self.done:
+            return Assessment(1.0, "done", "points down", complete=True)
+        degrees = f"{np.degrees(self.angle):.0f}° from down"
+        if not self.held:
+            return Assessment(0.0, NOT_DONE, f"{degrees}, not held by the hand alone")
+        if self.angle <= CLOSE:
+            return Assessment(0.5, "nearly", degrees)
+        return Assessment(0.0, NOT_DONE, degrees)
+
+    def observe(self, state: SceneState) -> Self:
+        """See ``Scorer``."""
+        blade = rotation(state.quaternion)[:, 2]
+        angle = float(np.arctan2(np.hypot(blade[0], blade[1]), -blade[2]))
+        touched = bool(np.any(state.force > PRESSES_N))
+        held = touched and not state.fixed and state.support == 0.0
+        still = float(np.linalg.norm(state.spin)) < _SCREWDRIVER_STILL
+        pointing = held_since(self.pointing, held and still and angle <= DOWN, state.time)
+        return replace(
+            self, angle=angle, held=held, pointing=pointing,
+            gone=self.gone or state.support > 0.0 or outside(self.scene, state),
+            done=self.done or lasted(pointing, state.time),
+        )  # fmt: skip
+
 
 _MOST_TRIALS: Final = 1000
 _SCORES: Final = (0.0, 0.5, 1.0)

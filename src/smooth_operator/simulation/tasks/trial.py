@@ -1,19 +1,30 @@
-"""A trial of a task as an immutable value: from 'go' to success, a lost object or the time limit.
+"""A trial of a task as an immutable value, and its record on disk.
 
-Its only clock is that of the scene's states, so a recorded trial scores the same again.
+A trial goes from 'go' to success, a lost object or the time limit. Its only clock is that of the
+scene's states, so a recorded trial scores the same again (``rescore``). A record is one ``.npz``,
+which opens without unpickling.
 """
 
 from __future__ import annotations
 
 import enum
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
-from typing import Final, Self
+import json
+import math
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any, Final, Self
 
-from smooth_operator.errors import StudyError
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator.atomic_files import atomic_write, output_error
+from smooth_operator.errors import SmoothOperatorError, StudyError, brief, listed
+from smooth_operator.formats.arrays import StoredArrays, open_arrays
+from smooth_operator.io.documents import parse_json
 from smooth_operator.simulation.scenes.scene import Scene, SceneState
-from smooth_operator.simulation.tasks.scorers import NOT_DONE, Assessment, Scorer
-from smooth_operator.simulation.tasks.task import SimulatedTask
+from smooth_operator.simulation.tasks.task import NOT_DONE, Assessment, Scorer, SimulatedTask
+from smooth_operator.types import as_side
 
 RESET_CAP: Final = 0.5
 """Highest score of a trial with a reset."""
@@ -179,3 +190,156 @@ def _after_event(run: TaskRun, time: float, word: str) -> TaskRun:
     if word == "finish":
         return run.finish(time)
     raise StudyError(f"an event of a trial is go, reset or finish, not {word!r}")
+
+
+_STATE: Final[dict[str, tuple[tuple[int | None, ...], str, Callable[[Any], Any]]]] = {
+    "time": ((), "f", float),
+    "position": ((3,), "f", np.asarray),
+    "quaternion": ((4,), "f", np.asarray),
+    "velocity": ((3,), "f", np.asarray),
+    "spin": ((3,), "f", np.asarray),
+    "force": ((None,), "f", np.asarray),
+    "touch": ((None, 3), "f", np.asarray),
+    "palm": ((), "f", float),
+    "support": ((), "f", float),
+    "placed": ((), "b", bool),
+    "fixed": ((), "b", bool),
+    "starts": ((), "iu", int),
+}
+"""Field of a state -> its shape (None: number of fingers), kinds of its array, conversion."""
+
+
+@dataclass(eq=False)
+class TrialRecord:
+    """A trial and its record up to now.
+
+    Attributes:
+        task: name of the task.
+        hand: name of the robot hand.
+        side: side of the hand.
+        joint_names: (n,) names of the joints in ``positions``.
+        states: states of the scene, in order.
+        positions: (n,) joint positions of the hand at each state [rad].
+        events: (time, ``go``, ``reset`` or ``finish``), by the scene's clock [s].
+        outcome: result of the trial.
+        about: further entries: operator, condition, number.
+    """
+
+    task: str
+    hand: str
+    side: str
+    joint_names: tuple[str, ...]
+    states: list[SceneState] = field(default_factory=list)
+    positions: list[Float[np.ndarray, " n"]] = field(default_factory=list)
+    events: list[tuple[float, str]] = field(default_factory=list)
+    outcome: Outcome | None = None
+    about: dict[str, Any] = field(default_factory=dict)
+
+    def add(self, state: SceneState, positions: Float[np.ndarray, " n"]) -> None:
+        """Append a state of the scene and the joint positions."""
+        self.states.append(state)
+        self.positions.append(positions)
+
+
+def write_trial(path: str | Path, record: TrialRecord) -> None:
+    """Write a trial, whole or not at all.
+
+    Raises:
+        OutputError: the file can't be written.
+    """
+    columns = {name: np.array([getattr(state, name) for state in record.states]) for name in _STATE}
+    head = {
+        "task": record.task, "hand": record.hand, "side": record.side, "about": record.about,
+        "outcome": None if record.outcome is None else asdict(record.outcome),
+    }  # fmt: skip
+    try:
+        with atomic_write(path) as file:
+            np.savez_compressed(
+                file,
+                **columns,  # type: ignore[arg-type]
+                joint_positions=np.array(record.positions).reshape(-1, len(record.joint_names)),
+                joint_names=np.array(record.joint_names, dtype=str),
+                event_times=np.array([time for time, _ in record.events], float),
+                event_words=np.array([word for _, word in record.events], dtype="U8"),
+                trial=np.array(json.dumps(head)),
+            )
+    except OSError as error:
+        raise output_error(path, error) from error
+
+
+def read_trial(path: str | Path) -> TrialRecord:
+    """Read a trial back.
+
+    Raises:
+        StudyError: the file is not a trial.
+    """
+    try:
+        arrays = open_arrays(Path(path))
+        head = parse_json(arrays["trial"].text())
+        states = list(_states(arrays))
+        names = tuple(arrays["joint_names"].texts())
+        positions = arrays["joint_positions"].numbers()
+        if positions.shape != (len(states), len(names)):
+            raise ValueError(
+                f"joint_positions must have shape {(len(states), len(names))}, not "
+                f"{positions.shape}"
+            )
+        times, words = arrays["event_times"].numbers(), arrays["event_words"].texts()
+        if times.shape != (len(words),) or not np.isfinite(times).all():
+            raise ValueError(f"event_times must be {len(words)} finite times")
+        return TrialRecord(
+            _word(head, "task"), _word(head, "hand"), as_side(_word(head, "side")), names, states,
+            list(positions), list(zip(times.tolist(), words, strict=True)),
+            _outcome(head["outcome"]), _object(head["about"]),
+        )  # fmt: skip
+    except (OSError, SmoothOperatorError, ValueError, KeyError, TypeError) as error:
+        what = f"it has no {error}" if isinstance(error, KeyError) else str(error)[:300]
+        raise StudyError(
+            f"{str(path)!r} can't be read as a trial in simulation: {what}; "
+            "expected an .npz that a task's session wrote"
+        ) from error
+
+
+def _word(head: Any, name: str) -> str:
+    if not isinstance(_object(head)[name], str):
+        raise ValueError(f"{name} must be text, not {brief(head[name])}")
+    return str(head[name])
+
+
+def _object(value: Any) -> dict[str, Any]:
+    if not isinstance(value, dict):
+        raise ValueError(f"expected an object, not {brief(value)}")
+    return value
+
+
+def _outcome(value: Any) -> Outcome | None:
+    if value is None:
+        return None
+    kinds = {"score": float, "line": str, "seconds": float, "ended": str, "reason": str,
+             "resets": int}  # fmt: skip
+    if _object(value).keys() != kinds.keys():
+        raise ValueError(f"an outcome has {listed(kinds)}, not {listed(value)}")
+    for name, kind in kinds.items():
+        good = isinstance(value[name], (int, float) if kind is float else kind)
+        if not good or isinstance(value[name], bool):
+            raise ValueError(f"{name} of the outcome can't be {brief(value[name])}")
+    return Outcome(**value)
+
+
+def _states(arrays: StoredArrays) -> Iterator[SceneState]:
+    count = math.prod(arrays["time"].shape)
+    fingers = arrays["force"].shape[-1] if arrays["force"].shape else 0
+    columns: list[Any] = []
+    for name, (shape, kinds, _) in _STATE.items():
+        item = arrays[name]
+        shape_expected = (count, *(fingers if axis is None else axis for axis in shape))
+        # Of a trial that has no moment yet, the arrays have one axis, and numbers of any kind.
+        empty = not count and 0 in item.shape
+        if not empty and (item.shape != shape_expected or item.dtype.kind not in kinds):
+            raise ValueError(
+                f"{name} must have shape {shape_expected}, not {item.shape} of {item.dtype}"
+            )
+        columns.append(item.load())
+    for row in zip(*columns, strict=True):
+        values = zip(_STATE.items(), row, strict=True)
+        yield SceneState(**{name: make(value) for (name, (_, _, make)), value in values})

@@ -9,10 +9,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from smooth_operator.atomic_files import atomic_write
-from smooth_operator.formats.csv_table import csv_text
+from smooth_operator.formats.jsonable import csv_text
 from smooth_operator.reporting.drawing import colors_of, styled
-from smooth_operator.reporting.html import Html
-from smooth_operator.reporting.report_page import Plots, templates, write_report_page
+from smooth_operator.reporting.report_page import Html, Plots, templates, write_report_page
 from smooth_operator.study.analysis.analyze import Analysis
 from smooth_operator.study.analysis.methods_text import cited, methods_paragraph
 from smooth_operator.study.analysis.operators import flow_rows, operator_means

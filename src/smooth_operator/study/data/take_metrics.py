@@ -18,7 +18,7 @@ from smooth_operator.errors import StudyError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.metrics.assemble import assemble_trace, sample_reach
-from smooth_operator.metrics.registry import find_metric
+from smooth_operator.metrics.table import find_metric
 from smooth_operator.metrics.trace import Trace
 from smooth_operator.study.store.progress import Trial
 from smooth_operator.types import CommandTrajectory, HandRecording

@@ -16,10 +16,20 @@ from jaxtyping import Float, Int
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
-from smooth_operator.simulation.arms.arm import BASE, FLANGE, ArmSpec, arm_spec
-from smooth_operator.simulation.arms.carried import CarriedHand
-from smooth_operator.simulation.arms.hand_mount import HandCapsules, HandMount
-from smooth_operator.simulation.arms.rigid import Matrix, angle_between, matrix_of, pose_of, rigid
+from smooth_operator.simulation.arms.arm import (
+    BASE,
+    FLANGE,
+    ArmSpec,
+    CarriedHand,
+    HandCapsules,
+    HandMount,
+    Matrix,
+    angle_between,
+    arm_spec,
+    matrix_of,
+    pose_of,
+    rigid,
+)
 from smooth_operator.teleop.arm.settings import ArmSettings, place_arms
 from smooth_operator.teleop.runtime.limiter import MAX_STEP_S, JointLimiter
 from smooth_operator.teleop.sinks.tick import ArmCommand

@@ -12,10 +12,8 @@ import numpy as np
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
-from smooth_operator.simulation.arms.carried import CarriedHand
+from smooth_operator.simulation.arms.arm import CarriedHand, HandMount, rigid
 from smooth_operator.simulation.arms.catalogue import arm_named
-from smooth_operator.simulation.arms.hand_mount import HandMount
-from smooth_operator.simulation.arms.rigid import rigid
 from smooth_operator.teleop.components import settings_from_text
 from smooth_operator.types import Side
 

@@ -69,7 +69,7 @@ from smooth_operator.terminal import print_note
 from smooth_operator.types import Side
 
 if TYPE_CHECKING:
-    from smooth_operator.simulation.tasks.trial_runner import TrialRunner
+    from smooth_operator.simulation.tasks.task_session import TrialRunner
 
 
 RpcHandler: TypeAlias = Callable[[Mapping[str, Any]], Mapping[str, Any]]

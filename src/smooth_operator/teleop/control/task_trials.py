@@ -14,7 +14,7 @@ from smooth_operator.types import Side
 
 if TYPE_CHECKING:
     from smooth_operator.simulation.tasks import Outcome
-    from smooth_operator.simulation.tasks.trial_runner import TrialRunner
+    from smooth_operator.simulation.tasks.task_session import TrialRunner
 
 
 class TaskTrials:
@@ -76,7 +76,7 @@ class TaskTrials:
         simulation = simulated_hands(self._sinks)
         if simulation is None or (self._task is None and not self._controlled):
             return
-        from smooth_operator.simulation.tasks.trial_runner import TrialRunner
+        from smooth_operator.simulation.tasks.task_session import TrialRunner
 
         self.runner = TrialRunner(
             simulation, self._sides, self._folder, self._about, self._tell, self._record

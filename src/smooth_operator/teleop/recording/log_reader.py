@@ -17,7 +17,7 @@ from jaxtyping import Float, Int
 
 from smooth_operator.errors import RecordingError, brief, listed
 from smooth_operator.extras import UPGRADE
-from smooth_operator.formats.bounds import ARRAYS_RATIO, FREE_BYTES, LOG_RATIO, Allowance
+from smooth_operator.formats.arrays import ARRAYS_RATIO, FREE_BYTES, LOG_RATIO, Allowance
 from smooth_operator.formats.checks import check_side
 from smooth_operator.formats.episode import ArmTrack, StateTrajectory, WristTrack
 from smooth_operator.formats.registry import file_kind, readable

@@ -14,8 +14,7 @@ from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError, SinkError
 from smooth_operator.hands.hand import Hand
-from smooth_operator.simulation.arms.carried import CarriedHand, WristKinematics
-from smooth_operator.simulation.arms.rigid import Matrix
+from smooth_operator.simulation.arms.arm import CarriedHand, Matrix, WristKinematics
 from smooth_operator.simulation.live import Watcher
 from smooth_operator.simulation.physics import HandPhysics
 from smooth_operator.simulation.scenes import Scene, ScenePart, ScenePhysics, SceneState, scene_for

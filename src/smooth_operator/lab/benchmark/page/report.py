@@ -1,7 +1,10 @@
-"""``report.html``: tables, the player of clips, and plots; its sections are Jinja2 templates."""
+"""The report of a benchmark: ``report.html`` with tables, clips and plots, and ``summary.md``.
+
+The sections of the page are Jinja2 templates."""
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from importlib.resources import files
@@ -10,41 +13,102 @@ from typing import Any, Final
 
 import numpy as np
 
-from smooth_operator.atomic_files import file_name
+from smooth_operator.atomic_files import atomic_write, file_name
 from smooth_operator.hands.hand import Hand
 from smooth_operator.lab.benchmark import figures, ranking
-from smooth_operator.lab.benchmark.benchmark_folder import PLOTS, REPORT
-from smooth_operator.lab.benchmark.comparison import Comparison
+from smooth_operator.lab.benchmark.cells import Settings, method_label
 from smooth_operator.lab.benchmark.contact_sheet import (
     contact_sheet,
     panels_by_hand,
     skeleton_shape,
 )
-from smooth_operator.lab.benchmark.page.summary import write_summary
-from smooth_operator.lab.benchmark.panels import Panel, make_clip, make_panels
+from smooth_operator.lab.benchmark.figures import Panel, make_clip, make_panels
 from smooth_operator.lab.benchmark.quality import PER_FINGER
 from smooth_operator.lab.benchmark.ranking import (
     COLUMN_GROUPS,
     COLUMNS,
     RANK,
+    Comparison,
     Line,
     best,
+    by_hand,
     columns,
     lines_of,
     numbers,
     overall,
+    sample_text,
     shown_value,
 )
-from smooth_operator.lab.benchmark.results import Row, row_method, row_unit
-from smooth_operator.lab.benchmark.settings import Settings, method_label
-from smooth_operator.lab.benchmark.suite import Finished
+from smooth_operator.lab.benchmark.suite import PLOTS, REPORT, Finished, Row, row_method, row_unit
 from smooth_operator.metrics import Metric
-from smooth_operator.metrics.metric import GROUPS
-from smooth_operator.metrics.registry import known_metrics
+from smooth_operator.metrics.table import GROUPS, known_metrics
 from smooth_operator.reporting.drawing import colors_of, styled
 from smooth_operator.reporting.hand_surface import HandShape
-from smooth_operator.reporting.html import Html, data, element, join, paragraph
-from smooth_operator.reporting.report_page import SORTING, Plots, templates, write_report_page
+from smooth_operator.reporting.report_page import (
+    SORTING,
+    Html,
+    Plots,
+    data,
+    element,
+    join,
+    paragraph,
+    templates,
+    write_report_page,
+)
+
+SUMMARY: Final = "summary.md"
+_LEFT_OUT: Final = ("scale_ratio", "workspace_utilisation")
+
+
+def write_summary(rows: Sequence[Row], settings: Settings) -> Path:
+    """Writes ``summary.md``: for each hand the main table, its sample, date and command.
+
+    Raises:
+        OutputError: it can't be written.
+    """
+    path = settings.output / SUMMARY
+    with atomic_write(path) as file:
+        file.write(summary_text(rows, settings).encode())
+    return path
+
+
+def summary_text(rows: Sequence[Row], settings: Settings) -> str:
+    """The tables of ``write_summary``."""
+    metrics = [metric for metric in COLUMNS if metric.name not in _LEFT_OUT]
+    parts = []
+    for hand, own in by_hand(rows).items():
+        lines = [line for line in overall(own) if line.failed is None]
+        heads = [" ".join(filter(None, (m.short, m.unit, m.sign))) for m in metrics]
+        table = [["method", *heads], ["---", *("---:" for _ in metrics)]]
+        tops = [best(lines, metric) for metric in metrics]
+        for i, line in enumerate(lines):
+            values = [_short(m, line.values.get(m.name)) for m in metrics]
+            marked = [f"**{v}**" if i in top else v for v, top in zip(values, tops, strict=True)]
+            name = f"`{line.method}`"
+            partly = "" if line.count == line.of else f" ({line.count} of {line.of})"
+            table.append([name + partly, *marked])
+        day = max((str(row["date"])[:10] for row in own if row["date"]), default="")
+        words = f"{hand}, n = {sample_text(own)}; mean over trackers. {day}:"
+        parts.append("\n".join(f"| {' | '.join(cells)} |" for cells in table) + f"\n\n{words}")
+    return "\n\n".join([*parts, f"```bash\n{command_of(settings)}\n```"]) + "\n"
+
+
+def _short(metric: Metric, value: float | None) -> str:
+    """A value in three digits."""
+    if value is None or metric.name.endswith("share"):
+        return shown_value(metric, value)
+    return f"{value:.3f}" if metric.goal == "->1" else f"{value:.3g}"
+
+
+def command_of(settings: Settings) -> str:
+    """The command of a benchmark, with the names of recordings without their folders."""
+    names = [Path(text).name for text in settings.recordings]
+    words = ["smooth-operator", "bench", *names, "--methods", ",".join(settings.methods)]
+    words += ["--hands", ",".join(settings.hands)]
+    if settings.definition != "sound":
+        words += ["--definition", settings.definition]
+    return shlex.join([*words, "--output", settings.output.name])
+
 
 BUSY: Final = 0.25
 """Share of the cores in others' hands from which a latency is warned of."""

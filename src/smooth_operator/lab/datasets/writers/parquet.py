@@ -17,9 +17,13 @@ from smooth_operator.episode_files.lerobot.tables import arrow, parquet
 from smooth_operator.errors import require
 from smooth_operator.formats.jsonable import to_json
 from smooth_operator.lab.datasets.clip import SIDES, RobotClip
-from smooth_operator.lab.datasets.writers.arrays import LOST, clip_arrays, clip_document, clip_key
-from smooth_operator.lab.datasets.writers.registry import WritingOptions
-from smooth_operator.lab.datasets.writers.resampling import resampled
+from smooth_operator.lab.datasets.writers.arrays import (
+    clip_arrays,
+    clip_document,
+    clip_key,
+    resampled,
+)
+from smooth_operator.lab.datasets.writers.registry import DatasetFormat, WritingOptions
 from smooth_operator.lab.datasets.writers.shards import (
     MB,
     ShardedWriter,
@@ -234,13 +238,4 @@ def _leaves(pa: Any, columns: dict[str, tuple[Any, _Make]]) -> list[str]:
     return paths
 
 
-class _Parquet:
-    what = "Parquet files of clips"
-    parallel = True
-    loses = LOST
-
-    def open(self, output: Path, options: WritingOptions) -> _Writer:
-        return _Writer(output, options)
-
-
-PARQUET: Final = _Parquet()
+PARQUET: Final = DatasetFormat("Parquet files of clips", _Writer, parallel=True)

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import TracebackType
-from typing import Final, Literal, Protocol
+from typing import Any, Final, Literal
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.lab.datasets.clip import RobotClip
 from smooth_operator.lab.datasets.registry import RESEARCH_PACKAGE
 from smooth_operator.plugins import Entry, Registry
 from smooth_operator.types import Side
@@ -66,70 +64,24 @@ class WritingOptions:
             raise ConfigError(f"objects must be 0 or more, not {self.objects}")
 
 
-class DatasetWriter(Protocol):
-    """A data set that is being written.
+@dataclass(frozen=True)
+class DatasetFormat:
+    """A format of output.
 
-    It is closed when all is written. One that is not closed, or whose process is killed, leaves its
-    whole shards; the clip files of the shard that was being filled are lost. Opened again with the
-    same options, it goes on after the last whole shard.
+    Attributes:
+        what: kind of its data sets, for messages: ``a LeRobot dataset``.
+        open: ``open(output, options)`` gives a writer into a folder, which is made; one that this
+            format began is continued. The writer is a ``ShardedWriter``, or has the same public
+            methods. Raises ``MissingExtraError`` (a library is missing), ``ConfigError`` (the
+            folder was begun in another format or with other options) or ``OutputError`` (something
+            else stands there, or it can't be written).
+        parallel: parts that several writers write at a time (``part``, ``parts`` of the options)
+            are one data set.
     """
-
-    @property
-    def written(self) -> Collection[str]:
-        """Keys (``RobotClip.key``) of the clips in whole shards, of all parts."""
-
-    @property
-    def notes(self) -> list[str]:
-        """Notes for a person on the data so far: frames that were resampled, cut or filled."""
-
-    def write(self, clip: RobotClip) -> None:
-        """Adds a clip; one whose key was written before is passed over.
-
-        Raises:
-            RecordingError: the format can't hold this clip (no frames, no wrist, no object); says
-                why. The writer takes the next one.
-            OutputError: it can't be written: no space, no permission. The writer is of no use then.
-        """
-
-    def close(self) -> None:
-        """Ends the last shard and writes what describes them all.
-
-        Raises:
-            OutputError: it can't be written.
-        """
-
-    def __enter__(self) -> DatasetWriter: ...
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        where: TracebackType | None,
-    ) -> None:
-        """Closes it; after an error it drops the shard that is not whole."""
-
-
-class DatasetFormat(Protocol):
-    """A format of output."""
 
     what: str
-    """What it writes, for messages: ``a LeRobot dataset``."""
-
-    loses: str
-    """Parts of a clip that it has no place for, in a sentence.
-
-    A true attribute ``parallel`` says that parts which several writers write at a time (``part``,
-    ``parts`` of the options) are one data set.
-    """
-
-    def open(self, output: Path, options: WritingOptions) -> DatasetWriter:
-        """A writer into a folder, which is made; one that this format began is continued.
-
-        Raises:
-            MissingExtraError: a library is missing.
-            ConfigError: the folder was begun in another format or with other options.
-            OutputError: something else stands there, or it can't be written.
-        """
+    open: Callable[[Path, WritingOptions], Any]
+    parallel: bool = False
 
 
 WRITERS: Final = Registry(
@@ -138,11 +90,11 @@ WRITERS: Final = Registry(
         name: Entry(f"{_WRITERS}.{where}", what)
         for name, where, what in (
             ("lerobot", "lerobot:LEROBOT", "LeRobot v3: state and action of the robot, videos"),
-            ("webdataset", "webdataset:WEBDATASET", "tar shards, a sample a clip"),
+            ("webdataset", "shards:WEBDATASET", "tar shards, a sample a clip"),
             ("parquet", "parquet:PARQUET", "Parquet files, a row a clip"),
         )
     },
-    needs=("what", "loses", "open"),
+    needs=("what", "open"),
     elsewhere=dict.fromkeys(("flashdex", "spider"), RESEARCH_PACKAGE),
 )
 """Name -> ``DatasetFormat``, open to plugins as ``smooth_operator.writers``."""

@@ -8,26 +8,40 @@
 
 A shard is filled under a hidden name, and takes its own when it is full. So a process that is
 killed leaves whole shards; the next one removes what has no index and goes on from there.
+
+WebDataset has tar files of samples, one a clip, ``KEY.json`` and ``KEY.npz`` next to each other.
+The arrays are those of ``smooth_operator.lab.datasets.writers.arrays``. The headers hold no time,
+no owner and no number of a process, so the same clips give the same bytes.
 """
 
 from __future__ import annotations
 
 import contextlib
 import hashlib
+import io
 import os
+import tarfile
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, Final, Self
 
+import numpy as np
+
 from smooth_operator.atomic_files import atomic_write, output_error, write_json
 from smooth_operator.errors import ConfigError, DocumentError, OutputError, RecordingError
 from smooth_operator.formats.jsonable import to_json
 from smooth_operator.io.documents import parse_json, read_json
 from smooth_operator.lab.datasets.clip import RobotClip
-from smooth_operator.lab.datasets.writers.arrays import clip_key
-from smooth_operator.lab.datasets.writers.registry import WritingOptions
+from smooth_operator.lab.datasets.writers.arrays import (
+    clip_arrays,
+    clip_document,
+    clip_key,
+    resampled,
+    unique_slug,
+)
+from smooth_operator.lab.datasets.writers.registry import DatasetFormat, WritingOptions
 
 PROGRAM: Final = "smooth-operator"
 MARK: Final = "meta/dataset.json"
@@ -37,7 +51,11 @@ MB: Final = 1_000_000
 
 
 class ShardedWriter(ABC):
-    """A data set in shards; a format says what a shard is.
+    """A data set in shards that is being written; a format defines a shard.
+
+    It is closed when all is written. One that is not closed, or whose process is killed, leaves its
+    whole shards; the clips of the shard that was being filled are lost. Opened again with the same
+    options, it goes on after the last whole shard.
 
     Args:
         output: the folder.
@@ -132,7 +150,13 @@ class ShardedWriter(ABC):
         self._counts[text] = self._counts.get(text, 0) + 1
 
     def write(self, clip: RobotClip) -> None:
-        """Adds a clip; one whose key was written before is passed over."""
+        """Adds a clip; one whose key was written before is passed over.
+
+        Raises:
+            RecordingError: the format can't hold this clip (no frames, no wrist, no object), with
+                the reason. The writer takes the next one.
+            OutputError: it can't be written: no space, no permission. The writer is then of no use.
+        """
         key = clip.key or clip_key(clip)
         if key in self._written or key in self._pending_keys:
             return
@@ -316,3 +340,67 @@ def drop_parquet(writer: Any) -> None:
         with contextlib.suppress(OSError):
             writer.close()
         writer.is_open = False  # or it would try again when it is collected
+
+
+class TarShards(ShardedWriter):
+    """Shards that are tar files with deterministic headers."""
+
+    folder = "shards"
+
+    def path(self, number: int) -> Path:
+        """Path of a shard."""
+        return self.output / self.folder / f"{self.shard_name(number)}.tar"
+
+    def _begin(self, number: int) -> None:
+        path = self.path(number)
+        path.parent.mkdir(exist_ok=True)
+        self._file: IO[bytes] = hidden(path).open("wb")
+        self._tar = tarfile.TarFile(fileobj=self._file, mode="w", format=tarfile.PAX_FORMAT)
+
+    def add_file(self, name: str, content: bytes) -> None:
+        """Adds a member to the shard that is open."""
+        header = tarfile.TarInfo(name)
+        header.size, header.mode = len(content), 0o644
+        self._tar.addfile(header, io.BytesIO(content))
+
+    def _size(self) -> int:
+        return self._file.tell()
+
+    def _end(self, number: int) -> dict[str, Any]:
+        path = self.path(number)
+        self._tar.close()
+        self._file.close()
+        publish(path)
+        return {"shard": path.relative_to(self.output).as_posix()}
+
+    def _drop(self) -> None:
+        close_quietly(self._file)
+        remove(hidden(self.path(self._number)))
+
+    def _clean(self, number: int) -> None:
+        remove(self.path(number))
+
+
+def npz_bytes(arrays: dict[str, np.ndarray]) -> bytes:
+    """A NumPy archive, not packed; the same bytes for the same arrays."""
+    content = io.BytesIO()
+    np.savez(content, allow_pickle=False, **arrays)
+    return content.getvalue()
+
+
+class _Writer(TarShards):
+    def __init__(self, output: Path, options: WritingOptions) -> None:
+        super().__init__(output, options, "webdataset", 256.0, {"rate": options.rate})
+
+    def _add(self, clip: RobotClip, entry: dict[str, Any]) -> None:
+        if self.options.rate is not None:
+            clip = resampled(clip, self.options.rate)
+        key = unique_slug(clip.clip.name, entry["key"])
+        document = clip_document(clip, entry["key"], self.configuration(clip))
+        self.add_file(f"{key}.json", to_json(document).encode())
+        self.add_file(f"{key}.npz", npz_bytes(clip_arrays(clip)))
+        entry["sample"] = key
+        entry["frames"] = len(clip.clip)
+
+
+WEBDATASET: Final = DatasetFormat("WebDataset tar shards", _Writer, parallel=True)

@@ -24,9 +24,15 @@ from smooth_operator.human.alignment import (
 from smooth_operator.human.flat_hand import human_palm_axes
 from smooth_operator.human.operator import FingerProfile, OperatorProfile
 from smooth_operator.landmarks import FINGERS, TIPS
-from smooth_operator.simulation.arms.arm import arm_spec
-from smooth_operator.simulation.arms.carried import CarriedHand, WristKinematics
-from smooth_operator.simulation.arms.rigid import inverse, matrix_of, pose_of, rigid
+from smooth_operator.simulation.arms.arm import (
+    CarriedHand,
+    WristKinematics,
+    arm_spec,
+    inverse,
+    matrix_of,
+    pose_of,
+    rigid,
+)
 from smooth_operator.teleop.arm.settings import ArmSettings, place_arms
 from smooth_operator.teleop.pages.hand_view import (
     FOREARM,

@@ -19,10 +19,10 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.methods.presets import live_presets
 from smooth_operator.planning import RetargetRequest
 from smooth_operator.poses import is_valid
-from smooth_operator.simulation.arms.rigid import Matrix, inverse, pose_of, rigid
+from smooth_operator.simulation.arms.arm import Matrix, inverse, pose_of, rigid
 from smooth_operator.simulation.live import LiveSimulation
 from smooth_operator.simulation.scenes import Scene, ScenePart, SceneState
-from smooth_operator.simulation.scenes.mount import Mount
+from smooth_operator.simulation.scenes.scene import Mount
 from smooth_operator.teleop.control.method_switcher import MethodSwitcher
 from smooth_operator.teleop.runtime.loop import TeleopLoop
 from smooth_operator.teleop.sinks.record import SUFFIX, RecordSink

@@ -1,4 +1,8 @@
-"""Results on disk, identified by a key and the digest of the code that computed them."""
+"""Store of the results of long computations in a folder, reused while they are valid.
+
+The module is independent of hands: a result has a key, which is any JSON, and the digest of the
+code that computed it.
+"""
 
 from __future__ import annotations
 
@@ -15,6 +19,7 @@ from smooth_operator.errors import DocumentError, SmoothOperatorError
 from smooth_operator.formats.jsonable import to_json
 from smooth_operator.io.documents import parse_json, read_json
 from smooth_operator.parallel import TaskResult
+from smooth_operator.source_digest import code_digest as code_digest
 
 T = TypeVar("T")
 
