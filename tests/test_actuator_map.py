@@ -1,7 +1,5 @@
 """Tables of real hands: monotonic maps, their inverse, what is refused and in which words."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +17,7 @@ from smooth_operator.teleop.hardware.table_file import find_table, read_table, w
 
 
 def table_of(*actuators: Actuator, **more: object) -> ActuatorMap:
-    return ActuatorMap("fake", "mimic_p050", "right", "deg", actuators, **more)  # type: ignore[arg-type]
+    return ActuatorMap("fake", "mimic_p050", "right", "deg", actuators, **more)
 
 
 @settings(deadline=None, max_examples=50)

@@ -1,7 +1,5 @@
 """R's figures for one simulated study: lme4, lmerTest, geepack, emmeans, mvtnorm, to 15 digits."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any
@@ -50,7 +48,6 @@ def results(data: StudyData) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def of_t(data: StudyData) -> dict[str, Any]:
-    assert data.questionnaires is not None
     frames = {"time": (time_frame, data.trials), "tlx": (tlx_frame, data.questionnaires)}
     return {
         outcome: {
@@ -70,13 +67,7 @@ def column(table: dict[str, dict[str, Any]], name: str) -> list[Any]:
 
 @pytest.mark.parametrize("scope", SCOPES)
 @pytest.mark.parametrize("outcome", ["time", "tlx"])
-def test_mixed_models(
-    oracle: dict[str, Any],
-    results: dict[str, Any],
-    of_t: dict[str, Any],
-    outcome: str,
-    scope: str,
-) -> None:
+def test_mixed_models(oracle, results, of_t, outcome, scope):
     """Random intercepts of operators: as mode paper has them, and with Satterthwaite's t."""
     expected = oracle[outcome][scope]["REML"]
     for mode, of in (("paper", "asymptotic"), ("t", "satterthwaite")):
@@ -124,7 +115,7 @@ def test_mixed_models(
 
 
 @pytest.mark.parametrize("scope", SCOPES)
-def test_success(oracle: dict[str, Any], results: dict[str, Any], scope: str) -> None:
+def test_success(oracle, results, scope):
     expected = oracle["success"][scope]
     for mode, error, of in (
         ("paper", "se_robust", "emm_robust"),
@@ -163,7 +154,7 @@ def test_success(oracle: dict[str, Any], results: dict[str, Any], scope: str) ->
 
 
 @pytest.mark.parametrize("scope", SCOPES)
-def test_learning(oracle: dict[str, Any], results: dict[str, Any], scope: str) -> None:
+def test_learning(oracle, results, scope):
     for index, outcomes in oracle["learning"][scope].items():
         for outcome, expected in outcomes.items():
             found = results["learning"][scope][index][outcome]
@@ -179,7 +170,7 @@ def test_learning(oracle: dict[str, Any], results: dict[str, Any], scope: str) -
                     close(found[name], value, 1e-5, 1e-9)
 
 
-def test_rank_correlations(oracle: dict[str, Any], results: dict[str, Any]) -> None:
+def test_rank_correlations(oracle, results):
     assert set(results["spearman"]) == set(oracle["spearman"])
     for pair, expected in oracle["spearman"].items():
         found = results["spearman"][pair]
@@ -193,8 +184,7 @@ def test_rank_correlations(oracle: dict[str, Any], results: dict[str, Any]) -> N
             close(found["ci_boot_operators"][end], boot, abs_=0.03)
 
 
-def test_single_scales_of_the_tlx(oracle: dict[str, Any], data: StudyData) -> None:
-    assert data.questionnaires is not None
+def test_single_scales_of_the_tlx(oracle, data):
     for item, expected in oracle["tlx_items"].items():
         frame = tlx_frame(data.questionnaires, "pooled", "dexpilot", item=ITEMS.index(item))
         found = plain(intercepts_with_t(frame))

@@ -5,11 +5,10 @@ import itertools
 import numpy as np
 import pytest
 
-from smooth_operator import load_hand
+from smooth_operator import HandRecording, load_hand
 from smooth_operator.metrics.consistency import motion_preservation
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.synthetic.robot_landmarks import human_landmarks
-from smooth_operator.types import HandRecording
 from smooth_operator_research.judging.motion_bound import (
     curve_bound,
     motion_bounds,

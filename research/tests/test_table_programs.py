@@ -1,7 +1,5 @@
 """``benchmarks/tables.py``: several figures in the cells of one table."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json
