@@ -198,7 +198,7 @@ def test_it_stays_finite_where_tips_coincide(hand, recording):
 @pytest.mark.parametrize(
     "method",
     # the hand is corrected before a method has it: each run has one of each way to solve
-    [pytest.param(name, marks=[pytest.mark.weekly] * (name not in ("smooth", "keyvector")))
+    [pytest.param(name, marks=[pytest.mark.weekly] * (name not in ("joint_angle", "keyvector")))
      for name in method_names()],
 )  # fmt: skip
 def test_every_method_is_driven_by_the_corrected_hand(method, hand, recording):

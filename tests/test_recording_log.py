@@ -235,13 +235,8 @@ def test_cut_off_anywhere_gives_the_complete_chunks(tmp_path, compression):
     cut = tmp_path / "cut.mcap"
     rng = np.random.default_rng(5)
     edges = [
-        len(content) - 1,
-        len(content) - 8,
-        len(content) - 9,
-        int(ends[0]),
-        int(ends[0]) - 1,
-        8,
-    ]
+        len(content) - 1, len(content) - 8, len(content) - 9, int(ends[0]), int(ends[0]) - 1, 8,
+    ]  # fmt: skip
     for length in {*rng.integers(8, len(content), 20).tolist(), *edges}:
         cut.write_bytes(content[:length])
         log = read_log(cut)

@@ -14,19 +14,9 @@ import smooth_operator
 
 PROJECT = Path(__file__).resolve().parents[1]
 PACKAGES = [
-    "hands",
-    "human",
-    "calibration",
-    "objective",
-    "solvers",
-    "methods",
-    "metrics",
-    "synthetic",
-    "formats",
-    "teleop",
-    "lab",
-    "study",
-]
+    "hands", "human", "calibration", "objective", "solvers", "methods", "metrics", "synthetic",
+    "formats", "teleop", "lab", "study",
+]  # fmt: skip
 
 
 @pytest.fixture(scope="module")
