@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from smooth_operator.atomic_files import atomic_write, write_json
+from smooth_operator.formats.csv_table import csv_text
 from smooth_operator.formats.environment import environment
-from smooth_operator.formats.jsonable import csv_text
 from smooth_operator.planning import PROGRAM
 from smooth_operator_research.physics.measure import PhysicsSettings
 from smooth_operator_research.physics.suite import COMMAND, MeasureOutcome

@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from smooth_operator.atomic_files import atomic_write
-from smooth_operator.formats.jsonable import csv_text
+from smooth_operator.formats.csv_table import csv_text
 from smooth_operator.study.analysis.analyze import Analysis
 from smooth_operator.study.analysis.methods_text import cited, methods_paragraph
 from smooth_operator.study.analysis.operators import flow_rows, operator_means

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from smooth_operator.errors import DocumentError, StudyError, brief, listed
-from smooth_operator.formats.jsonable import plain_cell
+from smooth_operator.formats.csv_table import plain_cell
 from smooth_operator.io.documents import parse_json, read_text
 from smooth_operator.study.data.rows import (
     ITEMS,

@@ -14,7 +14,7 @@ from typing import Any, Final
 
 from smooth_operator.atomic_files import atomic_write, output_error
 from smooth_operator.errors import OutputError
-from smooth_operator.formats.jsonable import csv_text
+from smooth_operator.formats.csv_table import csv_text
 from smooth_operator.study.data.reading import (
     MORE_TRIAL_COLUMNS,
     QUESTIONNAIRE_COLUMNS,

@@ -13,7 +13,7 @@ import numpy as np
 
 from smooth_operator.atomic_files import atomic_write, output_error
 from smooth_operator.errors import ConfigError, SinkError
-from smooth_operator.formats.jsonable import toml_value
+from smooth_operator.formats.toml_writer import toml_value
 from smooth_operator.hands.registry import user_hands_folder
 from smooth_operator.io.entries import Entries, read_entries
 from smooth_operator.teleop.hardware.actuator_map import Actuator, ActuatorMap
